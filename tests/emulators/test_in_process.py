@@ -1,5 +1,6 @@
 """The simulated lab against closed forms, against the renderer, and against the physics that it tabulates."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,12 +8,9 @@ from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, QUIET, WALL
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
-from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
+from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, SpringPlane, _meet
-from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
-from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.limits import MotionLimits
-from i2t.hardware.protocols import Arm, DepthCamera, Skin
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
 from i2t.simulation.depth_camera import render_view
@@ -26,7 +24,8 @@ BOX = MotionLimits((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
 @pytest.fixture(scope="module")
 def scene():
     rig = Rig()
-    return ObjectScene(catalogue.make_object("dome").mesh, rig.T_base_world @ rig.T_world_object, nominal_pad(), QUIET)
+    pad = jax.jit(nominal_pad)()
+    return ObjectScene(catalogue.make_object("dome").mesh, rig.T_base_world @ rig.T_world_object, pad, QUIET)
 
 
 def pose(x, y, z, turned=DOWN):
@@ -35,24 +34,8 @@ def pose(x, y, z, turned=DOWN):
     return T
 
 
-def lab(errors=QUIET, clock=None, stiffness=10e3):
-    return SimulatedLab(
-        SpringPlane(HEIGHT, stiffness, GAIN, errors, boards.reskin_board()), clock or VirtualClock(WALL)
-    )
-
-
-def test_they_are_what_the_protocols_say(scene):
-    inside = lab()
-    arm, skin = SimulatedArm(inside, BOX), SimulatedSkin(inside)
-    assert isinstance(arm, Arm)
-    assert isinstance(skin, Skin)
-    eye = SimulatedCamera(scene, LENS, np.eye(4), lambda: arm.state().T_b_t, inside.clock)
-    with eye:
-        assert isinstance(eye, DepthCamera)
-    assert arm.features.source == skin.features.source == "simulated"
-    for call in (arm.state, skin.latest, eye.capture):
-        with pytest.raises(NotConnectedError):
-            call()
+def lab(errors=QUIET):
+    return SimulatedLab(SpringPlane(HEIGHT, 10e3, GAIN, errors, boards.reskin_board()), VirtualClock(WALL))
 
 
 @pytest.mark.full
@@ -71,17 +54,19 @@ def test_a_line_over_a_dome_is_the_physics_between_its_loads_too(scene):
         np.testing.assert_allclose(force, loads[i], rtol=0.05)
         np.testing.assert_allclose(reading, readings[i], atol=0.08 * np.linalg.norm(readings[i]))
         np.testing.assert_allclose(centre, 0, atol=0.1e-3)
-
-
-@pytest.mark.full
-def test_a_softer_mount_sinks_by_force_through_stiffness(scene):
-    line = scene.ahead(pose(0.4, 0.0, 0.07))
+    # A softer mount sinks by force through stiffness.
     hard, scene.stiffness = scene.stiffness, 2e3
     try:
-        soft = scene.ahead(pose(0.4, 0.0, 0.07))
+        soft = scene.ahead(start)
     finally:
         scene.stiffness = hard
     np.testing.assert_allclose(soft.past_contact - line.past_contact, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
+
+
+def stand(model, x, z, turned=DOWN):
+    """Let a tool stand where it meets nothing."""
+    for _ in range(10):
+        assert not model(np.array([x, 0.0, z]), turned).any()
 
 
 @pytest.mark.full
@@ -97,23 +82,17 @@ def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
 
 
 @pytest.mark.full
-def test_an_object_beyond_the_reach_of_a_line_is_met_from_where_the_tool_stands_next(scene):
-    """A tool that first stands 130 mm above the object and then 40 mm: on one line, of which 120 mm are known."""
+def test_an_object_is_met_from_where_the_tool_stands_next(scene):
+    """On one line, of which 120 mm are known: from 130 mm above the object, then from 40 mm; and sideways, 10 mm above
+    the table, first past the object and then in front of it.
+    """
     model = ContactModel(scene)
-    for z in (0.16, 0.07):
-        for _ in range(10):
-            assert not model(np.array([0.4, 0.0, z]), DOWN).any()
+    stand(model, 0.4, 0.16)
+    stand(model, 0.4, 0.07)
     assert model(np.array([0.4, 0.0, 0.0297]), DOWN)[2] > 0.3
-
-
-@pytest.mark.full
-def test_a_tool_that_goes_back_behind_the_beginning_of_a_line_meets_what_is_there(scene):
-    """Sideways, 10 mm above the table: first past the object, then in front of it, on the same line."""
-    model = ContactModel(scene)
-    sideways = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # tool z along the base's x
-    for x in (0.46, 0.33):
-        for _ in range(10):
-            assert not model(np.array([x, 0.0, 0.01]), sideways).any()
+    model, sideways = ContactModel(scene), np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # tool z along the base's x
+    stand(model, 0.46, 0.01, sideways)
+    stand(model, 0.33, 0.01, sideways)
     assert np.linalg.norm(model(np.array([0.3725, 0.0, 0.01]), sideways)[:3]) > 0.3
 
 
@@ -121,8 +100,7 @@ def test_a_tool_that_goes_back_behind_the_beginning_of_a_line_meets_what_is_ther
 def test_a_contact_model_in_a_thread_finds_the_same(scene):
     waits, threaded = ContactModel(scene), ContactModel(scene, wait=False)
     for model in (waits, threaded):
-        for _ in range(10):
-            model(np.array([0.4, 0.0, 0.07]), DOWN)
+        stand(model, 0.4, 0.07)
     assert threaded._coming is not None
     threaded._coming.result()
     at = np.array([0.4, 0.0, 0.0297])
@@ -131,12 +109,13 @@ def test_a_contact_model_in_a_thread_finds_the_same(scene):
     np.testing.assert_allclose(threaded.reading, waits.reading, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.full
 def test_force_off_the_middle_gives_a_torque(scene):
     """On the dome beside its top the contact lies off the tool's middle: torque is place x force."""
     feeler = ContactModel(scene)
-    for _ in range(10):
-        feeler(np.array([0.405, 0.0, 0.07]), DOWN)
+    stand(feeler, 0.405, 0.07)
     wrench = feeler(np.array([0.405, 0.0, 0.029]), DOWN)
+    assert wrench[2] > 0.3
     np.testing.assert_allclose(wrench[:2], 0, atol=1e-9)
     np.testing.assert_allclose(np.cross([-0.005, 0.0, 0.0], wrench[:3]), wrench[3:], atol=0.1 * wrench[2] * 5e-3)
 
@@ -193,21 +172,6 @@ def test_a_late_arm_overshoots_by_what_it_is_late():
         assert 8.0 + 10e3 * 0.004 * latency <= force < 8.0 + 10e3 * (0.004 * (late + TICK_S) + 0.004**2 / 4) + 0.05
 
 
-def test_goals_outside_the_box_and_forces_in_the_way_are_refused():
-    inside = lab()
-    with SimulatedArm(inside, BOX) as arm:
-        with pytest.raises(ValueError, match="outside the box"):
-            arm.move(pose(0.7, 0.0, 0.2))
-        with pytest.raises(ValueError, match="speed"):
-            arm.move(pose(0.4, 0.0, 0.2), 2.0)
-        arm.go(pose(0.4, 0.0, 0.05))
-        inside.clock.sleep(0.05)
-        with pytest.raises(DeviceError, match="met something"):
-            arm.go(pose(0.4, 0.0, 0.01), 0.05)
-        assert not arm.state().moving
-        arm.go(pose(0.4, 0.0, 0.05))
-
-
 def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
     inside = lab()
     with SimulatedArm(inside, BOX) as arm:
@@ -215,20 +179,3 @@ def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
         assert inside.contact_model._line is None
         arm.go(pose(0.4, 0.0, HEIGHT - 0.5e-3), 0.05)
         np.testing.assert_allclose(arm.state().wrench, [0, 0, -5, 0, 0, 0], atol=1e-6)
-
-
-def test_on_the_clock_of_this_machine_it_takes_its_time():
-    inside = lab(clock=MonotonicClock())
-    with SimulatedSkin(inside) as skin, SimulatedArm(inside, BOX) as arm:
-        before = inside.clock.now()
-        arm.move(pose(0.4, 0.0, 0.28), 0.1, 0.5)
-        assert arm.state().moving
-        samples = skin.read(40)
-        assert inside.clock.now() - before > 0.09
-        assert before < samples.time[0] < samples.time[-1] <= inside.clock.now()
-        arm.stop()
-        assert not arm.state().moving
-        skin.silent = True
-        inside.recording = False
-        with pytest.raises(DeviceTimeoutError):
-            skin.read(5, timeout=0.05)

@@ -23,9 +23,8 @@ from i2t.skin.noise import Noise
 from i2t.skin.pad import press, sample_pad
 
 PATIENCE = 20.0  # s that a loaded machine may need
-ABOVE, TOP, STIFFNESS = 0.05, 0.03, 20e3  # m, m, N/m: the star's top is flat, and wider than the skin
+ABOVE, TOP, STIFFNESS = 0.036, 0.03, 20e3  # m, m, N/m: the star's top is flat, and wider than the skin
 SAMPLES = 200
-SETTLING_S = 2.0  # in which what the arm does reaches the skin on a machine where three processes wait for a core
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
 
@@ -48,51 +47,52 @@ def touching(tmp_path_factory):
     assert not os.path.islink(link)  # the board has ended too
 
 
+def settled(skin, wanted, atol):
+    """The mean of samples, once they show what the arm does: three processes may wait for a core."""
+    end = time.monotonic() + PATIENCE
+    while True:
+        mean = skin.read(SAMPLES, PATIENCE).reading.mean(0)
+        if np.allclose(mean, wanted, rtol=0, atol=atol) or time.monotonic() > end:
+            return mean
+
+
 @pytest.mark.full
-def test_a_press_is_felt_as_the_physics_says(touching):
+def test_a_press_is_felt_as_the_physics_says_with_the_noise_of_its_world(touching):
     pad = jax.jit(sample_pad)(jax.random.key(DEFAULT_PAD_KEY))
-    nominal = np.asarray(pad.board.to_board(rest_field(pad)), float)
-    presses = []
+    pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
+    noise = 5 * 4.6 / np.sqrt(SAMPLES)  # uT, five sigma of a mean
     with ReSkin(touching[1]) as skin, UrArm(touching[0], Rig().limits, state_timeout=3.0, watchdog_rate=0.3) as arm:
         assert arm.features.source == skin.features.source == "emulated"
-        ambient = skin.read(SAMPLES, PATIENCE).reading.mean(0)
+        still = skin.read(2 * SAMPLES, PATIENCE).reading
+        ambient = still.mean(0)
+        # The pad's own field at rest and the room's.
+        room = pad.gains * pad.board.to_board(room_field(RoomField(), pad.board, down(ABOVE)))
+        nominal = np.asarray(pad.board.to_board(rest_field(pad)), float) + np.asarray(room)
+        np.testing.assert_allclose(ambient, nominal, atol=noise + 0.25)
+        np.testing.assert_allclose(still.std(0), Noise().sigma(5), rtol=0.2)  # 400 samples: 3.5 % of one sigma
         arm.zero_wrench(PATIENCE)
         for force in (1.0, 6.0):
             done = arm.approach(0.03, 0.01, force=force, acceleration=0.2)
             assert done.reason == "force"
             assert -done.state.wrench[2] > force
             np.testing.assert_allclose(done.state.wrench[:2], 0.0, atol=1e-6)
-            time.sleep(SETTLING_S)
-            presses.append((done, skin.read(SAMPLES, PATIENCE).reading.mean(0) - ambient))
+            # What the tool travelled past the top is the skin's indentation and the give of arm and mount.
+            felt, sunk = -done.state.wrench[2], TOP - (ABOVE - done.distance)
+            expected = pressed(jnp.asarray(sunk - felt / STIFFNESS, jnp.float32))
+            # Force and reading lie between those of loads a factor of 1.85 apart, and for a flat on straight lines. It
+            # is stiff: 3 % of 6 N are a micrometre of depth.
+            assert felt == pytest.approx(float(expected.force), rel=0.03)
+            wanted = np.asarray(expected.reading)
+            assert np.linalg.norm(wanted) > 10  # uT, so that there is something to compare
+            atol = noise * np.sqrt(2) + 0.03 * abs(wanted).max()
+            np.testing.assert_allclose(settled(skin, ambient + wanted, atol) - ambient, wanted, atol=atol)
             arm.go(down(ABOVE), 0.1)
-            time.sleep(SETTLING_S)
-        after = skin.read(SAMPLES, PATIENCE).reading.mean(0)
+        after = settled(skin, ambient, noise * np.sqrt(2))
+        np.testing.assert_allclose(after, ambient, atol=noise * np.sqrt(2))
         assert skin.counters.loss < 0.02  # a loaded machine loses some; none of what is compared is one sample
-    # The pad's own field at rest; the room's and a mean of noise, five sigma of it, are on top.
-    noise = 5 * 4.6 / np.sqrt(SAMPLES)
-    room = pad.gains * pad.board.to_board(room_field(RoomField(), pad.board, down(ABOVE)))
-    np.testing.assert_allclose(ambient, nominal + np.asarray(room), atol=noise + 0.25)
-    np.testing.assert_allclose(after, ambient, atol=noise * np.sqrt(2))
-    pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
-    for done, change in presses:
-        # What the tool travelled past the top is the skin's indentation and the give of arm and mount.
-        felt, sunk = -done.state.wrench[2], TOP - (ABOVE - done.distance)
-        expected = pressed(jnp.asarray(sunk - felt / STIFFNESS, jnp.float32))
-        # Force and reading lie between those of loads a factor of 1.85 apart, and for a flat on straight lines. It is
-        # stiff: 3 % of 6 N are a micrometre of depth.
-        assert felt == pytest.approx(float(expected.force), rel=0.03)
-        wanted = np.asarray(expected.reading)
-        np.testing.assert_allclose(change, wanted, atol=noise * np.sqrt(2) + 0.03 * abs(wanted).max())
-        assert np.linalg.norm(wanted) > 10  # uT, so that there is something to compare
 
 
 @pytest.mark.full
-def test_the_noise_is_the_worlds(touching):
-    with ReSkin(touching[1]) as skin:
-        sigma = skin.read(400, PATIENCE).reading.std(0)
-    np.testing.assert_allclose(sigma, Noise().sigma(5), rtol=0.2)  # 400 samples: 3.5 % of one sigma
-
-
 def test_what_cannot_be_touched_is_said(tmp_path):
     for options, why in (
         (["--object", "nothing.stl"], r"nothing\.stl"),

@@ -9,27 +9,16 @@ import pytest
 from i2t.emulators.reskin_board import _newest_field
 
 
-@pytest.fixture
-def pair():
-    """A board's inbox and somebody who sends to it."""
+def test_the_newest_field_counts_and_one_of_another_board_ends_the_board():
+    """A skin that shows nothing would be pressed until force stops the arm."""
     inbox, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     inbox.setblocking(False)
-    with inbox, sender:
-        yield inbox, sender
-
-
-def test_the_newest_field_counts(pair):
-    inbox, sender = pair
     before = np.zeros(15)
-    assert _newest_field(inbox, before) is before
-    for value in (1.0, 2.0):
-        sender.send(struct.pack("<15f", *[value] * 15))
-    np.testing.assert_array_equal(_newest_field(inbox, before), 2.0)
-
-
-def test_a_field_of_another_board_ends_the_board(pair):
-    """A skin that shows nothing would be pressed until force stops the arm."""
-    inbox, sender = pair
-    sender.send(struct.pack("<12f", *[1.0] * 12))
-    with pytest.raises(SystemExit, match="a field has 12 values, and this board 15; name the same --board"):
-        _newest_field(inbox, np.zeros(15))
+    with inbox, sender:
+        assert _newest_field(inbox, before) is before
+        for value in (1.0, 2.0):
+            sender.send(struct.pack("<15f", *[value] * 15))
+        np.testing.assert_array_equal(_newest_field(inbox, before), 2.0)
+        sender.send(struct.pack("<12f", *[1.0] * 12))
+        with pytest.raises(SystemExit, match="a field has 12 values, and this board 15; name the same --board"):
+            _newest_field(inbox, before)

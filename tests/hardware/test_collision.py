@@ -1,5 +1,6 @@
 """How hard a collision becomes: closed forms, and what a simulated arm really does."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,16 +16,12 @@ from i2t.hardware.limits import LIMIT_RANGES, MotionLimits
 from i2t.hardware.rig import Rig
 
 
-@pytest.mark.parametrize("force", [0.5, 8.0, 60.0])
-@pytest.mark.parametrize("stiffness", [1e3, 1e4])
-def test_the_fastest_speed_gains_just_the_force(force, stiffness):
-    speed = fastest_speed(force, stiffness, braking=2.0)
-    assert overrun_force(speed, stiffness, braking=2.0) == pytest.approx(force)
-    assert fastest_speed(0.0, stiffness, braking=2.0) == 0.0
-    assert fastest_speed(-1.0, stiffness, braking=2.0) == 0.0
-
-
-def test_without_delay_it_is_the_braking_distance():
+def test_the_fastest_speed_gains_just_the_force_and_without_delay_it_is_the_braking_distance():
+    for force in (0.5, 8.0, 60.0):
+        for stiffness in (1e3, 1e4):
+            speed = fastest_speed(force, stiffness, braking=2.0)
+            assert overrun_force(speed, stiffness, braking=2.0) == pytest.approx(force)
+    assert fastest_speed(0.0, 1e4, braking=2.0) == fastest_speed(-1.0, 1e4, braking=2.0) == 0.0
     assert overrun_force(0.2, 1e4, braking=2.0, delay=0.0) == pytest.approx(1e4 * 0.2**2 / 4)
     assert overrun_force(0.2, 1e4, braking=1e12) == pytest.approx(1e4 * 0.2 * REACTION_S)
 
@@ -37,19 +34,15 @@ def test_free_motion_is_as_fast_as_can_be_stopped_within_the_limit():
     soft = replace(limits, stiffness=1e3)
     assert soft.free_speed > 4 * limits.free_speed
     assert replace(soft, speed=0.1).free_speed == 0.1
-    assert limits.checked(np.diag([1.0, -1, -1, 1]) + _at(0.4, 0.0, 0.3), None, None)[0] == limits.free_speed
+    T = np.diag([1.0, -1, -1, 1])
+    T[:3, 3] = 0.4, 0.0, 0.3
+    assert limits.checked(T, None, None)[0] == limits.free_speed
 
 
-def _at(*place):
-    T = np.zeros((4, 4))
-    T[:3, 3] = place
-    return T
-
-
-@pytest.mark.parametrize(("stiffness", "latency"), [(10e3, 0.03), (2e3, 0.03)])
-def test_a_collision_in_free_motion_ends_within_the_force_limit(stiffness, latency):
+@pytest.mark.parametrize("stiffness", [10e3, 2e3])
+def test_a_collision_in_free_motion_ends_within_the_force_limit(stiffness):
     """A plane that nobody expects, at the speed that is allowed in the air."""
-    procedure = make(stiffness=stiffness, gain=0 * GAIN, latency=latency, rig=Rig())
+    procedure = make(stiffness=stiffness, gain=0 * GAIN, rig=Rig())
     arm, limits = procedure.arm, procedure.rig.limits
     goal = np.array(arm.state().T_b_t)
     goal[2, 3] = HEIGHT + 0.015
@@ -69,13 +62,8 @@ def test_speeds_of_a_touch_are_bounded_and_shown():
     assert (slow.free_speed, slow.retreat_speed) == (0.02, 0.01)
     free, press = energy_lines(path, 0.1)
     assert "40 mm/s (150 asked)" in free
-    assert "ends at 30 N at the most, of 30 N allowed" in free
     # k (v t + v^2 / 2 a) at 10 N/mm and 2 mm/s: 40 ms, 140 ms and 190 ms
-    assert "ends at 8.8 N" in press
-    assert "stall of this computer adds 2.8 N" in press
-    assert "falls silent 3.8 N" in press
-    _, press = energy_lines(path, None)  # an arm whose watch nobody knows
-    assert "stall of this computer adds what the arm's own watch allows" in press
+    assert re.findall(r"([\d.]+) N\b(?!/)", press) == ["8.8", "2.8", "3.8"]
 
 
 @pytest.mark.parametrize(

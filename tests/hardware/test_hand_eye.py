@@ -2,9 +2,11 @@
 
 import math
 import re
+import shutil
 import sys
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
@@ -12,6 +14,8 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
+from i2t.depth.distortion import deproject
+from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
 from i2t.hardware import hand_eye
 from i2t.hardware.hand_eye import CharucoBoard
@@ -24,7 +28,6 @@ from i2t.hardware.ur.access import tool_pose
 CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
 BOARD = CharucoBoard()
 ARM = (0.1e-3, math.radians(0.05))  # m, rad: errors of the arm's pose, per axis
-PATIENCE = 20.0
 
 
 def pose(turn, at):
@@ -82,55 +85,47 @@ def test_without_noise_it_is_exact():
 
 @pytest.mark.full
 def test_the_error_it_states_is_the_error_it_makes():
-    """Over 12 calibrations: the stated standard error is a root mean square, so are the errors made. A mean of 12
-    squares of three independent parts each scatters by sqrt(2 / 36) = 24 %, by 41 % where one part rules, so its root
-    by 12 to 20 %, and the jackknife of 12 views by some 20 % of its own: within a factor of two they must agree.
+    """Over 8 calibrations: the stated standard error is a root mean square, so are the errors made. A mean of 8
+    squares of three independent parts each scatters by sqrt(2 / 24) = 29 %, by 50 % where one part rules, so its root
+    by 15 to 25 %, and the jackknife of 12 views by some 20 % of its own: within a factor of two they must agree.
     """
     made, stated = [], []
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         found = fit([board_view(T, rng, 0.1, reported(T, rng)) for T in tools(12, rng)], CAMERA.fx)
         made.append(error(found.T_t_c))
         stated.append((found.position_error, found.rotation_error))
     made, stated = (np.sqrt(np.mean(np.square(each), 0)) for each in (made, stated))
-    assert 0.5 < made[0] / stated[0] < 2
-    assert 0.5 < made[1] / stated[1] < 2
+    assert ((made > 0.5 * stated) & (made < 2 * stated)).all()
     # Smaller than what the simulated world takes for usual: 1 mm and 0.5 degrees per axis.
-    assert made[0] < 1e-3
-    assert made[1] < math.radians(0.5)
+    assert (made < [1e-3, math.radians(0.5)]).all()
 
 
-def test_a_few_wrong_corners_do_not_matter():
+def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused():
     rng = np.random.default_rng(1)
     board_views = [board_view(T, rng, 0.1) for T in tools(10, rng)]
     clean = error(fit(board_views, CAMERA.fx).T_t_c)[0]
     for each in board_views[::2]:
         each.rays[rng.integers(len(each.rays))] += 3 / CAMERA.fx
     assert error(fit(board_views, CAMERA.fx).T_t_c)[0] < max(3 * clean, 0.1e-3)
+    upright = [board_view(T, rng, 0.1, reported(T, rng)) for T in tools(8, rng, tilt=0.0)]
+    one = BoardView(upright[0].T_b_t, upright[0].corners[:5], upright[0].rays[:5])
+    for call, why in (
+        (lambda: fit(board_views[:5], CAMERA.fx), "found in 5 views; take at least 6"),
+        (lambda: fit(upright, CAMERA.fx), "tilt it by 15 degrees or more about two"),
+        (lambda: board_pose(one), "shows 5 corners"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            call()
 
 
-def test_views_that_do_not_tell_are_refused():
-    rng = np.random.default_rng(2)
-    with pytest.raises(ValueError, match="found in 5 views; take at least 6"):
-        fit([board_view(T, rng, 0.1) for T in tools(5, rng)], CAMERA.fx)
-    upright = list(tools(8, rng, tilt=0.0))
-    with pytest.raises(ValueError, match="tilt it by 15 degrees or more about two"):
-        fit([board_view(T, rng, 0.1, reported(T, rng)) for T in upright], CAMERA.fx)
-    one = board_view(upright[0], rng, 0.0)
-    with pytest.raises(ValueError, match="shows 5 corners"):
-        board_pose(BoardView(one.T_b_t, one.corners[:5], one.rays[:5]))
-
-
-@pytest.mark.parametrize("model", ["none", "brown_conrady", "modified_brown_conrady", "inverse_brown_conrady"])
-def test_lines_of_sight_are_those_of_the_core(model):
-    import jax.numpy as jnp
-
-    from i2t.depth.distortion import deproject
-
-    camera = replace(CAMERA, model=model, coefficients=(0.08, -0.03, 1e-3, -2e-3, 0.01) if model != "none" else ())
+def test_lines_of_sight_are_those_of_the_core():
     pixels = np.random.default_rng(3).uniform([0, 0], [639, 359], (50, 2))
-    expected = deproject(camera, jnp.asarray(pixels, jnp.float32), jnp.ones(50))[:, :2]
-    np.testing.assert_allclose(pixel_rays(camera, pixels), expected, atol=2e-6)  # float32
+    for model in ("none", "brown_conrady", "modified_brown_conrady", "inverse_brown_conrady"):
+        coefficients = (0.08, -0.03, 1e-3, -2e-3, 0.01) if model != "none" else ()
+        camera = replace(CAMERA, model=model, coefficients=coefficients)
+        expected = deproject(camera, jnp.asarray(pixels, jnp.float32), jnp.ones(50))[:, :2]
+        np.testing.assert_allclose(pixel_rays(camera, pixels), expected, atol=2e-6)  # float32
     with pytest.raises(ValueError, match="knows no kannala_brandt4"):
         pixel_rays(replace(CAMERA, model="kannala_brandt4", coefficients=(0.1,)), pixels)
 
@@ -179,26 +174,24 @@ def taken(tmp_path_factory):
         return reported(now[-1], rng)
 
     path = tmp_path_factory.mktemp("hand_eye") / "views"
-    taker = Taker()
-    assert hand_eye.capture(path, lambda: (arm(), colour_view(taker)), lambda number: number < len(poses), BOARD) == 9
-    return path, T_c_colour
+    assert hand_eye.capture(path, lambda: (arm(), colour_view(Taker())), lambda number: number < len(poses), BOARD) == 9
+    return path, T_c_colour, poses[0]
 
 
 def test_the_board_is_found_to_a_tenth_of_a_pixel(taken):
-    rng = np.random.default_rng(5)
-    texture = BOARD.drawn(EDGE / (1e3 * BOARD.square)).astype(float)
-    for T in tools(2, rng):
-        corners, pixels = BOARD.find(view(T, texture, rng))
-        assert len(corners) >= 30  # of 35
-        T_c_o = np.linalg.inv(T @ TRUE) @ LAID
-        at = corners @ T_c_o[:3, :3].T + T_c_o[:3, 3]
-        missed = at[:, :2] / at[:, 2:] * [CAMERA.fx, CAMERA.fy] + [CAMERA.cx, CAMERA.cy] - pixels
-        assert np.sqrt(np.mean(missed**2)) < 0.15
-        assert np.abs(missed.mean(0)).max() < 0.1
+    path, _, T = taken
+    with Image.open(path / "images" / "000.png") as image:
+        corners, pixels = BOARD.find(np.asarray(image))
+    assert len(corners) >= 30  # of 35
+    T_c_o = np.linalg.inv(T @ TRUE) @ LAID
+    at = corners @ T_c_o[:3, :3].T + T_c_o[:3, 3]
+    missed = at[:, :2] / at[:, 2:] * [CAMERA.fx, CAMERA.fy] + [CAMERA.cx, CAMERA.cy] - pixels
+    assert np.sqrt(np.mean(missed**2)) < 0.15
+    assert np.abs(missed.mean(0)).max() < 0.1
 
 
 def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
-    path, T_c_colour = taken
+    path, T_c_colour, _ = taken
     Rig().write(tmp_path / "lab.toml")
     # What was found is the colour camera; the rig has the depth camera.
     wanted = TRUE @ np.linalg.inv(T_c_colour)
@@ -216,27 +209,20 @@ def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
 
 
 def test_what_is_missing_is_said(taken, tmp_path, capsys):
-    path, _ = taken
-    copy = tmp_path / "views"
-    (copy / "images").mkdir(parents=True)
-    for name in ("camera.toml", "poses.csv"):
-        (copy / name).write_text((path / name).read_text())
-    for change, why in (
-        (lambda: None, r"000.png: cannot be read"),
-        (lambda: Image.new("RGB", (64, 48)).save(copy / "images" / "000.png"), "64 x 48 pixels where camera.toml says"),
-        (lambda: (copy / "poses.csv").write_text("000.png,1,2,3\n"), "is no pose; write NAME.png"),
-        (lambda: (copy / "poses.csv").write_text(""), "found in 0 views"),
-        (lambda: (copy / "camera.toml").write_text("fx = 1\n"), "is no lens"),
-        (lambda: (copy / "camera.toml").unlink(), "camera.toml: cannot be read"),
+    shutil.copytree(taken[0], copy := tmp_path / "views")
+    for file, text, why in (
+        ("images/000.png", "no image", "000.png: cannot be read"),
+        ("poses.csv", "000.png,1,2,3\n", "is no pose; write NAME.png"),
+        ("camera.toml", "fx = 1\n", "is no lens"),
     ):
-        change()
+        (copy / file).write_text(text)
         assert hand_eye.main(["estimate", str(copy)]) == 2
         said = capsys.readouterr().err
         assert why in said
         assert said.count("\n") == 1
 
 
-def test_boards_are_drawn_and_checked(tmp_path, capsys):
+def test_boards_are_drawn_and_found_again(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     file = tmp_path / "board.png"
     assert hand_eye.main(["board", str(file), "--dictionary", "APRILTAG_36h11"]) == 0
@@ -244,17 +230,12 @@ def test_boards_are_drawn_and_checked(tmp_path, capsys):
         assert image.size == (10 * 177, 8 * 177)  # 15 mm at 300 dpi
         corners, _ = CharucoBoard(dictionary="APRILTAG_36h11").find(np.asarray(image.convert("RGB").resize((885, 708))))
     assert len(corners) == 35
-    for arguments, why in ((["--square", "15"], "in metres"), (["--dictionary", "5X5"], "has no dictionary '5X5'")):
-        assert hand_eye.main(["board", str(file), *arguments]) == 2
-        assert why in capsys.readouterr().err
+    assert hand_eye.main(["board", str(file), "--square", "15"]) == 2  # in metres
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z, which only Linux gives")
 def test_the_arm_is_asked_for_its_pose_without_being_controlled():
     pytest.importorskip("rtde_receive", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
-    from i2t.emulators import ur_controller
-
-    if sys.platform != "linux":
-        pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
     host = ur_controller.loopback(209)
     with pytest.raises(DeviceError, match="does not answer"):
         tool_pose(host)

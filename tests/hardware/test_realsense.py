@@ -1,6 +1,8 @@
 """The RealSense driver against the SDK itself, playing what the SDK's software device recorded. No camera was there."""
 
 import time
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import pytest
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware import realsense
-from i2t.hardware.protocols import DepthCamera, View
+from i2t.hardware.protocols import View
 from i2t.hardware.realsense import RealSense, check_distance, nearest
 
 pytest.importorskip(
@@ -32,36 +34,24 @@ def file(tmp_path_factory):
     return path
 
 
-def test_it_gives_metres_lens_and_aligned_colour(file):
+def test_it_gives_metres_lens_and_aligned_colour_of_views_that_are_new(file):
     camera = RealSense(file=file, size=(64, 48), model="D405")
-    assert camera.features.nearest == 0.04
-    assert camera.features.source == "replay"
-    with pytest.raises(NotConnectedError, match="connect it"):
-        _ = camera.camera
-    assert camera.serial_number == ""
+    assert (camera.features.nearest, camera.serial_number) == (0.04, "")
     with camera:
-        assert isinstance(camera, DepthCamera)
         assert camera.serial_number == realsense_file.SERIAL  # which every file of a session states
         reported = camera.camera
-        assert reported.model == CAMERA.model
         np.testing.assert_allclose(reported.coefficients, CAMERA.coefficients, rtol=1e-6)  # the SDK has float32
-        assert (reported.width, reported.height, reported.fx, reported.fy, reported.cx, reported.cy) == (
-            64,
-            48,
-            60.0,
-            61.0,
-            31.0,
-            24.0,
-        )
+        assert replace(reported, coefficients=CAMERA.coefficients) == CAMERA
         view = camera.capture(PATIENCE)
         # Depth is stored in units; the unit itself is a float32.
         np.testing.assert_allclose(view.depth, DEPTH, atol=UNIT / 2, rtol=1e-6)
-        assert np.isnan(view.depth[5, 0])
         seen = np.isfinite(DEPTH)
         # Same lens, same place: a pixel's colour is its own, but where distortion's inverse is rounded to a neighbour.
         assert np.abs(view.colour[seen][:, :2].astype(int) - COLOUR[seen][:, :2]).max() <= 1
         assert (view.colour[seen][:, 2] == 7).mean() > 0.97
         assert (view.colour[~seen] == 0).all()
+        with pytest.raises(DeviceTimeoutError, match=r"gave no view in 0\.001 s"):
+            camera.capture(0.001)
 
 
 def test_colour_keeps_its_own_frame(tmp_path):
@@ -76,37 +66,22 @@ def test_colour_keeps_its_own_frame(tmp_path):
     assert colour.camera.fx == 60.0
 
 
-def test_views_are_new_and_dated(file):
-    with RealSense(file=file, size=(64, 48)) as camera:
-        before = -np.inf
-        for _ in range(3):
-            view = camera.capture(PATIENCE)
-            assert before < view.time <= time.monotonic()
-            before = view.time
-        with pytest.raises(DeviceTimeoutError, match=r"gave no view in 0\.001 s"):
-            camera.capture(0.001)
-    with pytest.raises(NotConnectedError):
-        camera.capture()
-    camera.close()
-
-
-class Frames:
-    """What the SDK tells of when a frame was exposed."""
-
-    def __init__(self, domain, milliseconds):
-        self.get_frame_timestamp_domain, self.get_timestamp = lambda: domain, lambda: milliseconds
-
-
 def test_exposures_are_dated_where_the_clock_is_the_computers(file):
     import pyrealsense2 as rs
 
     camera = RealSense(file=file)
+
+    def exposed(domain, ago):
+        milliseconds = 1e3 * (time.time() - ago)
+        frames = SimpleNamespace(get_frame_timestamp_domain=lambda: domain, get_timestamp=lambda: milliseconds)
+        return camera._exposed(frames)
+
     for domain in (rs.timestamp_domain.global_time, rs.timestamp_domain.system_time):
-        when = camera._exposed(Frames(domain, 1e3 * (time.time() - 0.05)))
+        when = exposed(domain, 0.05)
         assert 0.05 <= time.monotonic() - when < 0.05 + PATIENCE
         for jump in (-3600.0, 3600.0):  # somebody set the clock
-            assert camera._exposed(Frames(domain, 1e3 * (time.time() + jump))) is None
-    assert camera._exposed(Frames(rs.timestamp_domain.hardware_clock, 1e3 * time.time())) is None
+            assert exposed(domain, jump) is None
+    assert exposed(rs.timestamp_domain.hardware_clock, 0.0) is None
 
 
 class Gone:
@@ -125,40 +100,33 @@ def test_an_unplugged_camera_is_noticed_before_the_timeout(file):
     camera.connect()
     camera._pipe.stop()
     camera._file, camera._pipe = None, Gone()
-    begun = time.monotonic()
     with pytest.raises(DeviceError, match=r"is gone; plug it in"):
-        camera.capture(10.0)
-    assert time.monotonic() - begun < 5.0
+        camera.capture(600.0)
     with pytest.raises(NotConnectedError):
         camera.capture()
 
 
 def test_what_cannot_be_connected_says_why(file, tmp_path):
-    with pytest.raises(DeviceError, match=r"was not found \(RealSense cameras here: none\)"):
-        RealSense("123").connect()
-    with pytest.raises(DeviceError, match="there is no such file"):
-        RealSense(file=tmp_path / "nowhere.db3").connect()
-    (tmp_path / "torn.db3").write_bytes(file.read_bytes()[:5000])
-    with pytest.raises(DeviceError, match="cannot be played"):
-        RealSense(file=tmp_path / "torn.db3").connect()
-    with pytest.raises(DeviceError, match="cannot be played at 640 x 360"):
-        RealSense(file=file).connect()
-    with pytest.raises(DeviceError, match=r"D405 measures nothing nearer than 40 mm"):
-        RealSense(file=file, size=(64, 48), distance=0.03).connect()  # as the file's own device tells
-    with pytest.raises(DeviceError, match=r"D435 measures nothing nearer than 150 mm at 640 x 360"):
-        RealSense(model="D435", distance=0.104).connect()  # before anything is opened
+    torn = tmp_path / "torn.db3"
+    torn.write_bytes(file.read_bytes()[:5000])
+    for camera, why in (
+        (RealSense("123"), r"was not found \(RealSense cameras here: none\)"),
+        (RealSense(file=tmp_path / "nowhere.db3"), "there is no such file"),
+        (RealSense(file=torn), "cannot be played"),
+        (RealSense(file=file), "cannot be played at 640 x 360"),
+        # As the file's own device tells; the other before anything is opened.
+        (RealSense(file=file, size=(64, 48), distance=0.03), r"D405 measures nothing nearer than 40 mm"),
+        (RealSense(model="D435", distance=0.104), r"D435 measures nothing nearer than 150 mm at 640 x 360"),
+    ):
+        with pytest.raises(DeviceError, match=why):
+            camera.connect()
 
 
 def test_which_models_see_at_the_papers_distance():
     assert nearest("Intel RealSense D435I", 640, 360) == 0.150
-    assert nearest("D435", 640, 480) == 0.175
-    assert np.isnan(nearest("D999", 640, 360))
-    seen = [name for name in realsense.NEAREST_MM if nearest(name, 640, 360) <= 0.104]
-    assert seen == ["D405"]
+    assert [name for name in realsense.NEAREST_MM if nearest(name, 640, 360) <= 0.104] == ["D405"]
     check_distance("D405", 1280, 720, 0.104)
-    check_distance("D999", 640, 360, 0.01)
-    with pytest.raises(DeviceError, match=r"look from 105 mm, or mount a D405$"):
-        check_distance("D435", 424, 240, 0.104)
+    check_distance("D999", 640, 360, 0.01)  # of which nothing is known
     with pytest.raises(DeviceError, match=r"look from 280 mm, or take 424 x 240 pixels, or mount a D405$"):
         check_distance("D435", 1280, 720, 0.11)
 

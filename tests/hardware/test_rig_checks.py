@@ -28,13 +28,10 @@ def vertices():
     return make_object("star").mesh.vertices
 
 
-def test_there_are_enough_mistakes_and_each_has_a_name_of_its_own():
+def test_there_are_enough_mistakes_and_right_rigs_are_plausible(vertices):
     names = [mistake.name for mistake in MISTAKES]
     assert len(names) == len(set(names)) >= 53
     assert set(names) >= LEFT_TO_THE_FIRST_TOUCH
-
-
-def test_right_rigs_are_plausible(vertices):
     for rig in (Rig(), right_rig()):
         assert implausible(rig) == implausible(rig, vertices) == []
         require_plausible(rig, vertices)
@@ -57,21 +54,17 @@ def test_a_mistake_is_refused_in_one_sentence_or_left_to_the_first_touch(mistake
         assert 25 < len(sentence) < 260
 
 
-def test_a_doubt_is_refused_with_the_way_round_it(vertices):
+def test_a_doubt_is_refused_with_the_way_round_it_and_a_mesh_in_another_unit_is_noticed(vertices):
     wrong = replace(Rig(), T_world_object=np.diag([1.0, -1.0, -1.0, 1.0]))
     with pytest.raises(ValueError, match=r"below the table: is it upside down.*--trust-rig"):
         require_plausible(wrong, vertices)
-
-
-def test_a_mesh_in_another_unit_is_noticed(vertices):
     (found,) = implausible(Rig(), 1e-3 * vertices)
     assert "check --unit" in found
 
 
 def test_the_pendant_s_tool_is_compared_where_it_has_one():
-    rig = right_rig()
-    assert other_tool(rig.T_flange_tool, np.eye(4)) == ""
-    assert other_tool(rig.T_flange_tool, rig.T_flange_tool) == ""
-    shifted = np.array(rig.T_flange_tool)
+    tool = right_rig().T_flange_tool
+    shifted = np.array(tool)
     shifted[2, 3] += 0.05
-    assert "50 mm and 0 degrees" in other_tool(rig.T_flange_tool, shifted)
+    assert other_tool(tool, np.eye(4)) == other_tool(tool, tool) == ""
+    assert "50 mm and 0 degrees" in other_tool(tool, shifted)

@@ -1,24 +1,12 @@
 """A skin's health from samples at rest: healthy ones pass, and each defect is named by chip and axis."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
-from helpers.closed_form import make
 from scipy.signal import lfilter
 
-from i2t.emulators import reskin_board
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples
-from i2t.hardware.reskin import monitor
-from i2t.hardware.skin_health import (
-    CONVERTER_END_UT,
-    check_skin,
-    press_defect,
-    require_healthy,
-    rest_samples,
-)
+from i2t.hardware.skin_health import CONVERTER_END_UT, check_skin, press_defect, require_healthy
 
 STEPS = np.array([0.150, 0.150, 0.242])
 SIGMA = np.array([3.1, 3.1, 4.6])
@@ -36,10 +24,12 @@ def at_rest(seed=0, count=200, chips=5, rate=400.0):
     return Samples(np.arange(count), np.arange(count) / rate, reading.reshape(count, -1), celsius)
 
 
-def harmed(harm, **how):
-    samples = at_rest(**how)
-    by_chip = samples.reading.reshape(len(samples.number), -1, 3)
-    harm(by_chip)
+def harmed(*harms):
+    """Samples of which parts (samples, chips, axes) are changed."""
+    samples = at_rest()
+    by_chip = samples.reading.reshape(200, 5, 3)
+    for part, change in harms:
+        by_chip[part] = change(by_chip[part])
     return samples
 
 
@@ -66,94 +56,51 @@ def test_a_coarse_converter_is_no_frozen_one():
         assert not [defect for defect in check_skin(samples._replace(reading=coarse)).defects if defect.stops]
 
 
-def _zeros(by_chip):
-    by_chip[:, 2] = 0.0
-
-
-def _frozen_chip(by_chip):
-    by_chip[:, 3] = by_chip[0, 3]
-
-
-def _frozen_axis(by_chip):
-    by_chip[:, 1, 1] = by_chip[0, 1, 1]
-
-
-def _saturated(by_chip):
-    by_chip[:, 4, 2] = CONVERTER_END_UT[2]
-
-
-def _clipped(by_chip):
-    by_chip[:, 0, 0] = np.minimum(by_chip[:, 0, 0] - by_chip[:, 0, 0].mean() + 4914.0, 4915.0)
-
-
-def _all_frozen(by_chip):
-    by_chip[:] = by_chip[0]
-
-
-def _all_dead(by_chip):
-    by_chip[:] = 0.0
-
-
-def _few_left(by_chip):
-    by_chip[:, 1:4] = np.nan
+def frozen(values):
+    return values[:1]
 
 
 @pytest.mark.parametrize(
-    ("harm", "sentence"),
+    ("part", "change", "sentence", "stops"),
     [
-        (_zeros, "chip 2 sends zeros"),
-        (_frozen_chip, "chip 3's x, y and z stand still"),
-        (_frozen_axis, "chip 1's y stands still"),
-        (_saturated, "chip 4's z is at the end of its range, at 7930.0 uT"),
-        (_clipped, "chip 0's x is at the end of its range"),
-        (_all_frozen, "every axis of every chip stands still"),
-        (_all_dead, "every chip sends zeros"),
-        (_few_left, "only 2 of 5 chips answer, without chip 1, chip 2, chip 3"),
+        (np.s_[:, 2], np.zeros_like, "chip 2 sends zeros", True),
+        (np.s_[:, 3], frozen, "chip 3's x, y and z stand still", True),
+        (np.s_[:, 1, 1], frozen, "chip 1's y stands still", True),
+        (np.s_[:, 4, 2], lambda x: CONVERTER_END_UT[2], "chip 4's z is at the end of its range, at 7930.0 uT", True),
+        (
+            np.s_[:, 0, 0],
+            lambda x: np.minimum(x - x.mean() + 4914, 4915),
+            "chip 0's x is at the end of its range",
+            True,
+        ),
+        (np.s_[:], frozen, "every axis of every chip stands still", True),
+        (np.s_[:], np.zeros_like, "every chip sends zeros", True),
+        (np.s_[:, 1:4], lambda x: np.nan, "only 2 of 5 chips answer, without chip 1, chip 2, chip 3", True),
+        # What makes readings worse stops nothing.
+        (np.s_[:, 2, 0], lambda x: x + 12 * np.random.default_rng(1).standard_normal(200), "chip 2's x has 1", False),
+        (np.s_[120:, 3, 2], lambda x: x + 40, "chip 3's z made a step of 4", False),
+        (np.s_[120:], lambda x: x + 40, "the field of most chips made a step", False),
     ],
 )
-def test_readings_that_lie_stop_a_session_in_one_sentence(harm, sentence):
-    samples = harmed(harm)
+def test_a_defect_is_one_sentence_and_what_lies_stops_a_session(part, change, sentence, stops):
+    samples = harmed((part, change))
     (found,) = said(samples)
     assert found.startswith(sentence)
-    with pytest.raises(DeviceError, match="cannot be used: " + sentence.split(",")[0]):
-        require_healthy(check_skin(samples), "the skin on /dev/ttyACM0")
-
-
-def test_two_defects_are_two_sentences_and_the_first_stops():
-    def harm(by_chip):
-        _zeros(by_chip)
-        _frozen_axis(by_chip)
-
-    samples = harmed(harm)
-    assert len(said(samples)) == 2
-    with pytest.raises(DeviceError, match=r"and 1 more"):
+    if stops:
+        with pytest.raises(DeviceError, match="cannot be used: " + sentence.split(",")[0]):
+            require_healthy(check_skin(samples), "the skin on /dev/ttyACM0")
+    else:
         require_healthy(check_skin(samples), "the skin")
 
 
-def _noisy(by_chip):
-    by_chip[:, 2, 0] += 12 * np.random.default_rng(1).standard_normal(len(by_chip))
-
-
-def _step(by_chip):
-    by_chip[120:, 3, 2] += 40.0
-
-
-def _room_step(by_chip):
-    by_chip[120:] += 40.0
-
-
-@pytest.mark.parametrize(
-    ("harm", "sentence"),
-    [
-        (_noisy, "chip 2's x has 1"),
-        (_step, "chip 3's z made a step of 4"),
-        (_room_step, "the field of most chips made a step"),
-    ],
-)
-def test_what_makes_readings_worse_is_said_and_stops_nothing(harm, sentence):
-    (found,) = said(harmed(harm))
-    assert found.startswith(sentence)
-    require_healthy(check_skin(harmed(harm)), "the skin")
+def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():
+    samples = harmed((np.s_[:, 2], np.zeros_like), (np.s_[:, 1, 1], frozen))
+    assert len(said(samples)) == 2
+    with pytest.raises(DeviceError, match=r"and 1 more"):
+        require_healthy(check_skin(samples), "the skin")
+    health = check_skin(harmed((np.s_[:, 2], lambda x: np.nan)))
+    assert (health.defects, health.missing) == ((), (2,))
+    assert "without chip 2" in health.summary
 
 
 def test_temperatures_are_those_of_a_lab():
@@ -166,48 +113,7 @@ def test_temperatures_are_those_of_a_lab():
     assert said(samples) == []
 
 
-def test_a_missing_chip_is_named_and_is_no_defect():
-    def harm(by_chip):
-        by_chip[:, 2] = np.nan
-
-    health = check_skin(harmed(harm))
-    assert health.defects == ()
-    assert health.missing == (2,)
-    assert "without chip 2" in health.summary
-
-
 def test_a_press_that_changes_nothing_is_a_defect():
     assert press_defect(np.full(15, 5.0), 2.0) == ""
     assert press_defect(np.zeros(15), 0.5) == ""  # too light to tell
     assert "changed its reading by 1.5 uT" in press_defect(np.append(np.full(9, 0.5), np.full(6, np.nan)), 2.0)
-
-
-def test_a_slow_board_is_read_until_there_is_enough():
-    procedure = make()
-    skin, clock, sent = procedure.skin, procedure.clock, [0]
-
-    def read_slowly(count, timeout=None):
-        clock.sleep(count / 10)
-        first, sent[0] = sent[0], sent[0] + count
-        numbers = np.arange(first, first + count)
-        return at_rest(count=count)._replace(number=numbers, time=numbers / 10)
-
-    skin.read = read_slowly
-    samples = rest_samples(skin, clock)
-    assert len(samples.number) == 24
-    assert check_skin(samples).rate == pytest.approx(10.0)
-
-
-@pytest.mark.full
-def test_the_monitor_says_what_is_wrong(capsys):
-    with reskin_board.started("--noise", "3") as (port, _):
-        assert monitor.main(["--port", port, "--seconds", "5"]) == 0
-    assert "healthy at rest" in capsys.readouterr().out
-    with reskin_board.started("--noise", "0") as (port, _):
-        assert monitor.main(["--port", port, "--seconds", "5"]) == 0
-    assert "UNHEALTHY: every axis of every chip stands still" in capsys.readouterr().out
-
-
-def test_the_check_needs_no_jax():
-    code = "import sys, i2t.hardware.skin_health\nassert 'jax' not in sys.modules"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,340 @@
+"""A skin's bytes: formats by hand, and what is believed of clean, damaged and hostile streams."""
+
+import functools
+import operator
+import struct
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from i2t.emulators.reskin_board import NOISE_UT, Readings, corrupt
+from i2t.hardware.reskin import frames, quantization
+from i2t.hardware.reskin.frames import Decoder, FrameLimits, decode, decode_any, decoders, diagnose
+from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
+from i2t.skin.boards import make_board
+
+SIZE, FRAMED_SIZE = 82, 64  # bytes of a frame of five chips
+LIMITS = FrameLimits()
+
+
+def rest(count: int, seed: int = 0, noise: float = 1.0, temperature: float | None = None, board=None) -> tuple:
+    """Readings and temperatures of a real board at rest, by its measured noise."""
+    chips = Readings(noise, 0.0, temperature, seed, board)
+    pairs = [chips.at(0.0) for _ in range(count)]
+    return np.array([reading for reading, _ in pairs]), np.array([celsius for _, celsius in pairs])
+
+
+def sent(readings, celsius, form: Format = Format.BINARY) -> list[bytes]:
+    return [encode(*sample, form, i) for i, sample in enumerate(zip(readings, celsius, strict=True))]
+
+
+def stream(count: int, form: Format = Format.BINARY, **kwargs) -> list[bytes]:
+    return sent(*rest(count, **kwargs), form)
+
+
+def decoded(data: bytes, form: Format = Format.BINARY) -> tuple:
+    return decode(Decoder(FrameLayout(form)), data)
+
+
+def numbers(found, size: int = SIZE) -> list[int]:
+    """Which frames of a stream of frames of one size were found."""
+    assert not any(frame.end % size for frame in found)
+    return [frame.end // size - 1 for frame in found]
+
+
+def adds_up(decoder: Decoder, total: int) -> bool:
+    return decoder.bytes == decoder.taken + decoder.skipped + len(decoder.rest) == total
+
+
+# The formats, by hand from the public firmware.
+
+TEXTS = (Format.TEXT, Format.TEXT_GLUED, Format.FRAMED_TEXT)
+DIGITS = {Format.TEXT: 2, Format.TEXT_GLUED: 2, Format.FRAMED_TEXT: 1}
+WITH_TEMPERATURE = (Format.BINARY, Format.TEXT, Format.TEXT_GLUED)
+
+FIELD = np.arange(15) * 10.0 + 1.25
+CELSIUS = np.array([24.5, 24.75, 25.0, 25.25, 25.5])
+CHIPS = np.column_stack([CELSIUS, FIELD.reshape(5, 3)])
+COUNTED = b"\x00" + struct.pack("<15f", *FIELD)
+BY_HAND = {
+    Format.BINARY: b"".join(struct.pack("<4f", *chip) for chip in CHIPS) + b"\r\n",
+    Format.TEXT: "".join("{1:.2f}\t{2:.2f}\t{3:.2f}\t{0:.2f}\t".format(*chip) for chip in CHIPS).encode() + b"\r\n",
+    Format.TEXT_GLUED: "".join("{:.2f}\t{:.2f}\t{:.2f}\t{:.2f}".format(*chip) for chip in CHIPS).encode() + b"\r\n",
+    Format.FRAMED: b"\xaa\x55" + COUNTED + bytes([functools.reduce(operator.xor, COUNTED)]),
+    Format.FRAMED_TEXT: b"FRAME: [S1:1.2,11.2,21.2] [S2:31.2,41.2,51.2] [S3:61.2,71.2,81.2] [S4:91.2,101.2,111.2] "
+    b"[S5:121.2,131.2,141.2]\r\n",
+}
+
+
+@pytest.mark.parametrize("form", Format)
+def test_formats_are_those_of_the_firmware(form):
+    assert encode(FIELD, CELSIUS, form) == BY_HAND[form]
+    (decoder,), found = decode_any(decoders(), b"7\r\n" + 4 * BY_HAND[form])
+    assert decoder.layout == FrameLayout(form)
+    assert len(found) >= 3  # a line of text ends for certain when the next one begins
+    for frame in found:
+        np.testing.assert_array_equal(frame.reading, np.round(FIELD, DIGITS.get(form, 9)))
+        np.testing.assert_array_equal(frame.temperature, CELSIUS if form in WITH_TEMPERATURE else 5 * [np.nan])
+    if form == Format.FRAMED:
+        assert len(BY_HAND[form]) == FrameLayout(form).size == FRAMED_SIZE  # as its maker says
+        assert encode(FIELD, CELSIUS, form, 0x1FF)[2] == 0xFF
+
+
+@pytest.mark.parametrize("form", Format)
+@pytest.mark.parametrize("chips", [1, 5, 16])
+def test_every_frame_of_a_clean_stream_of_any_board_arrives_once(form, chips):
+    readings, celsius = rest(40, board=make_board(f"grid-1x{chips}"))
+    whole = sent(readings, celsius, form)
+    start = len(whole[0]) // 2
+    data = b"".join(whole)[start:] + b"\r\n"
+    (decoder,), found = decode_any(decoders(chips=chips), data)
+    assert decoder.layout == FrameLayout(form, chips)
+    ends = np.cumsum([len(frame) for frame in whole])[1:] - start - (form in TEXTS)
+    assert [frame.end for frame in found] == ends.tolist()
+    assert (decoder.lost, decoder.gaps) == (0, 0)
+    step = 0.6 * 10.0 ** -DIGITS.get(form, 3)
+    np.testing.assert_allclose([frame.reading for frame in found], readings[1:], atol=step)
+    expected = celsius[1:] if form in WITH_TEMPERATURE else np.full((39, chips), np.nan)
+    np.testing.assert_allclose([frame.temperature for frame in found], expected, atol=step)
+    assert not decode_any(decoders(chips=chips + 1), data)[1]
+    assert f"frames of {chips} chips come, not of 7" in diagnose(data, chips=7)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.sampled_from(list(Format)),
+    st.integers(0, 1000),
+    st.sampled_from([(0.004, 0.001), (0.1, 0.0), (0.01, 0.05)]),
+    st.lists(st.integers(0, 5000), max_size=12),
+    st.integers(0, 90),
+)
+def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, seed, damage, cuts, start):
+    data = corrupt(b"".join(stream(30, form, seed=seed % 5)), *damage, np.random.default_rng(seed))[start:]
+    once, expected = decode_any(decoders(), data)
+    candidates, found = decoders(), []
+    for begin, end in pairwise([0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]):
+        candidates, more = decode_any(candidates, data[begin:end])
+        found += more
+        assert all(adds_up(decoder, end) for decoder in candidates)
+    assert [frame.end for frame in found] == [frame.end for frame in expected]
+    np.testing.assert_array_equal([frame.reading for frame in found], [frame.reading for frame in expected])
+    arrays = {"last", "early", "steps", "usual", "wrapped"}
+    for one, other in zip(candidates, once, strict=True):
+        for name in set(Decoder._fields) - arrays:
+            np.testing.assert_equal(getattr(one, name), getattr(other, name))
+    for frame in found:
+        size = np.abs(frame.reading)
+        assert not ((size > 0) & (size < LIMITS.min_field)).any()
+        assert not (size > LIMITS.full_scale).any()
+        assert not ((frame.temperature < LIMITS.min_temperature) | (frame.temperature > LIMITS.max_temperature)).any()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.binary(max_size=3000), st.sampled_from(list(Format)))
+def test_noise_is_no_board(data, form):
+    decoder, found = decoded(data, form)
+    assert not found
+    assert adds_up(decoder, len(data))
+    assert diagnose(data)
+
+
+@pytest.mark.parametrize(
+    ("form", "substitute", "drop", "missed"),
+    [
+        (Format.BINARY, 0.01, 0.0, 0.02),
+        (Format.BINARY, 0.0, 0.001, 0.05),
+        (Format.FRAMED, 0.01, 0.0, 0.01),
+        (Format.FRAMED, 0.0, 0.01, 0.01),
+    ],
+)
+def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
+    count, rng = 2500, np.random.default_rng(7)
+    (truth, celsius), known = rest(count), 300  # frames after which the converter's steps are known
+    whole = sent(truth, celsius, form)
+    arrived = [corrupt(frame, substitute, drop, rng) for frame in whole]
+    number = {int(end): i for i, end in enumerate(np.cumsum([len(frame) for frame in arrived]))}
+    decoder, found = decoded(b"".join(arrived), form)
+    assert adds_up(decoder, max(number))
+    intact = {i for i, (a, b) in enumerate(zip(arrived, whole, strict=True)) if a == b}
+    delivered = [number.get(frame.end) for frame in found]
+    assert len(intact - set(delivered)) < missed * len(intact)
+    off = [np.abs(frame.reading - truth[i]).max() for i, frame in zip(delivered, found, strict=True) if i is not None]
+    lost = count - min(i for i in delivered if i is not None) - len(found)
+    if form == Format.FRAMED:
+        assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= 0.001 * len(found)
+        assert abs(decoder.lost - lost) <= 5  # the counter tells how many are missing
+    else:
+        assert None not in delivered  # every frame ends where one was sent
+        # What passes unseen lies within the jump of the frame before, which itself may be off.
+        assert max(off) <= 2 * LIMITS.max_jump + 8 * max(NOISE_UT)
+        # Powers of two times a value, its negative, and sums like 5 x 0.150 = 2^-1 + 2^-2 are whole numbers of steps.
+        changed = set(range(known, count)) - intact
+        assert len(changed & set(delivered)) <= 0.04 * len(changed)
+        assert abs(decoder.lost - lost) <= 0.05 * lost + 2
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_line_ends_within_numbers_do_not_mislead(noise):
+    """With 34.513 degrees on five chips there are six line ends in a frame."""
+    (celsius,) = struct.unpack("<f", bytes.fromhex("980d0a42"))
+    data = b"".join(stream(6, noise=noise, temperature=celsius))
+    assert data.count(b"\r\n") >= 36
+    for start in range(SIZE):
+        _, found = decoded(data[start:])
+        assert [(frame.end + start) % SIZE for frame in found] == [0] * (6 - (start > 0))
+
+
+@pytest.mark.parametrize("start", [0, 3])
+def test_two_alignments_are_one_too_many(start):
+    """A frame that repeated is just as plausible three bytes later."""
+    frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
+    assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE], LIMITS) is not None
+    data = (20 * frame)[start:]
+    decoder, found = decoded(data)
+    assert not found
+    assert "alignments" in diagnose(data)
+    _, found = decode(decoder, b"".join(stream(5)))
+    assert [frame.end for frame in found] == [len(data) + SIZE * (i + 1) for i in range(5)]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-6, 3000.0])
+def test_a_value_that_cannot_be_or_is_off_alone_condemns_its_frame_and_a_lasting_jump_is_true(value):
+    readings, celsius = rest(20)
+    readings[5, 7] = value
+    readings[12:] += 500.0  # a magnet came
+    decoder, found = decoded(b"".join(sent(readings, celsius)))
+    assert numbers(found) == [i for i in range(20) if i != 5]
+    assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, SIZE)
+
+
+# Checksum and counter.
+
+
+def test_every_changed_byte_is_found_and_two_that_cancel_are_a_spike_to_the_frames_around_it():
+    whole = b"".join(stream(8, Format.FRAMED))
+    places = [(place, change) for place, change in enumerate(np.random.default_rng(0).integers(1, 256, FRAMED_SIZE))]
+    for change in [*([place] for place in places), [(6, 4), (10, 4)]]:  # at last the high bytes of two numbers
+        bad = bytearray(whole)
+        for place, mask in change:
+            bad[4 * FRAMED_SIZE + place] ^= int(mask)
+        decoder, found = decoded(bytes(bad), Format.FRAMED)
+        assert numbers(found, FRAMED_SIZE) == [0, 1, 2, 3, 5, 6, 7]
+        assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, FRAMED_SIZE)
+
+
+def test_a_fast_field_is_believed_by_its_counter_which_tells_what_is_missing():
+    readings, celsius = rest(300)
+    slope = readings[:30] + 400.0 * np.arange(30)[:, None]
+    _, found = decoded(b"".join(sent(slope, celsius[:30], Format.FRAMED)), Format.FRAMED)
+    np.testing.assert_allclose([frame.reading for frame in found], slope, rtol=1e-6, atol=1e-3)
+    gone = {5, 6, 7, 100, *range(200, 270)}
+    whole = sent(readings, celsius, Format.FRAMED)
+    decoder, found = decoded(b"".join(frame for i, frame in enumerate(whole) if i not in gone), Format.FRAMED)
+    assert (len(found), decoder.lost, decoder.gaps) == (300 - len(gone), len(gone), 3)
+    stuck = b"".join(encode(reading, celsius[0], Format.FRAMED, 7) for reading in readings[:40])
+    decoder, found = decoded(stuck, Format.FRAMED)  # a board without a working counter loses nothing
+    assert (len(found), decoder.lost, decoder.gaps) == (40, 0, 0)
+
+
+# Chips that fail.
+
+
+@pytest.mark.parametrize("form", Format)
+def test_a_chip_that_fails_is_missing_and_never_zero(form):
+    truth, celsius = rest(40)
+    truth[10:20, 6:9] = np.nan
+    decoder, found = decoded(b"\n" + b"".join(sent(truth, celsius, form)) + b"\n", form)
+    np.testing.assert_array_equal(np.isnan([frame.reading for frame in found]), np.isnan(truth))
+    assert (decoder.missing, decoder.empty) == (10, 0)
+    if form == Format.FRAMED_TEXT:
+        assert b"] [S3:ERR] [S4:" in sent(truth, celsius, form)[10]  # as the maker writes it
+
+
+def test_frames_without_any_chip_are_counted_and_not_delivered():
+    truth, celsius = rest(90)
+    truth[np.arange(90) % 3 != 0] = np.nan
+    decoder, found = decoded(b"".join(sent(truth, celsius, Format.FRAMED)), Format.FRAMED)
+    assert (len(found), decoder.empty, decoder.missing, decoder.lost) == (30, 60, 0, 0)
+    assert np.isfinite([frame.reading for frame in found]).all()
+
+
+def test_what_is_wrong_is_said():
+    thirteen = b"1.00\t2.00\t3.00\t24.50\t" * 3 + b"1.00\t\r\n"
+    readings, celsius = rest(20)
+    cold = np.where(np.arange(5) == 3, -998.1, celsius)  # what the firmware makes of a chip that does not answer
+    framed = bytearray(b"".join(sent(readings, celsius, Format.FRAMED)))
+    framed[FRAMED_SIZE - 1 :: FRAMED_SIZE] = bytes(20)
+    for data, why in (
+        (b"", "sends nothing"),
+        (np.random.default_rng(0).bytes(2000), "baud"),
+        (10 * thirteen, "13 plausible numbers, not 20"),
+        (b"".join(sent(readings, cold)), "chip 3 reads -998.1 degrees"),
+        (b"".join(sent(np.nan * readings, celsius, Format.FRAMED)), "no chip answers"),
+        (bytes(framed), "checksums do not fit"),
+    ):
+        assert why in diagnose(data)
+
+
+# The converter's steps, and its end.
+
+
+def test_steps_are_learned_exactly_and_in_spite_of_damage():
+    def learned(substitute: float) -> tuple:
+        decoder, found = decoded(corrupt(b"".join(stream(300)), substitute, 0.0, np.random.default_rng(0)))
+        return decoder.steps, [np.column_stack([f.temperature, f.reading.reshape(5, 3)]) for f in found]
+
+    found, _ = learned(0.0)
+    np.testing.assert_allclose(found.size[1:], [0.150, 0.150, 0.242], rtol=2.0**-24)  # the rounding of one value
+    # Counts from 25 degrees are some twenty, in float32 about 24.6 degrees.
+    np.testing.assert_allclose(found.size[0], 1 / 45.2, rtol=np.spacing(np.float32(24.6)) / 0.4)
+    damaged, delivered = learned(0.01)
+    np.testing.assert_allclose(damaged.size[1:], found.size[1:], rtol=2.0**-24)
+    assert sum(found.fit(table) for table in delivered) < len(delivered)
+
+
+def test_steps_that_no_longer_fit_are_given_up():
+    readings, celsius = rest(400)
+    readings[200:] += np.random.default_rng(0).uniform(-0.07, 0.07, (200, 15))
+    decoder, delivered = decoded(b"".join(sent(readings, celsius)))
+    assert np.isnan(decoder.steps.size).all()
+    assert decoder.lost == 400 - len(delivered) == frames.MAX_MISFITS
+
+
+@pytest.mark.full
+def test_real_boards_send_whole_numbers_of_steps(shared_data):
+    """eFlesh's recordings: 16 times the MLX90393's finest steps, 0.150 and 0.242 uT, in every one of 3600 samples."""
+    path = shared_data / "eflesh" / "normal" / "20250401_014340_probe" / "sensor.csv.gz"
+    fields = np.loadtxt(path, delimiter=",")[:, 1:]
+    recorded = np.concatenate([np.full((len(fields), 5, 1), 24.0), fields.reshape(-1, 5, 3)], axis=2)
+    found = quantization.learn_steps(recorded[:128])
+    np.testing.assert_allclose(found.size[1:], [2.4, 2.4, 3.872], rtol=1e-7)
+    assert np.isnan(found.size[0])  # constant here
+    assert all(found.fit(table) for table in recorded)
+    # And what was recorded comes back through the decoder.
+    fields = fields[:1500]
+    _, read = decoded(b"".join(sent(fields, recorded[:1500, :, 0])))
+    assert len(read) >= 0.999 * len(fields)  # a value that is off alone, and for one frame, may be damage
+    np.testing.assert_array_equal([frame.reading for frame in read], fields[numbers(read)])
+
+
+@pytest.mark.parametrize("form", [Format.FRAMED, Format.FRAMED_TEXT, Format.BINARY])
+def test_a_field_that_goes_over_the_converters_end_is_carried_on(form):
+    board, wrapped = Readings(1.0, 0.0, None, 0), []
+    path = np.concatenate([np.zeros(150), np.linspace(0, 9.5e3, 300), np.full(20, 9.5e3), np.linspace(9.5e3, 0, 300)])
+    for size in path:
+        board.field = np.tile([0.0, 0.0, -size], 5)
+        wrapped.append(board.at(0.0)[0])
+    assert np.ptp(np.array(wrapped)[:, 2]) > 15e3  # 15.86 mT, from one end to the other
+    whole = sent(wrapped, np.full((len(path), 5), 24.0), form)
+    decoder, found = decoded(b"\n" + b"".join(whole) + b"\n", form)
+    read = np.array([frame.reading[2] for frame in found])
+    assert len(read) >= len(path) - 5
+    assert decoder.wraps >= 10  # five chips, there and back; noise may cross the end again
+    if form != Format.FRAMED_TEXT:  # whose lines are of many lengths
+        at = [(frame.end - 2) // len(whole[0]) for frame in found]
+        np.testing.assert_allclose(read, -41.0 - path[at], atol=30)
+    assert max(np.abs(np.diff(read))) < 150
+    assert read[-1] == pytest.approx(-41.0, abs=25)
