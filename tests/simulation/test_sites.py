@@ -53,10 +53,6 @@ def of_hammer_s_size(thing: Mesh) -> Surface:
     return Surface(stack_surfaces([prepare_surface(thing), prepare_surface(make_object("hammer").mesh)]).triangles[0])
 
 
-def rays_at(thing: Mesh):
-    return trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
-
-
 def clipped_nearest(thing: Mesh, T_w_t, half: float, behind: float) -> float:
     """The same question answered in float64 by cutting the mesh with the planes of the square prism."""
     moved = transform_mesh(thing, np.linalg.inv(np.asarray(T_w_t, np.float64)))
@@ -98,28 +94,17 @@ def test_points_are_uniform_over_the_wanted_area_and_never_on_empty_faces():
 
 
 @pytest.mark.parametrize("name", ["star", "hammer"])
-def test_nearest_agrees_with_clipping_and_bounds_rays(name):
-    thing = make_object(name).mesh
-    surface, rays, rng, met = of_hammer_s_size(thing), rays_at(thing), np.random.default_rng(5), 0
+def test_nearest_agrees_with_clipping(name):
+    thing, rng, met = make_object(name).mesh, np.random.default_rng(5), 0
+    surface, low, high = of_hammer_s_size(thing), thing.vertices.min(0), thing.vertices.max(0)
     for _ in range(25):
-        T = pose(
-            Rotation.random(random_state=rng).as_matrix(),
-            rng.uniform(thing.vertices.min(0), thing.vertices.max(0)) + 0.01,
-        )
+        T = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(low, high) + 0.01)
         half, behind = rng.uniform(2e-3, 15e-3), (STANDOFF, np.inf, 5e-3)[rng.integers(3)]
         value, far = float(nearest(surface, inverse(T), half, behind)), min(behind, 10.0)
         # The cut at `behind` moves by DELTA as well, and what it cuts off may be anywhere nearer.
         assert clipped_nearest(thing, T, half + DELTA, far + DELTA) - DELTA <= value
         assert value <= clipped_nearest(thing, T, half - DELTA, far - DELTA) + DELTA
-        x, y = np.meshgrid(*[(np.arange(24) + 0.5) / 24 * 2 * half - half] * 2)
-        origins = np.stack([x, y, np.full_like(x, -min(behind, 1.0))], -1).reshape(-1, 3)
-        R, p = np.asarray(T[:3, :3], np.float64), np.asarray(T[:3, 3], np.float64)
-        starts = origins @ R.T + p
-        spots, _, _ = rays.intersects_location(starts, np.broadcast_to(R[:, 2], starts.shape), multiple_hits=False)
-        if len(spots):
-            met += 1
-            # Embree works in float32 at metres from its origin: 1e-6 m covers its distance of up to 1 m.
-            assert value <= ((spots - p) @ R[:, 2]).min() + 1e-6
+        met += np.isfinite(value)
     assert met >= 6
 
 
@@ -220,7 +205,8 @@ def test_flange_and_mount_above_the_table(seed):
 @pytest.mark.full
 def test_sites_pass_an_independent_check():
     thing = make_object("hammer").mesh
-    rays, sites = rays_at(thing), sites_of(jax.random.key(2), prepare_surface(thing), 40, SiteLimits(), 8)
+    rays = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
+    sites = sites_of(jax.random.key(2), prepare_surface(thing), 40, SiteLimits(), 8)
     assert sites.safe.all()
     for T in np.asarray(sites.T_w_t, np.float64):
         R = T[:3, :3]
