@@ -25,46 +25,52 @@ from i2t.skin.noise import Noise, add_sensor_noise
 QUIET = EnvironmentConfig(touches=4, errors=SimulationErrors.none())
 
 
-def test_a_touch_is_that_of_the_table():
+def touch(site: int, logits=(0.0,) * OBJECTS) -> TouchAction:
+    return TouchAction(jnp.int32(site), jnp.array(logits))
+
+
+@pytest.fixture
+def begun():
     environment, params = random_environment(QUIET)
-    _, state = environment.reset(jax.random.key(0), params)
-    after, *_ = environment.step_env(jax.random.key(1), state, TouchAction(jnp.int32(2), jnp.zeros(OBJECTS)), params)
-    row = int(state.pad), int(state.object), int(state.placement), 2
-    outcome = params.table.outcome
+    return environment, params, environment.reset(jax.random.key(0), params)[1]
+
+
+def test_a_touch_is_that_of_the_table_and_its_reward_the_cross_entropy_of_the_prediction(begun):
+    environment, params, state = begun
+    logits = np.array([1.0, -2.0, 0.5], np.float32)
+    after, _, reward, _, _ = environment.step_env(jax.random.key(1), state, touch(2, logits), params)
+    row, outcome = (int(state.pad), int(state.object), int(state.placement), 2), params.table.outcome
     np.testing.assert_array_equal(after.reading, outcome.reading[row])
     assert after.contact == outcome.contact[row]
     end = params.T_w_site[2] @ np.array([0, 0, outcome.advance[row], 1])
     np.testing.assert_allclose(after.T_w_t[:, 3], end, atol=1e-7)
+    probability = np.exp(logits) / np.exp(logits).sum()
+    assert reward == pytest.approx(float(np.log(probability[int(state.object)])), abs=1e-5)
+    with pytest.raises(ValueError, match="prediction"):  # where there is no posterior
+        environment.step_env(jax.random.key(1), state, TouchAction(jnp.int32(0)), params)
 
 
-@pytest.mark.parametrize("site", [SITES - 1, SITES, -1])
-def test_an_unsafe_touch_moves_nothing_and_costs_a_step(site):
-    environment, params = random_environment(QUIET)
-    _, state = environment.reset(jax.random.key(0), params)
-    _, state, before, _, _ = environment.step_env(
-        jax.random.key(1), state, TouchAction(jnp.int32(1), jnp.zeros(OBJECTS)), params
-    )
-    obs, after, reward, _, info = environment.step_env(
-        jax.random.key(2), state, TouchAction(jnp.int32(site), jnp.zeros(OBJECTS)), params
-    )
-    assert info["refused"]
-    assert obs.refused
-    assert not obs.contact
-    assert not np.any(obs.reading)
-    np.testing.assert_array_equal(after.T_w_t, state.T_w_t)
-    assert after.touches == state.touches + 1
-    assert reward == pytest.approx(float(before) - QUIET.refusal_cost)
+def test_an_unsafe_touch_moves_nothing_and_costs_a_step(begun):
+    environment, params, state = begun
+    _, state, before, _, _ = environment.step_env(jax.random.key(1), state, touch(1), params)
+    for site in (SITES - 1, SITES, -1):
+        obs, after, reward, _, info = environment.step_env(jax.random.key(2), state, touch(site), params)
+        assert info["refused"]
+        assert obs.refused
+        assert not obs.contact
+        assert not np.any(obs.reading)
+        np.testing.assert_array_equal(after.T_w_t, state.T_w_t)
+        assert after.touches == state.touches + 1
+        assert reward == pytest.approx(float(before) - QUIET.refusal_cost)
 
 
-def test_an_episode_ends_when_its_touches_are_used_up_and_the_next_begins():
-    environment, params = random_environment(QUIET)
+def test_an_episode_ends_when_its_touches_are_used_up_and_the_next_begins(begun):
+    environment, params, state = begun
 
     def step(state, key):
-        action = TouchAction(jnp.int32(0), jnp.zeros(OBJECTS))
-        obs, state, _, done, info = environment.step(key, state, action, params)
+        obs, state, _, done, info = environment.step(key, state, touch(0), params)
         return state, (done, obs.left, info["final"].left)
 
-    _, state = environment.reset(jax.random.key(0), params)
     state, (done, left, final) = jax.lax.scan(step, state, jax.random.split(jax.random.key(1), 8))
     np.testing.assert_array_equal(done, [False, False, False, True] * 2)
     np.testing.assert_allclose(left, [0.75, 0.5, 0.25, 1.0] * 2)
@@ -72,46 +78,17 @@ def test_an_episode_ends_when_its_touches_are_used_up_and_the_next_begins():
 
 
 @pytest.mark.full
-def test_the_reward_is_the_cross_entropy_of_the_prediction():
+def test_objects_and_pads_are_drawn_in_every_episode_and_held_out_pads_are_other_rows():
     environment, params = random_environment(QUIET)
-    _, state = environment.reset(jax.random.key(0), params)
-    logits = jnp.array([1.0, -2.0, 0.5])
-    *_, reward, _, _ = environment.step_env(jax.random.key(1), state, TouchAction(jnp.int32(0), logits), params)
-    probability = np.exp(logits) / np.exp(logits).sum()
-    assert reward == pytest.approx(float(np.log(probability[int(state.object)])), abs=1e-5)
-
-
-@pytest.mark.full
-def test_objects_and_pads_are_drawn_in_every_episode():
-    environment, params = random_environment(QUIET)
-    _, states = jax.vmap(partial(environment.reset, params=params))(jax.random.split(jax.random.key(0), 200))
+    obs, states = jax.vmap(partial(environment.reset, params=params))(jax.random.split(jax.random.key(0), 200))
     for drawn, of in ((states.object, OBJECTS), (states.pad, 2), (states.placement, 4)):
         assert np.bincount(drawn, minlength=of).min() > 200 / of / 2
-
-
-@pytest.mark.full
-def test_held_out_pads_are_other_rows():
-    _, params = random_environment(QUIET)
+    found = jax.vmap(features)(obs)
+    assert found.shape == (200, CHANNELS + 1 + 1 + 3 + 6 + 2 + 1)
+    assert np.abs(found).max() < 10
     some = params.with_pads(np.array([1]))
     np.testing.assert_array_equal(some.table.outcome.force[0], params.table.outcome.force[1])
     assert some.response.shape[0] == some.pads.gains.shape[0] == 1
-
-
-@pytest.mark.full
-def test_a_prediction_is_asked_for_where_there_is_no_posterior():
-    environment, params = random_environment(QUIET)
-    _, state = environment.reset(jax.random.key(0), params)
-    with pytest.raises(ValueError, match="prediction"):
-        environment.step_env(jax.random.key(1), state, TouchAction(jnp.int32(0)), params)
-
-
-@pytest.mark.full
-def test_features_are_finite_and_of_order_one():
-    environment, params = random_environment()
-    obs, _ = environment.reset(jax.random.key(0), params)
-    found = features(obs)
-    assert found.shape == (CHANNELS + 1 + 1 + 3 + 6 + 2 + 1,)
-    assert np.abs(found).max() < 10
 
 
 @pytest.mark.full
@@ -128,8 +105,7 @@ def test_noise_is_distributed_as_that_of_the_skin():
     board, noise = reskin_board(), Noise()
     keys = jax.random.split(jax.random.key(0), 20_000)
     ours = jax.vmap(lambda key: sensor_noise(key, board, noise))(keys)
-    keys = jax.random.clone(keys)
-    whole = jax.vmap(lambda key: add_sensor_noise(key, jnp.zeros(15), board, noise))(keys)
+    whole = jax.vmap(lambda key: add_sensor_noise(key, jnp.zeros(15), board, noise))(jax.random.clone(keys))
     np.testing.assert_allclose(np.cov(ours.T), np.cov(whole.T), atol=0.04 * float(np.cov(whole.T).max()))
 
 
@@ -139,7 +115,5 @@ def test_where_it_is_has_a_target_within_its_bounds_and_a_loss_of_a_third_for_si
     T = jax.vmap(lambda key: task.placement(key, SimulationErrors()))(jax.random.split(jax.random.key(0), 500))
     target = jax.vmap(lambda T: task.target(jnp.int32(0), T, 1))(T)
     assert np.abs(target).max() <= 1 + 1e-5
-    losses = jax.vmap(lambda t: task.loss(jnp.zeros(3), t))(target)
-    assert np.mean(losses) == pytest.approx(1 / 3, abs=0.03)
-    assert task.safety_placements().shape == (27, 4, 4)
+    assert np.mean(jax.vmap(lambda t: task.loss(jnp.zeros(3), t))(target)) == pytest.approx(1 / 3, abs=0.03)
     assert WhichObject().loss(jnp.zeros(4), jax.nn.one_hot(1, 4)) == pytest.approx(np.log(4), abs=1e-6)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.geometry import contact_frame, inverse, transform
 from i2t.objects import make_object, transform_mesh
-from i2t.objects.solids import Mesh, ball, box, mesh_from_solid
+from i2t.objects.solids import Mesh, box, mesh_from_solid
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import SiteLimits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites
@@ -51,10 +51,6 @@ def turned(thing: Mesh, rotation, position=(0.0, 0.0, 0.0)) -> Mesh:
 def of_hammer_s_size(thing: Mesh) -> Surface:
     """In one size class: one compilation."""
     return Surface(stack_surfaces([prepare_surface(thing), prepare_surface(make_object("hammer").mesh)]).triangles[0])
-
-
-def rays_at(thing: Mesh):
-    return trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
 
 
 def clipped_nearest(thing: Mesh, T_w_t, half: float, behind: float) -> float:
@@ -98,83 +94,18 @@ def test_points_are_uniform_over_the_wanted_area_and_never_on_empty_faces():
 
 
 @pytest.mark.parametrize("name", ["star", "hammer"])
-def test_nearest_agrees_with_clipping_and_bounds_rays(name):
-    thing = make_object(name).mesh
-    surface, rays, rng, met = of_hammer_s_size(thing), rays_at(thing), np.random.default_rng(5), 0
+def test_nearest_agrees_with_clipping(name):
+    thing, rng, met = make_object(name).mesh, np.random.default_rng(5), 0
+    surface, low, high = of_hammer_s_size(thing), thing.vertices.min(0), thing.vertices.max(0)
     for _ in range(25):
-        T = pose(
-            Rotation.random(random_state=rng).as_matrix(),
-            rng.uniform(thing.vertices.min(0), thing.vertices.max(0)) + 0.01,
-        )
+        T = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(low, high) + 0.01)
         half, behind = rng.uniform(2e-3, 15e-3), (STANDOFF, np.inf, 5e-3)[rng.integers(3)]
         value, far = float(nearest(surface, inverse(T), half, behind)), min(behind, 10.0)
         # The cut at `behind` moves by DELTA as well, and what it cuts off may be anywhere nearer.
         assert clipped_nearest(thing, T, half + DELTA, far + DELTA) - DELTA <= value
         assert value <= clipped_nearest(thing, T, half - DELTA, far - DELTA) + DELTA
-        x, y = np.meshgrid(*[(np.arange(24) + 0.5) / 24 * 2 * half - half] * 2)
-        origins = np.stack([x, y, np.full_like(x, -min(behind, 1.0))], -1).reshape(-1, 3)
-        R, p = np.asarray(T[:3, :3], np.float64), np.asarray(T[:3, 3], np.float64)
-        starts = origins @ R.T + p
-        spots, _, _ = rays.intersects_location(starts, np.broadcast_to(R[:, 2], starts.shape), multiple_hits=False)
-        if len(spots):
-            met += 1
-            # Embree works in float32 at metres from its origin: 1e-6 m covers its distance of up to 1 m.
-            assert value <= ((spots - p) @ R[:, 2]).min() + 1e-6
+        met += np.isfinite(value)
     assert met >= 6
-
-
-def test_nearest_by_hand():
-    A = jnp.eye(4)
-    roof = [[-1, -1, 0.3], [1, -1, 0.3], [0, 2, 0.6]]  # z = 0.4 + 0.1 y
-    wall = [[0, -1, 0.2], [0, 1, 0.0], [0, 1, 0.5]]  # x = 0, from z = 0.2 at y = -1 to z = 0 at y = 1
-    steep = [[-1, 0, -1], [1, -1, 1], [1, 1, 1]]  # z = x
-    for face, A_t_w, half, behind, expected in (
-        (roof, A, 0.1, STANDOFF, 0.39),  # corners of the square alone are involved
-        (roof, A, 1.5, STANDOFF, 0.3),  # the lower side of the triangle, inside a square that reaches beyond
-        (wall, A, 0.5, STANDOFF, 0.05),  # seen edge on
-        (wall, A.at[0, 3].set(0.6), 0.5, STANDOFF, np.inf),
-        (steep, A, 0.5, 0.25, -0.25),  # a face through the plane where rays begin starts there
-        (steep, A, 0.5, np.inf, -0.5),
-        (steep, A.at[2, 3].set(-0.6), 0.5, 0.05, np.inf),  # one wholly behind does not count
-        (np.zeros((3, 3)), A, 0.5, np.inf, np.inf),
-    ):
-        assert nearest(Surface(np.float32([face])), A_t_w, half, behind) == pytest.approx(expected, abs=1e-7)
-
-
-RADIUS = 25e-3
-SPHERE = mesh_from_solid(ball(25.0))  # its lowest corner is a pole on the table, so its centre lies RADIUS above
-CENTRE = np.array([0, 0, RADIUS])
-
-
-@pytest.fixture(scope="module")
-def sagitta() -> float:
-    """How far the flat faces of the sphere's mesh lie below the sphere."""
-    t = SPHERE.vertices[SPHERE.faces] - CENTRE
-    n = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
-    return float((RADIUS - np.abs((n * t[:, 0]).sum(1)) / np.linalg.norm(n, axis=1)).max())
-
-
-def test_press_on_a_sphere_straight_slanted_and_with_the_edge_and_the_corner_of_the_skin(sagitta):
-    surface, rng = prepare_surface(SPHERE), np.random.default_rng(1)
-    for _ in range(20):
-        R = Rotation.random(random_state=rng).as_matrix()
-        tilt = np.array([*rng.uniform(-0.5, 0.5, 2), 1.0])
-        direction = R @ tilt / np.linalg.norm(tilt)
-        # The point of the sphere that faces the skin, aside of the skin's middle.
-        touched = CENTRE - RADIUS * R[:, 2] - R[:, :2] @ rng.uniform(-9e-3, 9e-3, 2)
-        start = pose(R, touched - rng.uniform(10e-3, 50e-3) * direction)
-        T, hit = press(surface, start, jnp.asarray(direction, jnp.float32))
-        assert hit
-        # A corner of the mesh is on the sphere, its faces up to the sagitta below: that much later along the normal.
-        assert -DELTA <= (np.asarray(T[:3, 3]) - touched) @ direction <= (sagitta + DELTA) / (direction @ R[:, 2])
-        np.testing.assert_array_equal(T[:3, :3], start[:3, :3])
-    for a, b in ((17e-3, 3e-3), (16e-3, 18e-3)):  # the sphere's axis lies beyond x = 10 mm, and beyond the corner
-        beyond = np.hypot(*np.maximum(np.array([a, b]) - HALF, 0))
-        height = np.sqrt(RADIUS**2 - beyond**2)  # over the centre, of the sphere's part above the square
-        T, hit = press(surface, pose(DOWN, [-a, b, 2 * RADIUS + 20e-3]), BELOW)  # y of the tool is -y of the world
-        assert hit
-        # A gap along the normal is gap / cos = gap RADIUS / height along z.
-        assert -DELTA <= RADIUS + height - float(T[2, 3]) <= (sagitta + DELTA) * RADIUS / height + DELTA
 
 
 def test_press_on_an_edge_a_corner_and_with_a_tilted_skin_on_a_flat_top():
@@ -274,7 +205,8 @@ def test_flange_and_mount_above_the_table(seed):
 @pytest.mark.full
 def test_sites_pass_an_independent_check():
     thing = make_object("hammer").mesh
-    rays, sites = rays_at(thing), sites_of(jax.random.key(2), prepare_surface(thing), 40, SiteLimits(), 8)
+    rays = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(thing.vertices, thing.faces, process=False))
+    sites = sites_of(jax.random.key(2), prepare_surface(thing), 40, SiteLimits(), 8)
     assert sites.safe.all()
     for T in np.asarray(sites.T_w_t, np.float64):
         R = T[:3, :3]

@@ -34,23 +34,15 @@ def _bar(x: float, y: float, half_width: float, half_height: float) -> np.ndarra
     return (abs(X - x) < half_width) & (abs(Y - y) < half_height)
 
 
-def _corner(x: float, y: float, slope: float) -> np.ndarray:
-    """Three faces of one slope that meet in a point."""
-    faces = [np.cos(angle) * (X - x) + np.sin(angle) * (Y - y) for angle in (0.4, 2.5, 4.6)]
-    return np.minimum(slope * np.max(faces, axis=0), 4e-3)
-
-
 T = np.where(_bar(0, 0, 1e-3, 5e-3) | _bar(0, 4e-3, 5e-3, 1e-3), 0, 3.5e-3)
-CROSS = np.where(_bar(0, 0, 1e-3, 5e-3) | _bar(0, 0, 5e-3, 1e-3), 0, 3.5e-3)
+CORNER = [np.cos(angle) * (X - 1.2e-3) + np.sin(angle) * (Y + 2.1e-3) for angle in (0.4, 2.5, 4.6)]  # of three faces
 SHAPES = {
     "sphere": (_sphere(0.3e-3, -1.1e-3, 8e-3), 0.6e-3),
-    "small sphere": (_sphere(5.2e-3, 2.1e-3, 2.3e-3), 0.5e-3),
     "flat punch": (np.where(X**2 + Y**2 < 4e-3**2, 0, np.inf), 0.2e-3),
-    "stamp T": (T, 0.2e-3),
-    "stamp cross": (CROSS, 0.15e-3),
+    "stamp": (T, 0.2e-3),
     "tilted stamp": (T + 0.03 * (X + 5e-3), 0.3e-3),
     "edge": (np.maximum(0.5 * (X + 0.3 * Y), -(X + 0.3 * Y)), 0.2e-3),
-    "corner": (_corner(1.2e-3, -2.1e-3, 0.6), 0.3e-3),
+    "corner": (np.minimum(0.6 * np.max(CORNER, axis=0), 4e-3), 0.3e-3),
 }
 
 
@@ -122,31 +114,14 @@ def test_flat_face_on_a_layer_without_end_is_a_spring():
 
 @pytest.fixture(scope="module")
 def sweeps():
-    """60 rough surfaces, each pressed to 8 depths of which the first does not touch."""
-    heights = jnp.asarray(_rough(60), jnp.float32)
+    """15 rough surfaces, each pressed to 8 depths of which the first does not touch."""
+    heights = jnp.asarray(_rough(15), jnp.float32)
     depths = jnp.asarray([0.0, 1e-6, 1e-5, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4])
 
     def one(height, depth):
         return contact.solve(PAD, height, depth)
 
     return heights, depths, jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(heights, depths)
-
-
-def test_meets_the_contact_conditions(sweeps):
-    heights, depths, found = sweeps
-    assert np.all(found.converged)
-    assert np.all(found.pressure >= 0)
-    deflection = np.max(found.gap - heights[:, None] + depths[None, :, None, None], axis=(2, 3))
-    # The residual is the tolerance's meaning; float32 adds a few roundings of heights of about a millimetre.
-    violation = contact.CONTACT_TOLERANCE * deflection[..., None, None] + 4 * np.finfo(np.float32).eps * 1e-3
-    assert np.all(found.gap > -violation)
-    touching = found.pressure > 1e-3 * np.max(found.pressure, axis=(2, 3), keepdims=True)
-    assert np.all(np.where(touching, np.abs(found.gap) < violation, True))
-    # The gap is the one that the pressure leaves, computed here with NumPy's FFT.
-    kernel = _kernel_for_fft()
-    down = np.fft.irfft2(kernel * np.fft.rfft2(found.pressure, (64, 64)), (64, 64))[..., :40, :40]
-    gap = heights[:, None] + down - depths[None, :, None, None]
-    assert np.all(np.where(np.isinf(heights[:, None]), True, np.abs(found.gap - gap) < 2 * violation))
 
 
 def _kernel_for_fft() -> np.ndarray:
@@ -161,8 +136,20 @@ def _kernel_for_fft() -> np.ndarray:
     return kernel
 
 
-def test_force_grows_with_depth(sweeps):
-    _, depths, found = sweeps
+def test_meets_the_contact_conditions_and_force_grows_with_depth(sweeps):
+    heights, depths, found = sweeps
+    assert np.all(found.converged)
+    assert np.all(found.pressure >= 0)
+    deflection = np.max(found.gap - heights[:, None] + depths[None, :, None, None], axis=(2, 3))
+    # The residual is the tolerance's meaning; float32 adds a few roundings of heights of about a millimetre.
+    violation = contact.CONTACT_TOLERANCE * deflection[..., None, None] + 4 * np.finfo(np.float32).eps * 1e-3
+    assert np.all(found.gap > -violation)
+    touching = found.pressure > 1e-3 * np.max(found.pressure, axis=(2, 3), keepdims=True)
+    assert np.all(np.where(touching, np.abs(found.gap) < violation, True))
+    # The gap is the one that the pressure leaves, computed here with NumPy's FFT.
+    down = np.fft.irfft2(_kernel_for_fft() * np.fft.rfft2(found.pressure, (64, 64)), (64, 64))[..., :40, :40]
+    gap = heights[:, None] + down - depths[None, :, None, None]
+    assert np.all(np.where(np.isinf(heights[:, None]), True, np.abs(found.gap - gap) < 2 * violation))
     force = np.asarray(found.force)
     assert np.all(force[:, 0] == 0)
     assert np.all(np.diff(force, axis=1) > 0)
@@ -173,73 +160,47 @@ def test_force_grows_with_depth(sweeps):
 
 @pytest.mark.full
 def test_force_grows_with_depth_on_every_pad():
-    """500 sweeps of 8 depths: rough, tilted and cut surfaces, each on a pad of its own, some held at their edges."""
-    pads = jax.jit(jax.vmap(sample_pad))(jax.random.split(jax.random.key(2), 500))
-    pads = pads._replace(mount_compliance=jnp.where(jnp.arange(500) % 2 == 0, 0.0, pads.mount_compliance))
-    heights, shares = jnp.asarray(_rough(500), jnp.float32), jnp.geomspace(1e-3, 0.4, 8)
+    """100 sweeps of 8 depths: rough, tilted and cut surfaces, each on a pad of its own, some held at their edges."""
+    pads = jax.jit(jax.vmap(sample_pad))(jax.random.split(jax.random.key(2), 100))
+    pads = pads._replace(mount_compliance=jnp.where(jnp.arange(100) % 2 == 0, 0.0, pads.mount_compliance))
 
     def end(pad, height, share):
         found = contact.solve(pad, height, share * pad.thickness)
         return found.force, found.converged
 
     sweep = jax.jit(jax.vmap(jax.vmap(end, (None, None, 0)), (0, 0, None)))
-    for rows in np.arange(500).reshape(5, 100):
-        force, converged = sweep(jax.tree.map(lambda leaf, rows=rows: leaf[rows], pads), heights[rows], shares)
-        assert np.all(converged)
-        assert np.all(force[:, 0] > 0)
-        assert np.all(np.diff(force, axis=1) > 0)
+    force, converged = sweep(pads, jnp.asarray(_rough(100), jnp.float32), jnp.geomspace(1e-3, 0.4, 8))
+    assert np.all(converged)
+    assert np.all(force[:, 0] > 0)
+    assert np.all(np.diff(force, axis=1) > 0)
 
 
-def test_force_control_inverts_depth_control(sweeps):
+def test_force_control_inverts_depth_control_and_a_start_changes_the_effort_only(sweeps):
     heights, depths, found = sweeps
-    rows = slice(0, 60, 6)
-    back = jax.jit(jax.vmap(lambda height, force: contact.solve_force(PAD, height, force)))(
-        heights[rows], found.force[rows, -2]
-    )
-    assert np.all(back.converged)
-    np.testing.assert_allclose(back.force, found.force[rows, -2], rtol=1e-5)
-    # Both stop within the tolerance of the deepest deflection, which is at most a few times the depth here.
-    np.testing.assert_allclose(back.indentation, np.full(10, depths[-2]), rtol=10 * contact.CONTACT_TOLERANCE)
+    for row in range(0, len(heights), 5):
+        back = solve_force(PAD, heights[row], found.force[row, -2])
+        assert back.converged
+        np.testing.assert_allclose(back.force, found.force[row, -2], rtol=1e-5)
+        # Both stop within the tolerance of the deepest deflection, which is at most a few times the depth here.
+        np.testing.assert_allclose(back.indentation, depths[-2], rtol=10 * contact.CONTACT_TOLERANCE)
+    near = found.pressure[row, -3]
+    for start in (near, jnp.zeros((40, 40))):
+        warm = solve(PAD, heights[row], depths[-2], GRID, start=start)
+        np.testing.assert_allclose(warm.force, found.force[row, -2], rtol=10 * contact.CONTACT_TOLERANCE)
+    forced = solve_force(PAD, heights[row], found.force[row, -2], GRID, start=near)
+    np.testing.assert_allclose(forced.indentation, depths[-2], rtol=10 * contact.CONTACT_TOLERANCE)
 
 
-def test_a_start_changes_the_effort_only():
-    height, depth = jnp.asarray(SHAPES["sphere"][0], jnp.float32), 0.5e-3
-    cold = solve(PAD, height, depth)
-    near = solve(PAD, height, 0.48e-3).pressure
-    for start, control in ((near, depth), (jnp.zeros((40, 40)), depth)):
-        warm = solve(PAD, height, control, GRID, start=start)
-        np.testing.assert_allclose(warm.force, cold.force, rtol=10 * contact.CONTACT_TOLERANCE)
-    forced = solve_force(PAD, height, cold.force, GRID, start=near)
-    np.testing.assert_allclose(forced.indentation, depth, rtol=10 * contact.CONTACT_TOLERANCE)
-
-
-def test_an_unfinished_solution_says_so():
-    found = solve(PAD, jnp.asarray(T, jnp.float32), 0.2e-3, GRID, max_steps=3)
-    assert not found.converged
-    assert found.residual > contact.CONTACT_TOLERANCE
-    assert found.steps == 3
-
-
-def test_a_batch_holds_independent_problems():
-    heights = jnp.asarray(np.stack([height for height, _ in SHAPES.values()]), jnp.float32)
-    depths = jnp.asarray([depth for _, depth in SHAPES.values()])
-    together = jax.jit(jax.vmap(lambda height, depth: contact.solve(PAD, height, depth)))(heights, depths)
-    for i in range(len(depths)):
-        alone = solve(PAD, heights[i], depths[i])
-        assert alone.steps == together.steps[i]
-        np.testing.assert_allclose(alone.pressure, together.pressure[i], atol=1e-5 * float(alone.pressure.max()))
-
-
-def test_series_passes_through_the_pressure():
-    pressure = jnp.asarray(np.random.default_rng(0).random((40, 40)), jnp.float32)
-    np.testing.assert_allclose(elasticity.convolve(jnp.ones((64, 64)), pressure), pressure, atol=1e-5)
-    waves, _ = elasticity.basis(GRID, (np.arange(64) + 0.5 - 20) * GRID.spacing)  # the whole period
-    everywhere = waves.T @ np.asarray(elasticity.spectrum(pressure)) @ waves
-    np.testing.assert_allclose(everywhere[40:], np.zeros((24, 64)), atol=1e-5)
-    # The waves of a coarser series are among those of the finer one.
-    fine = elasticity.spectrum(pressure, GRID)
-    coarse = elasticity.spectrum(pressure, GRID, Grid(20, 32))
-    np.testing.assert_allclose(coarse[:16, 16:], np.asarray(fine)[:16, 32:48], atol=1e-6)
+def test_a_batch_holds_independent_problems_and_an_unfinished_solution_says_so(sweeps):
+    heights, depths, found = sweeps
+    for i in (0, 1):
+        alone = solve(PAD, heights[i], depths[-1])
+        assert alone.steps == found.steps[i, -1]
+        np.testing.assert_allclose(alone.pressure, found.pressure[i, -1], atol=1e-5 * float(alone.pressure.max()))
+    stopped = solve(PAD, jnp.asarray(T, jnp.float32), 0.2e-3, GRID, max_steps=3)
+    assert not stopped.converged
+    assert stopped.residual > contact.CONTACT_TOLERANCE
+    assert stopped.steps == 3
 
 
 # The motion inside is checked by the equations that determine it: equilibrium, a bonded base, the loads on top. Slopes
@@ -250,15 +211,14 @@ PLACES = np.arange(-2, 3) * STEP + 1.2e-3  # a 5 x 5 stencil off the load's axis
 DIFFERENCES = 0.01
 
 
-@pytest.fixture(scope="module", params=["pressed", "pressed and dragged"])
-def smooth_load(request):
+@pytest.fixture(scope="module")
+def smooth_load():
     """Smooth loads about 2 mm wide, and displacement and rotation on the stencil as functions of depth."""
     pressure = jnp.asarray(2e4 * np.exp(-((X - 0.4e-3) ** 2 + 2 * Y**2) / (2 * 2e-3**2)), jnp.float32)
     drags = [1e4 * np.exp(-(X**2 + (Y - b) ** 2) / (2 * 2e-3**2)) for b in (0.5e-3, -1e-3)]
-    traction = jnp.asarray(np.stack([drags[0], -0.6 * drags[1]]), jnp.float32) if "drag" in request.param else None
-    inside = jax.jit(
-        lambda depth: elasticity.interior(PAD, elasticity.load(PAD, pressure, traction), depth, GRID, PLACES)
-    )
+    traction = jnp.asarray(np.stack([drags[0], -0.6 * drags[1]]), jnp.float32)
+    load = elasticity.load(PAD, pressure, traction)
+    inside = jax.jit(lambda depth: elasticity.interior(PAD, load, depth, GRID, PLACES))
     return pressure, traction, lambda depth: tuple(np.asarray(field, float) for field in inside(depth))
 
 
@@ -271,19 +231,23 @@ def _slopes(inside, depth):
     return np.stack(differences, axis=1) / (2 * STEP)
 
 
-@pytest.mark.parametrize("depth", [0.2e-3, 1.0e-3, 1.7e-3])
-def test_interior_is_in_equilibrium(smooth_load, depth):
-    *_, inside = smooth_load
-    stack = np.stack([inside(depth - i * STEP)[0] for i in (-1, 0, 1)], axis=1)[:, :, 1:4, 1:4]  # (3, z, y, x)
-    second = np.array([[_second_difference(stack, 3 - a, 3 - b) for b in range(3)] for a in range(3)]) / STEP**2
-    laplacian, of_divergence = np.einsum("aac->c", second), np.einsum("acc->a", second)
-    residual = (1 - 2 * float(PAD.poisson)) * laplacian + of_divergence
-    assert np.all(np.abs(residual) < DIFFERENCES * np.abs(second).max())
+def _second_difference(f: np.ndarray, a: int, b: int) -> np.ndarray:
+    """Central d2 f / (d axis a, d axis b) at the middle of (c, 3, 3, 3), times the step squared."""
+    if a == b:
+        line = np.moveaxis(f, a, 1)[:, :, 1, 1]
+        return line[:, 2] - 2 * line[:, 1] + line[:, 0]
+    part = np.moveaxis(f, (a, b), (1, 2))[:, :, :, 1]
+    return (part[:, 2, 2] - part[:, 2, 0] - part[:, 0, 2] + part[:, 0, 0]) / 4
 
 
-def test_rotation_is_half_the_curl(smooth_load):
+def test_interior_is_in_equilibrium_and_rotation_is_half_the_curl(smooth_load):
     *_, inside = smooth_load
-    for depth in (0.1e-3, 1.0e-3, 1.9e-3):
+    for depth in (0.2e-3, 1.0e-3, 1.7e-3):
+        stack = np.stack([inside(depth - i * STEP)[0] for i in (-1, 0, 1)], axis=1)[:, :, 1:4, 1:4]  # (3, z, y, x)
+        second = np.array([[_second_difference(stack, 3 - a, 3 - b) for b in range(3)] for a in range(3)]) / STEP**2
+        laplacian, of_divergence = np.einsum("aac->c", second), np.einsum("acc->a", second)
+        residual = (1 - 2 * float(PAD.poisson)) * laplacian + of_divergence
+        assert np.all(np.abs(residual) < DIFFERENCES * np.abs(second).max())
         slope = _slopes(inside, depth)
         curl = np.array([slope[2, 1] - slope[1, 2], slope[0, 2] - slope[2, 0], slope[1, 0] - slope[0, 1]])
         assert np.all(np.abs(inside(depth)[1][:, 2, 2] - curl / 2) < DIFFERENCES * np.abs(slope).max())
@@ -297,7 +261,7 @@ def test_interior_carries_the_load(smooth_load):
     def there(load):
         return elasticity.evaluate(elasticity.spectrum(load), GRID, PLACES[2:3])[..., 0, 0]
 
-    load, drag = there(pressure), np.zeros(2) if traction is None else there(traction)
+    load, drag = there(pressure), there(traction)
     # Stresses at three depths, extrapolated to the surface by a parabola.
     slopes = np.stack([_slopes(inside, i * STEP) for i in (1, 2, 3)])
     normal = lame * np.einsum("dcc->d", slopes) + 2 * shear * slopes[:, 2, 2]
@@ -306,29 +270,6 @@ def test_interior_carries_the_load(smooth_load):
     # lame is 24 times the shear modulus at nu = 0.48 and multiplies the errors of the divergence.
     np.testing.assert_allclose(outwards @ normal, -load, rtol=10 * DIFFERENCES)
     np.testing.assert_allclose(outwards @ sheared, drag, atol=DIFFERENCES * float(load))
-
-
-@pytest.mark.full
-def test_interior_ends_at_the_base_and_the_surface(smooth_load):
-    pressure, traction, _ = smooth_load
-    load = elasticity.load(PAD, pressure, traction)
-    bottom, _ = elasticity.interior(PAD, load, PAD.thickness)
-    np.testing.assert_allclose(bottom, np.zeros((3, 40, 40)), atol=1e-10)
-    top, _ = elasticity.interior(PAD, load, 0.0)
-    if traction is None:
-        sunk = elasticity.convolve(elasticity.compliance(PAD), pressure)
-        np.testing.assert_allclose(-top[2], sunk, atol=1e-6 * float(sunk.max()))
-        dragged = jnp.zeros((2, 40, 40))
-    else:
-        lengthwise, across = elasticity.tangential_compliance(PAD)
-        parts = elasticity.traction_waves(elasticity.spectrum(traction))
-        dragged = elasticity.evaluate(
-            lengthwise[None] * parts.lengthwise + across[None] * (parts.traction - parts.lengthwise)
-        )
-    # 2 Q^2 is at most 640, so that many roundings may be left where `interior` does not cancel it.
-    np.testing.assert_allclose(
-        top[:2], dragged + elasticity.tangential_displacement(PAD, pressure), atol=1e-4 * float(abs(top[:2]).max())
-    )
 
 
 def test_pressure_and_traction_answer_each_other():
@@ -358,6 +299,7 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
     again = solve(PAD, height + sunk, depth)
     np.testing.assert_allclose(again.pressure, found.pressure, atol=1e-3 * float(found.pressure.max()))
     assert found.force < bonded.force
+    assert elasticity.load(PAD, bonded.pressure).centre_sinking == 0  # a bonded skin has no motion as a whole
     # The whole skin moves as a plate: through its thickness, at its middle, and with no motion of its rim.
     moved, turned = elasticity.interior(pad, elasticity.load(pad, found.pressure), 1e-3)
     alone, turned_alone = elasticity.interior(PAD, elasticity.load(PAD, found.pressure), 1e-3)
@@ -370,44 +312,9 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
     np.testing.assert_allclose(forced.indentation, depth, rtol=20 * contact.CONTACT_TOLERANCE)
 
 
-@pytest.mark.parametrize("give", [0.0, 2e-4])
-def test_the_largest_deflection_of_a_unit_pressure_is_bounded(give):
-    """By power iteration: from below by it, from above by it and what the layer alone can add."""
-    soft = contact._softness(PAD._replace(mount_compliance=jnp.asarray(give)), GRID)
-    _, bound = contact._bounds(soft, GRID)
-    pressure = np.ones((GRID.cells, GRID.cells), np.float32)
-    for _ in range(30):
-        deflected = np.asarray(contact._deflect(soft, jnp.asarray(pressure / np.linalg.norm(pressure)), GRID))
-        largest, pressure = np.linalg.norm(deflected), deflected
-    assert largest * (1 - 1e-4) <= bound <= (largest + jnp.max(soft.kernel)) * (1 + 1e-4)
-
-
-def test_a_bonded_skin_has_no_global_motion():
-    pressure = solve(PAD, jnp.asarray(SHAPES["sphere"][0], jnp.float32), 0.5e-3).pressure
-    assert elasticity.load(PAD, pressure).centre_sinking == 0
-    # Its compliance is that of the layer alone, bit for bit.
-    soft = contact._softness(PAD, GRID)
-    np.testing.assert_array_equal(contact._deflect(soft, pressure, GRID), elasticity.convolve(soft.kernel, pressure))
-
-
 def test_interior_follows_the_indenter():
     """Under a solved contact the surface has moved by minus the indentation at the deepest point (to 1e-7 m)."""
     height = jnp.asarray(_sphere(0.25e-3, 0.25e-3, 8e-3), jnp.float32)
     found = solve(PAD, height, 0.6e-3)
     displacement, _ = elasticity.interior(PAD, elasticity.load(PAD, found.pressure), 0.0)
     np.testing.assert_allclose(displacement[2, 20, 20], -0.6e-3, atol=1e-7)
-
-
-def _second_difference(f: np.ndarray, a: int, b: int) -> np.ndarray:
-    """Central d2 f / (d axis a, d axis b) at the middle of (c, 3, 3, 3), times the step squared."""
-    middle = [slice(None), 1, 1, 1]
-
-    def value(shift_a: int, shift_b: int) -> np.ndarray:
-        place = list(middle)
-        place[a] += shift_a
-        place[b] += shift_b
-        return f[tuple(place)]
-
-    if a == b:
-        return value(1, 0) - 2 * value(0, 0) + value(-1, 0)
-    return (value(1, 1) - value(1, -1) - value(-1, 1) + value(-1, -1)) / 4

@@ -1,5 +1,7 @@
 """Derivatives of contact and reading, forwards and backwards, against central differences in double precision."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,73 +28,55 @@ def double():
         yield
 
 
-def _pad(give=2e-4):
-    pad = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, float)), SAMPLE)
-    return pad._replace(mount_compliance=jnp.asarray(give))
-
-
 def _inputs(rng, control):
     """A point (pad, height, control) and a random way to go from it, in proportion to each input's size."""
-    pad, height, control = _pad(), jnp.asarray(TIP - TIP.min()), jnp.asarray(control)
+    pad = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, float)), SAMPLE)
+    pad = pad._replace(mount_compliance=jnp.asarray(2e-4))
     still = jax.tree.map(jnp.zeros_like, pad)
     way = still._replace(**{name: getattr(pad, name) * rng.normal() for name in PARTS})
-    return (pad, height, control), (way, jnp.asarray(1e-3 * rng.normal(size=X.shape)), control * rng.normal())
+    along = way, jnp.asarray(1e-3 * rng.normal(size=X.shape)), jnp.asarray(control * rng.normal())
+    return (pad, jnp.asarray(TIP - TIP.min()), jnp.asarray(control)), along
 
 
-def _outcome(found):
+def _outcome(pad, height, control, solve=contact.solve):
+    found = solve(pad, height, control, SMALL, tolerance=EXACT, max_steps=4000)
     return found.pressure, found.force, found.indentation, found.gap
-
-
-def _depth(pad, height, depth):
-    return _outcome(contact.solve(pad, height, depth, SMALL, tolerance=EXACT, max_steps=4000))
-
-
-def _force(pad, height, force):
-    return _outcome(contact.solve_force(pad, height, force, SMALL, tolerance=EXACT, max_steps=4000))
 
 
 def _moved(at, way, step):
     return jax.tree.map(lambda a, w: a + step * w, at, way)
 
 
+def _dot(one, other):
+    return sum(jnp.sum(a * b) for a, b in zip(*map(jax.tree.leaves, (one, other)), strict=True))
+
+
 @pytest.mark.full
-@pytest.mark.parametrize(("solve", "control"), [(_depth, 0.4e-3), (_force, 0.7)])
+@pytest.mark.parametrize(("solve", "control"), [(contact.solve, 0.4e-3), (contact.solve_force, 0.7)])
 def test_contact_follows_its_inputs(double, solve, control):
-    run = jax.jit(solve)
-    push = jax.jit(lambda at, way: jax.jvp(solve, at, way))
-    pull = jax.jit(lambda at, weights: jax.vjp(solve, *at)[1](weights))
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        at, way = _inputs(rng, control)
-        plain, slope = push(at, way)
-        ahead, behind = run(*_moved(at, way, STEP)), run(*_moved(at, way, -STEP))
-        np.testing.assert_array_equal(ahead[0] > 0, behind[0] > 0)  # the contact set is fixed
-        for found, here, there in zip(slope, ahead, behind, strict=True):
-            difference = (here - there) / (2 * STEP)
-            assert np.abs(found - difference).max() <= ASKED * np.abs(difference).max()
-        # Backwards is forwards transposed.
-        weights = tuple(jnp.asarray(rng.normal(size=value.shape)) / jnp.abs(value).max() for value in plain)
-        forwards = sum(jnp.sum(w * s) for w, s in zip(weights, slope, strict=True))
-        backwards = sum(jnp.sum(g * w) for g, w in zip(*map(jax.tree.leaves, (pull(at, weights), way)), strict=True))
-        np.testing.assert_allclose(backwards, forwards, rtol=1e-8)
+    rng, run = np.random.default_rng(0), jax.jit(partial(_outcome, solve=solve))
+    at, way = _inputs(rng, control)
+    plain, slope = jax.jit(lambda at, way: jax.jvp(run, at, way))(at, way)
+    ahead, behind = run(*_moved(at, way, STEP)), run(*_moved(at, way, -STEP))
+    np.testing.assert_array_equal(ahead[0] > 0, behind[0] > 0)  # the contact set is fixed
+    for found, here, there in zip(slope, ahead, behind, strict=True):
+        difference = (here - there) / (2 * STEP)
+        assert np.abs(found - difference).max() <= ASKED * np.abs(difference).max()
+    # Backwards is forwards transposed.
+    weights = tuple(jnp.asarray(rng.normal(size=value.shape)) / jnp.abs(value).max() for value in plain)
+    pulled = jax.jit(lambda at, weights: jax.vjp(run, *at)[1](weights))(at, weights)
+    np.testing.assert_allclose(_dot(pulled, way), _dot(weights, slope), rtol=1e-8)
 
 
 @pytest.mark.full
 def test_reading_follows_its_inputs(double):
-    def read(pad, height, depth):
-        return press(pad, height, depth, grid=SMALL).reading
-
-    def exact(pad, height, depth):
-        return response(pad, _depth(pad, height, depth)[0], SMALL)
-
     at, way = _inputs(np.random.default_rng(4), 0.4e-3)
-    run = jax.jit(exact)
+    run = jax.jit(lambda pad, height, depth: response(pad, _outcome(pad, height, depth)[0], SMALL))
     difference = (run(*_moved(at, way, STEP)) - run(*_moved(at, way, -STEP))) / (2 * STEP)
     # `press` stops at 1e-5 of the deflection, which is also about what its derivative may miss.
     weights = jnp.asarray(np.random.default_rng(5).normal(size=15))
-    pulled = jax.jit(lambda at: jax.vjp(read, *at)[1](weights))(at)
-    total = sum(jnp.sum(g * w) for g, w in zip(*map(jax.tree.leaves, (pulled, way)), strict=True))
-    np.testing.assert_allclose(total, weights @ difference, atol=ASKED * np.abs(weights * difference).max())
+    pulled = jax.jit(lambda at: jax.vjp(lambda *at: press(*at, grid=SMALL).reading, *at)[1](weights))(at)
+    np.testing.assert_allclose(_dot(pulled, way), weights @ difference, atol=ASKED * np.abs(weights * difference).max())
 
 
 @pytest.mark.full
@@ -122,7 +106,7 @@ def test_second_derivatives_exist(double):
 
     def slope(young):
         bonded = pad._replace(young=young, mount_compliance=jnp.zeros(()))
-        return jax.grad(lambda depth: _depth(bonded, height, depth)[1])(depth)
+        return jax.grad(lambda depth: _outcome(bonded, height, depth)[1])(depth)
 
     value, change = jax.jit(jax.value_and_grad(slope))(pad.young)
     np.testing.assert_allclose(change, value / pad.young, rtol=1e-8)

@@ -26,27 +26,19 @@ def _bursts(samples: int, kind: Noise) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(lambda key: noise.sample_burst(key, jnp.zeros(15), BOARD, kind, samples)))(keys))
 
 
-def test_one_sample_at_rest_has_the_measured_size():
-    samples = _bursts(1, Noise())[:, 0]
+def test_one_sample_at_rest_has_the_measured_size_and_part_of_it_is_one_field_for_all_chips():
+    samples, kind = _bursts(1, Noise())[:, 0], Noise()
     # Rounding to steps q adds q^2 / 12, a uniform error (Sheppard), at a noise of many steps.
-    _within(samples.var(axis=0, ddof=1), Noise().sigma(5) ** 2 + Noise().steps(5) ** 2 / 12, N)
-
-
-def test_part_of_it_is_one_field_for_all_chips():
-    samples = _bursts(1, Noise())[:, 0]
+    variance = kind.sigma(5) ** 2 + kind.steps(5) ** 2 / 12
+    _within(samples.var(axis=0, ddof=1), variance, N)
     chips = np.asarray(BOARD.to_tool(samples))  # (N, 5, 3) in common axes
     for axis, sigma in enumerate((3.1, 3.1, 4.6)):
         correlation = np.corrcoef(chips[:, :, axis].T)[np.triu_indices(5, 1)]
         # Correlations of N samples err by (1 - r^2) / sqrt(N); ten of them stay within 5 such.
-        share = Noise().common * sigma**2 / (sigma**2 + Noise().steps(5)[axis] ** 2 / 12)
-        np.testing.assert_allclose(correlation, share, atol=5 / np.sqrt(N))
+        np.testing.assert_allclose(correlation, kind.common * sigma**2 / variance[axis], atol=5 / np.sqrt(N))
         assert 0.20 < correlation.mean() < 0.33  # of real boards
-
-
-def test_ambient_is_the_same_vector_for_every_chip():
-    field = noise.ambient(jax.random.key(3), BOARD, Noise())
-    tool = np.asarray(BOARD.to_tool(field))
-    np.testing.assert_allclose(tool, np.broadcast_to(tool[0], (5, 3)), rtol=1e-6)
+    tool = np.asarray(BOARD.to_tool(noise.ambient(jax.random.key(3), BOARD, kind)))
+    np.testing.assert_allclose(tool, np.broadcast_to(tool[0], (5, 3)), rtol=1e-6)  # one vector for every chip
     assert np.all(np.abs(tool[0]) > 0)
 
 
@@ -60,28 +52,15 @@ def test_averaging_removes_white_noise_only():
     np.testing.assert_allclose(seen.mean(axis=0), 0, atol=5 * seen.std() / np.sqrt(N))
 
 
-@pytest.mark.full
-def test_an_ideal_sensor_reports_the_field():
-    reading = jnp.linspace(-80.0, 60.0, 15)
-    np.testing.assert_allclose(
-        noise.add_sensor_noise(jax.random.key(0), reading, BOARD, Noise.none()), reading, rtol=1e-6
-    )
-
-
-def test_scaling_scales_what_is_random():
-    loud = Noise().scaled(3.0)
-    np.testing.assert_allclose(loud.sigma(5), 3 * Noise().sigma(5))
-    np.testing.assert_array_equal(loud.steps(5), Noise().steps(5))
-    assert loud.drift == 3 * Noise().drift
-
-
-@pytest.mark.parametrize("shape", [(15,), (4, 15)])
-def test_samples_are_whole_steps(shape):
-    values = np.random.default_rng(0).normal(size=shape) * 50
-    rounded = noise.quantise(jnp.asarray(values, jnp.float32), Noise())
-    steps = np.asarray(rounded) / Noise().steps(5)
-    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)  # float32 of a few hundred steps
-    assert np.all(np.abs(rounded - values) <= Noise().steps(5) / 2 * (1 + 1e-3))
+def test_samples_are_whole_steps_and_an_ideal_sensor_reports_the_field():
+    for shape in ((15,), (4, 15)):
+        values = np.random.default_rng(0).normal(size=shape) * 50
+        rounded = noise.quantise(jnp.asarray(values, jnp.float32), Noise())
+        steps = np.asarray(rounded) / Noise().steps(5)
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)  # float32 of a few hundred steps
+        assert np.all(np.abs(rounded - values) <= Noise().steps(5) / 2 * (1 + 1e-3))
+    ideal = noise.add_sensor_noise(jax.random.key(0), jnp.asarray(values[0], jnp.float32), BOARD, Noise.none())
+    np.testing.assert_allclose(ideal, values[0], rtol=1e-6)
 
 
 @pytest.mark.full
@@ -101,13 +80,3 @@ def test_drift_is_a_random_walk():
     assert abs(sign - 0.5) < 5 * 0.5 / np.sqrt(first.size)
     ratio = np.log(np.abs(second)) - np.log(np.abs(first))  # the size of the channel cancels: variance 2 pi^2 / 8
     assert abs(np.mean(ratio)) < 5 * np.pi / 2 / np.sqrt(first.size)
-
-
-@pytest.mark.full
-def test_keys_of_a_batch_are_independent():
-    keys = jax.random.split(jax.random.key(9), 3)
-    reading = jnp.arange(15.0)
-    together = jax.vmap(lambda key: noise.add_sensor_noise(key, reading, BOARD))(keys)
-    for key, row in zip(keys, together, strict=True):
-        np.testing.assert_allclose(noise.add_sensor_noise(key, reading, BOARD), row, atol=1e-4)  # sums in another order
-    assert np.abs(together[0] - together[1]).max() > 0.1
