@@ -85,7 +85,7 @@ def test_over_four_devices_every_call_finds_its_own_arguments():
 
 
 @pytest.mark.full
-def test_touches_tables_beliefs_and_networks_are_the_same_on_four_devices_of_two_processes(tmp_path):
+def test_touches_beliefs_and_networks_are_the_same_on_four_devices_of_two_processes(tmp_path):
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         port = str(listener.getsockname()[1])
@@ -94,7 +94,7 @@ def test_touches_tables_beliefs_and_networks_are_the_same_on_four_devices_of_two
     assert "1 devices of 1 processes" in said(started([work, str(tmp_path / "one.npz")]))
     assert all("4 devices of 2 processes" in said(each) for each in pair)
     one = dict(np.load(tmp_path / "one.npz"))
-    assert len(one) > 70
+    assert len(one) > 60
     for name in ("two-0", "two-1"):
         other = np.load(tmp_path / f"{name}.npz")
         assert set(other.files) == set(one)
