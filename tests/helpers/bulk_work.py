@@ -16,7 +16,6 @@ if __name__ == "__main__" and hasattr(os, "sched_setaffinity"):  # before XLA co
 import jax
 import jax.numpy as jnp
 import numpy as np
-from helpers.predicted_touches import CHANNELS, PARTICLES, SITES, likelihood, predicted_touches
 
 from i2t.objects import catalogue
 from i2t.prediction import training
@@ -34,6 +33,9 @@ NETWORK = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24
 
 def compute() -> dict[str, np.ndarray]:
     """Touches of five sessions, posteriors along episodes of given touches, and an ensemble of three networks."""
+    # Here, because it makes arrays, which must not be before the processes know each other.
+    from helpers.predicted_touches import CHANNELS, PARTICLES, SITES, likelihood, predicted_touches
+
     surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "hexagon")])
     touches = simulate_touches(jax.random.key(0), surfaces, nominal_pad(), ERRORS, [7, 5], touches_per_session=3)
     rng = np.random.default_rng(0)
