@@ -1,4 +1,4 @@
-"""Calls laid over devices give what one device gives, to the last bit: over four devices, and over two processes."""
+"""Calls laid over devices give what one device gives, to the last bit: over four devices, in one process and in two."""
 
 import os
 import socket
@@ -14,13 +14,14 @@ import pytest
 from i2t.sharding import everywhere, spread, spread_rows
 
 ROOT = Path(__file__).parents[1]
-SEVERAL = "--xla_force_host_platform_device_count=4"
 
 
-def started(words, several=False):
+def started(words, devices=1):
+    """A process of its own, which compiles more than it computes."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-    if several:
-        environment["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {SEVERAL}".strip()
+    environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
+    environment["XLA_FLAGS"] = flags.strip()
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     return subprocess.Popen([sys.executable, *words], env=environment, text=True, **pipes)
 
@@ -80,22 +81,21 @@ print(jax.device_count(), "devices")
 
 
 def test_over_four_devices_every_call_finds_its_own_arguments():
-    assert said(started(["-c", FOUR], several=True)) == "4 devices\n"
+    assert said(started(["-c", FOUR], devices=4)) == "4 devices\n"
 
 
 @pytest.mark.full
-def test_touches_tables_beliefs_and_networks_are_the_same_on_four_devices_and_in_two_processes(tmp_path):
+def test_touches_beliefs_and_networks_are_the_same_on_four_devices_of_two_processes(tmp_path):
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         port = str(listener.getsockname()[1])
     work = str(ROOT / "tests" / "helpers" / "bulk_work.py")
-    pair = [started([work, str(tmp_path / f"two-{i}.npz"), "2", str(i), port]) for i in range(2)]
+    pair = [started([work, str(tmp_path / f"two-{i}.npz"), "2", str(i), port], devices=2) for i in range(2)]
     assert "1 devices of 1 processes" in said(started([work, str(tmp_path / "one.npz")]))
-    assert "4 devices of 1 processes" in said(started([work, str(tmp_path / "four.npz")], several=True))
-    assert all("2 devices of 2 processes" in said(each) for each in pair)
+    assert all("4 devices of 2 processes" in said(each) for each in pair)
     one = dict(np.load(tmp_path / "one.npz"))
-    assert len(one) > 70
-    for name in ("four", "two-0", "two-1"):
+    assert len(one) > 60
+    for name in ("two-0", "two-1"):
         other = np.load(tmp_path / f"{name}.npz")
         assert set(other.files) == set(one)
         for field, value in one.items():

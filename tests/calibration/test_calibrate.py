@@ -24,10 +24,6 @@ def presses(rng: np.random.Generator, n: int, half: float = 15e-3) -> Presses:
     return Presses(jnp.float32(rng.uniform(-half, half, (n, 2))), jnp.float32(rng.uniform(0, 4e-3, n)))
 
 
-def both(a: Presses, b: Presses) -> Presses:
-    return Presses(*(jnp.concatenate(parts) for parts in zip(a, b, strict=True)))
-
-
 def dense(h: StructuredGPHyperparameters, a: Presses, b: Presses, chip: np.ndarray | None = None) -> np.ndarray:
     """The covariance by the formula of the module."""
     (x, d), (z, e) = (tuple(np.asarray(part, np.float64) for part in at) for at in (a, b))
@@ -120,42 +116,6 @@ def test_heights_help_where_there_are_any_and_do_no_harm_where_there_are_none(ro
         # Forty bumps of 8 mm hold some (40 / 16)^2 maps' worth of independent positions: 200 presses settle them.
         assert without > 0.98
         assert with_ > without - 5e-3
-
-
-@pytest.mark.full
-def test_the_stated_spread_is_the_spread_of_the_errors():
-    rng = np.random.default_rng(4)
-    known, other = presses(rng, 40), presses(rng, 40)
-    hyper = FLAT._replace(noise_variance=0.1)
-    K = dense(hyper, both(known, other), both(known, other))
-    channels = 300  # drawn from the process itself
-    readings = 20 * np.linalg.cholesky(K + 0.1 * np.eye(80)) @ rng.normal(size=(80, channels))
-    process = fit(hyper, known, jnp.float32(readings[:40]))
-    mean, std = predict(process, other)
-
-    def is_one_on_average(squares: np.ndarray) -> bool:
-        return abs(squares.mean() - 1) < 4.5 * squares.std() / np.sqrt(channels)  # channels are independent
-
-    assert is_one_on_average((np.asarray(process.scale) / 20) ** 2)
-    true = np.asarray(std) * 20 / np.asarray(process.scale)
-    assert is_one_on_average((((readings[40:] - mean) / true) ** 2).mean(0))
-
-
-@pytest.mark.full
-def test_cross_validation_moves_the_defaults_only_when_sure():
-    rng = np.random.default_rng(8)
-    stacked = structured_gp.hyperparameter_grid(FLAT, {"map_length": (0.3, 1.0), "noise_variance": (1.0, 10.0)})
-    np.testing.assert_allclose(stacked.map_length, np.array([1, 0.3, 0.3, 1, 1]) * FLAT.map_length, rtol=1e-6)
-    np.testing.assert_allclose(stacked.noise_variance, np.array([1, 1, 10, 1, 10]) * FLAT.noise_variance, rtol=1e-6)
-    choose = jax.jit(structured_gp.select_hyperparameters)
-    known = presses(rng, 150)
-    K = dense(FLAT._replace(map_length=0.3 * FLAT.map_length, bend_variance=0.0), known, known)
-    readings = np.linalg.cholesky(K + 1e-3 * np.eye(150)) @ rng.normal(size=(150, CHANNELS))
-    chosen = choose(stacked, known, jnp.float32(30 * readings))
-    assert float(chosen.map_length) == pytest.approx(0.3 * FLAT.map_length)
-    # A single press has nothing to leave out: the first stays.
-    one = Presses(known.position[:1], known.load[:1])
-    assert float(choose(stacked, one, jnp.float32(readings[:1])).map_length) == pytest.approx(FLAT.map_length)
 
 
 def session(rng: np.random.Generator, n: int = 600) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

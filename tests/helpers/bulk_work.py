@@ -8,7 +8,6 @@ change last bits.
 import os
 import sys
 import time
-from typing import Any
 
 if __name__ == "__main__" and hasattr(os, "sched_setaffinity"):  # before XLA counts cores
     cores = sorted(os.sched_getaffinity(0))
@@ -22,40 +21,31 @@ from i2t.objects import catalogue
 from i2t.prediction import training
 from i2t.prediction.model import Inputs, ModelConfig
 from i2t.prediction.training import Batch, TrainConfig
-from i2t.recognition import belief
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.episodes import Episodes, run_belief
-from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, LinearReadingModel
-from i2t.recognition.site_pool import SitePool, pose_particles, predict_outcomes, prepare_surfaces
-from i2t.simulation.press import PressLimits
+from i2t.recognition.site_pool import pose_particles, prepare_surfaces
 from i2t.simulation.touches import SimulationErrors, simulate_touches
 from i2t.skin.pad import nominal_pad
-from i2t.types import ReturnCode
 
-ERRORS, LIMITS = SimulationErrors(), PressLimits()
+ERRORS = SimulationErrors()
 NETWORK = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24, auxiliary_width=12, members=3)
 
 
 def compute() -> dict[str, np.ndarray]:
-    """Touches of five sessions, predicted touches, posteriors along episodes, and an ensemble of three networks."""
+    """Touches of five sessions, posteriors along episodes of given touches, and an ensemble of three networks."""
+    # Here, because it makes arrays, which must not be before the processes know each other.
+    from helpers.predicted_touches import CHANNELS, PARTICLES, SITES, likelihood, predicted_touches
+
     surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "hexagon")])
     touches = simulate_touches(jax.random.key(0), surfaces, nominal_pad(), ERRORS, [7, 5], touches_per_session=3)
     rng = np.random.default_rng(0)
-    cells = PRESSURE_GRID.cells**2
-    weights, own = rng.normal(size=(3, cells, 15)), 0.1 * rng.normal(size=(3, cells, 4))
-    scale, loads = jnp.full(15, 20.0), jnp.float32(LOADS_N)
-    model = LinearReadingModel(loads, jnp.float32(weights), jnp.float32(own), scale, jnp.float32(1.0))
-    reach = LIMITS.overtravel
-    likelihood = belief.fit_likelihood(rng.normal(size=(50, 15)), scale, loads, overtravel=reach, position_std=1e-4)
-    particles = pose_particles(ERRORS, 64, 0)
-    sites = SitePool(jnp.asarray(touches.T_w_t), np.asarray(touches.object))
-    (table,) = predict_outcomes(surfaces, particles.twist, sites.T_w_t, [model], overtravel=reach)
-    site = np.arange(48).reshape(24, 2) % len(sites.owner)
-    force, met = touches.force[site], touches.code[site] != ReturnCode.AIR
-    seen = TouchObservation(touches.reading[site], force, 1e-4 * force, met)
+    site = np.arange(48).reshape(24, 2) % SITES
+    reading, force = jnp.float32(rng.normal(size=(24, 2, CHANNELS))), jnp.float32(rng.uniform(0.3, 2.7, (24, 2)))
+    seen = TouchObservation(reading, force, 1e-4 * force, jnp.ones((24, 2), bool))
     episodes = Episodes(np.zeros(24, int), site, seen, np.asarray(touches.T_w_t)[site])
-    beliefs = run_belief(table, episodes, likelihood, particles, ["fused", "position"])
-    everything: dict[str, Any] = {"touches": touches, "table": table, "beliefs": beliefs, "networks": _trained(rng)}
+    particles = pose_particles(ERRORS, PARTICLES, 0)
+    beliefs = run_belief(predicted_touches(), episodes, likelihood(), particles, ["fused", "position"])
+    everything = {"touches": touches, "beliefs": beliefs, "networks": _trained(rng)}
     paths = jax.tree_util.tree_leaves_with_path(everything)
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in paths}
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from i2t.prediction import training
-from i2t.prediction.loss import LossConfig
 from i2t.prediction.model import Inputs, ModelConfig, Normalisation, predict
 from i2t.prediction.training import Batch, EpochInfo, TrainConfig, TrainState
 
@@ -233,17 +232,3 @@ def test_touches_that_cannot_be_learned_from_are_refused(damaged: Batch, words: 
 def test_impossible_trainings_are_refused(change: dict) -> None:
     with pytest.raises(ValueError, match=f"train.{next(iter(change))}"):
         TrainConfig(**change)
-
-
-def test_weight_decay_pulls_on_matrices_only_and_the_cosine_ends_at_rest(case: Case) -> None:
-    cfg = replace(TRAIN, weight_decay=0.1, learning_rate=0.5, loss=LossConfig())
-    optimizer = cfg.optimizer(40)
-    params = {"kernel": jnp.ones((2, 3)), "bias": jnp.ones(3)}
-    still = jax.tree.map(jnp.zeros_like, params)
-    state = optimizer.init(params)
-    updates, state = optimizer.update(still, state, params)
-    np.testing.assert_allclose(updates["kernel"], -0.5 * 0.1, rtol=4 * EPS)
-    np.testing.assert_array_equal(updates["bias"], 0)
-    for _ in range(cfg.epochs * 3):  # three minibatches an epoch
-        updates, state = optimizer.update(still, state, params)
-    np.testing.assert_allclose(updates["kernel"], 0, atol=EPS)

@@ -9,7 +9,7 @@ from i2t.skin.boards import eflesh_board, reskin_board
 from i2t.unknowns import Finding, RecordedPresses
 from i2t.unknowns.chip_field import STAGES
 from i2t.unknowns.heights import HEIGHT_ZERO
-from i2t.unknowns.labels import LAG, UNITS
+from i2t.unknowns.labels import LAG
 
 
 def presses(recorded: Recorded) -> RecordedPresses:
@@ -20,18 +20,17 @@ def damaged(name: str, seed: int = 0, n: int = 140) -> RecordedPresses:
     return presses(VARIANTS[name](press(seed, n)))
 
 
-@pytest.mark.parametrize("rows", [-3, 0, 1])
-def test_a_lag_of_a_few_rows_is_found_and_put_right(rows):
+def test_a_lag_of_a_few_rows_is_found_and_put_right():
     one = presses(press(1, 90))
-    late = RecordedPresses(np.roll(one.position, rows, 0), one.readings, height=np.roll(one.height, rows))
-    found = unknowns.find_lag(late)
-    assert found.identifiable
-    assert found.estimate == rows
-    assert found.wrong == (rows != 0)
-    put_right = unknowns.corrected_presses(late, [found])
-    inner = slice(4, len(put_right.readings) - 4)
-    at = np.abs(put_right.position[inner][:, None] - one.position[None]).sum(-1).argmin(1)
-    np.testing.assert_array_equal(put_right.readings[inner], one.readings[at])
+    for rows in (-3, 0, 1):
+        late = RecordedPresses(np.roll(one.position, rows, 0), one.readings, height=np.roll(one.height, rows))
+        found = unknowns.find_lag(late)
+        assert found.identifiable
+        assert (found.estimate, found.wrong) == (rows, rows != 0)
+        put_right = unknowns.corrected_presses(late, [found])
+        inner = slice(4, len(put_right.readings) - 4)
+        at = np.abs(put_right.position[inner][:, None] - one.position[None]).sum(-1).argmin(1)
+        np.testing.assert_array_equal(put_right.readings[inner], one.readings[at])
 
 
 def test_signs_and_units_are_found_and_put_right():
@@ -64,7 +63,7 @@ def test_what_a_recording_cannot_tell_is_said():
     readings = np.outer(np.maximum(-height, 0) ** 1.5, np.linspace(-3e6, 3e6, 15))
     alike = unknowns.find_lag(RecordedPresses(np.zeros((600, 2)), readings, height=height))
     both_ways = unknowns.find_force_sign(np.random.default_rng(0).normal(size=100))
-    one_height = unknowns.find_height_zero(damaged("one height", n=900))
+    one_height = unknowns.find_height_zero(damaged("one height", n=600))
     for found, words in ((alike, "nearly alike"), (both_ways, "axes"), (one_height, "one height")):
         assert not found.identifiable
         assert not found.wrong
@@ -94,32 +93,29 @@ def test_a_turned_board_keeps_what_its_chips_read_of_one_field():
         np.testing.assert_allclose(back.rotations, board.rotations, atol=1e-6)
 
 
+def two_sessions(seed: int, n: int):
+    """Presses of one skin in two sessions, and what is known of it from the earlier one."""
+    whole = press(seed, n, free=0.0)
+    before, after = (Recorded(*(part[rows] for part in whole)) for rows in (slice(160), slice(160, None)))
+    return unknowns.fit_session_map(before.position, -before.height, before.readings), after
+
+
 def test_an_earlier_session_is_laid_over_a_later_one():
-    whole = press(3, 260, free=0.0)
-    before, after = presses(whole).rows(slice(160)), presses(whole).rows(slice(160, None))
-    session = unknowns.fit_session_map(before.position, -before.height, before.readings)
+    session, after = two_sessions(3, 260)
     shift, raised, gain = np.array([0.8e-3, -0.6e-3]), 0.3e-3, 1.2
     position, load, readings = after.position - shift, -after.height - raised, gain * after.readings
-    rows = slice(12)
-    found = unknowns.align_session(session, position[rows], load[rows], readings[rows])
+    known, asked = slice(12), (position[12:], load[12:])
+    found = unknowns.align_session(session, position[known], load[known], readings[known])
     np.testing.assert_allclose(found.shift, shift, atol=0.5e-3)
     assert found.r2 > found.r2_unaligned
-
-    asked = position[rows.stop :], load[rows.stop :]
-    aligned, unaligned = (
-        np.sum((readings[rows.stop :] - expected) ** 2)
-        for expected in (
-            unknowns.aligned_prediction(session, found, *asked),
-            unknowns.predict_session(session, *asked),
-        )
-    )
+    expected = unknowns.aligned_prediction(session, found, *asked), unknowns.predict_session(session, *asked)
+    aligned, unaligned = (np.sum((readings[12:] - one) ** 2) for one in expected)
     assert aligned < 0.35 * unaligned
 
 
 def test_chips_that_changed_since_an_earlier_session_are_found():
-    whole = press(4, 240, free=0.0)
-    later = swapped(Recorded(*(part[160:] for part in whole)), 1, 4)
-    session = unknowns.fit_session_map(whole.position[:160], -whole.height[:160], whole.readings[:160])
+    session, after = two_sessions(4, 240)
+    later = swapped(after, 1, 4)
     signs = np.ones(15)
     signs[8] = -1
     alignment, put_back, findings = unknowns.lay_over(
@@ -127,10 +123,18 @@ def test_chips_that_changed_since_an_earlier_session_are_found():
     )
     assert findings[-1].wrong
     assert findings[-1].correction["chip_order"] == [0, 4, 2, 3, 1]
-    np.testing.assert_array_equal(put_back, whole.readings[160:])
+    np.testing.assert_array_equal(put_back, after.readings)
     assert alignment.r2 > 0.9
-    sound = unknowns.lay_over(session, whole.position[160:], -whole.height[160:], whole.readings[160:])[2]
+    sound = unknowns.lay_over(session, after.position, -after.height, after.readings)[2]
     assert not sound[-1].wrong
+
+
+def test_gains_of_chips_are_found_from_an_earlier_session():
+    session, after = two_sessions(5, 260)
+    gains = np.array([1.0, 0.8, 1.25, 1.1, 0.9])
+    later = scaled(after, gains)
+    found = unknowns.align_session(session, later.position, -later.height, later.readings)
+    np.testing.assert_allclose(found.gain / found.gain.mean(), gains / gains.mean(), atol=0.06)
 
 
 def anyskin_like():
@@ -151,12 +155,11 @@ def test_height_zero_is_found_where_presses_lie_on_both_sides_of_it():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", ["x mirrored", "x and y exchanged"])
-def test_a_mirrored_stage_never_passes_for_right(name):
-    found = unknowns.find_board(damaged(name), reskin_board(), growth=None)[0]
-    assert found.wrong or not found.identifiable  # it never passes for right
+def test_a_mirrored_stage_never_passes_for_right():
+    found = unknowns.find_board(damaged("x mirrored"), reskin_board(), growth=None)[0]
+    assert found.wrong or not found.identifiable
     if found.wrong:
-        np.testing.assert_array_equal(found.correction["board_from_stage"], STAGES[name])
+        np.testing.assert_array_equal(found.correction["board_from_stage"], STAGES["x mirrored"])
 
 
 @pytest.mark.full
@@ -176,8 +179,6 @@ def test_swapped_chips_are_found_and_put_back():
     [
         ("sound", set()),
         ("labels a row late", {LAG}),
-        ("positions in millimetres", {UNITS}),
-        ("gains of 0.7 to 1.3", set()),
         ("five heights", set()),
     ],
 )
@@ -202,12 +203,3 @@ def test_sound_real_recordings_raise_no_alarm(shared_data, kind):
         board = unknowns.turn_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
         findings = unknowns.estimate_unknowns(one, board, stated_radius=4e-3)
         assert not [finding.sentence for finding in findings if finding.wrong]
-
-
-def test_gains_of_chips_are_found_from_an_earlier_session():
-    whole = press(5, 260, free=0.0)
-    gains = np.array([1.0, 0.8, 1.25, 1.1, 0.9])
-    later = scaled(Recorded(*(part[160:] for part in whole)), gains)
-    session = unknowns.fit_session_map(whole.position[:160], -whole.height[:160], whole.readings[:160])
-    found = unknowns.align_session(session, later.position, -later.height, later.readings)
-    np.testing.assert_allclose(found.gain / found.gain.mean(), gains / gains.mean(), atol=0.06)
