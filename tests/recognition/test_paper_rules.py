@@ -22,9 +22,7 @@ SECOND = 4.0  # standard deviations between the readings predicted on the two ob
 POINTS = np.array([[0.0, 0.0, 30.0], [24.0, 24.0, 30.0], [28.0, 0.0, 30.0], [300.0, 0.0, 30.0]])
 MEASURED = np.array([1.0, 3.0, 0.0, 1.0])
 # Distances from the square and the cylinder: |reading| and |reading - 4|, and nothing predicted at the last.
-TAU = np.array([[1, 3], [3, 1], [0, 4], [1, 1]])
-CORNER = np.hypot(24, 24) - 30  # mm from the cylinder
-APART = np.array([[0, 0], [0, CORNER], [3, 0], [275, 270]])  # mm
+TAU = np.array([[1.0, 3.0], [3.0, 1.0], [0.0, 4.0], [1.0, 1.0]])
 
 
 @pytest.fixture(scope="module")
@@ -59,41 +57,23 @@ def normalised(likelihood: np.ndarray) -> np.ndarray:
     return likelihood / likelihood.sum(-1, keepdims=True)
 
 
-def test_readings_vote(beliefs):
-    np.testing.assert_allclose(
-        beliefs["table, votes"][0], [[1, 0], [1 / 2, 1 / 2], [2 / 3, 1 / 3], [5 / 8, 3 / 8]], atol=1e-6
-    )
-
-
-def test_contacts_vote(beliefs):
-    # Both objects are met at the middle of the top.
-    expected = [[1 / 2, 1 / 2], [3 / 4, 1 / 4], [1 / 2, 1 / 2], [3 / 8, 5 / 8]]
-    np.testing.assert_allclose(beliefs["proprioception, votes"][0], expected, atol=1e-6)
-
-
-@pytest.mark.parametrize(("source", "distance", "loose"), [("table", TAU, 1e-5), ("proprioception", APART, 0.05)])
-def test_averages_and_products_of_likelihoods(beliefs, source, distance, loose):
-    each = normalised(np.exp(-(distance - distance.min(1, keepdims=True))))
-    expected = np.cumsum(each, 0) / np.arange(1, 5)[:, None]
-    # A cylinder has facets, up to a twentieth of a millimetre below its circle.
-    np.testing.assert_allclose(beliefs[f"{source}, average"][0], expected, atol=loose)
-    total = np.cumsum(distance, 0)
-    expected = normalised(np.exp(-(total - total.min(1, keepdims=True))))
-    np.testing.assert_allclose(beliefs[f"{source}, product"][0], expected, atol=loose)
-
-
-def test_every_rule_gives_probabilities(beliefs):
-    sources = {name.rpartition(", ")[0] for name in beliefs}
-    assert sources == {"table", "constant", "proprioception"}
+def test_votes_averages_and_products(beliefs):
+    expected = {
+        "table": [[1, 0], [1 / 2, 1 / 2], [2 / 3, 1 / 3], [5 / 8, 3 / 8]],
+        # Both objects are met at the middle of the top.
+        "proprioception": [[1 / 2, 1 / 2], [3 / 4, 1 / 4], [1 / 2, 1 / 2], [3 / 8, 5 / 8]],
+        # Both are there at the first three touches, neither at the last: a constant reading tells nothing.
+        "constant": np.full((4, 2), 0.5),
+    }
+    assert {name.rpartition(", ")[0] for name in beliefs} == set(expected)
     assert len(beliefs) == 9
+    for source, votes in expected.items():
+        np.testing.assert_allclose(beliefs[f"{source}, votes"][0], votes, atol=1e-6)
+    average = np.cumsum(normalised(np.exp(-TAU)), 0) / np.arange(1, 5)[:, None]
+    np.testing.assert_allclose(beliefs["table, average"][0], average, atol=1e-5)
+    np.testing.assert_allclose(beliefs["table, product"][0], normalised(np.exp(-np.cumsum(TAU, 0))), atol=1e-5)
     for p in beliefs.values():
-        assert p.shape == (1, 4, 2)
-        np.testing.assert_allclose(p.sum(-1), 1, atol=1e-5)
-
-
-def test_a_constant_reading_knows_only_where_an_object_is(beliefs):
-    # Both objects are there at the first three touches, neither at the last: no touch tells them apart.
-    np.testing.assert_allclose(beliefs["constant, votes"], 0.5, atol=1e-6)
+        np.testing.assert_allclose(p.sum(-1), np.ones((1, 4)), atol=1e-5)
 
 
 # Rows of the joined pools that touches must be at, by pool and hypothesis.
@@ -123,39 +103,30 @@ def fixed_scorer(touches: MeasuredTouches) -> np.ndarray:
     return DISTANCES[touches.reading[:, 0].astype(int) - 1]
 
 
-@pytest.fixture(scope="module")
-def loops():
-    made = []
+@pytest.mark.full
+def test_the_loop_touches_where_the_heuristic_says_on_hypotheses_sampled_from_its_own_votes():
+    hypotheses = []
     for key in jax.random.split(jax.random.key(0), 30):
         recorder = Recorder()
-        made.append((run_loop(key, fixed_scorer, recorder, TWO_POOLS, POOL, count=3), recorder))
-    return made
-
-
-@pytest.mark.full
-def test_the_loop_samples_its_hypotheses_from_its_own_votes(loops):
-    hypotheses = np.concatenate([result.hypothesis for result, _ in loops])  # (120, 3)
-    assert 0.3 < hypotheses[:, 0].mean() < 0.7  # nothing is believed yet
-    assert (hypotheses[:, 1] == 1).all()  # all votes are for the second object
-    assert 0.3 < hypotheses[:, 2].mean() < 0.7  # one vote each: an argmax would always take the first
-
-
-def test_the_loop_touches_where_the_heuristic_says_on_the_hypothesis(loops):
-    for result, recorder in loops:
+        result = run_loop(key, fixed_scorer, recorder, TWO_POOLS, POOL, count=3)
         np.testing.assert_array_equal(result.site, WORTH[POOL[:, None], result.hypothesis])
         np.testing.assert_array_equal(np.concatenate(recorder.sites, 1), result.site)
-
-
-def test_the_loop_is_scored_by_its_own_distances(loops):
-    for result, _ in loops:
         np.testing.assert_allclose(result.distance, np.tile(DISTANCES, (len(POOL), 1, 1)))
+        hypotheses.append(result.hypothesis)
+    share = np.concatenate(hypotheses).mean(0)  # of 120
+    assert 0.3 < share[0] < 0.7  # nothing is believed yet
+    assert share[1] == 1  # all votes are for the second object
+    assert 0.3 < share[2] < 0.7  # one vote each: an argmax would always take the first
 
 
 def test_hypotheses_follow_the_rule_that_is_asked_for():
     """By the product of likelihoods the second object has e^2 / (1 + e^2) = .88 after one touch and .73 after two."""
-    shares = []
-    for key in jax.random.split(jax.random.key(1), 60):
-        shares.append(run_loop(key, fixed_scorer, Recorder(), TWO_POOLS, POOL, count=3, rule="product").hypothesis)
-    share = np.concatenate(shares).mean(0)
+    share = np.mean(
+        [
+            run_loop(key, fixed_scorer, Recorder(), TWO_POOLS, POOL, count=3, rule="product").hypothesis.mean(0)
+            for key in jax.random.split(jax.random.key(1), 60)
+        ],
+        axis=0,
+    )
     assert abs(share[1] - 0.88) < 0.08
     assert abs(share[2] - 0.73) < 0.1

@@ -7,7 +7,6 @@ from helpers.site_poses import TWO_POOLS
 
 from i2t.objects import catalogue
 from i2t.recognition import site_pool
-from i2t.recognition.site_pool import SitePools
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import RECOGNITION_LIMITS
 
@@ -17,11 +16,6 @@ NAMES = ("square", "hexagon")
 @pytest.fixture(scope="module")
 def surfaces():
     return site_pool.prepare_surfaces([catalogue.make_object(name).mesh for name in NAMES])
-
-
-@pytest.fixture(scope="module")
-def pools(surfaces) -> SitePools:
-    return site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, each=6, limits=RECOGNITION_LIMITS)
 
 
 @pytest.mark.full
@@ -54,36 +48,27 @@ def test_some_episodes_may_share_their_sites_and_no_others(surfaces, monkeypatch
     assert sorted(np.asarray(plan.sites.T_w_t)[:, 0, 0]) == list(range(12))
 
 
-def test_pools_have_sites_of_their_own(pools):
+@pytest.mark.full
+def test_joined_pools_number_their_own_sites_pool_by_pool(surfaces):
+    pools = site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, each=6, limits=RECOGNITION_LIMITS)
     assert pools.T_w_t.shape == (4, 2, 6, 4, 4)
     assert len(np.unique(pools.T_w_t[:, :, :, :3, 3].reshape(-1, 3), axis=0)) == 4 * 2 * 6
-
-
-def test_joined_pools_number_their_sites_pool_by_pool(pools):
     joined = pools.joined()
-    pool, which, site = 2, 1, 3
-    number = (pool * 2 + which) * 6 + site
-    np.testing.assert_array_equal(np.asarray(joined.T_w_t)[number], pools.T_w_t[pool, which, site])
-    assert joined.owner[number] == which
+    number = (2 * 2 + 1) * 6 + 3  # of the fourth site of the second object in the third pool
+    np.testing.assert_array_equal(np.asarray(joined.T_w_t)[number], pools.T_w_t[2, 1, 3])
+    assert joined.owner[number] == 1
 
 
-@pytest.mark.full
-def test_the_heuristic_is_of_each_pool_by_itself():
+def test_the_heuristic_is_of_each_pool_by_itself_and_plans_touches_there():
     found = site_pool.pool_informativeness(TWO_POOLS)
-    np.testing.assert_allclose(found[0], [[0, 1], [0, 1]], atol=1e-6)
-    np.testing.assert_allclose(found[1], [[1, 0], [1, 0]], atol=1e-6)
+    np.testing.assert_allclose(found, [[[0, 1], [0, 1]], [[1, 0], [1, 0]]], atol=1e-6)
     one = site_pool.SitePool(jax.numpy.asarray(TWO_POOLS.T_w_t[0].reshape(-1, 4, 4)), np.repeat([0, 1], 2))
     np.testing.assert_allclose(site_pool.own_site_informativeness(one), found[0], atol=1e-6)
-
-
-def test_touches_are_planned_in_the_episodes_own_pool():
     plan = site_pool.plan_informative_touches(jax.random.key(0), TWO_POOLS, np.array([0, 1, 1]), 20)
-    assert plan.chosen.shape == (3, 20)
     at = np.asarray(plan.sites.T_w_t)[plan.chosen][:, :, 0, 3]
     np.testing.assert_allclose(at, [[1e-2] * 20, [0] * 20, [0] * 20], atol=1e-8)
-    owner = plan.sites.owner[plan.chosen]
-    assert (owner.mean(1) > 0).all()
-    assert (owner.mean(1) < 1).all()
+    share = plan.sites.owner[plan.chosen].mean(1)
+    assert ((share > 0) & (share < 1)).all()
 
 
 def test_an_object_without_safe_sites_is_named(surfaces, monkeypatch):

@@ -43,35 +43,27 @@ def _config(**changes):
     return ExplorationConfig(stride=1, candidates=16, probes=60, **changes)
 
 
-@pytest.mark.parametrize("policy", POLICY_NAMES)
-def test_where_nothing_is_safe_nothing_is_chosen(policy):
-    model = _balls()
-    state, _ = init(model)
-    chosen = choose_touch(model, state, config=_config(policy=policy, limits=SiteLimits(min_cos=1.0)))
-    assert chosen.T_o_t is None
-    assert not chosen.proposals.safe.any()
-
-
-def test_where_no_surface_is_left_nothing_is_chosen():
-    model = _balls()
-    empty = SurfaceEstimate(GRID, np.ones(len(model.points), np.float32), np.ones(len(model.points), np.float32))
-    assert choose_touch(model, init(model)[0], config=_config(), estimate=empty).T_o_t is None
-
-
-@pytest.mark.parametrize("policy", POLICY_NAMES)
-def test_a_site_that_is_not_safe_is_never_chosen(policy):
+@pytest.fixture(scope="module")
+def touched():
+    """The model, what is known after a touch from above, and the surface by that."""
     model = _balls()
     state, _ = update(model, init(model)[0], contact_evidence(_from_above(55e-3)))
-    estimate = estimate_surface(model, state)
-    limits = SiteLimits(min_cos=0.5)
-    for seed in range(6):
-        chosen = choose_touch(model, state, config=_config(policy=policy, limits=limits), seed=seed, estimate=estimate)
+    return model, state, estimate_surface(model, state)
+
+
+@pytest.mark.parametrize("policy", POLICY_NAMES)
+def test_only_what_is_safe_is_chosen_and_nothing_where_nothing_is(policy, touched):
+    model, state, estimate = touched
+    for seed, min_cos in ((0, 1.0), *((seed, 0.5) for seed in range(4))):
+        config = _config(policy=policy, limits=SiteLimits(min_cos=min_cos))
+        chosen = choose_touch(model, state, config=config, seed=seed, estimate=estimate)
         safe = chosen.proposals.T_o_t[chosen.proposals.safe]
-        if chosen.T_o_t is None:
-            assert not len(safe)
-            continue
-        assert (np.abs(safe - chosen.T_o_t).max((1, 2)) == 0).any()
-        assert -chosen.T_o_t[2, 2] > 0.5
+        assert (chosen.T_o_t is None) == (len(safe) == 0) == (min_cos == 1)
+        if min_cos < 1:
+            assert (np.abs(safe - chosen.T_o_t).max((1, 2)) == 0).any()
+            assert -chosen.T_o_t[2, 2] > 0.5
+    empty = SurfaceEstimate(GRID, np.ones(len(model.points), np.float32), np.ones(len(model.points), np.float32))
+    assert choose_touch(model, state, config=_config(policy=policy), estimate=empty).T_o_t is None
 
 
 def test_sites_lie_on_the_surface_and_look_into_it():
@@ -85,7 +77,7 @@ def test_sites_lie_on_the_surface_and_look_into_it():
     assert found.safe.all()
 
 
-def test_a_site_below_an_overhang_is_not_safe():
+def test_a_site_below_an_overhang_or_whose_overtravel_meets_the_table_is_not_safe():
     x, _, z = GRID.points().T
     block = np.maximum(np.abs(x) - 25e-3, np.abs(z - 20e-3) - 15e-3)
     slot = np.maximum(-x, np.abs(z - 20e-3) - 5e-3)  # open to the side: its floor looks at its ceiling
@@ -94,27 +86,21 @@ def test_a_site_below_an_overhang_is_not_safe():
     on_floor[0, 3] = on_top[0, 3] = 15e-3
     safe = exploration.safe_sites(estimate, np.stack([on_floor, on_top]), config=_config(limits=AROUND_LIMITS))
     assert safe.tolist() == [False, True]
-
-
-def test_the_overtravel_too_stays_above_the_table():
-    model = _balls()
-    estimate = estimate_surface(model, init(model)[0])
-    low = np.stack([_from_above(5e-3)])
-    short, far = (_config(limits=SiteLimits(), overtravel=length) for length in (2e-3, 10e-3))
     empty = estimate._replace(distance=np.ones_like(estimate.distance))
-    assert exploration.safe_sites(empty, low, config=short).tolist() == [True]
-    assert exploration.safe_sites(empty, low, config=far).tolist() == [False]
+    for overtravel, allowed in ((2e-3, True), (10e-3, False)):
+        config = _config(limits=SiteLimits(), overtravel=overtravel)
+        assert exploration.safe_sites(empty, _from_above(5e-3)[None], config=config).tolist() == [allowed]
 
 
-def test_even_goes_far_and_uncertainty_goes_where_it_is_greatest():
-    model = _balls()
-    state, _ = update(model, init(model)[0], contact_evidence(_from_above(55e-3)))
-    estimate = estimate_surface(model, state)
-    chosen = choose_touch(model, state, config=_config(policy="even", limits=AROUND_LIMITS), estimate=estimate)
-    far = np.linalg.norm(chosen.proposals.T_o_t[:, :3, 3] - [0, 0, 55e-3], axis=-1)
-    assert chosen.score == pytest.approx(far.max())
-    chosen = choose_touch(model, state, config=_config(policy="uncertainty", limits=AROUND_LIMITS), estimate=estimate)
-    assert chosen.score == pytest.approx(chosen.proposals.std.max())
+def test_even_goes_far_and_uncertainty_goes_where_it_is_greatest(touched):
+    model, state, estimate = touched
+    even, unsure = (
+        choose_touch(model, state, config=_config(policy=policy, limits=AROUND_LIMITS), estimate=estimate)
+        for policy in ("even", "uncertainty")
+    )
+    far = np.linalg.norm(even.proposals.T_o_t[:, :3, 3] - [0, 0, 55e-3], axis=-1)
+    assert even.score == pytest.approx(far.max())
+    assert unsure.score == pytest.approx(unsure.proposals.std.max())
 
 
 def test_the_expected_reduction_is_what_a_measurement_takes_off_the_variance():

@@ -1,12 +1,9 @@
 """A surface from touches: distances against closed forms, carving that is exact, a regression as in the textbooks."""
 
-import sys
-
 import numpy as np
 import pytest
 import trimesh
 
-from i2t.errors import MissingExtraError
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
     extract_mesh,
@@ -20,7 +17,6 @@ from i2t.reconstruction.surface import (
     SurfaceConfig,
     SurfaceModel,
     add_view,
-    coarse_grid,
     contact_evidence,
     estimate_surface,
     init,
@@ -64,33 +60,18 @@ def _from_above(z, x=0.0, y=0.0):
     return T
 
 
-def test_the_signed_distance_of_a_ball_is_its_closed_form():
+def test_the_signed_distance_of_a_ball_is_its_closed_form_and_its_mesh_has_its_volume():
     found = signed_distance_grid(_ball(30e-3, subdivisions=3), GRID)
     true = np.linalg.norm(GRID.points(), axis=-1) - 30e-3
     assert np.abs(found - true)[np.abs(true) < 8e-3].max() < 0.25e-3  # chords lie 0.16 mm within the ball
     assert np.abs(found - true).max() < 0.8e-3
     assert ((found < 0) == (true < 0))[np.abs(true) > 0.3e-3].all()
-
-
-def test_a_mesh_of_a_signed_distance_looks_outward_and_has_its_volume():
-    distance = (np.linalg.norm(GRID.points(), axis=-1) - 30e-3).astype(np.float32)
-    mesh = extract_mesh(GRID, distance)
+    mesh = extract_mesh(GRID, true.astype(np.float32))
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces)
     assert solid.is_watertight
-    assert solid.volume == pytest.approx(4 / 3 * np.pi * 30e-3**3, rel=0.05)
+    assert solid.volume == pytest.approx(4 / 3 * np.pi * 30e-3**3, rel=0.05)  # it looks outward
+    assert extract_mesh(GRID, 1 + 0 * found).faces.shape == (0, 3)  # where nothing is inside
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 30e-3, atol=0.6e-3)
-
-
-def test_where_nothing_is_inside_there_is_no_mesh():
-    assert extract_mesh(GRID, np.ones(len(GRID.points()), np.float32)).faces.shape == (0, 3)
-
-
-def test_without_scikit_image_one_sentence_says_how_to_get_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "skimage", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'imagine2touch\[reconstruct\]'"):
-        extract_mesh(GRID, np.ones(len(GRID.points()), np.float32))
-    with pytest.raises(MissingExtraError):  # before the first touch, and not after the last
-        surface_model([])
 
 
 def test_bodies_that_overlap_become_one():
@@ -102,13 +83,6 @@ def test_bodies_that_overlap_become_one():
     inside = signed_distance_grid(Mesh(both.vertices, both.faces), GRID) < 0  # and without joining the sign is right
     x, y, z = GRID.points().T
     assert (inside == ((x > -10e-3) & (x < 20e-3) & (np.abs(y) < 10e-3) & (np.abs(z) < 10e-3))).all()
-
-
-def test_samples_lie_on_the_surface_and_spread_over_it():
-    points, faces = sample_surface(_ball(30e-3), 500)
-    assert np.linalg.norm(points, axis=-1).min() > 28e-3
-    assert len(np.unique(faces)) > 200  # of 320 of nearly one size
-    assert np.abs(points.mean(0)).max() < 2e-3
 
 
 def test_a_turned_shape_of_the_library_is_that_of_the_turned_mesh():
@@ -237,14 +211,11 @@ def test_a_view_counts_as_points_and_as_free_space():
     assert np.abs(predict(model, regress(model, state), points)[0]).mean() < 1e-3
 
 
-def test_points_that_are_spread_out_are_far_from_one_another():
+def test_samples_of_a_surface_and_of_points_are_spread_out():
+    points, faces = sample_surface(_ball(30e-3), 500)
+    assert np.linalg.norm(points, axis=-1).min() > 28e-3
+    assert len(np.unique(faces)) > 200  # of 320 of nearly one size
+    assert np.abs(points.mean(0)).max() < 2e-3
     line = np.linspace(0, 1, 101)[:, None] * [1.0, 0, 0]
     assert sorted(spread_out(line, 3)) == [0, 50, 100]
-    assert len(spread_out(line[:0], 3)) == 0
-    assert len(spread_out(line[:2], 5)) == 2
-
-
-def test_a_coarser_grid_is_part_of_the_grid():
-    model = _smooth()
-    grid, rows = coarse_grid(model, 2)
-    np.testing.assert_allclose(grid.points(), model.points[rows], atol=1e-6)
+    assert [len(spread_out(line[:n], 5)) for n in (0, 2)] == [0, 2]
