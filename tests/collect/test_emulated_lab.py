@@ -14,8 +14,6 @@ from i2t.emulators import lab as emulated_lab
 from i2t.emulators import ur_controller
 from i2t.hardware import camera_folder
 from i2t.hardware.protocols import View
-from i2t.hardware.reskin import recording
-from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
 from i2t.simulation.depth_camera import render_view
@@ -70,21 +68,3 @@ def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys
     assert 0.026 < touches.T_w_t[0, 2, 3] < 0.0305  # the star's flat top, less what skin, arm and mount give
     seen = touches.patch[0][np.isfinite(touches.patch[0])]
     assert np.abs(np.median(seen)) < 1e-3  # the view shows the site where the arm went
-
-
-@pytest.mark.full
-def test_a_recording_in_place_of_a_skin(lab):
-    path, options = lab
-    with ReSkin(str(path / "skin")) as skin:
-        skin.record(path / "rest.raw")
-        skin.read(400, 60.0)
-    # As bare bytes, as `cat` records them: again and again, so that it outlasts the session on a slow machine.
-    heard = b"".join(chunk for _, chunk in recording.chunks(path / "rest.raw", 1.0))
-    (path / "rest.bin").write_bytes(heard * 400)
-    out = path / "replayed"
-    assert collected(["--out", str(out), "--skin", "replay", "--replay", str(path / "rest.bin"), *options])
-    made = dataset.load_dataset(out)
-    assert made.source == "mixed"
-    assert made.touches.code[0] == ReturnCode.WRENCH  # a recording of a skin at rest feels nothing; force stops it
-    assert np.linalg.norm(made.touches.reading[0]) < 20
-    assert made.touches.force[0] > 7

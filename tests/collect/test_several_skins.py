@@ -1,7 +1,6 @@
 """Several skins on one tool: each is read in each touch, with its own board, and a set is of the one that is named."""
 
 import re
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -246,19 +245,3 @@ def test_two_simulated_skins_are_collected_packed_and_not_mixed_with_another_rig
     path.write_text(path.read_text().replace("0.02]", "0.03]"))
     assert command.main([*words, "--touches", "2"]) == 2
     assert "was begun with another rig" in capsys.readouterr().err
-
-
-@pytest.mark.full
-@pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
-def test_an_emulated_arm_with_two_emulated_boards_feels_with_both(rig, tmp_path):
-    """The other skin is 20 mm aside: where one of them meets the cylinder's side or top, the other may meet air."""
-    pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
-    out = tmp_path / "out"
-    words = ["--rig", str(rig("emulated")), "--out", str(out), "--object", "cylinder", "--skip-first-touch", "--arm",
-             "emulated", "--skin", "emulated", "--touches", "1", "--state-timeout", "3", "--watchdog-rate", "0.5",
-             "--settings.silence", "2", "--settings.hold", "2"]  # fmt: skip
-    assert any(command.main(words) == 0 for _ in range(3))  # a session that a starved device has ended goes on
-    left, right = (dataset.load_dataset(out, skin=name).touches for name in ("left", "right"))
-    assert any(each.code[0] != ReturnCode.AIR for each in (left, right))
-    assert max(np.linalg.norm(each.reading[0]) for each in (left, right)) > 20
-    np.testing.assert_allclose(right.T_w_t[0], left.T_w_t[0] @ beside(0.0), atol=1e-6)
