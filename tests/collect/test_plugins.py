@@ -52,8 +52,8 @@ def test_the_examples_are_collected_with_and_an_arm_of_seven_joints_plans_its_to
     """Four chips: twelve values from the device to the data set. The table stands 0.4 m before the arm; 0.5 m further
     on nothing is within its reach.
     """
-    shared = ["--touches", "1", "--rig", str(lab_file), "--no-pose-error", "--settings.approach", "0.04",
-              "--settings.press", "0.005", "--settings.settle", "0.02"]  # fmt: skip
+    shared = ["--skip-first-touch", "--touches", "1", "--rig", str(lab_file), "--no-pose-error",
+              "--settings.approach", "0.04", "--settings.press", "0.005", "--settings.settle", "0.02"]  # fmt: skip
     devices = ["--arm=franka_arm:FrankaArm", "--skin=acme_devices:AcmeSkin", "--camera=acme"]
     assert command.main(["--out", str(tmp_path / "set"), *devices, *shared]) == 0
     assert "SIMULATED" in capsys.readouterr().out
