@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from helpers.field_types import wrong_fields
 from helpers.random_touches import make
 
@@ -14,11 +13,10 @@ from i2t.skin.pad import nominal_pad
 from i2t.types import Patch
 
 
-@pytest.mark.parametrize("name", ["reskin", "grid-4x4"])
-def test_fields_are_as_annotated(name):
-    board = make_board(name)
+def test_fields_are_as_annotated():
+    board = make_board("grid-4x4")
     pad = nominal_pad(board=board)
-    touches = make(3, truth=True, wide=True, board=name).touches
+    touches = make(3, truth=True, wide=True, board="grid-4x4").touches
     surface = prepare_surface(catalogue.make_object("star").mesh)
     for value in (board, pad, touches, surface, Patch(np.zeros((48, 48), np.float32), np.float32(0))):
         assert wrong_fields(value) == []
@@ -29,6 +27,5 @@ def test_fields_are_as_annotated(name):
 def test_a_wrong_field_is_found():
     touches = make(3, truth=True).touches
     assert wrong_fields(touches._replace(force=np.zeros(2, np.float32))) == ["force"]
-    assert wrong_fields(touches._replace(code=np.zeros(3, np.float32))) == ["code"]
     assert wrong_fields(touches._replace(truth=touches.truth._replace(wide=np.zeros((3, 72, 71))))) == ["truth.wide"]
     assert wrong_fields(nominal_pad()._replace(young=3)) == ["young"]

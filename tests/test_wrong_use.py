@@ -1,7 +1,6 @@
 """What a newcomer does wrong with commands and functions is answered in one sentence, at once, and leaves nothing.
 
-`COMMANDS`, `PATCHES` and `POSES` are the list. One process tries all commands, one after another, in a folder of their
-own; a few run as processes of their own too.
+`COMMANDS` and `PATCHES` are the list. One process tries all commands, one after another, in a folder of their own.
 """
 
 import json
@@ -12,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -35,144 +35,50 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 COMMANDS = [
     ("i2t nonsense", "is no command"),
     ("i2t.collect --touches -5", "--touches"),
-    ("i2t.collect --seed -1", "--seed"),
-    ("i2t.collect --stiffness 0", "--stiffness"),
     ("i2t.collect --settings.force 1000", "force"),
     ("i2t.collect --object nothing.stl", "neither a mesh file nor an object"),
     ("i2t.collect --object mesh.stl", "unit"),
-    ("i2t.collect --replay nothing.bytes", "there is no such"),
-    ("i2t.collect --replay text.txt", "no effect without --skin replay"),
     ("i2t.collect --skin replay", "pass --replay"),
-    ("i2t.collect --camera folder", "pass --views"),
-    ("i2t.collect --views empty", "no effect without --camera folder"),
-    ("i2t.collect --host 192.168.0.2", "--host"),
     ("i2t.collect --out text.txt", "is a file"),
-    ("i2t.collect --force", "--force"),
-    ("i2t.place lab.toml --object nothing.stl --host h", "neither a mesh file nor an object"),
-    ("i2t.hardware.reskin --replay nothing.raw", "there is no such"),
-    ("i2t.hardware.reskin --host 192.168.0.2", "--ambient"),
     ("i2t.hardware.reskin --seconds -1", "--seconds"),
     ("i2t.convert summary nowhere", "no such file or folder"),
-    ("i2t.convert summary empty", "empty"),
     ("i2t.convert presses table.csv DATA --indenter ball:4", "give sphere:RADIUS"),
-    ("i2t.convert presses table.csv DATA --indenter mesh:mesh.stl", "unit"),
-    ("i2t.convert presses table.csv DATA --indenter sphere:4 --unit mm", "--unit"),
-    ("i2t.convert presses table.csv DATA --indenter sphere:4 --window-mm -3", "--window-mm"),
-    ("i2t.convert presses table.csv DATA --indenter sphere:4 --board five", "--board five"),
-    ("i2t.convert presses text.txt DATA --indenter sphere:4", "is missing"),
     ("i2t.convert presses table.csv . --indenter sphere:4", "which no conversion wrote"),
-    ("i2t.convert npz table.csv out.npy", ".npz"),
-    ("i2t.convert ambient table.csv OUT --field nothing.npz", "there is no such file"),
     ("i2t.convert presses table.csv DATA --indenter sphere:4 --force", "--overwrite"),
     ("experiments.train --seeds 0", "--seeds is 0"),
-    ("experiments.train --pads", "--pads names nothing"),
     ("experiments.train --dataset nowhere", "no such data set"),
-    ("experiments.train --pad nothing.npz", "there is no such file"),
-    ("experiments.train --pad text.txt --dataset empty", "pass one of them"),
-    ("experiments.train --objects mesh.stl --unit mm", "pass both, or neither"),
-    ("experiments.train --split time", "no effect without --dataset"),
-    ("experiments.train --out text.txt", "is a file"),
-    ("experiments.train --out . --overwrite", "holds no run"),
+    ("experiments.train --skin-name left", "no effect without --dataset"),
     ("experiments.recognize --trained-run nowhere", "holds no finished run"),
-    ("experiments.recognize --objects", "--objects names nothing"),
-    ("experiments.recognize --objects star", "two objects"),
-    ("experiments.recognize --objects star nothing.stl --unit mm", "neither a mesh file"),
     ("experiments.recognize --objects mesh.stl other/mesh.stl --unit mm", "both called mesh"),
-    ("experiments.recognize --episodes 0", "--episodes is 0"),
-    ("experiments.recognize --max-touches 3", "no effect without --dataset"),
-    ("experiments.recognize --method paper --objects star hammer", "--method paper"),
-    ("experiments.recognize --pad text.txt", "--pad is for recorded touches"),
-    ("experiments.recognize live --objects star nothing.stl --unit mm", "neither a mesh file"),
-    ("experiments.recognize live --prior-unknown 2", "give a probability"),
-    ("experiments.recognize live --max-error-probability 5", "give 0 to 1"),
-    ("experiments.recognize live --true-object nothing", "choose one of"),
-    ("experiments.studies", "give one of policy"),
-    ("experiments.studies nothing", "nothing"),
-    ("experiments.studies policy", "holds no finished run"),
     ("experiments.studies policy --meshes empty", "is for the study object_count"),
-    ("experiments.studies object_count --meshes empty", "holds no STL file"),
-    ("experiments.studies pose_error --pose-errors -1", "--pose-errors is -1"),
-    ("experiments.calibrate", "pass --dataset"),
-    ("experiments.calibrate --dataset table.csv --presses 1", "--presses is 1"),
     ("experiments.calibrate --dataset table.csv --targets weight", "is no target"),
-    ("experiments.calibrate --dataset table.csv --tip sphere:4", "no effect without --save-pad"),
-    ("experiments.calibrate --calibration nothing.npz --save-pad x.npz", "there is no such file"),
-    ("experiments.calibrate --dataset one --save-pad empty", "is a folder"),
-    ("experiments.fidelity", "pass --dataset"),
     ("experiments.fidelity --simulated-skins -2", "--simulated-skins is -2"),
-    ("experiments.unknowns --cases 0", "--cases is 0"),
     ("experiments.unknowns --kinds soft", "not simulated"),
-    ("experiments.unknowns --questions why", "why"),
     ("experiments.shifted --dataset nowhere --draws 0", "--draws is 0"),
     ("experiments.calibrate_pads --prior --kinds", "pass one of them"),
-    ("experiments.second_world --touches -1", "--touches is -1"),
-    ("experiments.pads --skins 1", "--skins is 1"),
-    ("experiments.refine --noise -1", "--noise is -1"),
-    ("experiments.shapes --dataset nowhere", "no such data set"),
-    ("experiments.tsne --dataset nowhere", "no such data set"),
     ("experiments.clouds --shapes cloud", "is no object of the catalogue"),
     ("experiments.real_frames --data empty", "is missing"),
     ("experiments.benchmark --sections speed", "choose"),
     ("experiments.reproduce --only nothing", "there is no step nothing"),
     ("experiments.notebooks nothing", "no notebook is called nothing"),
-    ("i2t.collect --skin replay --replay table.csv", "no skin in"),
-    ("i2t.imagine hammer --force 1e6", "--force is 1000000"),
-    ("i2t.imagine --board grid-9x9", "is not known"),
-    ("i2t.imagine --board nothing.toml", "cannot be read"),
     ("i2t.imagine --board grid-2x2", "name the board that it was trained on"),
     ("i2t.imagine --model nowhere", "holds no predictor"),
-    ("i2t.imagine nothing.stl", "neither a mesh file"),
-    ("i2t.imagine hammer --unit mm", "leave it out"),
-    ("i2t.imagine --out empty", "is a folder"),
-    ("i2t.imagine --out picture", "is no name of a picture"),
-    ("i2t.view nowhere", "check the"),
     ("i2t.view empty", "holds no touches"),
-    ("i2t.view mesh.stl", "is the mesh of an object"),
-    ("i2t.view table.csv", "convert it"),
-    ("i2t.view empty --unit cm", "no effect without --mesh"),
-    ("i2t.view empty --belief nothing.json", "there is no such file"),
-    ("i2t.place nothing.toml --object hammer", "give --host, or --tool"),
     ("i2t.place text.txt --object hammer --host h", "text.txt"),
-    ("i2t.hardware.hand_eye", "estimate"),
-    ("i2t.hardware.hand_eye board empty", "empty"),
     ("i2t.hardware.hand_eye board b.png --dictionary nothing", "nothing"),
-    ("i2t.hardware.hand_eye capture views", "--host"),
-    ("i2t.hardware.hand_eye estimate empty", "empty"),
     ("i2t.hardware.touch_off", "give --rig, --height and --at"),
-    ("i2t.hardware.touch_off --host h --rig text.txt --height 0 --at 0 0", "text.txt"),
-    ("i2t.hardware.touch_off --host h --stale 1", "--state-timeout"),
     ("i2t.hardware.realsense --file nothing.bag", "nothing.bag"),
-    ("i2t.hardware.realsense --rate fast", "--rate"),
-    ("i2t.hardware.rig", "give"),
-    ("i2t.hardware.rig text.txt", "text.txt"),
-    ("i2t.hardware.rig text.txt --example", "exists already"),
-    ("i2t.emulators.lab", "--link"),
-    ("i2t.emulators.lab --link skin --object nothing.stl", "neither a mesh file"),
     ("i2t.emulators.lab --link text.txt", "exists and is no link"),
-    ("i2t.emulators.lab --link skin --board --board five", "is not known"),
     ("experiments.gallery --only nothing", "nothing"),
-    ("experiments.gallery --only objects --out text.txt", "is a file"),
     ("experiments.licences --page nowhere/page.md", "there is no folder"),
     ("experiments.ready_models --eflesh nowhere", "no such folder"),
-    ("experiments.reconstruct --meshes nowhere", "there is no such folder"),
     ("experiments.reconstruct --dataset mesh.stl", "is the mesh of an object"),
-    ("experiments.reconstruct --object star", "no effect without --dataset"),
-    ("experiments.reconstruct --arm simulated", "no effect without --true-object"),
-    ("experiments.reconstruct --conditions nothing", "is none of"),
-    ("experiments.reconstruct --side 0.09 0.06", "the smaller one first"),
-    ("experiments.reconstruct_patch --dataset nowhere", "there is no such"),
-    ("experiments.reconstruct_patch --dataset table.csv --pads 2", "no effect"),
-    ("experiments.reconstruct_patch --patches 3", "--patches is 3"),
-    ("experiments.active_touch --objects star", "at least two"),
-    ("experiments.active_touch --episodes 0", "--episodes is 0"),
     ("experiments.tsne --dataset table.csv", "is a table"),
-    ("experiments.fidelity --dataset mesh.stl", "is the mesh of an object"),
     ("experiments.shapes --dataset one", "shape"),
 ]  # fmt: skip
 
 # Those that have to read data, a model or a mesh before they can refuse.
 MAY_IMPORT_JAX = ("i2t.imagine --board grid-2x2", "experiments.shapes --dataset one")
-TYPED = (0, 1, 30, 60, 90)  # of the list, as processes of their own
 
 
 @pytest.fixture(scope="module")
@@ -247,17 +153,11 @@ def test_wrong_commands_are_answered_in_one_sentence_before_jax_is_imported_and_
         if late or not judged(code, printed, answers[words]):
             wrong.append((words, code, printed[-300:], loaded))
     assert wrong == []
+    words, said = COMMANDS[0]  # in a process of its own
+    typed = [sys.executable, "-m", *words.split()]
+    ended = subprocess.run(typed, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert judged(ended.returncode, ended.stderr, said), ended.stderr
     assert contents(folder) == before
-
-
-@pytest.mark.full
-def test_a_wrong_command_is_answered_so_in_a_process_of_its_own(folder):
-    for words, said in (COMMANDS[number] for number in TYPED):
-        ended = subprocess.run(
-            [sys.executable, "-m", *words.split()],
-            cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
-        assert judged(ended.returncode, ended.stderr, said), (words, ended.stderr)
 
 
 HELPED = ("i2t", "i2t.collect", "i2t.convert", "experiments.train", "experiments.recognize", "experiments.studies",
@@ -303,22 +203,16 @@ runpy.run_module("experiments.train", run_name="__main__", alter_sys=True)
 @pytest.mark.full
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks at the process through /proc")
 def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
-    """Whenever it comes once the command has begun: while it imports JAX, and when it has made something."""
-    run = tmp_path / "run"
-    words = ["--preset", "debug", "--out", str(run)]
-    for begun in (lambda maps: "jaxlib" in maps.read_text(), lambda _: (run / "data.h5").exists()):
-        command = [sys.executable, "-c", HEARS_CTRL_C, *words]
-        with subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as process:
-            while process.poll() is None and not begun(Path(f"/proc/{process.pid}/maps")):
-                time.sleep(0.02)
-            process.send_signal(signal.SIGINT)
-            _, printed = process.communicate(timeout=300)
-        assert process.returncode == 130, printed
-        assert "Traceback" not in printed
-        assert "interrupted" in printed.splitlines()[-1]
-        if run.exists():
-            assert "--resume" in printed
-            words.append("--resume")
+    """Whenever it comes once the command has begun: here while it imports JAX."""
+    command = [sys.executable, "-c", HEARS_CTRL_C, "--preset", "debug", "--out", str(tmp_path / "run")]
+    with subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and "jaxlib" not in Path(f"/proc/{process.pid}/maps").read_text():
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, printed = process.communicate(timeout=300)
+    assert process.returncode == 130, printed
+    assert "Traceback" not in printed
+    assert "interrupted" in printed.splitlines()[-1]
 
 
 # --- functions ---
@@ -350,55 +244,30 @@ def on_top(height: float = 0.0, up: bool = False) -> np.ndarray:
 
 PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": np.full((48, 48), REACH)}, "shows no surface"),
-    ({"patch": np.stack([FLAT, np.full((48, 48), REACH)])}, "touch 1"),
     ({"patch": np.linspace(0, 4, 48 * 48).reshape(48, 48)}, "divide millimetres by 1000"),
     ({"patch": -np.linspace(0, 4e-3, 48 * 48).reshape(48, 48)}, "negative"),
     ({"patch": np.linspace(2e-3, 4e-3, 48 * 48).reshape(48, 48)}, "counts from that point"),
     ({"patch": np.full((48, 48), np.nan)}, "NaN"),
-    ({"patch": np.zeros((48, 47))}, "shape"),
-    ({"patch": np.zeros((0, 48, 48))}, "shape"),
     ({"patch": FLAT, "force": 1e6}, "bears at most"),
-    ({"patch": FLAT, "force": -1.0}, "not pulled"),
-    ({"patch": FLAT, "force": np.nan}, "finite"),
     ({"patch": FLAT, "force": [1.0, 2.0]}, "one for each of 1"),
     ({"patch": FLAT, "nearest": -0.3}, "give metres"),
-    ({"patch": FLAT, "depth": 0.5}, "give metres"),
     ({"patch": FLAT, "wide": np.full((72, 72), np.nan)}, "NaN or infinite where the patch is"),
     ({"patch": FLAT, "wide": np.zeros((72, 71))}, "wide has shape"),
-    ({"patch": FLAT, "wide": np.zeros((3, 72, 72))}, "wide has shape"),
-    ({"patch": FLAT, "wide": np.zeros((20, 20))}, "wide has shape"),
-    ({"patch": FLAT, "wide": WIDE + 2.0}, "metres behind"),
     ({"patch": FLAT, "wide": WIDE + 2e-3}, "another view"),
     ({"patch": FLAT, "valid": np.zeros((48, 48), bool)}, "no pixel of the patch was seen"),
-    ({"patch": FLAT, "valid": np.zeros((48, 48))}, "give booleans"),
-    ({"patch": FLAT, "valid": np.zeros((3, 3), bool)}, "give booleans"),
 ]  # fmt: skip
-POSES: list[tuple[Any, str]] = [
-    (on_top(0.5), "500 mm in front"),
-    (on_top(-20e-3), "20 mm behind"),
-    (on_top(0.0, up=True), "from inside the object"),
-    (on_top(-30e-3, up=True), "30 mm behind"),
-    (on_top(-60e-3), "from inside the object"),
-    (np.diag([2.0, 2, 2, 1]), "no rigid transform"),
-    (np.full((4, 4), np.nan), "finite"),
-    (np.eye(3), "shape"),
-    (on_top() + np.array([[0, 0, 0, 1.0], *np.zeros((3, 4))]), "nothing lies in front"),
-]
 
 
-@pytest.mark.parametrize(("given", "said"), PATCHES, ids=[f"{i}: {said}" for i, (_, said) in enumerate(PATCHES)])
+@pytest.mark.parametrize(("given", "said"), PATCHES, ids=[said for _, said in PATCHES])
 def test_a_patch_that_is_none_is_refused_in_one_sentence(predictor, given, said):
     with pytest.raises(ValueError, match=re.escape(said)) as refused:
         predictor.predict(**given)
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(("pose", "said"), POSES, ids=[f"{i}: {said}" for i, (_, said) in enumerate(POSES)])
-def test_a_pose_without_contact_is_refused_in_one_sentence(predictor, box, pose, said):
-    with pytest.raises(ValueError, match=said) as refused:
-        predictor.predict_touch(box, pose, force=1.0)
-    assert "\n" not in str(refused.value)
+def test_a_force_far_beyond_training_is_warned_of(predictor):
+    with pytest.warns(UserWarning, match="no more than a guess"):
+        predictor.predict(FLAT, force=30.0)
 
 
 def seen(height: float) -> WideView:
@@ -412,14 +281,6 @@ def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
         user_input.check_in_front(corners, pose, seen(height), 17e-3)
     with pytest.warns(UserWarning, match="begins 6 mm in front of the skin .* meets nothing and reads nil"):
         user_input.check_in_front(corners, on_top(6e-3), seen(6e-3), 17e-3)
-    for pose, height, said in (
-        (on_top(0.5), 0.5, "500 mm in front"),
-        (on_top(-20e-3), -20e-3, "20 mm behind"),
-        (on_top(up=True), 0.0, "from inside the object"),
-        (on_top(-60e-3), 0.0, "from inside the object"),
-    ):
-        with pytest.raises(ValueError, match=said):
-            user_input.check_in_front(corners, pose, seen(height), 17e-3)
     inverted = Surface(corners.triangles[:, ::-1])
     user_input.check_in_front(inverted, on_top(), seen(0.0), 17e-3)  # of a mesh turned inside out nobody knows
     half = Surface(corners.triangles[:6])
@@ -427,28 +288,26 @@ def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
 
 
 @pytest.mark.full
-def test_a_pose_on_the_surface_is_not_refused(predictor, box):
-    """One or many, a little in the air or in the object; an inverted or open mesh says nothing of inside."""
-    for height in (0.0, -3e-3):
-        assert predictor.predict_touch(box, on_top(height)).mean.shape == (15,)
+def test_a_pose_on_the_surface_is_taken_and_one_without_contact_refused_in_one_sentence(predictor, box):
+    """One or many, a little in the air or in the object."""
+    assert predictor.predict_touch(box, on_top(-3e-3)).mean.shape == (15,)
     with pytest.warns(UserWarning, match="begins 3 mm in front of the skin"):
         assert predictor.predict_touch(box, on_top(3e-3)).mean.shape == (15,)
     many = predictor.predict_touch(box, np.stack([on_top(), on_top(0.5e-3), on_top()]), force=[1.0, 2.0, 3.0])
     assert many.mean.shape == many.std.shape == (3, 15)
-    inverted = box._replace(faces=box.faces[:, ::-1])
-    assert predictor.predict_touch(inverted, on_top()).mean.shape == (15,)
-
-
-def test_a_force_far_beyond_training_is_warned_of(predictor):
-    with pytest.warns(UserWarning, match="no more than a guess"):
-        predictor.predict(FLAT, force=30.0)
-
-
-class MeshOfOpen3D:
-    """What such a mesh looks like from outside."""
-
-    def __init__(self, mesh: i2t.Mesh) -> None:
-        self.vertices, self.triangles = list(mesh.vertices), list(mesh.faces)
+    for pose, said in (
+        (on_top(0.5), "500 mm in front"),
+        (on_top(-20e-3), "20 mm behind"),
+        (on_top(up=True), "from inside the object"),
+        (on_top(-60e-3), "from inside the object"),
+        (np.diag([2.0, 2, 2, 1]), "no rigid transform"),
+        (np.full((4, 4), np.nan), "finite"),
+        (np.eye(3), "shape"),
+        (on_top() + np.array([[0, 0, 0, 1.0], *np.zeros((3, 4))]), "nothing lies in front"),
+    ):
+        with pytest.raises(ValueError, match=said) as refused:
+            predictor.predict_touch(box, pose, force=1.0)
+        assert "\n" not in str(refused.value)
 
 
 @pytest.mark.full
@@ -457,7 +316,8 @@ def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box,
     solid.export(tmp_path / "box.stl")
     loaded = i2t.load_mesh(tmp_path / "box.stl", "mm")
     np.testing.assert_allclose(np.ptp(loaded.vertices, axis=0), 60e-3, rtol=1e-6)
-    for mesh in (loaded, trimesh.Trimesh(box.vertices, box.faces), MeshOfOpen3D(box), tmp_path / "box.stl"):
+    open3d = SimpleNamespace(vertices=list(box.vertices), triangles=list(box.faces))  # as its meshes look
+    for mesh in (loaded, trimesh.Trimesh(box.vertices, box.faces), open3d, tmp_path / "box.stl"):
         unit = "mm" if isinstance(mesh, Path) else None
         assert predictor.predict_touch(mesh, on_top(), unit=unit).mean.shape == (15,)
     with pytest.raises(ValueError, match="metres"):
@@ -466,17 +326,11 @@ def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box,
         predictor.predict_touch(box, on_top(), unit="mm")
     with pytest.raises(ValueError, match="say in which unit"):
         predictor.predict_touch(tmp_path / "box.stl", on_top())
-
-
-@pytest.mark.full
-def test_two_bodies_in_a_file_are_not_dropped_silently(predictor, tmp_path):
     bodies = [trimesh.creation.box((30, 30, 30)), trimesh.creation.box((30, 30, 29))]
     bodies[1].apply_translation((60, 0, 0))
     trimesh.util.concatenate(bodies).export(tmp_path / "two.stl")
     with pytest.warns(UserWarning, match="loose pieces with 49 % of the area"):
         predictor.predict_touch(tmp_path / "two.stl", on_top(-30e-3), unit="mm")
-    with pytest.warns(UserWarning, match="loose pieces"):
-        i2t.load_mesh(tmp_path / "two.stl", "mm")
 
 
 def test_a_new_number_of_touches_asks_the_model_for_one_of_three_sizes(predictor, monkeypatch):
@@ -486,15 +340,11 @@ def test_a_new_number_of_touches_asks_the_model_for_one_of_three_sizes(predictor
         Predictor, "predict_batch", lambda self, batch: asked.append(len(batch.patch)) or ask(self, batch)
     )
     force = np.linspace(0.5, 1.5, 100)
-    for n in (1, 2, 5, 8, 9, 63, 64, 100):
+    for n in (1, 5, 9, 100):
         seen = predictor.predict(np.repeat(FLAT[None], n, 0), force=force[:n])
         assert seen.mean.shape == seen.std.shape == (n, 15)
     assert set(asked) == {1, 8, 64}
-
-
-def test_rows_of_a_batch_are_those_of_the_touches():
-    """Whatever their number, each touch is asked for once, in its place."""
-    for n in range(1, 150):
+    for n in (*range(1, 20), 63, 64, 65, 149):  # each touch is asked for once, in its place
         rows = np.concatenate([part.touches[: part.wanted] for part in user_input.size_classes(n)])
         np.testing.assert_array_equal(rows, np.arange(n))
 

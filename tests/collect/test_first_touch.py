@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from helpers.closed_form import GAIN, HEIGHT, make, site
 
 from experiments.faults.rig import RIG_OBJECTS, try_mistake, try_rig
@@ -19,7 +20,6 @@ from i2t.collect.first_touch import (
 )
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import UnreachableError
-from i2t.objects.catalogue import make_object
 from i2t.objects.solids import Mesh
 
 QUICK = TouchSettings(prepare=0.015, clearance=0.03, approach=0.04, settle=0.02)
@@ -29,18 +29,12 @@ class Block:
     """A sampler of sites on a block that is as high as the plane."""
 
     def __init__(self, height=HEIGHT):
-        self.placed, self.top, self.height = _block(height), height, height
+        self.top = self.height = height
+        box = trimesh.creation.box(bounds=[[-0.03, -0.03, 0.0], [0.03, 0.03, height]])
+        self.placed = Mesh(np.array(box.vertices), np.array(box.faces))
 
     def site(self, number):
         return site(number, x=2e-3 * (number % 5 - 2), y=2e-3 * (number // 5 % 5 - 2), height=self.height)
-
-
-def _block(height):
-    x, y, z = 0.03, 0.03, height
-    corners = np.array([[a, b, c] for a in (-x, x) for b in (-y, y) for c in (0.0, z)])
-    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
-             [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
-    return Mesh(corners, np.array(faces))
 
 
 def test_a_right_rig_passes_and_says_what_it_found():
@@ -51,35 +45,22 @@ def test_a_right_rig_passes_and_says_what_it_found():
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029  # it has retreated
 
 
-@pytest.mark.parametrize(
-    ("height", "sentence"),
-    [
-        (HEIGHT + 0.010, "is seen more than 6 mm from where the rig has it"),
-        (HEIGHT - 0.010, "is seen more than 6 mm from where the rig has it"),
-    ],
-)
-def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(height, sentence):
+@pytest.mark.parametrize("off", [0.010, -0.010])
+def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(off):
     procedure = make(settings=QUICK)
     # The eye always sees something at 104 mm, so that the view is judged where the rig looks from.
-    procedure.rig.__dict__["looking_distance"] = 0.104 + height - HEIGHT
-    sampler = Block(height)
-    with pytest.raises(RigContradictedError, match=sentence):
-        first_touch(procedure, sampler)
+    procedure.rig.__dict__["looking_distance"] = 0.104 + off
+    with pytest.raises(RigContradictedError, match="is seen more than 6 mm from where the rig has it"):
+        first_touch(procedure, Block(HEIGHT + off))
 
 
 @pytest.mark.parametrize(
-    ("height", "sentence"),
-    [
-        (HEIGHT + 0.010, "met nothing up to 4 mm past"),
-        (HEIGHT - 0.010, "met something 10 mm before"),
-        (HEIGHT - 0.018, "met something 16 mm before"),
-    ],
+    ("off", "sentence"), [(0.010, "met nothing up to 4 mm past"), (-0.018, "met something 16 mm before")]
 )
-def test_an_object_that_is_met_elsewhere_is_said_and_the_tool_retreats(monkeypatch, height, sentence):
-    procedure = make(settings=QUICK)
+def test_an_object_that_is_met_elsewhere_is_said_and_the_tool_retreats(monkeypatch, off, sentence):
+    procedure, sampler = make(settings=QUICK), Block()
     monkeypatch.setattr(module, "_look", lambda *_: 0.0)
-    sampler = Block(HEIGHT)
-    sampler.height = height
+    sampler.height = HEIGHT + off
     with pytest.raises(RigContradictedError, match=sentence):
         first_touch(procedure, sampler, lambda line: None)
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029
@@ -91,33 +72,32 @@ def test_a_skin_that_feels_nothing_is_said():
         first_touch(procedure, Block(), lambda line: None)
 
 
-def test_a_wrong_payload_is_felt_before_anything_moves():
-    procedure = make(settings=QUICK)
-    procedure.arm.lab.robot.external_wrench = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
-    begun = procedure.clock.now()
-    with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg"):
-        first_touch(procedure, Block())
-    assert procedure.clock.now() == begun
-
-
-def test_where_no_site_can_be_reached_nothing_moves():
+def test_a_wrong_payload_is_felt_and_sites_out_of_reach_are_known_before_anything_moves():
     procedure, sampler = make(settings=QUICK), Block()
-    sampler.height = 2.0
     begun = procedure.clock.now()
+    sampler.height = 2.0
     with pytest.raises(UnreachableError, match="none of 32 sites"):
         first_touch(procedure, sampler)
+    procedure.arm.lab.robot.external_wrench = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
+    with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg"):
+        first_touch(procedure, Block())
+    limits = replace(procedure.rig.limits, approach_distance=QUICK.prepare + 1e-3)
+    procedure.rig = replace(procedure.rig, limits=limits)
+    with pytest.raises(UnreachableError, match=r"at none of 32; lower settings.prepare, or pass --skip-first-touch"):
+        plan_first_touch(procedure, Block())
     assert procedure.clock.now() == begun
 
 
-def _unsure(procedure, position_std=5e-3):
-    """The rig of a procedure says that its object's place is known to so many metres."""
-    covariance = np.diag(np.r_[np.full(3, position_std**2), np.full(3, 1e-8)])
+def _unsure():
+    """A procedure whose rig says that its object's place is known to 5 mm."""
+    procedure = make(settings=QUICK)
+    covariance = np.diag(np.r_[np.full(3, 5e-3**2), np.full(3, 1e-8)])
     procedure.rig = replace(procedure.rig, object_covariance=covariance)
+    return procedure
 
 
 def test_the_slow_touch_goes_as_far_as_the_placement_may_err():
-    procedure, sampler = make(settings=QUICK), Block()
-    _unsure(procedure)
+    procedure, sampler = _unsure(), Block()
     assert plan_first_touch(procedure, sampler).touch.past == pytest.approx(15e-3)
     sampler.height = HEIGHT + 0.012  # the plane is met 12 mm past where the sites are
     said = module._touch(procedure, plan_first_touch(procedure, sampler).touch)
@@ -127,8 +107,7 @@ def test_the_slow_touch_goes_as_far_as_the_placement_may_err():
 
 def test_the_slow_touch_goes_no_further_than_the_arm_can():
     """An arm that plans is asked of both ends of the line; where it forbids them the touch begins and ends nearer."""
-    procedure = make(settings=QUICK)
-    _unsure(procedure)
+    procedure = _unsure()
     lowest, highest = HEIGHT - 7e-3, HEIGHT + 16e-3
     asked = []
 
@@ -147,27 +126,16 @@ def test_the_slow_touch_goes_no_further_than_the_arm_can():
     touch = plan_first_touch(procedure, Block()).touch
     assert touch.past == pytest.approx(15e-3)
     np.testing.assert_array_equal(touch.above, touch.prepare)
-
-
-def test_a_box_that_ends_in_the_object_shortens_the_slow_touch():
-    procedure = make(settings=QUICK)
-    _unsure(procedure)
+    # Nor where the box ends in the object.
+    procedure.arm.why_unreachable = lambda goals: ""
     limits = procedure.rig.limits
-    bottom = (*limits.lower[:2], HEIGHT - 8e-3)
-    procedure.rig = replace(procedure.rig, limits=replace(limits, lower=bottom))
+    shallow = replace(limits, lower=(*limits.lower[:2], HEIGHT - 8e-3))
+    procedure.rig = replace(procedure.rig, limits=shallow)
     assert plan_first_touch(procedure, Block()).touch.past == QUICK.overtravel
 
 
-def test_a_slow_touch_that_no_motion_may_make_is_refused_before_anything_moves():
-    procedure = make(settings=QUICK)
-    limits = replace(procedure.rig.limits, approach_distance=QUICK.prepare + 1e-3)
-    procedure.rig = replace(procedure.rig, limits=limits)
-    with pytest.raises(UnreachableError, match=r"at none of 32; lower settings.prepare, or pass --skip-first-touch"):
-        plan_first_touch(procedure, Block())
-
-
 def test_the_expected_view_is_the_block_s_top():
-    mesh, camera = _block(HEIGHT), right_rig().camera
+    mesh, camera = Block().placed, right_rig().camera
     T_w_c = np.diag([1.0, -1.0, -1.0, 1.0])
     T_w_c[2, 3] = HEIGHT + 0.1
     depth, on_object = expected_view(mesh.vertices[mesh.faces], np.array([0.0, 0.0, HEIGHT]), T_w_c, camera)
@@ -180,24 +148,10 @@ def test_the_expected_view_is_the_block_s_top():
 
 
 @pytest.mark.full
-def test_a_live_recognition_makes_no_first_touch():
-    """Nobody knows what stands there."""
-    from experiments.recognize.arguments import LiveArgs
-    from experiments.recognize.config import Recognition
-    from experiments.recognize.live import collect_args
-
-    asked = collect_args(LiveArgs(), Recognition(), {"star": make_object("star").mesh}, None)
-    assert asked.skip_first_touch
-
-
-@pytest.mark.full
-def test_nine_of_ten_plausible_mistakes_are_refused_or_shown():
-    accepted = [mistake.name for mistake in MISTAKES if try_mistake(mistake, "star").where == "accepted"]
-    assert len(accepted) <= len(MISTAKES) * 5 / 53
+def test_nine_of_ten_plausible_mistakes_are_refused_or_shown_and_right_rigs_pass():
+    """A third of the list, and labs with the usual errors."""
+    tried = MISTAKES[1::3]
+    accepted = [mistake.name for mistake in tried if try_mistake(mistake, "star").where == "accepted"]
+    assert len(accepted) <= len(tried) * 5 / 53
     assert "TCP 50 mm too long" not in accepted
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("name", RIG_OBJECTS)
-def test_right_rigs_pass_in_labs_with_usual_errors(name):
-    assert [try_rig(right_rig(), name, seed).where for seed in range(2)] == 2 * ["accepted"]
+    assert [try_rig(right_rig(), name).where for name in RIG_OBJECTS] == ["accepted", "accepted"]

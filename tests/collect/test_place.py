@@ -43,11 +43,20 @@ def lab(tmp_path):
     return tmp_path, really
 
 
-def test_a_view_tells_where_it_stands(lab, capsys):
+def test_a_view_tells_where_it_stands_and_what_is_missing_is_said(lab, capsys):
     path, really = lab
-    tool = [str(x) for x in TOOL]
-    command = [str(path / "lab.toml"), "--object", "star", "--views", str(path / "views"), "--tool", *tool, "--write"]
-    assert place.main(command) == 0
+    rig, views, tool = str(path / "lab.toml"), str(path / "views"), [str(x) for x in TOOL]
+    for options, code, why in (
+        (["--object", "star"], 2, "give --host, or --tool"),
+        (["--object", "nothing.stl", "--tool", *tool], 2, "nothing.stl"),
+        (["--object", "star", "--tool", *tool, "--views", str(path)], 1, "camera.toml cannot be read"),  # a device
+        (["--object", "star", "--tool", "9", *tool[1:], "--views", views], 2, "points lie within"),
+    ):
+        assert place.main([rig, *options]) == code
+        said = capsys.readouterr().err
+        assert why in said
+        assert said.count("\n") == 1
+    assert place.main([rig, "--object", "star", "--views", views, "--tool", *tool, "--write"]) == 0
     assert "star is 7." in capsys.readouterr().out
     rig = Rig.read(path / "lab.toml")
     assert rig.object_from == "registration"
@@ -60,18 +69,3 @@ def test_a_view_tells_where_it_stands(lab, capsys):
     sigma = np.sqrt(np.diagonal(rig.object_covariance))
     assert 1e-3 < sigma[:3].min() < sigma[:3].max() < 2.2e-3
     np.testing.assert_allclose(np.degrees(sigma[3:] / TWIST_LEVER_M), 0.5, atol=0.05)
-
-
-def test_what_is_missing_is_said(lab, capsys):
-    path, _ = lab
-    rig, tool = str(path / "lab.toml"), [str(x) for x in TOOL]
-    for options, code, why in (
-        (["--object", "star"], 2, "give --host, or --tool"),
-        (["--object", "nothing.stl", "--tool", *tool], 2, "nothing.stl"),
-        (["--object", "star", "--tool", *tool, "--views", str(path)], 1, "camera.toml cannot be read"),
-        (["--object", "star", "--tool", "9", *tool[1:], "--views", str(path / "views")], 2, "points lie within"),
-    ):
-        assert place.main([rig, *options]) == code  # 1: a device failed
-        said = capsys.readouterr().err
-        assert why in said
-        assert said.count("\n") == 1

@@ -13,7 +13,6 @@ from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
 from i2t import dataset
 from i2t.collect import event_log, recorder
 from i2t.collect.event_log import StorageError, read_raw
-from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, touches_in, written_at
 from i2t.errors import DataError, DeviceError
 from i2t.types import ReturnCode
@@ -24,30 +23,28 @@ class Jumping:
 
     def __init__(self, clock):
         self.clock, self.jump = clock, 0.0
-
-    def now(self):
-        return self.clock.now()
+        self.now, self.sleep = clock.now, clock.sleep
 
     def wall(self):
         return self.clock.wall() + self.jump
-
-    def sleep(self, seconds):
-        self.clock.sleep(seconds)
 
 
 def sites(*numbers):
     return lambda history: site(numbers[len(history)]) if len(history) < len(numbers) else None
 
 
-def collected(folder: Path, *numbers, **options) -> tuple[Procedure, list]:
-    procedure = make(**options)
-    with Recorder(folder, names(procedure), procedure.clock) as recording:
-        return procedure, list(procedure.run(sites(*numbers), recording))
+@pytest.fixture
+def lab(tmp_path):
+    """A procedure and a recorder of a folder."""
+    procedure = make()
+    with Recorder(tmp_path / "set", names(procedure), procedure.clock) as recording:
+        yield procedure, recording
 
 
-def test_a_touch_is_read_back_as_it_was_made(tmp_path):
-    _, (outcome,) = collected(tmp_path, 3)
-    (path,) = touches_in(tmp_path)
+def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(lab):
+    procedure, recording = lab
+    (outcome,) = procedure.run(sites(3), recording)
+    (path,) = touches_in(recording.folder)
     record, touched = dataset.read_touch(path), outcome.touch
     touches = record.touch.touches
     assert touches.code[0] == ReturnCode.SKIN
@@ -59,18 +56,14 @@ def test_a_touch_is_read_back_as_it_was_made(tmp_path):
     np.testing.assert_array_equal(record.images["colour"].values, 0)
     np.testing.assert_allclose(record.series["ambient"].values[0], touched.ambient, rtol=1e-6)
     assert [text for _, text in record.events][:3] == ["site 3, attempt 1", "look", "prepare"]
-    assert not (tmp_path / recorder.UNDER_WAY).exists()
+    for name in (recorder.UNDER_WAY, recorder.INTERRUPTED):  # no raw file is left
+        assert not (recording.folder / name).exists()
 
-
-def test_series_hold_the_whole_press_in_unix_time(tmp_path):
-    collected(tmp_path, 0)
-    record = dataset.read_touch(touches_in(tmp_path)[0])
     tactile, pose, wrench = (record.series[name] for name in ("tactile", "pose", "wrench"))
     events = {text: time for time, text in record.events}
-    assert record.touch.touches.time == tactile.time[-1]
+    assert touches.time == tactile.time[-1]
     for series in (tactile, pose, wrench):
-        assert series.time[0] > WALL
-        assert series.time[-1] <= written_at(touches_in(tmp_path)[0])
+        assert WALL < series.time[0] < series.time[-1] <= written_at(path)
         assert (np.diff(series.time) > 0).all()
     during = (tactile.time > events["press"]) & (tactile.time < events["stopped by skin"])
     # A line: the change of every sample is that of the force of the spring at the tool's height then.
@@ -83,17 +76,8 @@ def test_series_hold_the_whole_press_in_unix_time(tmp_path):
     np.testing.assert_allclose(-wrench.values[:, 2], at, atol=0.05)
 
 
-@pytest.mark.full
-def test_a_folder_of_touches_is_a_data_set_in_the_order_of_time(tmp_path):
-    collected(tmp_path, *range(4))
-    data = dataset.load_dataset(tmp_path)
-    assert len(data) == 4
-    assert data.objects == ("plane",)
-    assert [written_at(path) for path in touches_in(tmp_path)] == sorted(map(written_at, touches_in(tmp_path)))
-
-
-def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
-    procedure = make()
+def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab):
+    procedure, recording = lab
     approach = procedure.arm.approach
 
     def interrupted(*how, **named):
@@ -101,24 +85,22 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
         raise KeyboardInterrupt
 
     procedure.arm.approach = interrupted
-    with Recorder(tmp_path, names(procedure), procedure.clock) as recording, pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt):
         list(procedure.run(sites(0), recording))
-    assert not touches_in(tmp_path)
-    (raw,) = (tmp_path / recorder.INTERRUPTED).iterdir()
+    assert not touches_in(recording.folder)
+    (raw,) = (recording.folder / recorder.INTERRUPTED).iterdir()
     entries = list(read_raw(raw))
     assert entries[0] == ("event", [entries[0][1][0], "site 0, attempt 1"])
     assert entries[-1][1][1] == "ended by KeyboardInterrupt"
     assert sum(len(rows) for kind, rows in entries if kind == "skin") > 400
     assert any(kind == "arm" for kind, _ in entries)
     whole = raw.read_bytes()
-    header = whole.index(b"\n") + 1
-    ends, at = [], header
+    ends, at = [], whole.index(b"\n") + 1
     while at < len(whole):
         at += event_log.ENTRY_HEADER.size + event_log.ENTRY_HEADER.unpack_from(whole, at)[1]
         ends.append(at)
     assert ends[-1] == len(whole)
-    assert len(ends) == len(entries)
-    for cut in (len(whole), len(whole) - 1, len(whole) // 2, ends[3], ends[3] - 1, ends[3] + 2, header):
+    for cut in (len(whole) - 1, len(whole) // 2, ends[3], ends[3] - 1, ends[3] + 2, whole.index(b"\n") + 1):
         raw.write_bytes(whole[:cut])
         read = list(read_raw(raw))
         assert len(read) == sum(end <= cut for end in ends)
@@ -128,48 +110,56 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read(tmp_path):
     raw.write_bytes(b"something else")
     with pytest.raises(DataError, match="no raw file"):
         list(read_raw(raw))
+    row = np.arange(22.0)  # as an earlier version wrote it
+    entry = event_log.ENTRY_HEADER.pack(b"s", row.nbytes) + row.astype("<f8").tobytes()
+    raw.write_bytes(b'{"touch": "i2t raw", "version": 1}\n' + entry)
+    ((kind, rows),) = read_raw(raw)
+    assert kind == "skin"
+    np.testing.assert_array_equal(rows, row[None])
+
+
+KILLED = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from helpers.closed_form import make, names, site
+from i2t.collect.recorder import Recorder
+procedure = make()
+with Recorder(Path(sys.argv[2]), names(procedure), procedure.clock) as recording:
+    for outcome in procedure.run(lambda history: site(len(history)), recording):
+        print(recording.saved[-1].name, flush=True)
+"""
 
 
 @pytest.mark.full
 def test_a_killed_writer_loses_nothing_that_it_acknowledged(tmp_path):
-    code = f"""
-import os, sys
-sys.path.insert(0, {str(Path(__file__).parents[1])!r})
-from pathlib import Path
-import numpy as np
-from helpers.closed_form import make, names, site
-from i2t.collect.recorder import Recorder
-procedure = make()
-with Recorder(Path({str(tmp_path)!r}), names(procedure), procedure.clock) as recording:
-    for outcome in procedure.run(lambda history: site(len(history)), recording):
-        print(recording.saved[-1].name, flush=True)
-"""
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as running:
+    words = [sys.executable, "-c", KILLED, str(Path(__file__).parents[1]), str(tmp_path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as running:
         acknowledged = [running.stdout.readline().strip() for _ in range(3)]
         running.kill()
         acknowledged += running.stdout.read().splitlines()
-    present = [path.name for path in touches_in(tmp_path)]
-    assert set(acknowledged) <= set(present)
+    present = touches_in(tmp_path)
+    assert set(acknowledged) <= {path.name for path in present}
     assert len(dataset.load_dataset(tmp_path)) == len(present)
-    before = len(present)
+    assert [written_at(path) for path in present] == sorted(map(written_at, present))
     procedure = make()
     with Recorder(tmp_path, names(procedure), procedure.clock) as recording:
         procedure.clock.sleep(1e6)
         list(procedure.run(sites(99), recording))
-    assert len(touches_in(tmp_path)) == before + 1
+    assert len(touches_in(tmp_path)) == len(present) + 1
 
 
-def test_two_collections_cannot_write_to_one_folder(tmp_path):
+def test_two_collections_cannot_write_to_one_folder(lab):
+    procedure, recording = lab
+    with pytest.raises(StorageError, match="another collection"):
+        Recorder(recording.folder, names(procedure), procedure.clock)
+
+
+def test_a_folder_that_cannot_be_made_and_a_disk_that_is_nearly_full_are_found_before_the_arm_moves(tmp_path):
+    (tmp_path / "file").write_text("")
     procedure = make()
-    with (
-        Recorder(tmp_path, names(procedure), procedure.clock),
-        pytest.raises(StorageError, match="another collection"),
-    ):
-        Recorder(tmp_path, names(procedure), procedure.clock)
-
-
-def test_a_disk_that_is_nearly_full_is_found_before_the_arm_moves(tmp_path):
-    procedure = make()
+    with pytest.raises(DeviceError, match="choose another folder"):
+        Recorder(tmp_path / "file" / "data", names(procedure), procedure.clock)
     with (
         Recorder(tmp_path, names(procedure), procedure.clock, reserve=2**60) as recording,
         pytest.raises(StorageError, match="free some space"),
@@ -178,34 +168,35 @@ def test_a_disk_that_is_nearly_full_is_found_before_the_arm_moves(tmp_path):
     assert procedure.clock.now() < 0.1
 
 
-@pytest.mark.parametrize(("code", "said"), [(errno.ENOSPC, "disk is full"), (errno.EROFS, "only be read")])
-@pytest.mark.parametrize("where", ["raw", "touch"])
-def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(tmp_path, monkeypatch, code, said, where):
-    procedure = make()
-    with Recorder(tmp_path, names(procedure), procedure.clock) as recording:
-        list(procedure.run(sites(0), recording))
-        if where == "raw":
-            write, count = event_log.EventLog._write, []
+@pytest.mark.parametrize(
+    ("where", "code", "said"), [("raw", errno.ENOSPC, "disk is full"), ("touch", errno.EROFS, "only be read")]
+)
+def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypatch, where, code, said):
+    procedure, recording = lab
+    list(procedure.run(sites(0), recording))
+    error = OSError(code, os.strerror(code))
+    if where == "raw":
+        write, count = event_log.EventLog._write, []
 
-            def failing(made, kind, payload):
-                count.append(kind)
-                if count.count(b"a") > 20:  # in the middle of an approach
-                    raise event_log.storage_error(tmp_path, OSError(code, os.strerror(code)))
-                write(made, kind, payload)
+        def failing(made, kind, payload):
+            count.append(kind)
+            if count.count(b"a") > 20:  # in the middle of an approach
+                raise event_log.storage_error(recording.folder, error)
+            write(made, kind, payload)
 
-            monkeypatch.setattr(event_log.EventLog, "_write", failing)
-        else:
+        monkeypatch.setattr(event_log.EventLog, "_write", failing)
+    else:
 
-            def full(*_):
-                raise DataError("not written") from OSError(code, os.strerror(code))
+        def full(*_):
+            raise DataError("not written") from error
 
-            monkeypatch.setattr(recorder.dataset, "write_touch", full)
-        with pytest.raises(StorageError, match=said) as error:
-            list(procedure.run(sites(1), recording))
-    assert "\n" not in str(error.value)
+        monkeypatch.setattr(recorder.dataset, "write_touch", full)
+    with pytest.raises(StorageError, match=said) as ended:
+        list(procedure.run(sites(1), recording))
+    assert "\n" not in str(ended.value)
     assert not procedure.arm.state().moving
     assert np.linalg.norm(procedure.arm.state().wrench[:3]) == 0
-    assert len(dataset.load_dataset(tmp_path)) == 1
+    assert len(dataset.load_dataset(recording.folder)) == 1
 
 
 def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch(tmp_path):
@@ -229,13 +220,6 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
 
 
-def test_a_folder_that_cannot_be_made_says_so(tmp_path):
-    (tmp_path / "file").write_text("")
-    procedure = make()
-    with pytest.raises(DeviceError, match="choose another folder"):
-        Recorder(tmp_path / "file" / "data", names(procedure), procedure.clock)
-
-
 def test_notes_survive_and_damage_is_named(tmp_path):
     assert recorder.read_notes(tmp_path) is None
     recorder.write_notes(tmp_path, {"run": "a", "unreachable": {"3": "far"}})
@@ -245,109 +229,53 @@ def test_notes_survive_and_damage_is_named(tmp_path):
         recorder.read_notes(tmp_path)
 
 
-def recorder_and_touch(folder):
-    """A procedure, a recorder of its own folder, and a touch that can be saved there as often as one likes."""
-    procedure, (outcome,) = collected(folder / "made", 0)
-    recording = Recorder(folder / "again", names(procedure), procedure.clock)
-    return procedure, recording, outcome.touch
-
-
-def test_names_of_touches_grow_even_if_the_clock_stands_or_goes_back_a_little(tmp_path):
-    """The clock of the second touch is read between its check and its date: set back by 0.3 s, it would sort first."""
-    procedure, recording, touch = recorder_and_touch(tmp_path)
-    clock = Jumping(procedure.clock)
-    recording._clock = clock
-    with recording:
-        for number in range(3):
-            recording.begin(site(number), 0).state(procedure.arm.state())
-            back = 0.3 if number else 0.0  # less than a jump that ends the session, and more than a touch is long here
-            clock.jump -= back
-            recording._offset -= back
-            recording.save(touch._replace(site=site(number)))
-            clock.jump += back + 1e-3
-        files = touches_in(recording.folder)
-        assert [recorder.site_number_of(path) for path in files] == [0, 1, 2]
-        times = [written_at(path) for path in files]
-        assert (np.diff(times) > 0).all()
-
-
-def test_a_touch_that_is_saved_leaves_no_raw_file(tmp_path):
-    collected(tmp_path, 0, 1)
-    assert len(touches_in(tmp_path)) == 2
-    assert not (tmp_path / recorder.INTERRUPTED).exists()
-    assert not (tmp_path / recorder.UNDER_WAY).exists()
-
-
-def test_states_are_written_once_and_in_the_order_of_time(tmp_path):
-    procedure, recording, touch = recorder_and_touch(tmp_path)
+def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the_order_of_time(lab):
+    """The clock of a later touch is read between its check and its date: set back by 0.3 s, it would sort first."""
+    procedure, recording = lab
+    (outcome,) = procedure.run(sites(0), recording)
+    clock = recording._clock = Jumping(procedure.clock)
     state = procedure.arm.state()
-    with recording:
-        log = recording.begin(site(0), 0)
-        for number in (2, 0, 3, 1, 2):
-            log.state(state._replace(time=float(number), wrench=np.full(6, number), joints=np.full(7, 0.1 * number)))
-        recording.save(touch)
-    series = dataset.read_touch(recording.saved[0]).series
+    for number in range(1, 4):
+        log = recording.begin(site(number), 0)
+        for at in (2, 0, 3, 1, 2):
+            log.state(state._replace(time=float(at), wrench=np.full(6, at), joints=np.full(7, 0.1 * at)))
+        back = 0.3 if number > 1 else 0.0  # less than a jump that ends the session, and more than a touch is long here
+        clock.jump -= back
+        recording._offset -= back
+        recording.save(outcome.touch._replace(site=site(number)))
+        clock.jump += back + 1e-3
+    files = touches_in(recording.folder)
+    assert [recorder.site_number_of(path) for path in files] == [0, 1, 2, 3]
+    assert (np.diff([written_at(path) for path in files]) > 0).all()
+    series = dataset.read_touch(files[1]).series
     for name in ("wrench", "pose", "joints"):
         np.testing.assert_allclose(np.diff(series[name].time), 1.0, atol=1e-6)
     np.testing.assert_array_equal(series["wrench"].values[:, 2], [0, 1, 2, 3])
     assert series["joints"].values.shape == (4, 7)  # an arm may have any number of joints
 
 
-def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(tmp_path, monkeypatch):
+def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(lab, monkeypatch):
     """What is acknowledged is synchronised: first the contents, then the rename, then the folder that holds it."""
-    done = []
-    fsync, rename = os.fsync, os.replace
+    procedure, recording = lab
+    (outcome,) = procedure.run(sites(0), recording)
+    done, fsync, rename = [], os.fsync, os.replace
 
     def synced(descriptor):
         path = Path(os.readlink(f"/proc/self/fd/{descriptor}")) if sys.platform == "linux" else Path()
-        done.append(("sync", "folder" if path.is_dir() else "file"))
+        done.append("folder" if path.is_dir() else "file")
         fsync(descriptor)
 
     def renamed(*paths, **options):
-        done.append(("rename", "file"))
+        done.append("rename")
         return rename(*paths, **options)
 
-    procedure, recording, touch = recorder_and_touch(tmp_path)
     monkeypatch.setattr(os, "fsync", synced)
     for name in ("replace", "rename"):
         monkeypatch.setattr(os, name, renamed)
-    with recording:
-        recording.begin(site(0), 0).state(procedure.arm.state())
-        done.clear()
-        recording.save(touch)
-        assert done[:3] == [("sync", "file"), ("rename", "file"), ("sync", "folder")]
-        done.clear()
-        recorder.write_notes(recording.folder, {"seed": 0})
-        assert done == [("sync", "file"), ("rename", "file"), ("sync", "folder")]
-
-
-def test_a_raw_file_of_an_earlier_version_is_still_read(tmp_path):
-    path = tmp_path / "touch.raw"
-    row = np.arange(22.0)
-    path.write_bytes(
-        b'{"touch": "i2t raw", "version": 1}\n'
-        + event_log.ENTRY_HEADER.pack(b"s", row.nbytes)
-        + row.astype("<f8").tobytes()
-    )
-    ((kind, rows),) = read_raw(path)
-    assert kind == "skin"
-    np.testing.assert_array_equal(rows, row[None])
-
-
-def test_a_folder_is_locked_where_there_is_no_fcntl(tmp_path, monkeypatch):
-    """On Windows the lock is that of its C library."""
-    import types
-
-    locked = []
-
-    def locking(descriptor, mode, count):
-        if locked:
-            raise PermissionError(errno.EACCES, "Permission denied")
-        locked.append((mode, count))
-
-    monkeypatch.setattr(recorder, "fcntl", None)
-    monkeypatch.setitem(sys.modules, "msvcrt", types.SimpleNamespace(locking=locking, LK_NBLCK=2))
-    procedure = make()
-    with Recorder(tmp_path, names(procedure), procedure.clock), pytest.raises(StorageError, match="another collection"):
-        Recorder(tmp_path, names(procedure), procedure.clock)
-    assert locked == [(2, 1)]
+    recording.begin(site(1), 0).state(procedure.arm.state())
+    done.clear()
+    recording.save(outcome.touch)
+    assert done[:3] == ["file", "rename", "folder"]
+    done.clear()
+    recorder.write_notes(recording.folder, {"seed": 0})
+    assert done == ["file", "rename", "folder"]

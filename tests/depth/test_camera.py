@@ -70,33 +70,21 @@ def test_brown_conrady_against_a_solver(model):
     np.testing.assert_allclose(points[:, :2], expected, atol=PIXEL / 322)
 
 
-def test_fisheyes_against_their_formulas():
-    x = np.array([-0.9, -0.1, 0.0, 0.3, 0.8])
-    points = jnp.float32(np.stack([x, 0.5 * x, np.ones(5)], -1))
-    r = np.hypot(x, 0.5 * x)
-    for model in (Distortion.FTHETA, Distortion.KANNALA_BRANDT4):
-        lens = camera(model)
-        w, (k1, k2, k3, k4, _), t = 0.9, lens.coefficients, np.arctan(r)
-        radius = np.arctan(2 * r * np.tan(w / 2)) / w if model == Distortion.FTHETA else t
-        if model == Distortion.KANNALA_BRANDT4:
-            radius = t + k1 * t**3 + k2 * t**5 + k3 * t**7 + k4 * t**9
-        expected = 318.7 + 322.4 * x * radius / np.where(r == 0, 1, r)
-        np.testing.assert_allclose(project(lens, points)[:, 0], expected, atol=PIXEL)
-
-
-def test_against_opencv():
+def test_fisheyes_against_their_formula_and_against_opencv():
     cv2 = pytest.importorskip("cv2")
-    rng = np.random.default_rng(0)
-    points = np.concatenate([rng.uniform(-0.8, 0.8, (50, 2)), np.ones((50, 1))], 1)
+    points = np.concatenate([np.random.default_rng(0).uniform(-0.8, 0.8, (50, 2)), np.ones((50, 1))], 1)
+    r, w = np.hypot(*points[:, :2].T), LENSES[Distortion.FTHETA][0]
+    bent = points[:, :2] * (np.arctan(2 * r * np.tan(w / 2)) / w / r)[:, None]
+    expected = {Distortion.FTHETA: [318.7, 181.2] + bent * [322.4, 322.1]}
     K = np.array([[322.4, 0, 318.7], [0, 322.1, 181.2], [0, 0, 1.0]])
-    at_rest = (np.zeros(3), np.zeros(3))
-    for model in (Distortion.BROWN_CONRADY, Distortion.KANNALA_BRANDT4):
-        lens = camera(model)
-        if model == Distortion.BROWN_CONRADY:
-            theirs, _ = cv2.projectPoints(points, *at_rest, K, np.array(lens.coefficients))
-        else:
-            theirs, _ = cv2.fisheye.projectPoints(points[:, None], *at_rest, K, np.array(lens.coefficients[:4]))
-        np.testing.assert_allclose(project(lens, jnp.float32(points)), theirs[:, 0], atol=PIXEL)
+    at_rest = (np.zeros(3), np.zeros(3), K)
+    coefficients = {model: np.array(LENSES[model]) for model in LENSES}
+    theirs, _ = cv2.projectPoints(points, *at_rest, coefficients[Distortion.BROWN_CONRADY])
+    expected[Distortion.BROWN_CONRADY] = theirs[:, 0]
+    theirs, _ = cv2.fisheye.projectPoints(points[:, None], *at_rest, coefficients[Distortion.KANNALA_BRANDT4])
+    expected[Distortion.KANNALA_BRANDT4] = theirs[:, 0]
+    for model, pixels in expected.items():
+        np.testing.assert_allclose(project(camera(model), jnp.float32(points)), pixels, atol=PIXEL)
 
 
 def test_a_pinhole_and_what_a_fisheye_cannot_see():
@@ -112,23 +100,13 @@ def test_a_pinhole_and_what_a_fisheye_cannot_see():
     ("change", "words"),
     [
         ({"fx": 0.0}, "focal"),
-        ({"fy": -3.0}, "focal"),
         ({"cx": float("nan")}, "finite"),
-        ({"width": 1}, "width"),
-        ({"model": "pincushion"}, "pincushion"),
         ({"coefficients": (0.0,) * 6}, "6 coefficients"),
-        ({"model": "ftheta"}, "field of view"),
     ],
 )
 def test_impossible_cameras(change, words):
     with pytest.raises(ValueError, match=words):
         Camera(**{"width": 640, "height": 360, "fx": 300.0, "fy": 300.0, "cx": 320.0, "cy": 180.0, **change})
-
-
-def test_one_camera_is_one_hash():
-    assert hash(Camera(4, 3, 2.0, 2.0, 1.0, 1.0)) == hash(
-        Camera(4, 3, np.float64(2), 2.0, 1.0, 1.0, "none", (0.0, 0.0))
-    )
 
 
 def png(path, values):
@@ -156,69 +134,49 @@ def test_files(tmp_path):
 
 def test_hostile_files(tmp_path):
     good = np.full((4, 5), 300, np.uint16)
-    files = {
-        "uint8": png(tmp_path / "a.png", good.astype(np.uint8)),
-        "colour": png(tmp_path / "b.png", np.zeros((4, 5, 3), np.uint8)),
-        "holes": png(tmp_path / "c.png", 0 * good),
-        "single": tif(tmp_path / "d.tif", np.ones((2, 4, 5), np.uint16)),
-        "int32": tif(tmp_path / "e.tif", good.astype(np.int32)),
-        "negative": tif(tmp_path / "f.tif", -good.astype(np.float32)),
-        "infinite": tif(tmp_path / "g.tif", np.full((4, 5), np.inf, np.float32)),
-        "edge": tif(tmp_path / "h.tif", good[:1]),
-        "PNG or TIF": tmp_path / "depth.exr",
-        "cannot be read": tmp_path / "i.png",
-        "cannot be read ": tmp_path / "j.tif",
-    }
-    for name in ("i.png", "j.tif"):
-        (tmp_path / name).write_bytes(b"no image")
-    whole = png(tmp_path / "k.png", np.random.default_rng(0).integers(1, 9999, (64, 64)).astype(np.uint16))
-    (tmp_path / "l.png").write_bytes(whole.read_bytes()[:2000])
-    files["cannot be read  "] = tmp_path / "l.png"
-    words = {"uint8": "mode L", "colour": "mode RGB", "holes": "no pixel"}
-    for name, path in files.items():
-        with pytest.raises(ValueError, match=words.get(name, name.strip())) as caught:
+    for path, said in (
+        (png(tmp_path / "b.png", good.astype(np.uint8)), "mode L"),
+        (png(tmp_path / "d.png", 0 * good), "no pixel"),
+        (tif(tmp_path / "g.tif", -good.astype(np.float32)), "negative"),
+        (tif(tmp_path / "i.tif", good[:1]), "edge"),
+        (tmp_path / "depth.exr", "PNG or TIF"),
+    ):
+        with pytest.raises(ValueError, match=said) as caught:
             read_depth(path, "mm")
         assert str(path) in str(caught.value)
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_depth(tmp_path / "nothing.png", "mm")
-    fine = png(tmp_path / "m.png", good)
-    for scale in ("cm", 0.0, -1e-3, float("nan")):
-        with pytest.raises(ValueError, match="scale"):
-            read_depth(fine, scale)
-    with pytest.raises(ValueError, match="encoding"):
-        read_depth(fine, "mm", "jpeg")
-    with pytest.raises(ValueError, match="cannot be turned"):
-        read_depth(tif(tmp_path / "n.tif", good.astype(np.float32)), "mm", "rotated")
+    floats = tif(tmp_path / "j.tif", good.astype(np.float32))
+    for path, how, said in (
+        (floats, ("cm",), "scale"),
+        (floats, (float("nan"),), "scale"),
+        (floats, ("mm", "jpeg"), "encoding"),
+        (floats, ("mm", "rotated"), "cannot be turned"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            read_depth(path, *how)
 
 
 def test_views_are_checked():
     lens, eye = Camera(5, 4, 10.0, 10.0, 2.0, 2.0), np.eye(4)
     depth = np.full((4, 5), 0.3, np.float32)
     check_view(depth, lens, eye, eye)
+    far = depth + np.where(np.arange(5) > 0, 8.7, 0).astype(np.float32)
+    far[0, 0] = 1e-3  # neither a flying pixel nor a wall far behind is a wrong unit
+    check_view(far, lens, eye, eye)
     gone = np.eye(4)
     gone[0, 3] = np.nan
     for arguments, words in [
         ((depth.T, lens, eye, eye), "shape"),
-        ((np.full((4, 5), 30, np.uint8), lens, eye, eye), "uint8"),
         ((np.full((4, 5), np.nan, np.float32), lens, eye, eye), "no pixel"),
         ((np.where(np.eye(4, 5) > 0, -depth, depth), lens, eye, eye), "negative"),
-        ((1e3 * depth, lens, eye, eye), "farther than 300 m, .*: divide millimetres by 1000"),
         ((1e-3 * depth, lens, eye, eye), r"nearer than 0.0003 m, .* \(20 mm\)"),
         ((depth, lens, gone, eye), "T_w_c: holds NaN"),
         ((depth, lens, eye, np.zeros((4, 4))), "T_w_t: is not a rigid"),
         ((depth, lens, eye, np.diag([1.0, 1, -1, 1])), "mirrored"),
-        ((depth, lens, eye[:3], eye), "T_w_c: has the shape"),
     ]:
         with pytest.raises(ValueError, match=words):
             check_view(*arguments)
-
-
-def test_flying_pixels_and_walls_far_behind_are_no_wrong_unit():
-    lens, eye = Camera(50, 40, 10.0, 10.0, 2.0, 2.0), np.eye(4)
-    depth = np.full((40, 50), 9.0, np.float32)
-    depth[:, :10] = 0.3
-    depth[0, :20] = 1e-3
-    check_view(depth, lens, eye, eye)
 
 
 def test_real_files(shared_data):

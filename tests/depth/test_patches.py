@@ -2,13 +2,12 @@
 
 The camera is the paper's: 640 x 360, 322 pixels of focal length, 104 mm from the tool, where a pixel is 0.32 mm wide.
 Pixels whose neighbours within two pixels differ by more than 1 mm lie at edges and are left out, as what is seen there
-depends on which side of the edge a pixel's ray passes. Where the camera sees less than the tool is asked of Embree too.
+depends on which side of the edge a pixel's ray passes.
 """
 
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -21,19 +20,14 @@ from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import LOOKING_DISTANCE_M, crop_patch, patch_from_depth
 from i2t.objects.catalogue import make_object
 from i2t.rendering.render import contact_mask, prepare_surface, render_patch
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
 ERROR = 1e-4  # m, RMS that is allowed away from edges
 FLAT = 3e-6  # m: float32 holds 0.2 m to 1.5e-8 m; a grazing ray (10 degrees) multiplies ten such roundings by six
 DOWN = np.diag([1.0, -1.0, -1.0])
-# Its outline bends: halfway to the side of all of it the window holds but the handle's flank, where a twentieth of the
-# pixels is away from edges and within the reach, however the camera looks. So its parts are looked at.
-HAMMER = {
-    "hammer's handle": (0.070, 0.018, 0.020),
-    "hammer's head": (0.121, 0.005, 0.025),
-    "hammer's claw": (0.127, -0.040, 0.024),
-}
+# The outline of a hammer bends: halfway to its side the window holds but its handle's flank. So its head is looked at.
+HAMMER_HEAD = (0.121, 0.005, 0.025)
 
 STATIC = ("camera", "window", "pixels", "reach", "standoff", "grazing", "step", "fill")
 extract = jax.jit(patch_from_depth, static_argnames=STATIC)
@@ -64,20 +58,6 @@ def image(mesh, T_w_c: np.ndarray, camera: Camera = CAMERA) -> np.ndarray:
     return np.where(hits["primID"] < 0, np.nan, hits["tfar"]).reshape(x.shape).astype(np.float32)
 
 
-def in_sight(mesh, T_w_c: np.ndarray, T_w_t: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether nothing is between the camera and what a patch shows (n, n), and its angle to the line of sight (rad)."""
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.asarray(mesh.vertices, np.float32)[np.asarray(mesh.faces)])
-    along = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
-    points = np.stack([*np.meshgrid(along, along), heights], -1).reshape(-1, 3) @ T_w_t[:3, :3].T + T_w_t[:3, 3]
-    rays = (points - T_w_c[:3, 3]).astype(np.float32)
-    hits = scene.run(np.broadcast_to(T_w_c[:3, 3], rays.shape).astype(np.float32), rays, output=1)
-    length = np.linalg.norm(rays, axis=1)
-    cosine = np.abs((hits["Ng"] * rays).sum(1)) / (length * np.linalg.norm(hits["Ng"], axis=1).clip(1e-30))
-    free = (1 - hits["tfar"]) * length < 0.2e-3  # a grazing ray may meet its facet a little before the point
-    return free.reshape(heights.shape), np.arcsin(cosine.clip(0, 1)).reshape(heights.shape)
-
-
 def scene(name: str) -> trimesh.Trimesh:
     """An object on a table."""
     mesh = make_object(name.split("'")[0]).mesh
@@ -87,8 +67,8 @@ def scene(name: str) -> trimesh.Trimesh:
 
 def beside(name: str) -> np.ndarray:
     """A place on the top of an object, halfway to its side, so that the window holds some of the edge."""
-    if name in HAMMER:
-        return np.array(HAMMER[name])
+    if name == "hammer's head":
+        return np.array(HAMMER_HEAD)
     vertices = np.asarray(make_object(name).mesh.vertices)
     return np.array([0.5 * np.abs(vertices[:, 0]).max(), -0.002, vertices[:, 2].max()])
 
@@ -111,40 +91,28 @@ def rms(values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("name", "tilt"),
-    [
-        ("hexagon", 0.0),
-        ("star", 50.0),
-        ("stairs", 30.0),
-        ("wedge", 50.0),
-        ("dome", 0.0),
-        ("torus", 30.0),
-        *zip(HAMMER, (0.0, 30.0, 50.0), strict=True),
-    ],
-)
-def test_against_direct_rendering(name, tilt):
+def compared(name: str, tilt: float, camera: Camera = CAMERA):
+    """A depth image, what is extracted and what is rendered there, and where both are seen away from edges."""
     mesh, (T_w_c, T_w_t) = scene(name), views(tilt, beside(name))
-    real, imagined = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+    depth = image(mesh, T_w_c, camera)
+    real, imagined = extract(depth, camera, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
+    return depth, real, imagined, np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("name", "tilt"), [("star", 50.0), ("dome", 0.0), ("torus", 30.0), ("hammer's head", 50.0)])
+def test_against_direct_rendering(name, tilt):
+    _, real, imagined, inner = compared(name, tilt)
     seen = np.asarray(real.valid_mask)
     assert not (seen & np.asarray(real.inpainted_mask)).any()
     # Where the reach hides what is deeper, both read it; so depths are compared from the imagined nearest point.
     theirs = np.asarray(imagined.depth)
     ours = np.minimum(heights(real.patch) - float(imagined.nearest), REACH)
-    inner = seen & away(theirs) & (np.asarray(real.patch.depth) < REACH)
+    inner &= np.asarray(real.patch.depth) < REACH
     assert inner.mean() > 0.25
-    assert rms((ours - theirs)[inner]) <= (FLAT if name in ("hexagon", "star", "stairs") else ERROR)
+    assert rms((ours - theirs)[inner]) <= (FLAT if name == "star" else ERROR)
     # What a camera says it saw is there, at edges too: no closer than the surface within a pixel and a half of 0.5 mm.
     assert (ours >= around(theirs).min((2, 3)) - ERROR)[seen].all()
-    # What is compared is nearly all there is: a camera misses what is hidden from it or grazes its line of sight, and
-    # what is within a pixel of an edge, which may be one to where the reach hides how deep it is.
-    free, angle = in_sight(mesh, T_w_c, T_w_t, heights(imagined))
-    plain = away(theirs) & (around(theirs).max((2, 3)) < REACH)
-    known = plain & around(free).all((2, 3)) & (angle > np.radians(12))
-    assert known.mean() > 0.25
-    assert seen[known].mean() > 0.95
-    assert not (seen & plain & ~free).any()
 
 
 def roof(left: float, right: float) -> trimesh.Trimesh:
@@ -162,16 +130,12 @@ def test_sharp_ridges_are_cut_off(left, right):
     T_w_c, T_w_t = views(0.0, np.zeros(3))
     centre = 0.5 * PATCH_WINDOW / PATCH_PIXELS  # of a pixel of the patch, and of a cell of the image
     T_w_c[:2, 3] = centre
-    rng = np.random.default_rng(0)
-    turns = np.array([0.0, 45.0, -45.0, *rng.uniform(0, 180, 5)])
-    shifts = np.concatenate([np.zeros((3, 2)), rng.uniform(-2e-4, 2e-4, (5, 2))])
-    pixel = (
-        LOOKING_DISTANCE_M / CAMERA.fy / (1 - PATCH_WINDOW / LOOKING_DISTANCE_M * max(left, right))
-    )  # further on a side that falls off
+    further = 1 - PATCH_WINDOW / LOOKING_DISTANCE_M * max(left, right)  # on a side that falls off
+    pixel = LOOKING_DISTANCE_M / CAMERA.fy / further
     worst = (left + right) / 4 * pixel
-    for turn, shift in zip(turns, shifts, strict=True):
+    for turn, shift in ((0.0, (0.0, 0.0)), (45.0, (0.0, 0.0)), (107.0, (1e-4, -2e-4)), (19.0, (-1e-4, 5e-5))):
         turned = Rotation.from_euler("z", turn, degrees=True).as_matrix()
-        mesh = roof(left, right).apply_transform(pose(turned, [*(shift + centre), 0]))
+        mesh = roof(left, right).apply_transform(pose(turned, [*(centre + np.array(shift)), 0]))
         real, imagined = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
         near = np.asarray(real.valid_mask) & (np.asarray(imagined.depth) < 2e-3)
         error = (heights(real.patch) - heights(imagined))[near]
@@ -187,14 +151,13 @@ def test_sharp_ridges_are_cut_off(left, right):
 @pytest.mark.full
 def test_quantised_depth():
     """Rounding moves a pixel by at most q / 2 along its ray, and the tilt and the slope here a little more along z."""
-    mesh, (T_w_c, T_w_t) = scene("dome"), views(10.0, beside("dome"))
-    exact, imagined = image(mesh, T_w_c), render(prepare_surface(mesh), T_w_t)
+    exact, _, imagined, _ = compared("dome", 10.0)
+    T_w_c, T_w_t = views(10.0, beside("dome"))
     for q in (1e-4, 1e-3):
         real = extract(np.float32(np.round(exact / q) * q), CAMERA, T_w_c, T_w_t)
-        error = heights(real.patch) - heights(imagined)
         inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
         assert inner.mean() > 0.5
-        assert rms(error[inner]) <= 0.6 * q + 1e-5
+        assert rms((heights(real.patch) - heights(imagined))[inner]) <= 0.6 * q + 1e-5
 
 
 @pytest.mark.full
@@ -212,29 +175,17 @@ def test_flying_pixels_are_no_surface():
     both = np.asarray(clean.valid_mask & flying.valid_mask)
     assert both.mean() > 0.5
     np.testing.assert_allclose(np.asarray(flying.patch.depth)[both], np.asarray(clean.patch.depth)[both], atol=FLAT)
-    slopes = extract(mixed, CAMERA, T_w_c, T_w_t, grazing=1e-3)  # with edges taken for surface there is one in between
-    between = (np.asarray(slopes.patch.depth) > 0.2e-3) & (np.asarray(slopes.patch.depth) < REACH)
-    assert between[np.asarray(slopes.valid_mask)].sum() > 10
     between = (np.asarray(flying.patch.depth) > 0.2e-3) & (np.asarray(flying.patch.depth) < REACH)
     assert not between[np.asarray(flying.valid_mask)].any()
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    ("model", "coefficients"),
-    [
-        ("brown_conrady", (-0.1, 0.03, 1e-3, -1e-3, 0.01)),
-        ("ftheta", (0.8,)),
-    ],
-)
-def test_distorted_images(model, coefficients):
-    camera = Camera(640, 360, 322.4, 322.1, 310.0, 170.0, model, coefficients)
-    mesh, (T_w_c, T_w_t) = scene("torus"), views(25.0, beside("torus"))
-    depth, imagined = image(mesh, T_w_c, camera), render(prepare_surface(mesh), T_w_t)
-    real, straight = extract(depth, camera, T_w_c, T_w_t), extract(depth, CAMERA, T_w_c, T_w_t)
-    inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
+def test_distorted_images():
+    lens = Camera(640, 360, 322.4, 322.1, 310.0, 170.0, "brown_conrady", (-0.1, 0.03, 1e-3, -1e-3, 0.01))
+    depth, real, imagined, inner = compared("torus", 25.0, lens)
     assert inner.mean() > 0.3
     assert rms((heights(real.patch) - heights(imagined))[inner]) <= ERROR
+    straight = extract(depth, CAMERA, *views(25.0, beside("torus")))
     assert rms((heights(straight.patch) - heights(imagined))[inner]) > ERROR  # the lens matters here
 
 
@@ -262,8 +213,6 @@ def test_holes():
     assert (wide & ~filled).sum() > 0.9 * wide.sum()  # but for its corners, which a diagonal cuts off
     np.testing.assert_allclose(patch[~wide], 0, atol=FLAT)
     np.testing.assert_array_equal(patch[~seen & ~filled], np.float32(REACH))
-    none = extract(depth, CAMERA, np.eye(4, dtype=np.float32), T_w_t, fill=0.0)
-    assert not np.asarray(none.inpainted_mask).any()
 
 
 def test_what_is_hidden_is_not_made_up():
@@ -274,44 +223,11 @@ def test_what_is_hidden_is_not_made_up():
     T_w_c, T_w_t = views(50.0, [0.010, 0, 0.003])
     real = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t)
     x = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW  # tool x is world x here
-    toward = np.sign(T_w_c[0, 3] - 0.010)
-    hidden = (x > 0.3e-3) & (x < 2.5e-3) if toward < 0 else (x < -0.3e-3) & (x > -2.5e-3)
-    if toward < 0:  # the camera is on the block's side: tan(50 degrees) of 3 mm lie in its shadow
-        assert not np.asarray(real.valid_mask)[:, hidden].any()
+    assert T_w_c[0, 3] < 0.010  # the camera is on the block's side: tan(50 degrees) of 3 mm lie in its shadow
+    assert not np.asarray(real.valid_mask)[:, (x > 0.3e-3) & (x < 2.5e-3)].any()
     np.testing.assert_allclose(np.asarray(real.patch.depth)[:, x < -0.5e-3], 0, atol=FLAT)
     np.testing.assert_allclose(np.asarray(real.patch.depth)[:, x > 4.5e-3], 3e-3, atol=FLAT)
     assert np.asarray(real.valid_mask)[:, np.abs(x) > 4.5e-3].all()
-
-
-@pytest.mark.full
-def test_the_wide_view_holds_the_patch():
-    mesh, (T_w_c, T_w_t) = scene("star"), views(30.0, beside("star"))
-    depth = image(mesh, T_w_c)
-    small = extract(depth, CAMERA, T_w_c, T_w_t, reach=8e-3)
-    wide = extract(depth, CAMERA, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=8e-3)
-    centre = (slice((WIDE_PIXELS - PATCH_PIXELS) // 2, (WIDE_PIXELS + PATCH_PIXELS) // 2),) * 2
-    assert wide.patch.nearest <= small.patch.nearest
-    both = np.asarray(small.valid_mask & wide.valid_mask[centre])
-    known = both & (np.asarray(wide.patch.depth)[centre] < 8e-3 - 1e-6)
-    assert known.mean() > 0.3
-    np.testing.assert_allclose(heights(small.patch)[known], heights(wide.patch)[centre][known], atol=FLAT)
-
-
-@pytest.mark.full
-def test_batches_are_their_elements():
-    names = ("hexagon", "dome", "hammer")
-    poses = [views(tilt, beside(name)) for tilt, name in zip((0.0, 20.0, 40.0), names, strict=True)]
-    depths = np.stack([image(scene(name), T_w_c) for name, (T_w_c, _) in zip(names, poses, strict=True)])
-    T_w_c, T_w_t = (np.stack(part) for part in zip(*poses, strict=True))
-    together = jax.jit(jax.vmap(patch_from_depth, (0, None, 0, 0)), static_argnums=1)(depths, CAMERA, T_w_c, T_w_t)
-    for i in range(len(names)):
-        alone = extract(depths[i], CAMERA, T_w_c[i], T_w_t[i])
-        # A ray may graze an edge.
-        assert (np.asarray(alone.valid_mask) == np.asarray(together.valid_mask[i])).mean() > 0.999
-        both = np.asarray(alone.valid_mask & together.valid_mask[i])
-        np.testing.assert_allclose(
-            np.asarray(alone.patch.depth)[both], np.asarray(together.patch.depth[i])[both], atol=FLAT
-        )
 
 
 def test_hostile_values():
@@ -335,11 +251,13 @@ def test_hostile_values():
     assert not np.asarray(elsewhere.valid_mask).any()
     assert elsewhere.patch.nearest == np.inf
     # Where values are known, each of these has its sentence.
-    for depth, message in ((1e3 * plane(), "divide millimetres by 1000"), (0 * plane(), "no pixel was measured")):
+    for depth, T, message in (
+        (1e3 * plane(), T_w_t, "divide millimetres by 1000"),
+        (0 * plane(), T_w_t, "no pixel was measured"),
+        (plane(), 2 * T_w_t, "T_w_t: is not a rigid motion"),
+    ):
         with pytest.raises(ValueError, match=message):
-            patch_from_depth(depth, CAMERA, eye, T_w_t)
-    with pytest.raises(ValueError, match="T_w_t: is not a rigid motion"):
-        patch_from_depth(plane(), CAMERA, eye, 2 * T_w_t)
+            patch_from_depth(depth, CAMERA, eye, T)
     with pytest.raises(ValueError, match="shape"):
         extract(plane().T, CAMERA, eye, T_w_t)
     with pytest.raises(ValueError, match="uint16"):
@@ -352,9 +270,6 @@ def test_the_authors_crop():
     np.testing.assert_allclose(cropped.patch.nearest, 0, atol=FLAT)
     np.testing.assert_array_equal(cropped.patch.depth, 0)
     assert np.asarray(cropped.valid_mask).all()
-    assert (
-        np.ptp([round(CAMERA.cx + CAMERA.fx * s * 8.5e-3 / LOOKING_DISTANCE_M) for s in (-1, 1)]) == 53
-    )  # as the paper's code
     depth = plane()
     depth[:180] = 0.1  # above the principal point, so at negative y
     depth[180, 320] = np.nan
@@ -371,19 +286,14 @@ def test_the_authors_crop():
     np.testing.assert_array_equal(empty.patch.depth, np.float32(REACH))
     with pytest.raises(ValueError, match="does not hold"):
         crop(plane(), CAMERA, window=0.2)
-    with pytest.raises(ValueError, match="uint8"):
-        crop(np.ones((360, 640), np.uint8), CAMERA)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("tolerance", [1e-3, 2e-3])
-def test_contact_masks_agree(tolerance):
+def test_contact_masks_agree():
     """The authors' rule, pixels within 1 to 2 mm of the nearest, says the same of both patches away from edges."""
-    mesh, (T_w_c, T_w_t) = scene("stamp-T"), views(0.0, beside("stamp-T"))
-    real, imagined = extract(image(mesh, T_w_c), CAMERA, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
-    inner = np.asarray(real.valid_mask) & away(np.asarray(imagined.depth))
-    ours, theirs = (np.asarray(contact_mask(patch.depth, tolerance)) for patch in (real.patch, imagined))
-    assert 0.05 < theirs.mean() < 0.95
-    np.testing.assert_array_equal(ours[inner], theirs[inner])
-    np.testing.assert_array_equal(theirs, np.asarray(imagined.depth) <= tolerance)
-    assert jnp.issubdtype(contact_mask(real.patch.depth).dtype, jnp.floating)
+    _, real, imagined, inner = compared("stamp-T", 0.0)
+    for tolerance in (1e-3, 2e-3):
+        ours, theirs = (np.asarray(contact_mask(patch.depth, tolerance)) for patch in (real.patch, imagined))
+        assert 0.05 < theirs.mean() < 0.95
+        np.testing.assert_array_equal(ours[inner], theirs[inner])
+        np.testing.assert_array_equal(theirs, np.asarray(imagined.depth) <= tolerance)

@@ -17,20 +17,9 @@ def pixel_of(T_w_c: np.ndarray, point: np.ndarray) -> np.ndarray:
     return np.asarray(project(CAMERA, jnp.asarray((point - T_w_c[:3, 3]) @ T_w_c[:3, :3])))
 
 
-def round_normal(name: str, point: np.ndarray) -> np.ndarray | None:
-    """Of the ball of the dome and of the tube of the torus, whose axis is a circle of 24 mm; None of flat faces."""
-    if name not in ("dome", "torus"):
-        return None
-    outwards = point.astype(float)
-    if name == "torus":
-        outwards[:2] *= 1 - 24e-3 / np.linalg.norm(outwards[:2])
-    return outwards / np.linalg.norm(outwards)
-
-
-@pytest.mark.parametrize("tilt", [0.0, 35.0])
-@pytest.mark.parametrize("name", ["star", "dome", "wedge", "torus"])
+@pytest.mark.parametrize(("name", "tilt"), [("wedge", 0.0), ("star", 35.0), ("torus", 35.0)])
 def test_the_pose_is_that_on_the_mesh(name, tilt):
-    """`contact_pose` with the face's own normal, or with that of the round body whose facets the mesh has."""
+    """`contact_pose` with the face's own normal, or with that of the torus whose facets the mesh has."""
     mesh, (T_w_c, _) = scene(name), views(tilt, beside(name))
     depth = image(mesh, T_w_c)
     pixel = np.round(pixel_of(T_w_c, beside(name))).astype(int)
@@ -40,10 +29,12 @@ def test_the_pose_is_that_on_the_mesh(name, tilt):
         point = T_w_c[:3, :3] @ np.asarray(deproject(CAMERA, jnp.asarray(pixel, float), jnp.asarray(z))) + T_w_c[:3, 3]
         np.testing.assert_allclose(found[:3, 3], point, atol=1e-6)
         own = i2t.Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        exact = i2t.contact_pose(own, point, normal=round_normal(name, point), roll=roll)
+        outwards = point - np.append(24e-3 * point[:2] / np.linalg.norm(point[:2]), 0)  # from the circle of its tube
+        normal = outwards / np.linalg.norm(outwards) if name == "torus" else None
+        exact = i2t.contact_pose(own, point, normal=normal, roll=roll)
         apart = np.asarray(log(compose(inverse(exact), found)))
         assert np.linalg.norm(apart[:3]) < 1e-6
-        assert np.degrees(np.linalg.norm(apart[3:])) < (0.01 if name in ("star", "wedge") else 1.5)
+        assert np.degrees(np.linalg.norm(apart[3:])) < (1.5 if name == "torus" else 0.01)
 
 
 def test_the_patch_at_the_pose_begins_at_the_tool():
@@ -67,42 +58,26 @@ def test_noise_is_averaged_and_holes_and_other_levels_are_left_out():
     assert i2t.pose_at_pixel(smooth, CAMERA, LEVEL, (320, 181))[2, 2] == pytest.approx(-1, abs=1e-9)
 
 
-def _with(change) -> np.ndarray:
-    depth = plane()
-    change(depth)
+def only(rows, columns) -> np.ndarray:
+    """A plane of which only these pixels were measured."""
+    depth = np.full_like(plane(), np.nan)
+    depth[rows, columns] = plane()[rows, columns]
     return depth
 
 
-def _lone(depth):
-    depth[:] = np.nan
-    depth[180, 320] = depth[180, 321] = 0.104
-
-
-def _row(depth):
-    depth[:180], depth[181:] = np.nan, np.nan
-
-
-def _ragged(depth):
-    depth[:] += np.random.default_rng(0).uniform(-3e-3, 3e-3, depth.shape).astype(np.float32)
-    depth[180, 320] = 0.104
+RAGGED = plane() + np.random.default_rng(0).uniform(-3e-3, 3e-3, (360, 640)).astype(np.float32)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"pixel": (640, 180)}, "pixel: column 640, row 180 is outside the image of 640 x 360 pixels"),
-        ({"pixel": (-1, 0)}, "pixel: column -1, row 0 is outside"),
-        ({"pixel": (np.nan, 0)}, "pixel: .* is not two finite numbers"),
-        ({"pixel": (1, 2, 3)}, "pixel: .* is not two finite numbers"),
         ({"roll": np.inf}, "roll: is inf; give radians"),
-        ({"radius": 0.0}, "radius: is 0; give metres above 0"),
-        ({"depth": _with(lambda d: d.__setitem__((180, 320), 0))}, r"column 320, row 180 was not measured \(it is 0\)"),
-        ({"depth": _with(_lone)}, "only 2 measured pixels lie within 3 mm"),
-        ({"depth": _with(_row)}, "make no plane"),
-        ({"depth": _with(_ragged)}, "make no plane"),
+        ({"depth": only(0, 0)}, r"column 320, row 180 was not measured"),
+        ({"depth": only(180, [320, 321])}, "only 2 measured pixels lie within 3 mm"),
+        ({"depth": only(180, slice(None))}, "make no plane"),
+        ({"depth": RAGGED}, "make no plane"),
         ({"depth": 1e3 * plane()}, "divide millimetres by 1000"),
-        ({"depth": plane()[:10]}, "depth: has the shape"),
-        ({"T_w_c": 2 * np.eye(4)}, "T_w_c: is not a rigid"),
     ],
 )
 def test_what_makes_no_pose_is_refused(changes, message):
