@@ -149,8 +149,8 @@ def test_the_expected_view_is_the_block_s_top():
 
 @pytest.mark.full
 def test_nine_of_ten_plausible_mistakes_are_refused_or_shown_and_right_rigs_pass():
-    """A third of the list, and labs with the usual errors."""
-    tried = MISTAKES[1::3]
+    """A sixth of the list, and labs with the usual errors."""
+    tried = MISTAKES[1::6]
     accepted = [mistake.name for mistake in tried if try_mistake(mistake, "star").where == "accepted"]
     assert len(accepted) <= len(tried) * 5 / 53
     assert "TCP 50 mm too long" not in accepted

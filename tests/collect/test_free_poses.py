@@ -80,18 +80,17 @@ def test_on_the_way_the_tool_is_never_lower_nor_tilted_further():
     assert tilt_of(arm.state().T_b_t) < 1e-6
 
 
-def gathered(**options):
-    """A procedure, and what its skin read in twelve free poses."""
-    procedure = make(**options)
-    settings = replace(SETTINGS, poses=12)
+def gathered(procedure, count):
+    """What its skin reads in some free poses."""
+    settings = replace(SETTINGS, poses=count)
     poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, settings)
-    free = gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, poses, settings=settings)
-    return procedure, free
+    return gather_free_poses(procedure.arm, procedure.skin, procedure.clock, procedure.path, poses, settings=settings)
 
 
 @pytest.mark.full
 def test_the_simulated_skin_feels_the_room_as_the_tool_turns():
-    procedure, free = gathered()  # without noise
+    procedure = make()  # without noise
+    free = gathered(procedure, 12)
     field = fit_ambient(free, procedure.board)
     np.testing.assert_allclose(field.earth, ROOM.earth, atol=1.0)  # iron on the tool is in the response
     assert np.ptp(free.reading, axis=0).max() > 20
@@ -99,7 +98,7 @@ def test_the_simulated_skin_feels_the_room_as_the_tool_turns():
 
 
 @pytest.mark.full
-def test_a_session_fits_keeps_and_compares_its_field(tmp_path, capsys):
+def test_a_session_fits_keeps_and_compares_its_field_and_notices_a_room_that_changed(tmp_path, capsys):
     procedure = make(errors=NOISY)
     assert fitted_ambient(procedure, AmbientSettings(), tmp_path) is None
     first = procedure.ambient_field = fitted_ambient(procedure, replace(SETTINGS, poses=12), tmp_path)
@@ -120,17 +119,11 @@ def test_a_session_fits_keeps_and_compares_its_field(tmp_path, capsys):
     fitted_ambient(procedure, replace(SETTINGS, poses=12), tmp_path, seed=1)
     assert "since the folder was begun: the ambient field is the fitted one" in capsys.readouterr().out
     assert len(list(tmp_path.glob(".ambient*.npz"))) == 2  # the earlier one is kept
-
-
-@pytest.mark.full
-def test_a_room_that_changed_is_noticed():
-    procedure, free = gathered(errors=NOISY)
-    field = fit_ambient(free, procedure.board)
-    few = FreePoses(free.T_b_t[:4], free.samples[:4])
+    few = gathered(procedure, 4)
     turned = few.T_b_t[:, :3, :3].swapaxes(-1, -2) @ [0.0, 25.0, 0.0]
     more = procedure.board.to_board(np.repeat(turned[:, None], 5, axis=1))
-    assert not ambient_changed(field, procedure.board, few).changed
-    change = ambient_changed(field, procedure.board, FreePoses(few.T_b_t, few.samples + np.asarray(more)[:, None]))
+    assert not ambient_changed(first, procedure.board, few).changed
+    change = ambient_changed(first, procedure.board, FreePoses(few.T_b_t, few.samples + np.asarray(more)[:, None]))
     assert change.changed
     np.testing.assert_allclose(change.field, [0.0, 25.0, 0.0], atol=6)
 
