@@ -35,7 +35,7 @@ FAST_COMPILATION = " ".join(
         "--xla_cpu_parallel_codegen_split_count=1",
     )
 )
-COMMANDS = ("collect", "contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
+COMMANDS = ("contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
             "reconstruction", "simulation", "test_examples")  # fmt: skip
 # Of those, these fit pad models, whose registrations are eight times slower without optimisation.
 COMPUTING = ("test_recognize", "test_constants")

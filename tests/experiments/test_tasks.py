@@ -1,7 +1,5 @@
 """Tasks of a study: whoever makes them, the files are the same; a killed worker's task is begun again."""
 
-import importlib.util
-import json
 import os
 import signal
 import subprocess
@@ -169,32 +167,3 @@ def _members(session: int) -> list[str]:
     """Processes of a session that still run."""
     stats = [path.read_text().rpartition(")")[2].split() for path in Path("/proc").glob("[0-9]*/stat") if path.exists()]
     return [fields[0] for fields in stats if int(fields[3]) == session and fields[0] != "Z"]
-
-
-def table(out):
-    """What a study found, without how long it took."""
-
-    def timeless(node):
-        if isinstance(node, dict):
-            return {name: timeless(value) for name, value in node.items() if name != "seconds"}
-        return [timeless(each) for each in node] if isinstance(node, list) else node
-
-    return timeless(json.loads((out / "metrics.json").read_text()))
-
-
-@pytest.mark.full
-@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra cluster is not installed")
-def test_a_study_on_a_ray_cluster_that_loses_a_machine_has_the_table_of_one_process(tmp_path):
-    """A head and two workers on this machine; one of them is killed, with all its processes, while it is at a pad."""
-    script = ROOT / "tests" / "helpers" / "ray_study.py"
-    for name, words in {"ray": [str(script)], "serial": [str(script), "--serial"]}.items():
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
-        done = subprocess.run(
-            [sys.executable, *words, str(tmp_path / name)], env=environment, cwd=ROOT, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert ("its worker died (" in done.stdout) == (name == "ray")
-    assert table(tmp_path / "ray") == table(tmp_path / "serial")
-    assert sorted(path.parent.name for path in (tmp_path / "ray").glob("pad-*/metrics.json")) == [
-        f"pad-{number}-seed-0" for number in range(3)
-    ]
