@@ -54,9 +54,8 @@ def _stream(n=240, strokes=6, channels=15):
 
 HOSTILE = {
     "as it is": SKIN,
-    "forces that pull, one height": replace(
-        SKIN, targets=_targets(depth=np.full((90, 1), 2e-3), force=-1e3 * SKIN.targets["depth"])
-    ),
+    "one height": replace(SKIN, targets=_targets(depth=np.full((90, 1), 2e-3))),
+    "forces that pull": replace(SKIN, targets=_targets(depth=None, force=-1e3 * SKIN.targets["depth"])),
     "nothing but readings": replace(SKIN, targets={}),
     "two boards, no position": replace(presses_of_a_skin(90, channels=30), targets=_targets(position=None)),
     "one press": SKIN.rows(slice(1)),
@@ -172,7 +171,7 @@ def test_mistakes_that_were_put_in_are_found():
     assert sound["warnings"] == []
     dead = found(HOSTILE["a dead channel"])
     assert dead["constant_channels"] == [4]
-    pulled = found(HOSTILE["forces that pull, one height"])
+    pulled = found(HOSTILE["forces that pull"])
     assert pulled["negative_force_share"] == 1
     assert any("sign" in sentence for sentence in pulled["warnings"])
     copied = SKIN.readings.copy()

@@ -48,6 +48,7 @@ def _apply(kind: Faults, seed: int = 0, *, readings=READINGS, poses=POSES, board
     return np.asarray(_recorded(jax.random.key(seed), readings, poses, key_board, before, kind), float)
 
 
+@pytest.mark.full
 def test_off_is_the_identity_and_each_alone_changes_the_run():
     """And none needs another: every size has its own switch."""
     off = Faults(ambient_every=10, presses_before=500, hold_time=60.0, layer_share=1.0)
@@ -194,6 +195,7 @@ def test_warm_magnets_are_weaker_and_what_drifts_between_an_ambient_and_its_read
     assert np.abs(left[0]).max() > 0.2
 
 
+@pytest.mark.full
 def test_what_belongs_to_a_board_stays_over_its_sessions():
     """The chip that remembers, gains, dead axes and where the board is used; other boards have others."""
     for kind in (Faults(hysteresis=0.3), Faults(gain=0.05), Faults(dead=3), Faults(earth=48.0, ambient_every=10)):
@@ -233,6 +235,7 @@ def test_the_converter_ends_at_its_full_scale():
     np.testing.assert_allclose([high, 7930.0], 2**15 * Noise().steps(5)[1:3], atol=1)
 
 
+@pytest.mark.full
 def test_dead_axes_stay_dead_and_stale_rows_repeat_the_recorded_one():
     for count in (1, 15):
         recorded = _apply(Faults(dead=count))
