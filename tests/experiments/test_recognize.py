@@ -198,8 +198,8 @@ def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, caps
     assert "another episode" in capsys.readouterr().err
 
 
-# Those that play an episode of their own, or register whole objects, compile for minutes.
-LONG_FIGURES = {"overview", "episode", "touched_object", "registration"}
+# Those that play an episode of their own, register whole objects or fit many presses take minutes.
+LONG_FIGURES = {"overview", "episode", "touched_object", "registration", "calibration_curve", "pressures"}
 
 
 @pytest.mark.full
@@ -235,23 +235,15 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("study", ["planar", "sites", "placement"])
-def test_studies_run_and_go_on(study, trained_run, tmp_path):
-    out = tmp_path / study
-    words = [study, "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
+    out = tmp_path / "sites"
+    words = ["sites", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
     assert studies.main(words) == 0
     before = (out / "metrics.json").read_text()
     metrics = json.loads(before)
     assert metrics["source"] == "simulated"
-    assert set(metrics["tables"]) == set(STUDY_TABLES[study])
-    if study == "planar":
-        assert set(metrics["methods"]) == {"known pose", "unknown pose"}
-        assert 0 <= metrics["rotation_error"]["percentiles_25_50_75_90"][0] <= 180
-    elif study == "placement":
-        stated = metrics["methods"]["as stated"]["conditions"]["1 mm, stated 2"]
-        np.testing.assert_allclose(stated["scale_percentiles_25_50_75"], 1.0, rtol=1e-5)
-    else:
-        assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
+    assert set(metrics["tables"]) == set(STUDY_TABLES["sites"])
+    assert sum(kind["touches"] for kind in metrics["bits"].values()) == metrics["touches"] == 8
     (out / "metrics.json").unlink()
     assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
     assert (out / "metrics.json").read_text() == before
