@@ -108,7 +108,19 @@ def _let_compiled_code_go():
     the compiler crashes. One module needs up to 15 000; until then the next module uses what this one compiled.
     """
     yield
-    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > 30_000:
+    _forget_compiled_beyond(30_000)
+
+
+@pytest.fixture(autouse=True)
+def _let_much_compiled_code_go(request):
+    """The same within a module, after tests that may compile whole commands."""
+    yield
+    if request.node.get_closest_marker("full"):
+        _forget_compiled_beyond(45_000)
+
+
+def _forget_compiled_beyond(most: int) -> None:
+    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > most:
         jax.clear_caches()
 
 
