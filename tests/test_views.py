@@ -34,8 +34,12 @@ def box(size, at) -> trimesh.Trimesh:
 def things() -> dict[str, trimesh.Trimesh]:
     """Objects whose surroundings stand out: what lies beside a patch is nearer than the patch's nearest point."""
     table = box((60, 60, 10), (0, 0, -5))
+    ring = trimesh.creation.torus(14e-3, 3e-3, major_sections=32, minor_sections=12)
+    ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (0, 1, 0), (0, 0, 0)))
+    ring.apply_translation((12e-3, 0, 0))
     prongs = [box((2, 2, 14), (x, y, 7)) for x in (-11, 0, 11) for y in (-10, 10)]
     on_table = {
+        "handle": [ring],
         "rim": [trimesh.creation.annulus(9e-3, 12e-3, 9e-3, sections=32)],
         "step": [box((20, 60, 12), (19.2, 0, 6))],
         "prongs": prongs,
@@ -49,7 +53,7 @@ def things() -> dict[str, trimesh.Trimesh]:
 # One size class, and so one compilation.
 STACK = stack_surfaces([prepare_surface(mesh) for mesh in things().values()])
 THINGS = {name: jax.tree.map(lambda leaf, i=i: leaf[i], STACK) for i, name in enumerate(things())}
-HIGH = ("rim", "step", "prongs")
+HIGH = ("handle", "rim", "step", "prongs")
 look = jax.jit(render_view)
 
 
@@ -156,6 +160,16 @@ def crowded():
     """Poses on the table, their patches between what stands out, which is under the skin's rim."""
     drawn = [(0, 0, 0, 0, 0.0), (2e-4, -2e-4, 0, 0, np.pi / 2), (-2e-4, 0, 0.01, 0, np.pi), (0, 2e-4, 0, -0.01, 0.02)]
     return np.stack([pose(each) for each in drawn])
+
+
+@pytest.mark.full
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", HIGH)
+def test_a_touch_alone_is_the_same_as_in_a_batch(nominal, crowded, name):
+    many = nominal.predict_touch(THINGS[name], crowded, force=1.0)
+    for pose, mean in zip(crowded, many.mean, strict=True):
+        np.testing.assert_allclose(nominal.predict_touch(THINGS[name], pose, force=1.0).mean, mean, atol=0.02)
+    assert np.ptp(many.mean, axis=0).max() > 0.1  # and no two of them are one flat face
 
 
 @partial(jax.jit, static_argnames="cfg")
