@@ -220,6 +220,29 @@ def test_what_may_be_chance_is_no_loss():
     assert "within chance" in level
 
 
+def test_methods_are_compared_by_the_numbers_that_are_printed():
+    def compared(*own):
+        theirs = {20: {"mean": 0.9031}, 50: {"mean": 0.95}}
+        mine = {n: {"mean": mean} for n, mean in zip(theirs, own, strict=True)}
+        return curves._compare_with_baselines("so", {"i2t.calibrate": mine, "plain Gaussian process": theirs}, {})
+
+    assert compared(0.896, 0.96) == [
+        "Held out so: i2t.calibrate lies within 0.01 of the best baseline at 20 presses (0.896, plain Gaussian process "
+        "0.903).",
+        "Held out so: i2t.calibrate is at least as good as every baseline at 50 presses.",
+    ]
+    assert compared(0.9029, 0.95) == [  # both are printed as 0.903
+        "Held out so: i2t.calibrate is at least as good as every baseline at every number of presses."
+    ]
+
+
+def test_a_range_that_holds_too_few_rows_is_said():
+    score = heads.HeadScore(rows=40, rmse=0.2, median=0.1, r2=0.9, inside_90=0.68, unfamiliar=0.0)
+    (sentence,) = heads.missed_ranges("force", {"random rows": score, "later": score._replace(inside_90=0.85)})
+    assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
+    assert heads.missed_ranges("contact", {"random rows": score}) == []  # whose last number but one is another
+
+
 def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
     """As `experiments.calibrate --previous-session` does, in both directions."""
     section, big = Section("across"), presses_of_a_skin(600)
