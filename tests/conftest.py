@@ -26,12 +26,12 @@ jax.config.update("jax_debug_key_reuse", True)
 
 MAPS = Path("/proc/self/maps")
 # Tests compile much and compute little. Without the fusion emitters a program of many operations compiles in half the
-# time, and two workers leave no processor for compiling a program in parts.
-COMPILATION = ("--xla_cpu_use_fusion_emitters=false", "--xla_cpu_parallel_codegen_split_count=1")
-# What the compiler spends on fast code, the fast tier does not earn back. The full tier computes more, and some of its
-# sums in single precision are right only in the compiler's usual order; but where its tests run whole commands on debug
-# presets, or devices, they too compile more than they compute.
-FAST_COMPILATION = ("--xla_backend_optimization_level=0", "--xla_llvm_disable_expensive_passes=true")
+# time, and two workers leave no processor for compiling a program in parts. What the compiler spends on fast code, the
+# fast tier does not earn back; the full tier computes more, and earns back some of it.
+COMPILATION = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 "
+FAST_COMPILATION = COMPILATION + "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+FULL_COMPILATION = COMPILATION + "--xla_backend_optimization_level=1"
+# Where tests of the full tier run whole commands on debug presets, or devices, they too compile more than they compute.
 COMMANDS = ("contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
             "reconstruction", "simulation", "test_examples")  # fmt: skip
 # Of those, these fit pad models, whose registrations are eight times slower without optimisation.
@@ -71,8 +71,8 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """The compiler's options, before anything is compiled here or in a command that a test starts."""
-    fast = not (config.option.full or config.option.markexpr)
-    os.environ.setdefault("XLA_FLAGS", " ".join(COMPILATION + FAST_COMPILATION * fast))
+    full = config.option.full or config.option.markexpr
+    os.environ.setdefault("XLA_FLAGS", FULL_COMPILATION if full else FAST_COMPILATION)
 
 
 def pytest_collection_modifyitems(config, items):
