@@ -25,19 +25,16 @@ jax.config.update("jax_debug_key_reuse", True)
 
 
 MAPS = Path("/proc/self/maps")
-# Tests compile much and compute little. Without the fusion emitters a program of many operations compiles in half the
-# time, and two workers leave no processor for compiling a program in parts. What the compiler spends on fast code, the
-# fast tier does not earn back; the full tier computes more, and earns back some of it.
-COMPILATION = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 "
-FAST_COMPILATION = COMPILATION + "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-FULL_COMPILATION = COMPILATION + "--xla_backend_optimization_level=1"
-# Where tests of the full tier run whole commands on debug presets, or devices, they too compile more than they compute.
-COMMANDS = ("contract", "convert", "depth", "emulators", "environments", "experiments", "hardware",
-            "reconstruction", "simulation", "test_examples")  # fmt: skip
-# Of those, these fit pad models, whose registrations are eight times slower without optimisation.
-COMPUTING = ("test_recognize", "test_constants")
-# Longest first, so that no worker is left with one of them at the end.
-SLOW = ("test_recognize.py", "test_train.py", "test_active_touch.py", "test_examples.py")
+# Tests compile much and compute little: most optimisations cost more than they earn. Without the fusion emitters a
+# program of many operations compiles in half the time, and two workers leave no processor for compiling it in parts.
+COMPILATION = (
+    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=1"
+)
+# These fit pad models, whose registrations are eight times slower without optimisation.
+COMPUTING = ("test_recognize.py", "test_constants.py")
+# Longest first, so that no worker is left with one of them at the end. The second needs no trained run, which the first
+# makes meanwhile.
+SLOW = ("test_recognize.py", "test_sharding.py", "test_examples.py", "test_train.py")
 
 
 class OneFileOneWorker(LoadFileScheduling):
@@ -71,8 +68,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """The compiler's options, before anything is compiled here or in a command that a test starts."""
-    full = config.option.full or config.option.markexpr
-    os.environ.setdefault("XLA_FLAGS", FULL_COMPILATION if full else FAST_COMPILATION)
+    os.environ.setdefault("XLA_FLAGS", COMPILATION)
 
 
 def pytest_collection_modifyitems(config, items):
@@ -92,9 +88,8 @@ def _named(config) -> bool:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    """Without most of the compiler's optimisations, here and in commands that a test starts, where commands run."""
-    parts = item.path.relative_to(Path(__file__).parent).with_suffix("").parts
-    cheap = parts[0] in COMMANDS and parts[-1] not in COMPUTING
+    """Most of the compiler's optimisations or not, here and in commands that a test starts."""
+    cheap = item.path.name not in COMPUTING
     jax.config.update("jax_disable_most_optimizations", cheap)
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(cheap))
 
