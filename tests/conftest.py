@@ -56,7 +56,7 @@ class OneFileOneWorker(LoadFileScheduling):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Files in the order below."""
+    """Files in the order in which they are collected (`SLOW` first)."""
     config.option.loadscopereorder = False
     return OneFileOneWorker(config, log)
 
@@ -94,25 +94,14 @@ def pytest_runtest_setup(item):
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(cheap))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _let_compiled_code_go():
+def pytest_runtest_teardown(item, nextitem):
     """Forgets what was compiled before it exhausts the memory maps that one process may have (65 530 on Linux), where
-    the compiler crashes. One module needs up to 15 000; until then the next module uses what this one compiled.
+    the compiler crashes: between modules, and within one after tests that may compile whole commands. One module needs
+    up to 15 000; until then the next module uses what this one compiled.
     """
-    yield
-    _forget_compiled_beyond(30_000)
-
-
-@pytest.fixture(autouse=True)
-def _let_much_compiled_code_go(request):
-    """The same within a module, after tests that may compile whole commands."""
-    yield
-    if request.node.get_closest_marker("full"):
-        _forget_compiled_beyond(45_000)
-
-
-def _forget_compiled_beyond(most: int) -> None:
-    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > most:
+    last = nextitem is None or nextitem.path != item.path
+    most = 30_000 if last else 45_000
+    if (last or item.get_closest_marker("full")) and (not MAPS.exists() or MAPS.read_bytes().count(b"\n") > most):
         jax.clear_caches()
 
 

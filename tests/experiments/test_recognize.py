@@ -114,7 +114,7 @@ def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained
 @pytest.mark.full
 def test_a_network_trained_on_nothing_does_not_beat_a_constant_reading(trained_run):
     """In the paper's loop on its tools: what it says of patches at random has nothing to do with what is felt."""
-    cfg = PRESETS["debug"]
+    cfg = replace(PRESETS["debug"], paper_episodes=30, touches=5)
     found = paper.load_paper_networks(trained_run)
     (depth,) = found.networks.values()
     network = depth.model.network
