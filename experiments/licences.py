@@ -97,7 +97,7 @@ def dependencies(project: dict[str, Any]) -> list[Dependency]:
 
 
 def licence_of(name: str) -> str:
-    """What an installed package says of its licence.
+    """Licence that an installed package states.
 
     Args:
         name: Of the package.
@@ -116,7 +116,7 @@ def licence_of(name: str) -> str:
 
 
 def ask_index(names: Sequence[str]) -> dict[str, str]:
-    """What packages that are not installed say of their licences, as the package index has it.
+    """Licences of packages that are not installed, as the package index states them.
 
     Args:
         names: Of the packages.
@@ -176,7 +176,7 @@ def said_of(expression: str, text: str, classifiers: Sequence[str]) -> str:
 
 
 def kind_of(text: str) -> str:
-    """Which licence a text is.
+    """Name the licence of a text.
 
     Args:
         text: Of the whole licence.
@@ -189,7 +189,7 @@ def kind_of(text: str) -> str:
 
 
 def _in_files(package: Distribution) -> str:
-    """Which licence the file is that a package names as its licence."""
+    """Licence in the file that a package names as its licence."""
     named = package.metadata.get_all("License-File") or []
     files = [file for file in package.files or () if file.name in {Path(each).name for each in named}]
     kinds = dict.fromkeys(filter(None, (kind_of(file.read_text()) for file in files)))
@@ -197,7 +197,7 @@ def _in_files(package: Distribution) -> str:
 
 
 def page_of(found: Sequence[Dependency]) -> str:
-    """The page.
+    """Page of the licences.
 
     Args:
         found: Dependencies.

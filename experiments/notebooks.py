@@ -42,7 +42,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run(args: NotebookArgs) -> list[Path]:
-    """The files written. Raises ValueError for a name that is none, or where Jupyter is missing."""
+    """Run the notebooks; returns the files written. Raises ValueError for a name that is none, or where Jupyter is
+    missing.
+    """
     known = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
     unknown = [name for name in args.names if name not in known]
     if unknown or not known:

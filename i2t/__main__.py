@@ -1,4 +1,4 @@
-"""What there is to run: `python -m i2t` lists the commands that users begin with, and with --all the others too.
+"""List of commands: `python -m i2t` lists those that users begin with, and with --all the others too.
 
 Those of the experiments are listed where the checkout is at hand; they are not installed.
 """

@@ -1,3 +1,3 @@
-"""The version, where everything can read it without importing the package's public face."""
+"""Version of the package, readable without importing the package's public face."""
 
 __version__ = "0.2.0"

@@ -1,4 +1,4 @@
-"""How a command begins and ends: what its options allow, its exit code, and the sentence that goes with it.
+"""Start and end of a command: limits of its options, its exit code, and the sentence that goes with it.
 
 0    it did what was asked
 1    it began and failed: a device, the disk, or a goal that was missed
@@ -54,7 +54,7 @@ class Limits:
     above: bool = False  # whether the least itself is too small
 
     def allow(self, value: int | float) -> bool:
-        """Whether a number is within the limits.
+        """Test a number against the limits.
 
         Args:
             value: Any number.
@@ -168,44 +168,69 @@ def docstring_of(module: str) -> str:
     return ast.get_docstring(ast.parse(Path(spec.origin).read_text())) or ""
 
 
+@dataclass
+class Ending:
+    """Exit code of a command: 0 if it did what was asked; 2 if that cannot be done (a ValueError, or a file or folder
+    that is not as the command line has it), 1 if a device or the disk failed, 130 after Ctrl-C, 141 without a word if
+    nobody reads its output any more.
+    """
+
+    code: int = 0
+
+
+@contextmanager
+def ending(interrupted: str | Callable[[], str] = "interrupted") -> Iterator[Ending]:
+    """Context of a command's work: errors for its user become one sentence, Ctrl-C a report of the state.
+
+    Args:
+        interrupted: The sentence after Ctrl-C, or what makes it then.
+
+    Yields:
+        How it ended, to be read after the block.
+    """
+    use_compile_cache()
+    shown, warnings.showwarning = warnings.showwarning, _show_warning
+    end = Ending()
+    try:
+        with _interrupts_in_good_time():
+            yield end
+        if sys.stdout is not None and not sys.stdout.closed:
+            sys.stdout.flush()  # here, where it is known what to say if that fails
+    except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
+        if isinstance(error, BrokenPipeError) and _nobody_reads():
+            end.code = NOBODY_READS
+            return
+        print(f"error: {_sentence(error)}", file=sys.stderr)
+        mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
+        end.code = WRONG_USE if mendable else FAILED
+    except KeyboardInterrupt:
+        print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
+        end.code = INTERRUPTED_BY_USER
+    except MemoryError:
+        print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)
+        end.code = FAILED
+    finally:
+        warnings.showwarning = shown
+
+
 def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] = "interrupted") -> int:
-    """Do a command's work and say how it ended: what its user can mend in one sentence, after Ctrl-C how things stand.
+    """Do a command's work and return its exit code, as in `ending`.
 
     Args:
         work: Of the command; an int that it returns is the exit code.
         interrupted: The sentence after Ctrl-C, or what makes it then.
 
     Returns:
-        The exit code: that of `work` or 0; 2 if what was asked for cannot be done (a ValueError, or a file or folder
-        that is not as the command line has it), 1 if a device or the disk failed, 130 after Ctrl-C,
-        141 without a word if nobody reads its output any more.
+        The exit code: that of `work`, or of `Ending`.
     """
-    use_compile_cache()
-    shown, warnings.showwarning = warnings.showwarning, _show_warning
-    try:
-        with _interrupts_in_good_time():
-            code = work()
-        if sys.stdout is not None and not sys.stdout.closed:
-            sys.stdout.flush()  # here, where it is known what to say if that fails
-    except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
-        if isinstance(error, BrokenPipeError) and _nobody_reads():
-            return NOBODY_READS
-        print(f"error: {_sentence(error)}", file=sys.stderr)
-        mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
-        return WRONG_USE if mendable else FAILED
-    except KeyboardInterrupt:
-        print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
-        return INTERRUPTED_BY_USER
-    except MemoryError:
-        print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)
-        return FAILED
-    finally:
-        warnings.showwarning = shown
-    return code if isinstance(code, int) else 0
+    with ending(interrupted) as end:
+        code = work()
+        end.code = code if isinstance(code, int) else 0
+    return end.code
 
 
 def _sentence(error: Exception) -> str:
-    """What an error says, of the system's own errors the file and the remedy."""
+    """Message of an error; for the system's own errors, the file and the remedy."""
     if isinstance(error, OSError) and error.filename is None and error.errno in NO_ROOM:
         return f"a file cannot be written ({error.strerror}); make room on its disk, or name another (--out)"
     if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
@@ -215,7 +240,7 @@ def _sentence(error: Exception) -> str:
 
 
 def _nobody_reads() -> bool:
-    """Whether the output is a pipe whose reader has gone; what else is printed to it is then dropped.
+    """Test for an output pipe without a reader; further output to it is then dropped.
 
     A connection to a device breaks with the same error, and is no reason to say nothing.
     """
@@ -241,7 +266,7 @@ def _has_no_reader(stream: Any) -> bool:
 
 @contextmanager
 def _interrupts_in_good_time() -> Iterator[None]:
-    """Ctrl-C, but a little later where it would be lost or do harm.
+    """Delay Ctrl-C a little where it would be lost or do harm.
 
     Python drops what is raised in a callback of its garbage collector, and JAX has one. A compiled module that is
     interrupted while it is imported may take the whole process down, and jaxlib does.
@@ -273,7 +298,7 @@ def _interrupts_in_good_time() -> Iterator[None]:
 
 
 def _importing() -> bool:
-    """Whether a module is being imported just now."""
+    """Test whether a module is being imported now."""
     specs = (getattr(module, "__dict__", {}).get("__spec__") for module in list(sys.modules.values()))
     return any(getattr(spec, "_initializing", False) for spec in specs)
 
@@ -305,7 +330,7 @@ def renamed_flags(args: Sequence[str], renamed: Mapping[str, str]) -> None:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **_: Any) -> None:
-    """What a person should know, in one line; other libraries' warnings keep where they are from."""
+    """Show a warning in one line; warnings of other libraries keep their origin."""
     if issubclass(category, UserWarning):
         print(f"warning: {message}", file=sys.stderr)
     else:

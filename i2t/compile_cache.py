@@ -1,4 +1,4 @@
-"""What was compiled is kept in the user's cache folder, so that the next command need not compile it again.
+"""Cache of compiled programs in the user's folder, so that the next command need not compile them again.
 
 Commands call `use_compile_cache` before they begin (`i2t.cli.exit_code_of`); a program that imports i2t may do so too.
 `I2T_COMPILE_CACHE` says otherwise: `off` keeps nothing, and a path names another folder. Whoever sets JAX's own
@@ -24,7 +24,7 @@ JAX_FOLDER = "JAX_COMPILATION_CACHE_DIR"
 
 
 def use_compile_cache() -> Path | None:
-    """Let JAX keep what it compiles from here on, in this process and in those that it starts.
+    """Let JAX cache compiled programs from here on, in this process and in those that it starts.
 
     Returns:
         The folder; None where nothing is kept: it was switched off, cannot be written to, or is set for JAX already.
@@ -44,7 +44,7 @@ def use_compile_cache() -> Path | None:
 
 
 def _configure(folder: Path) -> None:
-    """Tell JAX, whether it is imported already or not, unless its user has told it something else."""
+    """Configure JAX, imported already or not, except where its user has set something else."""
     settings = {
         JAX_FOLDER: str(folder),
         "JAX_COMPILATION_CACHE_MAX_SIZE": MAX_CACHE_BYTES,
@@ -61,7 +61,7 @@ def _configure(folder: Path) -> None:
 
 
 def _user_cache() -> Path:
-    """The folder in which a user's programs keep what they can make again."""
+    """Cache folder of a user's programs."""
     home = Path.home()
     if os.environ.get("XDG_CACHE_HOME"):
         return Path(os.environ["XDG_CACHE_HOME"])
@@ -73,7 +73,7 @@ def _user_cache() -> Path:
 
 
 def _processor() -> str:
-    """A name for what compiled code runs on: the instructions that the processor knows."""
+    """Name of the processor by its instruction set, for which compiled code is made."""
     known = [platform.machine(), platform.processor()]
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -83,7 +83,7 @@ def _processor() -> str:
 
 
 def _writable(folder: Path) -> bool:
-    """Whether files can be made in a folder, which is made if need be."""
+    """Test whether files can be made in a folder, which is made if need be."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:

@@ -1,12 +1,10 @@
-"""Everything that i2t raises for its users to catch. Each message is one sentence that names what is wrong and the
-remedy.
-"""
+"""Errors that i2t raises for users to catch. Each message is one sentence that names what is wrong and the remedy."""
 
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
 
 
 class I2TError(Exception):
-    """What went wrong can be mended by whoever reads the message."""
+    """An error that the reader of its message can mend."""
 
 
 class DataError(I2TError, ValueError):
@@ -21,7 +19,7 @@ class DataError(I2TError, ValueError):
 
 
 class SerializationError(I2TError, ValueError):
-    """A file of arrays that is damaged, or that holds something else than is asked of it."""
+    """A file of arrays that is damaged, or of another kind than asked for."""
 
 
 class FullDiskError(DataError, SerializationError):

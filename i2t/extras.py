@@ -36,7 +36,7 @@ EXTRAS = {  # by the name under which each is imported
 
 
 def why_missing(module: str, need: str) -> str:
-    """What to say where a package is not installed; it is looked for and not imported.
+    """Message for a package that is not installed; it is looked for and not imported.
 
     Args:
         module: One of `EXTRAS`.
@@ -52,7 +52,7 @@ def why_missing(module: str, need: str) -> str:
 
 
 def require_extra(module: str, need: str) -> None:
-    """Refuse what needs a package that is not installed.
+    """Raise an error for a package that is not installed.
 
     Args:
         module: One of `EXTRAS`.

@@ -38,7 +38,7 @@ ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def unwritable(path: str | Path, error: OSError) -> DataError:
-    """What to raise where a file could not be written.
+    """Error for a file that could not be written.
 
     Args:
         path: Of the file.
@@ -82,7 +82,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def why_no_touches(path: Path) -> str:
-    """What to say of a file that is named as a data set and is none.
+    """Message for a file that is named as a data set and is none.
 
     Args:
         path: Of a file that exists.
@@ -159,7 +159,7 @@ def read_lines(path: str | Path) -> Iterator[str]:
 
 
 def _regular(path: str | Path) -> BinaryIO:
-    """A regular file, open for reading; whatever else has this name is refused."""
+    """A regular file, open for reading; any other kind of this name is refused."""
     # A pipe without a writer would keep whoever opens it waiting.
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     file = os.fdopen(descriptor, "rb")
@@ -218,7 +218,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def parse_json(text: str | bytes, whose: str | Path) -> Any:
-    """What a text in JSON says.
+    """Parse a text in JSON.
 
     Args:
         text: The text.
@@ -239,7 +239,7 @@ def parse_json(text: str | bytes, whose: str | Path) -> Any:
 
 
 def read_json(path: str | Path, most: int = MAX_TEXT_BYTES) -> Any:
-    """What a JSON file says.
+    """Read a JSON file.
 
     Args:
         path: Of the file.
@@ -353,3 +353,15 @@ def not_through_links(path: str, flags: int) -> int:
 
 def _size(count: int) -> str:
     return f"{count / 2**20:.3g} MiB" if count >= 2**20 else f"{count} bytes"
+
+
+def slug(name: str) -> str:
+    """A folder name.
+
+    Args:
+        name: Any text.
+
+    Returns:
+        Its letters and digits, with lines between.
+    """
+    return "-".join("".join(c if c.isalnum() else " " for c in name.replace("'s", "")).split())

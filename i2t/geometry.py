@@ -113,7 +113,7 @@ def apply(T_a_b: Float[Array, "4 4"], points: Float[Array, "*n 3"]) -> Float[Arr
 
 
 def nearest_rigid(matrix: Float[Array, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """A rigid motion to the last digit of float64, of one that single precision or a person rounded.
+    """Nearest rigid motion in float64 to one that single precision or a person rounded.
 
     Args:
         matrix: Nearly a rigid motion, a NumPy array or one that can be read as such.
@@ -257,7 +257,7 @@ def to_twist(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
 def contact_frame(
     point: Float[Array, "3"], normal: Float[Array, "3"], roll: Float[Array, ""] | float = 0.0
 ) -> Float[Array, "4 4"]:
-    """Where a skin lies flat on a surface.
+    """Frame of a skin flat on a surface.
 
     Roll 0 turns the frame whose tool points straight down and whose x is the world's by the smallest rotation (the
     paper's alignment); straight up, where that rotation is not unique, it turns about the world's x.
@@ -312,7 +312,7 @@ def _namespace(*arrays: Any) -> Any:
 
 
 def _stacked(rotation: Float[Array, "*n 3 3"], translation: Float[Array, "*n 3 1"]) -> Float[Array, "*n 4 4"]:
-    """Rigid motions of their parts."""
+    """Rigid motions from their parts."""
     xp = _namespace(rotation, translation)
     top = xp.concatenate([rotation, translation], -1)
     last = xp.broadcast_to(xp.array([0, 0, 0, 1], top.dtype), (*top.shape[:-2], 1, 4))

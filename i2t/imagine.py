@@ -99,7 +99,7 @@ def _imagine(asked: ImagineArgs) -> None:
 
 
 def _check(asked: ImagineArgs) -> None:
-    """Refuse what can be seen to be wrong before JAX is imported."""
+    """Refuse wrong options before JAX is imported."""
     if asked.out.is_dir():
         raise ValueError(f"--out {asked.out}: is a folder; name the picture, such as {asked.out / 'touches.png'}")
     require_writable("--out", asked.out)
@@ -118,7 +118,7 @@ def _check(asked: ImagineArgs) -> None:
 
 
 def _object(asked: ImagineArgs) -> "Object":
-    """What is touched, by its name or from its file."""
+    """Object to touch, by its name or from its file."""
     from i2t.objects.catalogue import NAMES
 
     if asked.object in NAMES and asked.unit is not None:

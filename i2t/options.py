@@ -67,7 +67,7 @@ def read_options(
 
 
 def answering(words: Sequence[str] | None, parse: Callable[[list[str]], T]) -> T:
-    """Read a command line with tyro, which answers as `read_options` says.
+    """Read a command line with tyro, with the answers of `read_options`.
 
     Args:
         words: The command line without the program's name; None takes the process's.
@@ -95,7 +95,7 @@ def answering(words: Sequence[str] | None, parse: Callable[[list[str]], T]) -> T
 
 
 def one_sentence(box: str) -> str:
-    """What the parser's box says, as a sentence that names options and no classes.
+    """Text of the parser's box, as a sentence that names options and no classes.
 
     Args:
         box: As tyro prints it where it is wide enough for each of its sentences.
@@ -132,7 +132,7 @@ def one_sentence(box: str) -> str:
 
 
 def _unknown(tokens: Sequence[str], parts: Sequence[Sequence[str]], helps: str) -> str:
-    """Words that mean nothing here, and what may have been meant."""
+    """Message on unknown words, with likely options."""
     flags = [token for token in tokens if token.startswith("-")]
     for part in parts:
         if found := re.match(r"Available subcommands: (.*)", " ".join(line.strip() for line in part)):
@@ -145,7 +145,7 @@ def _unknown(tokens: Sequence[str], parts: Sequence[Sequence[str]], helps: str) 
 
 
 def _unreadable(name: str, why: str) -> str:
-    """A value that its option cannot take."""
+    """Message on an unreadable value."""
     if found := re.match(r"invalid literal for int\(\) with base 10: (.*)", why):
         why = f"{found[1]} is no whole number"
     elif found := re.match(r"could not convert string to float: (.*)", why):
@@ -156,7 +156,7 @@ def _unreadable(name: str, why: str) -> str:
 
 
 def _name(missing: str) -> str:
-    """How a missing option is named: by its flag, or in capitals where it has none."""
+    """Name of a missing option: its flag, or in capitals where it has none."""
     word = missing.split()[0].split("/")[0].rstrip(",")
     return f"one of {word.strip('{}').replace(',', ', ')}" if word.startswith("{") else word
 
@@ -170,14 +170,14 @@ def _plain(text: str) -> str:
 
 
 class _Shown(io.TextIOWrapper):
-    """Keeps what is printed, drawn with lines, and in colours where it will go to a terminal."""
+    """Buffer of printed text, drawn with lines, and in colours if it goes to a terminal."""
 
     def __init__(self, goes_to: Any) -> None:
         super().__init__(io.BytesIO(), encoding="utf-8")
         self._goes_to = goes_to
 
     def isatty(self) -> bool:
-        """Whether it will be shown on a terminal."""
+        """Test whether the text goes to a terminal."""
         return bool(self._goes_to is not None and self._goes_to.isatty())
 
     def text(self) -> str:
@@ -198,7 +198,7 @@ def _for_terminal(text: str, stream: Any) -> str:
 
 @contextlib.contextmanager
 def _columns(count: str) -> Iterator[None]:
-    """The width of the terminal, as it is said to whoever asks."""
+    """Set the width of the terminal that programs see."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = count
     try:
@@ -211,7 +211,7 @@ def _columns(count: str) -> Iterator[None]:
 
 
 def _fitted(text: str, columns: int) -> str:
-    """A help whose description fits the columns, and whose boxes say no empty default."""
+    """Help text with a description that fits the columns, and boxes without empty defaults."""
     head, begins, boxes = text.partition("\n╭")
     boxes = begins + boxes
     boxes = re.sub(r"\{None\}\|(\S+)", lambda found: found[1] + " " * len("{None}|"), boxes)
@@ -228,7 +228,7 @@ def _fitted(text: str, columns: int) -> str:
 
 
 def _blank(found: re.Match[str]) -> str:
-    """As many spaces, between the borders and colours that are kept."""
+    """Replace text by spaces, between borders and colours."""
     kept, at = [], 0
     for part in _SEQUENCE_LEFT.finditer(found[0]):
         kept += [" " * (part.start() - at), part[0]]

@@ -1,4 +1,4 @@
-"""Where is the object: `python -m i2t.place`, kept as a short name of `i2t.collect.place`."""
+"""Find the object: `python -m i2t.place`, kept as a short name of `i2t.collect.place`."""
 
 import sys
 

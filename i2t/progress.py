@@ -15,7 +15,7 @@ Progress: TypeAlias = tqdm  # what `progress` gives: to count with `update`, or 
 
 
 def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = "step", **options: Any) -> Progress:
-    """Show on stderr how far something is: a bar if that is a terminal, else a line every half a minute.
+    """Show progress on stderr: a bar if that is a terminal, else a line every half a minute.
 
     Args:
         items: To go through; without them `update` counts.
@@ -49,13 +49,13 @@ class _Lines(tqdm):
         super().__init__(*args, **{"mininterval": LOG_INTERVAL_S, "miniters": 1, "leave": False, **options})
 
     def display(self, *_: Any, **__: Any) -> None:
-        """A line, unless one was written just now."""
+        """Write a line, unless one was written just now."""
         if time.monotonic() - self._told_at >= LOG_INTERVAL_S:
             self._told_at = time.monotonic()
             print(self.line(), file=sys.stderr, flush=True)
 
     def line(self) -> str:
-        """How far it is."""
+        """Progress in words."""
         about = self.format_dict
         of = f" of {about['total']:.6g}" if about["total"] else ""
         ahead = ""
@@ -66,7 +66,7 @@ class _Lines(tqdm):
         return f"{about['prefix'] or 'progress'}: {self.n:.6g}{of} {about['unit']} in {took}{ahead}"
 
     def close(self) -> None:
-        """Nothing more is said."""
+        """Stop the output."""
         if not self.disable:
             self.disable = True
             self._decr_instances(self)

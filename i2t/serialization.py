@@ -103,7 +103,7 @@ def load(
 
 
 def file_kind(path: Path | str) -> str:
-    """What kind of thing a file holds.
+    """Kind of a file's contents.
 
     Args:
         path: Of a file that `save` wrote.
@@ -128,7 +128,7 @@ def file_kind(path: Path | str) -> str:
 
 @contextmanager
 def fitting(path: Path | str) -> Iterator[None]:
-    """Whoever puts together in this block what `load` read names the file where its parts do not fit each other.
+    """Name the file in errors of this block, where the parts that `load` read do not fit each other.
 
     Args:
         path: Of the file.
@@ -193,7 +193,7 @@ def _bytes_of_archive(path: Path) -> bytes:
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:
-    """Of all names, types, shapes and values."""
+    """Digest of all names, types, shapes and values."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])

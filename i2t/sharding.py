@@ -113,7 +113,7 @@ def everywhere(values: PyTree) -> PyTree:
 
 
 def _here(values: PyTree) -> PyTree:
-    """Arrays that are everywhere, on one device only: what is computed once need not be computed on all."""
+    """Arrays of all devices on one device only, so that single computations do not run on all."""
 
     def one(leaf: Any) -> Any:
         several = isinstance(leaf, Array) and len(leaf.sharding.device_set) > 1
@@ -153,7 +153,7 @@ def _mesh() -> Mesh:
 
 @lru_cache(maxsize=32)
 def _program(function: Callable[..., PyTree], static: tuple[tuple[str, Any], ...], mesh: Mesh) -> Callable[..., PyTree]:
-    """What each device runs: a call on its own arguments, which are one row of those side by side."""
+    """Program of each device: a call on its own arguments, which are one row of those side by side."""
 
     def local(own: PyTree, shared: PyTree) -> PyTree:
         call = _from_bits(jax.tree.map(lambda leaf: leaf[0], own))

@@ -1,4 +1,4 @@
-"""The words every part of i2t speaks: surfaces, boards, pads, touches and the numbers of a depth patch.
+"""Types of every part of i2t: surfaces, boards, pads, touches and the numbers of a depth patch.
 
 Frames: W world, B robot base, T tool, C camera, O object; `T_a_b` is the (4, 4) transform that maps points in b to a.
 The tool frame has its origin at the skin's centre on its surface, z out of the skin into the object, x and y along the
@@ -51,7 +51,7 @@ MAX_SHOWN_ITEMS, MAX_SHOWN_TEXT = 8, 160  # items of a container, and characters
 
 
 def one_line(values: tuple) -> str:
-    """A named tuple of arrays as people want to see it: shapes and types in place of numbers.
+    """Text of a named tuple of arrays: shapes and types in place of numbers.
 
     Args:
         values: The named tuple.
@@ -77,7 +77,7 @@ def in_one_line(kind: type[Kind]) -> type[Kind]:
 
 
 def _shown(value: Any) -> str:
-    """One field: a number, the shape and type of an array, or whatever says in a few words what it is."""
+    """Text of one field: a number, the shape and type of an array, or another short description."""
     shape = getattr(value, "shape", None)
     if shape == () and hasattr(value, "item") and "Tracer" not in type(value).__name__:
         return f"{value.item():.6g}" if hasattr(value, "dtype") and value.dtype.kind in "fiu" else str(value)
@@ -111,8 +111,8 @@ class Surface(NamedTuple):
 
 @in_one_line
 class Patch(NamedTuple):
-    """What lies in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at
-    ((k + 0.5)/n - 0.5) window.
+    """Depth in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at ((k +
+    0.5)/n - 0.5) window.
 
     Example:
         patch = i2t.render_patch(surface, T_o_t)
@@ -125,7 +125,7 @@ class Patch(NamedTuple):
 
 @in_one_line
 class Board(NamedTuple):
-    """A sensor board: where its chips sit below the skin and how their axes lie in the tool frame.
+    """A sensor board: positions of its chips below the skin and their axes in the tool frame.
 
     A board has n chips and sends readings of 3 n values. `chips[i]` is the i-th chip in the order in which the board
     sends its values, `rotations[i]` maps that chip's axes to tool axes (a reflection where a driver flips a sign).
@@ -194,7 +194,7 @@ class Pad(NamedTuple):
 
 @in_one_line
 class Truth(NamedTuple):
-    """What only a simulation knows of a touch: the ceiling that an ideal observer would reach."""
+    """Truth of a simulated touch: the ceiling that an ideal observer would reach."""
 
     wide: Float[Any, "*n w w"]  # m, 72 x 72, the surface as the skin met it, without camera or pose error
     nearest: Float[Any, "*n"]  # m, at the stop, without error
@@ -205,7 +205,7 @@ class Truth(NamedTuple):
 
 @in_one_line
 class Touches(NamedTuple):
-    """Touches, one on each row of every array: what was seen, what was felt, and what the arm measured.
+    """Touches, one on each row of every array: views, readings, and measurements of the arm.
 
     NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the depth of
     the press where camera and arm agree.
@@ -234,7 +234,7 @@ class Touches(NamedTuple):
 
 
 class ReturnCode(IntEnum):
-    """How a press ended (the paper's codes)."""
+    """End of a press (the paper's codes)."""
 
     FAILED = -1
     FREE = 0

@@ -27,10 +27,10 @@ MIN_SURFACE_PIXELS = 10  # of that square, that must lie on the surface; few pix
 
 @in_one_line
 class WideView(NamedTuple):
-    """What lies in front of the skin, and around it.
+    """View in front of the skin, and around it.
 
     Example:
-        view = render_view(surface, T_w_t)
+        view = render_view(surface, T_o_t)
         reading = predictor.predict(view.patch.depth, force=1.0, wide=view.wide)
     """
 
@@ -88,7 +88,7 @@ def camera_view(z: Float[Array, "w w"]) -> WideView:
     mean = jnp.sum(jnp.where(same, squares, 0), axis=0) / jnp.maximum(count, 1)
 
     def nearest(pixels: int) -> Float[Array, ""]:
-        """m, of the squares in the middle; +inf where nothing is seen."""
+        """Least height (m) of the squares in the middle; +inf where nothing is seen."""
         found = centre(count, pixels - FILTER_PIXELS + 1)
         enough = found >= jnp.clip(jnp.max(found), 1, MIN_SURFACE_PIXELS)
         return jnp.min(jnp.where(enough, centre(mean, pixels - FILTER_PIXELS + 1), jnp.inf))

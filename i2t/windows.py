@@ -1,4 +1,4 @@
-"""Lengths of patches and skins, for whoever needs no array: reading them imports nothing."""
+"""Lengths of patches and skins, for users without arrays: reading them imports nothing."""
 
 PATCH_PIXELS = 48
 PATCH_WINDOW = 17e-3  # m, edge of the square that the paper crops around the tool axis

@@ -1,7 +1,9 @@
 """Each program of examples/ runs, and does what it says."""
 
 import importlib.util
+import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -9,16 +11,21 @@ import numpy as np
 import pytest
 
 import i2t
+from experiments.train import __main__ as train
 from i2t.convert import presses
 from i2t.convert.commands import main as convert
-from i2t.errors import DataError
+from i2t.errors import CheckpointError, DataError
+from i2t.files import slug
+from i2t.prediction import checkpoint
+from i2t.prediction.touch_model import TouchModel
+from tests.helpers.baselines import bare_dataset
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("[0-9][0-9]_*.py"))
 DATA = Path(__file__).parents[1] / "examples" / "data"
 
 
 def _load(number: int) -> ModuleType:
-    path = EXAMPLES[number - 1]
+    path = EXAMPLES[number]
     assert path.name.startswith(f"{number:02d}_")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
@@ -130,3 +137,50 @@ def test_a_press_tells_of_the_surface():
 @pytest.mark.full
 def test_an_episode_of_an_environment_is_played():
     np.testing.assert_allclose(_load(11).main(), -np.log(2) * np.ones(4), rtol=1e-5)
+
+
+@pytest.mark.full
+def test_the_paper_in_one_page(capsys):
+    right = _load(0).main(touches=180, epochs=2, episodes=6, count=2)
+    assert 0 <= right <= 1
+    assert "recognised after 2 touches" in capsys.readouterr().out
+
+
+def test_a_predictor_of_one_s_own_is_trained_compared_kept_and_loaded_like_any_other(tmp_path, capsys):
+    """One file and one line; a network's options are one line each too."""
+    rng = np.random.default_rng(0)
+    slope, n = rng.uniform(-1, 1, (80, 2)), 80
+    at = np.linspace(0, 1, 48)
+    patch = 1e-3 * (slope[:, :1, None] * at + slope[:, 1:, None] * at[:, None])
+    patch -= patch.min((1, 2), keepdims=True)
+    reading = slope @ rng.normal(size=(2, 6)) * 20 + rng.normal(size=(n, 6))
+    recorded = bare_dataset(patch, reading)
+    touches = recorded.touches._replace(session=np.arange(n) // 8, force=np.ones(n, np.float32))
+    sessions = tuple(f"run {i}" for i in range(10))
+    i2t.save_dataset(tmp_path / "set.h5", replace(recorded, touches=touches, sessions=sessions))
+    words = ["--dataset", str(tmp_path / "set.h5"), "--split", "session", "--preset", "debug", "--epochs", "1"]
+    words += ["--methods", "ridge", "paper-depth", "--method", "examples.12_your_own_predictor:Slopes"]
+    words += ["--paper.bottleneck", "3", "--paper.auxiliary-weight", "0.5"]
+    assert train.main([*words, "--out", str(tmp_path / "run")]) == 0
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    own, network = "least squares on slopes", "paper's network, depth"
+    assert set(metrics["methods"]) == {"mean reading", "ridge on PCA", network, own}
+    assert metrics["methods"][own]["r2"] > 0.9
+    model = checkpoint.load(tmp_path / "run" / "checkpoint" / slug(network))[2].model
+    assert (model.bottleneck, model.auxiliary_weight, model.readings) == (3, 0.5, 6)
+
+    assert train.main([*words[:-6], "no_such_module:Slopes", "--out", str(tmp_path / "none")]) == 2
+    assert "no_such_module:Slopes cannot be had" in capsys.readouterr().err
+
+
+@pytest.mark.full
+def test_a_saved_predictor_of_one_s_own_is_loaded_once_its_module_is_imported(tmp_path, monkeypatch):
+    example = _load(12)
+    predictor = example.main(str(tmp_path / "p"), 36)
+    again = i2t.load_predictor(tmp_path / "p")
+    patch = np.zeros((48, 48))
+    np.testing.assert_array_equal(again.predict(patch).mean, predictor.predict(patch).mean)
+    name = f"{example.SlopeModel.__module__}:SlopeModel"
+    monkeypatch.delitem(TouchModel.known, name)
+    with pytest.raises(CheckpointError, match=f"a {name}, which is not known here; importlib"):
+        i2t.load_predictor(tmp_path / "p")

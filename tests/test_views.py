@@ -15,7 +15,7 @@ import i2t
 from i2t.depth.camera import Camera
 from i2t.depth.patches import view_from_depth
 from i2t.geometry import contact_frame, inverse
-from i2t.prediction import predictor as predictors
+from i2t.prediction.pressure import predict_pressures
 from i2t.rendering.render import prepare_surface, render_heights, render_patch, render_view, stack_surfaces
 from i2t.skin.contact import solve_force
 from i2t.skin.pad import nominal_pad
@@ -190,7 +190,7 @@ def test_the_pressure_is_that_of_a_press_at_the_same_pose(nominal, crowded):
     cfg, one = replace(nominal.pressure, smooth=False, tilt=0.0), np.ones(len(crowded), np.float32)
     for name in HIGH:
         seen = nominal.render_touches(THINGS[name], crowded)
-        found = np.asarray(predictors.predict_pressures(cfg, seen.view, one, np.nan * one).pressure)
+        found = np.asarray(predict_pressures(cfg, seen.view, one, np.nan * one).pressure)
         true = np.asarray(pressed(THINGS[name], jnp.asarray(crowded), cfg))
         shared = np.minimum(found, true).sum((1, 2)) / true.sum((1, 2))
         assert (shared > 0.7).all(), f"{name}: only {shared.min():.0%} of the load lies where the skin is met"

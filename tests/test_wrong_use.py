@@ -14,7 +14,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -24,7 +23,7 @@ from i2t import geometry
 from i2t.convert.commands import main as convert
 from i2t.prediction import user_input
 from i2t.prediction.baselines import MeanReading
-from i2t.prediction.predictor import BaselineModel, Predictor, Reading
+from i2t.prediction.predictor import Predictor, Reading
 from i2t.types import REACH, WIDE_PIXELS, Patch, Surface
 from i2t.views import WideView
 
@@ -225,8 +224,8 @@ FLAT = np.zeros((48, 48), np.float32)
 @pytest.fixture(scope="module")
 def predictor() -> Predictor:
     """The simplest there is: what is refused does not depend on the model."""
-    baseline = MeanReading(jnp.arange(15.0), jnp.ones(15))
-    return Predictor(BaselineModel(baseline), 17e-3, REACH, default_force=1.0, default_depth=0.3e-3)
+    baseline = MeanReading(np.arange(15.0), np.ones(15))
+    return Predictor(baseline, 17e-3, REACH, default_force=1.0, default_depth=0.3e-3)
 
 
 @pytest.fixture(scope="module")

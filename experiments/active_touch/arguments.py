@@ -13,7 +13,7 @@ PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 
 @dataclass(frozen=True)
 class ActiveTouchSizes:
-    """How much is done."""
+    """Sizes of the experiment."""
 
     sites: int = 36
     train_pads: int = 4
@@ -52,7 +52,7 @@ class ActiveTouchArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return with_trained_run("python -m experiments.studies policy")
 
     def check(self) -> None:
@@ -67,7 +67,7 @@ class ActiveTouchArgs:
 
     @property
     def sizes(self) -> ActiveTouchSizes:
-        """Those of the preset, but for what was given."""
+        """Sizes of the preset, except those given."""
         return choose_preset(
             PRESETS, self.preset, episodes=self.episodes, iterations=self.iterations, raw_iterations=self.raw_iterations
         )

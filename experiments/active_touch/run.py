@@ -39,7 +39,7 @@ APPLE = {1: 0.454, 2: 0.549, 3: 0.685, 4: 0.727, 5: 0.794, 16: 0.880}  # accurac
 
 
 class Lab(NamedTuple):
-    """Training and test: other pads, other placements."""
+    """Environment, with other pads and placements in the test."""
 
     environment: TouchEnvironment
     train: EnvironmentParams
@@ -47,7 +47,7 @@ class Lab(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """Whether the most probable object was the true one."""
+    """Hits of the most probable object, touch by touch."""
 
     hit: np.ndarray  # (e, t)
     pad: np.ndarray  # (e,)

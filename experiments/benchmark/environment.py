@@ -22,7 +22,7 @@ from i2t.simulation.touches import SimulationErrors, simulate_touches
 
 @dataclass(frozen=True)
 class EnvironmentBenchmark:
-    """What is stepped."""
+    """Sizes of the environments."""
 
     objects: tuple[str, ...] = ("star", "hexagon", "cylinder", "cross")
     sites: int = 16

@@ -35,7 +35,7 @@ sys.exit(code)
 
 @dataclass(frozen=True)
 class Logs:
-    """How long the logs are, in rows."""
+    """Lengths of the logs, in rows."""
 
     long: int = 2_000_000
     short: int = 20_000

@@ -26,7 +26,7 @@ from i2t.simulation.sites import RECOGNITION_LIMITS, collect_sites
 
 @dataclass(frozen=True)
 class Policy:
-    """How much there is to choose among."""
+    """Sizes of the decision."""
 
     objects: int = 25
     sites: int = 256

@@ -29,7 +29,7 @@ BESIDE_AN_EDGE = 1e-4  # of all pixels may differ: rays within rounding of an ed
 
 @dataclass(frozen=True)
 class Rendering:
-    """Which meshes and batches."""
+    """Meshes and batches."""
 
     spheres: tuple[int, ...] = (1, 3, 5, 6)  # times that an icosahedron's faces were cut in four
     shapes: tuple[str, ...] = ("hexagon", "star", "flower", "cylinder", "hammer", "screwdriver", "spanner", "scissors")

@@ -43,7 +43,7 @@ from i2t.options import read_options
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Which sections to run, how often, and where to write `benchmark.json`."""
+    """Sections to run, repetitions, and the folder of `benchmark.json`."""
 
     sections: tuple[str, ...] = ("training", "rendering", "skin", "policy")
     out: Path | None = None

@@ -30,7 +30,7 @@ LAST_BIT_UT = 1e-3  # of readings that are compiled for another number of cores
 
 @dataclass(frozen=True)
 class Scaling:
-    """What is simulated, and by how many."""
+    """Numbers of processes and of simulated touches."""
 
     processes: int = 2
     touches: int = 288
@@ -38,7 +38,7 @@ class Scaling:
 
 
 class TouchTiming(NamedTuple):
-    """A process's simulation."""
+    """Times and readings of a process's simulation."""
 
     wall_s: float
     processor_s: float

@@ -28,7 +28,7 @@ NO_SURFACE_M = 1.0  # behind the nearest point: nothing there
 
 @dataclass(frozen=True)
 class SkinBenchmark:
-    """Which batches, grids and numbers of dipoles."""
+    """Batches, grids and numbers of dipoles."""
 
     batch: int = 64
     cells: tuple[int, ...] = (20, 40, 80)  # along each edge of the pad
@@ -148,7 +148,7 @@ def _finish(run: Callable, *arguments: object) -> object:
 
 
 def _grid(cells: int) -> Grid:
-    """As fine as asked, with the default's period."""
+    """Grid as fine as asked, with the default's period."""
     return Grid(cells, cells * GRID.modes // GRID.cells)
 
 

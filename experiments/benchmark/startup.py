@@ -17,7 +17,7 @@ from i2t.compile_cache import VARIABLE
 
 @dataclass(frozen=True)
 class Startup:
-    """Which command, as words after `python -m`."""
+    """Command, as words after `python -m`."""
 
     command: tuple[str, ...] = ("experiments.train", "--preset", "debug")
     turns: int = 1  # each is two runs

@@ -1,4 +1,4 @@
-"""How speeds are measured: contenders interleaved in one run, on the same machine."""
+"""Measurement of speeds: contenders interleaved in one run, on the same machine."""
 
 import statistics
 import time

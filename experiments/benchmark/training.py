@@ -1,6 +1,4 @@
-"""Section `training` of the benchmark: our compiled epoch against eager PyTorch, and a seed among several trained
-together against one alone.
-"""
+"""Section `training` of the benchmark: our compiled epoch against eager PyTorch."""
 
 import statistics
 from collections.abc import Callable
@@ -11,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmark.timing import BenchmarkRow, MissingPeerError, compare, interleave
-from i2t.prediction import training
-from i2t.prediction.model import Inputs, ModelConfig
-from i2t.prediction.training import Batch, TrainConfig, TrainState
+from i2t import training
+from i2t.paper import loss, network
+from i2t.paper.config import PaperConfig
+from i2t.training import Batch, Learner, TrainConfig, TrainState
 
 
 @dataclass(frozen=True)
@@ -21,43 +20,39 @@ class Training:
     """An epoch of the paper's network on a set of the paper's size."""
 
     touches: int = 1630
-    epochs: int = 10  # timed together, in one turn: a chunk of `training.fit`
-    seeds: int = 5  # trained together
-    model: ModelConfig = field(default_factory=ModelConfig)
+    epochs: int = 10  # timed together, in one turn
+    model: PaperConfig = field(default_factory=PaperConfig)
     train: TrainConfig = field(default_factory=lambda: TrainConfig(schedule="constant"))
 
 
 def section(setup: Training, turns: int) -> list[BenchmarkRow]:
-    """Our compiled epoch against eager PyTorch, and a seed among several trained together against one alone."""
+    """Our compiled epoch against eager PyTorch."""
     batch = _random_touches(setup)
-    state = jax.jit(lambda: training.start(setup.model, setup.train, setup.touches))()
-    run = jax.jit(training.make_chunk(setup.model, setup.train, setup.epochs))
-    vmapped = jax.jit(jax.vmap(training.make_chunk(setup.model, setup.train, setup.epochs), (0, None, None, None)))
-    states = jax.tree.map(lambda leaf: jnp.stack([leaf] * setup.seeds), state)
-    count = jnp.int32(setup.epochs)
+    learner = Learner(setup.model, network.init, loss.losses)
+    key = jax.random.key(0)
+    state = jax.jit(training.init, static_argnums=(1, 2, 3))(key, learner, setup.train, setup.touches)
+    epoch = training.compiled(learner, setup.train)
+
+    def ours() -> list[float]:
+        """The same epochs each turn, the mean loss of each."""
+        now, totals = state, []
+        for _ in range(setup.epochs):
+            now, info = epoch(now, batch, None)
+            totals.append(float(info.train.total[0]))
+        return totals
 
     peers = {name: TorchTraining(setup, state, batch, name) for name in ("fused", "foreach")}
-    expected = np.asarray(run(state, batch, None, count)[1].train.total[:, 0])
+    expected = ours()
     for peer in peers.values():
         # Float32 sums of some thousand terms in another order, carried through some epochs of Adam.
         np.testing.assert_allclose(peer.epochs(), expected, rtol=1e-3)
 
-    contenders: dict[str, Callable[[], object]] = {
-        "ours": lambda: jax.block_until_ready(run(state, batch, None, count)),
-        "alone": lambda: [jax.block_until_ready(run(state, batch, None, count)) for _ in range(setup.seeds)],
-        "together": lambda: jax.block_until_ready(vmapped(states, batch, None, count)),
-    }
+    contenders: dict[str, Callable[[], object]] = {"ours": ours}
     contenders |= {name: peer.epochs for name, peer in peers.items()}
     seconds = {name: [s / setup.epochs for s in each] for name, each in interleave(contenders, turns).items()}
     best = min(peers, key=lambda name: statistics.median(seconds[name]))
-    together_each, alone_each = ([s / setup.seeds for s in seconds[name]] for name in ("together", "alone"))
     what = f"epoch of {setup.touches} touches, minibatches of {setup.train.batch_size}"
-    return [
-        compare("training", what, seconds["ours"], f"eager PyTorch, {best} Adam", seconds[best]),
-        compare(
-            "training", f"the same, a seed of {setup.seeds} together", together_each, "the seeds one by one", alone_each
-        ),
-    ]
+    return [compare("training", what, seconds["ours"], f"eager PyTorch, {best} Adam", seconds[best])]
 
 
 class TorchTraining:
@@ -73,10 +68,11 @@ class TorchTraining:
                 "Section training compares with PyTorch, which is not installed; "
                 "run pip install 'imagine2touch[bench]'."
             ) from error
-        if setup.model != ModelConfig(pixels=setup.model.pixels):
+        if setup.model != PaperConfig(pixels=setup.model.pixels):
             raise ValueError("Section training compares the paper's network only; leave --training.model as it is.")
-        self.torch, self.setup, self.key, self.epoch = torch, setup, state.key[0], 0
-        self.images = torch.tensor(np.asarray(batch.inputs.image)).flatten(1)
+        self.torch, self.setup, self.epoch = torch, setup, 0
+        self.key = jax.random.wrap_key_data(state.key[0])
+        self.images = torch.tensor(np.asarray(batch.inputs)).flatten(1)
         self.targets = torch.tensor(np.asarray(batch.target))
 
         def linear(name: str) -> "torch.nn.Linear":
@@ -124,4 +120,4 @@ def _random_touches(setup: Training) -> Batch:
     rng = np.random.default_rng(0)
     image = rng.random((setup.touches, setup.model.pixels, setup.model.pixels), np.float32)
     target = rng.standard_normal((setup.touches, setup.model.readings), np.float32)
-    return Batch(Inputs(jnp.asarray(image), jnp.zeros((setup.touches, 0))), jnp.asarray(target))
+    return Batch(jnp.asarray(image), jnp.asarray(target))

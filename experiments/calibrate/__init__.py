@@ -1,1 +1,1 @@
-"""How many presses of a skin predict all others."""
+"""Number of presses of a skin that predict all others."""

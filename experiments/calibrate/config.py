@@ -16,7 +16,7 @@ PressCount: TypeAlias = Annotated[int, Limits(2)]
 
 @dataclass(frozen=True)
 class Preset:
-    """How much is tried."""
+    """Sizes of the experiment."""
 
     draws: int = 20
     counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300, 1000)
@@ -60,12 +60,12 @@ class CalibrateArgs:
 
     @property
     def folder(self) -> Path | None:
-        """For everything that is made; none where a pad is written to a file."""
+        """Folder for everything that is made; none where a pad is written to a file."""
         return None if self.save_pad else self.out
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run: a pad of the presses, where the tip is one that a pad can be fitted with."""
+        """Command to try with a finished run: a pad of the presses, where a pad can be fitted with the tip."""
         metrics = Path(self.out) / METRICS
         if metrics.exists() and json.loads(metrics.read_text()).get("tip"):
             asked = "" if self.skin_name is None else f" --skin-name {self.skin_name}"
@@ -107,6 +107,6 @@ class CalibrateArgs:
 
 
 def preset_of(args: CalibrateArgs) -> Preset:
-    """The preset, with what is given instead."""
+    """The preset, changed by the options that are given."""
     cfg = choose_preset(PRESETS, args.preset, draws=args.draws)
     return replace(cfg, counts=tuple(sorted(set(args.presses))) or cfg.counts)

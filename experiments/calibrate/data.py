@@ -34,7 +34,7 @@ class PressRecording:
 
     @property
     def load_kind(self) -> LoadKind:
-        """What says how hard was pressed."""
+        """Kind of the load."""
         return "force" if self.by_force else "depth"
 
     @property
@@ -43,7 +43,7 @@ class PressRecording:
         return None if self.chip_positions is None else jnp.float32(self.chip_positions)
 
     def presses(self, rows: np.ndarray) -> Presses:
-        """Some of them, for the Gaussian process."""
+        """Presses of some rows, for the Gaussian process."""
         return Presses(jnp.float32(self.position[rows]), jnp.float32(self.load[rows]))
 
     def features(self, rows: np.ndarray) -> np.ndarray:

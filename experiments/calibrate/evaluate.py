@@ -34,7 +34,7 @@ class PredictionTask(NamedTuple):
 
 
 class Scores(NamedTuple):
-    """Of each test: R2, squared errors (uT^2) of the presses, and the share of readings in the 90 % range."""
+    """Scores of each test: R2, squared errors (uT^2) of the presses, and the share of readings in the 90 % range."""
 
     r2: dict[str, Curves]
     errors: dict[str, ErrorCurves]
@@ -120,7 +120,7 @@ def _predictions_from_mean(
 
 
 def _coverage(predictors: Predictors, rows: np.ndarray, test: np.ndarray) -> dict[str, np.ndarray]:
-    """Which readings (n, c) lie in the 90 % range, as the GP predicts it and with the interval scaling."""
+    """Masks of the readings (n, c) in the 90 % range, as the GP predicts it and with the interval scaling."""
     recording, hyperparameters = predictors.recording, predictors.hyperparameters
     known = recording.readings[rows]
     mean, std = predict(predictors.gp(hyperparameters, rows, known), recording.presses(test))

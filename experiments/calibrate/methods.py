@@ -59,11 +59,11 @@ class Predictors:
 
     @property
     def hyperparameters(self) -> StructuredGPHyperparameters:
-        """Those of the structured GP."""
+        """Hyperparameters of the structured GP."""
         return FORCE_HYPERPARAMETERS if self.recording.by_force else DEPTH_HYPERPARAMETERS
 
     def by_name(self) -> dict[str, Predict]:
-        """All of them."""
+        """All methods by name."""
         methods: dict[str, Predict] = {
             MEAN: self.mean,
             NEIGHBOURS: partial(neighbours, self.recording),
@@ -87,7 +87,7 @@ class Predictors:
     def gp_mean(
         self, hyperparameters: StructuredGPHyperparameters, rows: np.ndarray, target: np.ndarray, test: np.ndarray
     ) -> np.ndarray:
-        """What a structured GP of the target at rows predicts."""
+        """Predictions of a structured GP of the target at rows."""
         return np.asarray(predict(self.gp(hyperparameters, rows, target), self.recording.presses(test))[0], np.float64)
 
     def structured(self, rows: np.ndarray, test: np.ndarray, **changed: float) -> np.ndarray:
@@ -105,7 +105,7 @@ class Predictors:
         return np.tile(self.recording.readings[rows].mean(0), (len(test), 1))
 
     def calibrated(self, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-        """What `i2t.calibrate` predicts."""
+        """Predictions of `i2t.calibrate`."""
         recording = self.recording
         known = recording.position[rows], recording.load[rows], recording.readings[rows]
         calibration = calibrate(*known, load_kind=recording.load_kind, board=recording.own_board)
@@ -145,7 +145,7 @@ class Predictors:
         return np.asarray(_predict_network(network, head, self.recording.presses(test))[0], np.float64)
 
     def with_network(self, network: PressFeatures) -> "Predictors":
-        """The same with a pretrained network."""
+        """These methods with a pretrained network."""
         rows = np.arange(len(self.recording.load))
         features = np.asarray(baseline_network.features(network, self.recording.presses(rows)), np.float64)
         return replace(self, pretrained_features=features, log_noise=float(network.log_noise))

@@ -1,4 +1,4 @@
-"""What an earlier session of the same skin is worth as the mean of a later one, laid over it first.
+"""Value of an earlier session of the same skin as the mean of a later one, laid over it first.
 
 Between two sessions a skin moves: the earlier session's predictions are shifted, raised and scaled until they fit the
 presses of the later one that a method may learn from (`i2t.unknowns.alignment`); where both were converted from one
@@ -52,7 +52,7 @@ class SessionPair:
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
-    """What an earlier session is worth: R2 on the second half in time of this one, from presses of its first half."""
+    """Score an earlier session: R2 on the second half in time of this one, from presses of its first half."""
     assert args.previous_session is not None
     assert args.dataset is not None
     started, cfg = time.perf_counter(), preset_of(args)
@@ -120,7 +120,7 @@ def _in_one_frame(
 
 
 def _reference(dataset: Dataset) -> dict[str, Any] | None:
-    """Where positions and heights count from in the robot's axes, where one session of a robot says so."""
+    """Origin of positions and heights in the robot's axes, where one session of a robot states it."""
     texts = [text for key, text in dataset.meta.items() if key.startswith(REFERENCE_OF_SESSION)]
     return json.loads(texts[0]) if len(texts) == 1 else None
 
@@ -153,7 +153,7 @@ def _aligned(
 
 
 def _without_presses(pair: SessionPair, as_recorded: PressRecording, test: np.ndarray) -> dict[str, float]:
-    """R2 of what the earlier session says before any press of the later one."""
+    """R2 of the earlier session's predictions before any press of the later one."""
     gp = _previous_gp(pair, pair.previous_rows, 0)
     scores = {}
     for name, later in (("as recorded", as_recorded), ("in the robot's axes", pair.later)):
@@ -204,7 +204,7 @@ def _curves(
 
 
 def _of_residuals(moved: PressRecording, rows: np.ndarray, left: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """What a GP says of what the aligned earlier session leaves."""
+    """Predictions of a GP of the residuals of the aligned earlier session."""
     predictors = Predictors(moved)
     # Heights were found by the previous session; the presses select how much of what it leaves is noise.
     candidates = hyperparameter_grid(predictors.hyperparameters._replace(height_std=0.0), RESIDUAL_NOISE)

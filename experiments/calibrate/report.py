@@ -189,7 +189,7 @@ def warn(recording: PressRecording, which: str = "") -> DataWarnings:
 
 
 def unknowns_of(dataset: Dataset, recording: PressRecording) -> dict[str, Any]:
-    """What was found of the recording's unknowns: what its converter kept with it, or else what labels and readings
+    """Findings on the recording's unknowns: those its converter kept with it, or else those that labels and readings
     tell of each other; what is wrong is printed.
     """
     found = findings_from_meta(dataset.meta)
@@ -205,7 +205,7 @@ def unknowns_of(dataset: Dataset, recording: PressRecording) -> dict[str, Any]:
 
 
 def warning_metrics(found: DataWarnings) -> dict[str, Any]:
-    """What the checks of the presses found."""
+    """Findings of the checks of the presses."""
     return {
         "warnings": found.messages(),
         "repeated_rows": int(found.repeated.sum()),

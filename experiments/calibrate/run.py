@@ -46,7 +46,7 @@ M_PER_MM = 1e-3
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
-    """What the options ask for: methods compared, an earlier session's worth, heads, or a pad."""
+    """Run what the options ask for: methods compared, an earlier session's worth, heads, or a pad."""
     if args.save_pad:
         return fitted_pad.run(args)
     return (previous_session.run if args.previous_session else targets.run if args.targets else compare)(args)

@@ -21,7 +21,7 @@ class CalibratePadsArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return "python -m experiments.pads"
 
     def check(self) -> None:

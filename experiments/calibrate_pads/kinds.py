@@ -41,7 +41,7 @@ JUMP = 3.0  # of the force at one depth
 
 
 class PressedSkinOfKind(NamedTuple):
-    """One skin, its presses in the order of time, as a lab has them."""
+    """One skin and its presses in the order of time, as a lab measures them."""
 
     kind: str
     position: np.ndarray  # (n, 2) m
@@ -53,7 +53,7 @@ class PressedSkinOfKind(NamedTuple):
 
     @property
     def previous_readings(self) -> np.ndarray:
-        """(n, c) uT, of the press before each; zero before the first."""
+        """Readings (n, c) uT of the press before each; zero before the first."""
         return np.concatenate([np.zeros_like(self.readings[:1]), self.readings[:-1]])
 
 
@@ -131,7 +131,7 @@ def _press_pads(
 
 
 def _measured(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkinOfKind:
-    """What a lab has of exact presses."""
+    """Exact presses with a lab's errors."""
     zero = HEIGHT_ZERO_ERROR * skin.depth.max() * rng.normal()
     depth = np.maximum(skin.depth + zero + DEPTH_ERROR_M * rng.normal(size=skin.depth.shape), 0)
     force = np.maximum(skin.force + FORCE_ERROR_N * rng.normal(size=skin.force.shape), 0)
@@ -140,7 +140,7 @@ def _measured(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkinO
 
 
 def _displaced(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkinOfKind:
-    """What a lab has of a board as two real ones were described."""
+    """Presses with the errors and effects seen on two real boards."""
     n, c = skin.readings.shape
     rms = np.sqrt(np.mean(skin.readings**2))
     measured = _measured(rng, skin)

@@ -128,7 +128,7 @@ def structured_r2(
 def plain_r2(
     presses: Presses, readings: Float[Array, "pads n c"], counts: Sequence[int], held_out: int
 ) -> Float[np.ndarray, "pads counts"]:
-    """The same of the plain process, whose scales each pad's presses choose."""
+    """R2 on the same presses of the plain process, whose scales each pad's presses choose."""
     position, force, y = (np.asarray(part, np.float64) for part in (presses.position, presses.load, readings))
     test = np.arange(y.shape[1] - held_out, y.shape[1])
     skins = [PressRecording(*one, True) for one in zip(position, force, y, strict=True)]
@@ -145,7 +145,7 @@ def over_pads(counts: Sequence[int], values: dict[str, np.ndarray]) -> dict[str,
 def _search_on(
     cfg: Population, presses: Presses, readings: Float[Array, "pads n c"]
 ) -> tuple[StructuredGPHyperparameters, dict[str, float]]:
-    """What is found, rounded to two digits, and the mean R2 of the guess and of what is found."""
+    """Hyperparameters found, rounded to two digits, and the mean R2 of the guess and of those found."""
     with progress(desc="hyperparameters", unit="set") as bar:
 
         def mean_r2(hyperparameters: StructuredGPHyperparameters) -> float:

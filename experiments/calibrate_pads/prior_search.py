@@ -50,7 +50,7 @@ ANCHORS: dict[str, SkinKernels] = {
 
 @dataclass(frozen=True)
 class PriorSearch:
-    """How much is tried."""
+    """Sizes of the search."""
 
     skins: int = 8  # of each kind
     test_presses: int = 100  # of each skin

@@ -67,7 +67,7 @@ PAD_LABEL_WIDTH = 40
 
 @dataclass(frozen=True)
 class PadsPreset:
-    """How much is tried."""
+    """Sizes of the experiment."""
 
     pads: int = 8
     counts: tuple[int, ...] = (10, 20, 50, 100, 300)
@@ -84,7 +84,7 @@ PRESETS: dict[str, PadsPreset] = {
 
 
 class PadScores(NamedTuple):
-    """What is measured over pads."""
+    """Scores over pads."""
 
     r2: Curves
     map_r2: Curves  # of the fitted magnetization
@@ -93,7 +93,7 @@ class PadScores(NamedTuple):
 
 
 def run(args: CalibratePadsArgs) -> dict[str, Any]:
-    """What the options ask for: pads compared, hyperparameters, the prior over kernels, or kinds of skins."""
+    """Run what the options ask for: pads compared, hyperparameters, the prior over kernels, or kinds of skins."""
     others = {run_population: args.population, run_prior: args.prior, run_kinds: args.kinds}
     return next((each for each, asked in others.items() if asked), run_pads)(args)
 

@@ -50,7 +50,7 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For tables."""
+        """Name for tables."""
         return (
             f"{self.kind}, {self.load}"
             + (", reading before" if self.knows_previous else "")
@@ -68,7 +68,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class KindsPreset:
-    """How much is tried."""
+    """Sizes of the experiment."""
 
     skins: int = 10  # of each kind
     draws: int = 2  # of each skin
@@ -196,7 +196,7 @@ def predict_all(
 
 
 def loads_of(case: Case, skin: PressedSkinOfKind) -> np.ndarray:
-    """(n,) or (n, 2): what is known of how hard was pressed."""
+    """Known loads of the presses, (n,) or (n, 2)."""
     each = {"depth": skin.depth, "force": skin.force}
     return np.column_stack([skin.depth, skin.force]) if case.load == "both" else each[case.load]
 
@@ -209,7 +209,7 @@ def board_of(skin: PressedSkinOfKind) -> Board:
 def one_kernel(
     kernels: SkinKernels, skin: PressedSkinOfKind, load: np.ndarray, rows: np.ndarray, test: np.ndarray
 ) -> np.ndarray:
-    """(m, c): what one kernel predicts."""
+    """Predictions (m, c) of one kernel."""
     typical = np.sqrt(np.mean(load[rows] ** 2))
     chips = skin.chip_positions if kernels.far_amplitude[0] < UNIFORM_FAR_AMPLITUDE else None
     known, other = (geometry(skin.position[part], load[part] / typical, chips) for part in (rows, test))

@@ -1,1 +1,1 @@
-"""What holds of the project's text: pages, tables, docstrings, imports and the site."""
+"""Checks of the project's text: pages, tables, docstrings, imports and the site."""

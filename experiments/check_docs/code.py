@@ -1,4 +1,4 @@
-"""What is to hold of the code's text: floors, no circles, docstrings that say what is taken and given."""
+"""Checks of the code's text: floors, no circles, docstrings that say what is taken and given."""
 
 import ast
 import importlib
@@ -11,17 +11,18 @@ from pathlib import Path
 import i2t
 from experiments.check_docs.pages import Finding, wrong_call
 
-# A package imports from lower floors only. Calibration stands above prediction, whose small network it uses.
+# A package imports from lower floors only. Prediction stands above the paper, whose parts it uses.
 FLOORS = {
     0: ("_version", "errors", "extras", "windows", "types", "geometry", "serialization", "files", "compile_cache",
-        "cli", "given"),
-    1: ("batching", "models", "options", "objects", "progress", "sharding", "views"),
-    2: ("dataset",),
+        "cli", "validation"),
+    1: ("batching", "mlp", "models", "options", "objects", "progress", "sharding", "views"),
+    2: ("dataset", "training"),
     3: ("rendering", "depth", "skin", "unknowns"),
-    4: ("simulation", "prediction", "convert", "viz", "hardware"),
-    5: ("calibration", "registration", "emulators", "view"),
-    6: ("recognition", "reconstruction", "collect"),
-    7: ("environments", "place", "imagine", "__main__"),  # the short name of a command, and the list of all
+    4: ("simulation", "paper", "convert", "viz", "hardware"),
+    5: ("prediction", "registration", "emulators", "view"),
+    6: ("calibration",),
+    7: ("recognition", "reconstruction", "collect"),
+    8: ("environments", "place", "imagine", "__main__"),  # the short name of a command, and the list of all
 }  # fmt: skip
 FLOOR_OF = {name: floor for floor, names in FLOORS.items() for name in names}
 PROJECT = ("i2t", "experiments", "tests", "examples", "notebooks")
@@ -32,7 +33,7 @@ Trees = Mapping[str, ast.Module]  # by name; a package's ends in a point
 
 
 def findings(root: Path) -> Iterator[Finding]:
-    """What is wrong with the code of `i2t` and `experiments`."""
+    """Find mistakes in the code of `i2t` and `experiments`."""
     trees = {}
     for folder in ("i2t", "experiments"):
         for path in sorted((root / folder).rglob("*.py")):
@@ -69,7 +70,7 @@ def imports(name: str, tree: ast.Module, modules: set[str]) -> Iterator[tuple[in
 
 
 def _absolute(name: str, module: str, level: int) -> str:
-    """What `module` after `level` points means in the module `name`."""
+    """Resolve `module` after `level` points, as the module `name` imports it."""
     above = name.split(".")[:-level] if level else []
     return ".".join([*above, *([module] if module else [])])
 
@@ -176,7 +177,7 @@ def architecture(page: Path) -> Iterator[Finding]:
 
 
 def face(name: str) -> Iterator[str]:
-    """What is wrong with the docstring of a name of the public face: sections, and an example that can be called."""
+    """Find mistakes in the docstring of a public name: sections, and an example that can be called."""
     value = getattr(i2t, name)
     said = inspect.getdoc(value) or ""
     if inspect.isfunction(value):

@@ -32,7 +32,7 @@ def _last(step: str, objects: str, method: str) -> dict[str, float]:
 
 
 def _short(value: float, decimals: int = 2) -> str:
-    """As the prose writes a rate: .53"""
+    """Write a rate as the prose does, such as .53."""
     return f"{value:.{decimals}f}".replace("0.", ".", 1)
 
 
@@ -47,13 +47,13 @@ def _spanned(found: Mapping[str, float]) -> str:
 
 
 def _half_width(objects: str, method: str) -> float:
-    """Of the interval of a difference to proprioception after the last touch, in points."""
+    """Half the interval of a difference to proprioception after the last touch, in points."""
     found = _measured("paper")["sets"][objects]["paired"][f"{method} - {ARM}"]["last"]
     return 50 * (found["high"] - found["low"])
 
 
 def _pads_for(points: float, objects: str, method: str) -> str:
-    """How many pads would narrow that interval to so many points either way."""
+    """Number of pads that would narrow that interval to so many points either way."""
     return f"{_measured('paper')['runs'] * (_half_width(objects, method) / points) ** 2:.0f}"
 
 
@@ -76,7 +76,7 @@ def _span(scores: Mapping[str, Any]) -> str:
 
 
 def _rows_of_eflesh() -> list[str]:
-    """The table of the ready model of a real skin, which its own measurements are beside."""
+    """Rows of the table of the ready model of a real skin, from its own measurements."""
     methods = json.loads((ROOT / "i2t" / "models" / "eflesh" / "metrics.json").read_text())["methods"]
     rows = []
     for name, found in methods.items():
@@ -86,7 +86,7 @@ def _rows_of_eflesh() -> list[str]:
 
 
 def _sentences() -> list[tuple[str, str]]:
-    """A page, and what it says somewhere."""
+    """Pages and sentences on them."""
     paper = {(objects, method): _shown("paper", objects, method) for objects in ("primitives", "tools")
              for method in (MASK, DEPTH, PROCESS, CONSTANT, ARM)}  # fmt: skip
     primitives, tools = ({method: paper[name, method] for method in (MASK, DEPTH, PROCESS, CONSTANT, ARM)}
@@ -154,7 +154,7 @@ def findings(root: Path) -> Iterator[Finding]:
 
 
 def _claims() -> Iterator[tuple[str, str, bool]]:
-    """A page, what it claims, and whether that was measured."""
+    """Pages, claims made on them, and whether they were measured."""
     fused, present = (_scores("recognize", "all", name) for name in ("fused", "readings and presence"))
     last = _last("recognize", "all", "fused")
     missed = last["mean"] < 0.95 < last["high"] and fused["mean"]["mean"] < 0.88 < fused["mean"]["high"]

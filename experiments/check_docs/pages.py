@@ -1,4 +1,4 @@
-"""What is to hold of each page. A check takes a page and its text, and gives what is wrong, and where."""
+"""Checks of each page. A check takes a page and its text, and gives what is wrong, and where."""
 
 import ast
 import contextlib
@@ -45,7 +45,7 @@ UNREAD = (re.compile(r"<!-- table: .*?<!-- end of table -->", re.S), re.compile(
 
 
 class Finding(NamedTuple):
-    """What is wrong, and where."""
+    """A mistake and its place."""
 
     path: Path
     line: int
@@ -58,7 +58,7 @@ def pages_of(root: Path) -> list[Path]:
 
 
 def findings(root: Path) -> Iterator[Finding]:
-    """What is wrong with pages and notebooks."""
+    """Find mistakes in pages and notebooks."""
     for page in pages_of(root):
         text = page.read_text()
         for check in CHECKS:
@@ -148,7 +148,7 @@ def printed_commands(text: str) -> list[tuple[int, list[str]]]:
 
 @cache
 def help_of(module: str, part: str = "") -> str:
-    """What a command says for `--help`; nothing if there is no such command."""
+    """Output of a command for `--help`; nothing if there is no such command."""
     try:
         package = importlib.util.find_spec(module)
     except ModuleNotFoundError:
@@ -204,7 +204,7 @@ def python(page: Path, text: str) -> Iterator[Finding]:
 
 
 def wrong_call(call: ast.Call, space: dict[str, Any]) -> str:
-    """What is wrong with a call of something in a name space; methods of what the code itself made are not judged."""
+    """Find the mistake in a call of something in a name space; methods of what the code itself made are not judged."""
     first, *rest = ast.unparse(call.func).split(".")
     if first not in space or not all(part.isidentifier() for part in rest):
         return ""
@@ -261,14 +261,14 @@ def grade(page: Path, text: str) -> Iterator[Finding]:
 
 @cache
 def glossary() -> list[str]:
-    """Its terms, longest first."""
+    """Terms of the glossary, longest first."""
     rows = re.findall(r"^\| ([^|]+) \| [^|]+ \|$", (ROOT / "docs" / "glossary.md").read_text(), re.M)[1:]
     terms = {term.strip(" `") for row in rows for term in re.sub(r" \([^)]*\)", "", row).split(", ")}
     return sorted(terms - EVERYDAY - {"---"}, key=len, reverse=True)
 
 
 def terms(page: Path, text: str) -> Iterator[Finding]:
-    """The first use of a term is the text of a link, or emphasised, as what is explained there is."""
+    """The first use of a term is the text of a link, or emphasised where the page explains it."""
     if page.stem in REFERENCE:
         return
     text = re.sub(r"`[^`]*`|^#.*$|\]\([^)]*\)", _blank, _without(text), flags=re.M)
@@ -284,7 +284,7 @@ def terms(page: Path, text: str) -> Iterator[Finding]:
 
 
 def _without(text: str) -> str:
-    """Only what is read as sentences, each on its line."""
+    """Keep only the sentences of a page, each on its line."""
     for unread in (FENCE, *UNREAD, COMMENT, PICTURE, FORMULA, SYMBOL):
         text = unread.sub(lambda found: "\n" * found[0].count("\n"), text)
     return text

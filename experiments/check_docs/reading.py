@@ -1,4 +1,4 @@
-"""How hard a page is to read: the grade of Flesch and Kincaid (Kincaid et al., 1975), of a page's sentences.
+"""Difficulty of a page: the grade of Flesch and Kincaid (Kincaid et al., 1975), of a page's sentences.
 
     grade = 0.39 words / sentences + 11.8 syllables / words - 15.59
 
@@ -59,7 +59,7 @@ def sentences_of(page: str) -> list[str]:
 
 
 def syllables(word: str) -> int:
-    """How many syllables a word has, by its groups of vowels.
+    """Number of syllables of a word, by its groups of vowels.
 
     Args:
         word: In English.

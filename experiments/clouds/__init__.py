@@ -1,1 +1,1 @@
-"""How near to a mesh's patches are those of a point cloud that was sampled from it?"""
+"""Comparison of a mesh's patches with those of a point cloud that was sampled from it."""

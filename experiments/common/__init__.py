@@ -1,1 +1,1 @@
-"""What experiments share: run folders."""
+"""Code that experiments share: run folders."""

@@ -1,4 +1,4 @@
-"""What several commands check before they import anything large: runs, data sets, and objects to tell apart."""
+"""Checks of several commands before they import anything large: runs, data sets, and objects to tell apart."""
 
 import json
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ def pad_name(folder: Path) -> str:
 
 
 def chosen_runs(folder: Path, pads: Sequence[str]) -> list[Path]:
-    """Of the runs that `finished_runs` finds, those with some pads.
+    """Finished runs (`finished_runs`) with some pads.
 
     Args:
         folder: Named by the user.

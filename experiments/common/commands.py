@@ -1,4 +1,4 @@
-"""How a command of the experiments is run: its options are read and checked before anything large is imported.
+"""Commands of the experiments: options are read and checked before anything large is imported.
 
 An experiment is a folder with `arguments.py`, a dataclass of its options that imports neither JAX nor NumPy, and
 `run.py`, whose docstring is the command's help and whose `run` does the work. So `--help` is there at once, and so is
@@ -7,14 +7,15 @@ the answer to a wrong name or number.
 
 import importlib
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from experiments.common.presets import RENAMED, answer_renamed_value
-from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, pictures_in
-from i2t.cli import check_options, docstring_of, renamed_flags
+from experiments.common.runs import METRICS, check_folder, check_out, ending_of_run, pictures_in
+from i2t.cli import Ending, check_options, docstring_of, renamed_flags
 from i2t.options import read_options
 
 
@@ -26,6 +27,73 @@ class CheckedOptions(Protocol):
 
 
 Checked = TypeVar("Checked", bound=CheckedOptions)
+
+
+class Command(Generic[Checked]):
+    """A command line that was read."""
+
+    def __init__(self, args: Checked, words: Sequence[str], module: str, end: Ending) -> None:
+        self.args, self.words, self.module, self.end = args, words, module, end
+        self.out: Path | None = getattr(args, "folder", getattr(args, "out", None))
+
+    @property
+    def code(self) -> int:
+        """The exit code, when the work is done."""
+        return self.end.code
+
+    @property
+    def run(self) -> Callable[[Checked], Any]:
+        """Function that does the work, imported only now."""
+        work: Callable[[Checked], Any] = importlib.import_module(self.module).run
+        return work
+
+    def checked(self) -> Checked:
+        """The options, or a refusal (ValueError) of what does not go together."""
+        check_options(self.args, self.words)
+        self.args.check()
+        if self.out is not None and hasattr(self.args, "overwrite"):
+            check_out(self.out, getattr(self.args, "resume", None), self.args.overwrite, kind=type(self.args).__name__)
+        elif self.out is not None:
+            check_folder(self.out)
+        return self.args
+
+
+@contextmanager
+def command(
+    kind: type[Checked], argv: Sequence[str] | None, module: str, *, renamed: Mapping[str, str] | None = None
+) -> Iterator[Command[Checked]]:
+    """Read a command line, run the block with it, and keep how that ended as its `code`.
+
+        with command(MyArgs, argv, "experiments.mine.run") as this:
+            args = this.checked()
+            this.run(args)
+        return this.code
+
+    Args:
+        kind: The dataclass of its options.
+        argv: The command line without the program's name; None takes the process's.
+        module: Name of the module whose docstring is the help, and whose `run` takes the options.
+        renamed: Flags of earlier versions, and what they are called now.
+
+    Yields:
+        The command.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    if any(each.name == "preset" for each in fields(kind)):  # type: ignore[arg-type]  # a dataclass
+        answer_renamed_value(words, "--preset", RENAMED)
+    renamed_flags(words, renamed or {})
+    args = read_options(kind, words, program=program_of(module), description=docstring_of(module), config=())
+    with carrying_out(args, words, module) as this:
+        yield this
+
+
+@contextmanager
+def carrying_out(args: Checked, words: Sequence[str], module: str = "") -> Iterator[Command[Checked]]:
+    """Run `command` with options that were read before."""
+    out: Path | None = getattr(args, "folder", getattr(args, "out", None))
+    with ending_of_run(out if hasattr(args, "resume") else None) as end:
+        yield Command(args, words, module, end)
+        say_where(out, getattr(args, "next_command", ""))
 
 
 def run_command(
@@ -46,41 +114,13 @@ def run_command(
         work: Takes the options in place of that `run`.
 
     Returns:
-        The exit code.
+        The exit code: an int that the work gave, or how it ended.
     """
-    words = list(sys.argv[1:] if argv is None else argv)
-    if any(each.name == "preset" for each in fields(kind)):  # type: ignore[arg-type]  # a dataclass
-        answer_renamed_value(words, "--preset", RENAMED)
-    renamed_flags(words, renamed or {})
-    args = read_options(kind, words, program=program_of(module), description=docstring_of(module), config=())
-    return carry_out(args, words, work or (lambda args: importlib.import_module(module).run(args)))
-
-
-def carry_out(args: Checked, words: Sequence[str], work: Callable[[Checked], Any]) -> int:
-    """Check options and do the work.
-
-    Args:
-        args: The options.
-        words: The command line that they were read from.
-        work: Takes the options; imports what it needs.
-
-    Returns:
-        The exit code.
-    """
-    out: Path | None = getattr(args, "folder", getattr(args, "out", None))
-
-    def checked() -> Any:
-        check_options(args, words)
-        args.check()
-        if out is not None and hasattr(args, "overwrite"):
-            check_out(out, getattr(args, "resume", None), args.overwrite, kind=type(args).__name__)
-        elif out is not None:
-            check_folder(out)
-        result = work(args)
-        say_where(out, getattr(args, "next_command", ""))
-        return result
-
-    return exit_code_of_run(checked, out if hasattr(args, "resume") else None)
+    with command(kind, argv, module, renamed=renamed) as this:
+        args = this.checked()
+        result = (work or this.run)(args)
+        this.end.code = result if isinstance(result, int) else 0
+    return this.code
 
 
 def say_where(out: Path | None, next_command: str) -> None:
@@ -99,7 +139,7 @@ def say_where(out: Path | None, next_command: str) -> None:
 
 
 def program_of(module: str) -> str:
-    """What a user types to run a module of an experiment.
+    """Command that runs a module of an experiment.
 
     Args:
         module: Its name.

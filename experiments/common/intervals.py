@@ -1,4 +1,4 @@
-"""How a number and its 95 % interval are printed, in one way for all experiments."""
+"""Printing of a number and its 95 % interval, in one way for all experiments."""
 
 import math
 from typing import SupportsFloat

@@ -22,7 +22,7 @@ Config = TypeVar("Config")
 
 
 def choose_preset(presets: Mapping[str, Config], name: str, **changes: Any) -> Config:
-    """The preset of a name, with what a user asked otherwise.
+    """The preset of a name, with the changes a user asked for.
 
     Args:
         presets: An experiment's presets, frozen dataclasses by name.

@@ -8,13 +8,14 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from i2t.cli import exit_code_of, require_writable
+from i2t.cli import Ending, ending, require_writable
 from i2t.files import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
@@ -28,18 +29,29 @@ Part = dict[str, Any]
 BETWEEN = "/"  # names of a part's levels on disk
 
 
-def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
-    """The exit code of a command: what its user can mend is said in one sentence, and after Ctrl-C where a `resumable`
-    run left its finished parts. A run that made nothing leaves nothing behind, nor does it take an earlier one's place.
+@contextmanager
+def ending_of_run(resumable: Path | None = None) -> Iterator[Ending]:
+    """Run an experiment's work in a block: what its user can mend is said in one sentence, and after Ctrl-C where a
+    `resumable` run left its finished parts. A run that made nothing leaves nothing behind, nor does it take an earlier
+    one's place.
     """
     try:
-        return exit_code_of(work, lambda: _interrupted(resumable))
+        with ending(lambda: _interrupted(resumable)) as end:
+            yield end
     finally:
         settle_begun()
 
 
+def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
+    """The exit code of an experiment, whose work is done as in `ending_of_run`."""
+    with ending_of_run(resumable) as end:
+        code = work()
+        end.code = code if isinstance(code, int) else 0
+    return end.code
+
+
 def _interrupted(resumable: Path | None) -> str:
-    """How things stand after Ctrl-C."""
+    """Explain the state of a run after Ctrl-C."""
     if not any(_made_something(out) for out in _BEGUN):
         return "interrupted; nothing was made"
     if resumable is None:
@@ -48,9 +60,7 @@ def _interrupted(resumable: Path | None) -> str:
 
 
 def settings(args: Any) -> dict[str, Any]:
-    """What is run, from a dataclass, and with which versions; where it is kept, who makes it and how it goes on is no
-    setting.
-    """
+    """Options of a run, from a dataclass, and package versions; paths, workers and resuming are no settings."""
     from i2t.prediction.checkpoint import PACKAGES  # not above: JAX takes seconds, which a refusal need not wait for
 
     kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite", "tasks")}
@@ -132,7 +142,7 @@ def settle_begun() -> None:
 
 
 def _made_something(out: Path) -> bool:
-    """Whether a folder that was begun holds more than the note of its beginning and what workers printed."""
+    """Test whether a folder that was begun holds more than the note of its beginning and the workers' logs."""
     return any(path.is_file() and path != out / CONFIG and path.suffix != LOG for path in out.rglob("*"))
 
 
@@ -141,12 +151,12 @@ atexit.register(settle_begun)  # for runs that no command line began
 
 
 def _aside(out: Path) -> Path:
-    """Where a run waits until another has taken its place."""
+    """Path of a replaced run until another has taken its place."""
     return out.with_name(f".{out.name}.replaced")
 
 
 def _is_ours(config: Path, kind: str) -> bool:
-    """Whether a config.json was written by `begin` for options of this kind; early versions did not note the kind."""
+    """Test whether a config.json was written by `begin` for options of this kind; early versions noted no kind."""
     try:
         about = json.loads(config.read_text())
     except (OSError, ValueError):
@@ -174,11 +184,6 @@ def pictures_in(out: Path) -> str:
     return ", ".join(names[:MAX_PICTURES_NAMED]) + (" ..." if len(names) > MAX_PICTURES_NAMED else "")
 
 
-def slug(name: str) -> str:
-    """A folder name."""
-    return "-".join("".join(c if c.isalnum() else " " for c in name.replace("'s", "")).split())
-
-
 def save_part(path: Path, part: Part) -> None:
     """Write nested dicts of arrays whole or not at all, for a resumed run to find.
 
@@ -196,7 +201,7 @@ def save_part(path: Path, part: Part) -> None:
 
 
 def load_part(path: Path) -> Part:
-    """What `save_part` wrote.
+    """Read what `save_part` wrote.
 
     Args:
         path: An npz file.

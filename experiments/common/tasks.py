@@ -14,7 +14,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +54,7 @@ class Task(NamedTuple):
 
     @property
     def log(self) -> Path:
-        """What a worker printed."""
+        """File of a worker's output."""
         return self.finished.parent / f"{self.name}.log"
 
 
@@ -68,7 +68,7 @@ Outcome: TypeAlias = Exception | WorkerDeath | None  # None: it is finished
 
 
 class Workers(Protocol):
-    """What makes tasks elsewhere."""
+    """Workers that make tasks."""
 
     count: int  # at a time
     patience_s: float  # until a file that a worker made is seen here
@@ -84,12 +84,21 @@ class Workers(Protocol):
 
 
 def run_tasks(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None = None) -> None:
-    """Make what is missing.
+    """Make what is missing, here or elsewhere, as in `tasks_here`."""
+    for task in tasks_here(tasks, options, bar=bar):
+        task.work()
+
+
+def tasks_here(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None = None) -> Iterator[Task]:
+    """Make what is missing elsewhere, or say what is to be made here.
 
     Args:
         tasks: In the order in which they are begun.
         options: Who makes them.
         bar: What a bar calls them while this process makes them; without it there is none.
+
+    Yields:
+        What this process has to make.
 
     Raises:
         ChildProcessError: The workers of a task died again and again.
@@ -100,8 +109,7 @@ def run_tasks(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None = 
     if options.executor == "serial":
         from i2t.progress import progress
 
-        for task in progress(missing, desc=bar or "", disable=bar is None):
-            task.work()
+        yield from progress(missing, desc=bar or "", disable=bar is None)
     elif missing:
         kind: type[LocalWorkers] | type[RayWorkers] = LocalWorkers if options.executor == "local" else RayWorkers
         with closing(kind(options, len(missing))) as workers:
@@ -138,7 +146,7 @@ def _make(tasks: Sequence[Task], workers: Workers) -> None:
 
 
 def _arrives(path: Path, patience_s: float) -> bool:
-    """Whether a file is seen here in time."""
+    """Test whether a file is seen here in time."""
     until = time.monotonic() + patience_s
     while not path.exists() and time.monotonic() < until:
         time.sleep(min(patience_s, 0.5))
@@ -255,7 +263,7 @@ def _end_with_parent() -> None:
 
 
 def _ended(code: int | None) -> str:
-    """How a process ended, for people."""
+    """Explain how a process ended."""
     if code is not None and code < 0:
         return f"killed by {signal.Signals(-code).name}"
     return f"exit code {code}"

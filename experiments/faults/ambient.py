@@ -1,4 +1,4 @@
-"""The ambient field: what is left of it once the tool has turned, and how often a change is seen or invented.
+"""The ambient field: its remainder once the tool has turned, and how often a change is seen or invented.
 
 Free poses are those that `i2t.collect` would take; samples have the room's field at each pose, chips whose gains and
 offsets differ, and noise, slow field and steps as the simulated lab has them. All simulated.
@@ -88,7 +88,7 @@ def _changes(rooms: int) -> list[FaultRow]:
 
 
 def _seen(field: AmbientField, pose: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Whether nothing, a change of the room and one of a chip are called a change."""
+    """Test whether nothing, a change of the room and one of a chip are called a change."""
     room = np.tile(pose[0, :3, :3].T @ [FIELD_STEP_UT, 0.0, 0.0], (BOARD.num_chips, 1))
     chip = np.eye(BOARD.num_readings)[0] * CHIP_STEP_UT
     changes = (0.0, np.asarray(BOARD.to_board(room)), chip)
@@ -108,12 +108,12 @@ class _Chips:
         self.offset = OFFSET_STD_UT * rng.standard_normal(BOARD.num_readings)
 
     def truth(self, poses: np.ndarray) -> np.ndarray:
-        """(p, c) uT, without noise."""
+        """Readings (p, c) uT, without noise."""
         fields = np.stack([room_field(RoomField(), BOARD, pose) for pose in poses])
         return np.asarray(self.gains * np.asarray(BOARD.to_board(fields)) + self.offset)
 
     def samples(self, rng: np.random.Generator, poses: np.ndarray, seconds: float = SECONDS) -> np.ndarray:
-        """(p, s, c) uT, of an arm that has stood for long."""
+        """Samples (p, s, c) uT, of an arm that has stood for long."""
         noise, chips = Noise(), BOARD.num_chips
         count, kept = max(1, round(seconds / TICK_S)), np.exp(-TICK_S / SLOW_FIELD_S)
         news = rng.standard_normal((len(poses), count, 3))
@@ -127,7 +127,7 @@ class _Chips:
 
 
 def _free_poses(seed: int) -> np.ndarray:
-    """(p, 4, 4) as a collection would take them."""
+    """Poses (p, 4, 4) as a collection would take them."""
     procedure, _ = make_procedure()
     settings = AmbientSettings(poses=FREE_POSES, seconds=SECONDS)
     plan = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, settings, seed)
@@ -135,7 +135,7 @@ def _free_poses(seed: int) -> np.ndarray:
 
 
 def _tilted_poses(rng: np.random.Generator, count: int) -> np.ndarray:
-    """(p, 4, 4) poses like those that sites ask for: within the tilts and turns of the free poses."""
+    """Poses (p, 4, 4) like those that sites ask for: within the tilts and turns of the free poses."""
     settings = AmbientSettings()
     tilt = np.radians(settings.tilt) * np.sqrt(rng.uniform(size=count))
     way, turn = rng.uniform(0, 2 * np.pi, count), np.radians(settings.turn) * rng.uniform(-1, 1, count)

@@ -26,4 +26,4 @@ class FaultsArgs:
     again: bool = False  # begin anew, whatever is kept in the folder
 
     def check(self) -> None:
-        """Nothing here excludes anything else."""
+        """Refuse nothing: no option excludes another."""

@@ -56,7 +56,7 @@ def arm(sizes: FaultCounts) -> list[FaultRow]:
 
 
 def status(host: str) -> dict:
-    """What the emulator says of itself."""
+    """Status that the emulator reports."""
     return dict(json.loads(ur_controller.ask(host, "status")))
 
 
@@ -114,7 +114,7 @@ def _second(trials: int) -> FaultRow:
 
 
 def force(sizes: FaultCounts) -> list[FaultRow]:
-    """How far emulated presses on soft and stiff objects run past the limit of force."""
+    """Overshoot of the force limit by emulated presses on soft and stiff objects."""
     settings, rig = TouchSettings(), Rig()
     rng = np.random.default_rng(0)
     peaks, reasons = [], []

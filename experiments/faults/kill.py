@@ -22,7 +22,7 @@ TOUCHES_AFTER = 5  # touches that are made after the last kill
 
 
 class Kills(NamedTuple):
-    """What came of killing collections, one after another, that write to one folder."""
+    """Results of killing collections, one after another, that write to one folder."""
 
     acknowledged: list[str]  # names of touches
     stood_after: list[float]  # s on the controller's clock, after each kill
@@ -31,14 +31,14 @@ class Kills(NamedTuple):
 
 
 class Completion(NamedTuple):
-    """How the collection after the last kill ended."""
+    """End of the collection after the last kill."""
 
     complete: bool  # it made the touches that it was to make
     sentence: str  # the last thing it said on the error stream
 
 
 def kill(sizes: FaultCounts) -> list[FaultRow]:
-    """All of it, on emulators that run on as a lab would."""
+    """Kill collections on emulators that run on as a lab would."""
     host = ur_controller.loopback(98)
     with tempfile.TemporaryDirectory() as folder:
         out, link = Path(folder) / "data", Path(folder) / "skin"

@@ -31,7 +31,7 @@ BRAKING_S = 0.03  # from 40 mm/s at 2 m/s^2, and a tick
 
 
 def links(sizes: FaultCounts, trials: TrialStore) -> list[FaultRow]:
-    """Both faults, each as often."""
+    """Try both faults, equally often."""
     kinds = {"lost control connection": _drop, "frozen controller": _freeze}
     made = trials.run(2 * sizes.links, lambda number: _trial(number, list(kinds)[number % 2]))
     rows = []
@@ -88,7 +88,7 @@ def _trial(number: int, kind: str) -> Trial | None:
 
 
 def _error_of(motion: "Future[None]") -> BaseException | None:
-    """What a motion ended with; one that is not over in time counts as a crash, which is a missed goal."""
+    """Error that ended a motion; one that is not over in time counts as a crash, which is a missed goal."""
     try:
         return motion.exception(ENDED_S)
     except TimeoutError:
@@ -118,7 +118,7 @@ def _freeze(host: str, process: "subprocess.Popen[str]") -> float:
 
 
 def _watch(host: str) -> Trial:
-    """When the arm stood, and whether it moved again or its program runs on."""
+    """Watch when the arm stands, and whether it moves again or its program runs on."""
     end = time.monotonic() + 5.0
     while status(host)["moving"] and time.monotonic() < end:
         time.sleep(0.02)

@@ -37,16 +37,16 @@ class PlaneCamera:
 
     @property
     def features(self) -> CameraFeatures:
-        """Known before `connect`."""
+        """Features of the camera, known before `connect`."""
         return CameraFeatures("the camera over a plane", "simulated", 0.0, 30.0)
 
     def connect(self) -> None:
-        """Switch it on."""
+        """Switch the camera on."""
         self.connects += 1
         self._open = True
 
     def close(self) -> None:
-        """Switch it off."""
+        """Switch the camera off."""
         self._open = False
 
     def __enter__(self) -> "PlaneCamera":

@@ -42,7 +42,7 @@ RIGHT_SEEDS = 10  # labs of each object in which the right rig is tried
 
 
 class Found(NamedTuple):
-    """What became of a rig."""
+    """Result of trying a rig."""
 
     where: str  # file, plausibility, lens, first touch, or accepted
     sentence: str
@@ -113,7 +113,7 @@ def rig(sizes: FaultCounts, trials: TrialStore) -> list[FaultRow]:
 
 
 def _mistakes_row(made: list[Trial]) -> FaultRow:
-    """How many mistakes were caught with one object, and where."""
+    """Count the mistakes caught with one object, by place."""
     accepted = [each["mistake"] for each in made if each["where"] == "accepted"]
     counts = Counter(each["where"] for each in made)
     caught = len(made) - len(accepted)
@@ -129,7 +129,7 @@ def _mistakes_row(made: list[Trial]) -> FaultRow:
 
 
 def try_mistake(mistake: RigMistake, name: str, seed: int = 0) -> Found:
-    """What becomes of a mistake.
+    """Try a mistake.
 
     Args:
         mistake: Of `MISTAKES`.
@@ -147,7 +147,7 @@ def try_mistake(mistake: RigMistake, name: str, seed: int = 0) -> Found:
 
 
 def try_rig(wrong: Rig, name: str, seed: int = 0) -> Found:
-    """What becomes of a rig in a lab that is as `right_rig` says.
+    """Try a rig in a lab that is as `right_rig` says.
 
     Args:
         wrong: The rig that is believed.

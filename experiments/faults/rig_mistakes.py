@@ -50,7 +50,7 @@ def _pose(place: tuple[float, float, float], degrees: tuple[float, float, float]
 
 
 def _tool(name: str, change: Callable[[Array], Array]) -> RigMistake:
-    """The skin was calibrated wrongly in the flange; camera and skin were calibrated apart, so the camera stays."""
+    """A wrong calibration of the skin in the flange; camera and skin were calibrated apart, so the camera stays."""
     return RigMistake(name, lambda rig: replace(rig, T_flange_tool=change(np.array(rig.T_flange_tool))))
 
 
@@ -75,7 +75,7 @@ def _limits(name: str, **changes: Any) -> RigMistake:
 
 
 def _shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Array], Array]:
-    """Off by some millimetres, along the axes of the frame to which it maps."""
+    """Shift a transform by some millimetres, along the axes of the frame to which it maps."""
 
     def change(T: Array) -> Array:
         T[:3, 3] += 1e-3 * np.array([x, y, z])
@@ -85,12 +85,12 @@ def _shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Array]
 
 
 def _turned(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Array], Array]:
-    """Turned about its own axes by some degrees."""
+    """Turn a frame about its own axes by some degrees."""
     return lambda T: T @ _pose((0.0, 0.0, 0.0), (x, y, z))
 
 
 def _scaled(factor: float) -> Callable[[Array], Array]:
-    """Lengths in another unit."""
+    """Give lengths in another unit."""
 
     def change(T: Array) -> Array:
         T[:3, 3] *= factor

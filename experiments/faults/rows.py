@@ -1,4 +1,4 @@
-"""What a section of the report says, and how much of it is tried."""
+"""Rows of a section of the report, and the counts of its trials."""
 
 from dataclasses import astuple, dataclass
 from typing import NamedTuple
@@ -17,7 +17,7 @@ class FaultRow(NamedTuple):
 
 @dataclass(frozen=True)
 class FaultCounts:
-    """How often each thing is tried; the defaults are those of the report."""
+    """Numbers of trials of each fault; the defaults are those of the report."""
 
     stream: float = 600.0  # s
     frames: int = 20_000
@@ -35,7 +35,7 @@ class FaultCounts:
     stalls: int = 100
 
     def times(self, share: float) -> "FaultCounts":
-        """As much of everything, and of each at least one."""
+        """Scale all counts by a share, each at least to one."""
         return FaultCounts(*(type(count)(max(1, share * count)) for count in astuple(self)))
 
 

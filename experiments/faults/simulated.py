@@ -1,4 +1,4 @@
-"""Presses in closed form, a thousand for little: late arms, noise that must not stop one, disks, clocks and cables."""
+"""A thousand presses in closed form: late arms, noise that must not stop one, disks, clocks and cables."""
 
 import contextlib
 import os
@@ -40,7 +40,7 @@ class SettableClock:
         self._clock, self.jump = clock, 0.0
 
     def now(self) -> float:
-        """Seconds."""
+        """Monotonic time (s)."""
         return self._clock.now()
 
     def wall(self) -> float:
@@ -53,30 +53,30 @@ class SettableClock:
 
 
 class NullRecorder:
-    """Keeps nothing but how far the tool went."""
+    """Recorder that keeps only the tool's positions."""
 
     def __init__(self) -> None:
         self.positions: list[Array] = []
 
     def begin(self, site: Site, attempt: int) -> "NullRecorder":
-        """A touch begins."""
+        """Begin a touch."""
         return self
 
     def save(self, touched: Any) -> None:
-        """It was made."""
+        """Keep nothing of a finished touch."""
 
     def abandon(self, reason: str) -> None:
-        """It was not."""
+        """Keep nothing of an abandoned touch."""
 
     def samples(self, samples: Any, skin: str = "") -> None:
-        """Of a skin."""
+        """Keep no samples."""
 
     def state(self, state: Any) -> None:
-        """Of the arm."""
+        """Keep the tool's position."""
         self.positions.append(state.T_b_t[:3, 3])
 
     def event(self, text: str) -> None:
-        """What happened."""
+        """Keep no events."""
 
 
 def make_procedure(
@@ -177,7 +177,7 @@ def _small_disk(size: str) -> Iterator[Path]:
 
 
 def count(folder: Path, acknowledged: list[str]) -> tuple[int, int]:
-    """How many acknowledged touches are lost, and files that cannot be read."""
+    """Numbers of acknowledged touches that are lost, and of files that cannot be read."""
     present = {path.name: path for path in touches_in(folder)}
     bad = 0
     for path in present.values():

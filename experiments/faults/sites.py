@@ -76,7 +76,7 @@ def _press(number: int) -> Trial | None:
 
 
 def _through(name: str, T_b_o: Array, T_b_t: Array) -> float:
-    """How far (m) the skin went past the first thing on its way, by Embree; negative where it did not reach it."""
+    """Distance (m) of the skin past the first surface on its way, by Embree; negative where it did not reach it."""
     place = (np.linspace(-0.5, 0.5, RAYS)) * PAD_WINDOW
     x, y = (each.ravel() for each in np.meshgrid(place, place))
     back = 0.04

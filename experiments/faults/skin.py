@@ -23,7 +23,7 @@ BYTES_AT_ONCE = 4096  # that the decoder is given
 
 
 class LineErrors(NamedTuple):
-    """How a bad line changes bytes, and the share of intact frames that a decoder should still deliver."""
+    """Changes of bytes on a bad line, and the share of intact frames that a decoder should still deliver."""
 
     substitute: float  # share of bytes that become others
     drop: float  # share that is lost
@@ -39,7 +39,7 @@ BAD_LINES = (LineErrors(substitute=0.01, drop=0.0, goal=0.98), LineErrors(substi
 
 
 class SentFrames(NamedTuple):
-    """What went into a bad line, and the bytes that came out of it."""
+    """Frames sent into a bad line, and the bytes that came out of it."""
 
     readings: list[np.ndarray]  # uT, of each frame
     ends: list[int]  # byte of `data` behind each frame
@@ -48,7 +48,7 @@ class SentFrames(NamedTuple):
 
 
 def skin(sizes: FaultCounts) -> list[FaultRow]:
-    """All of it."""
+    """Try the skin's stream, bad lines and silence."""
     rows = [_stream(sizes.stream)]
     for line in BAD_LINES:
         for temperature in (None, CRLF_TEMPERATURE_C):
@@ -120,7 +120,7 @@ def _send(count: int, line: LineErrors, temperature: float | None) -> SentFrames
 
 
 def _received(data: bytes) -> list[Frame]:
-    """What the driver's decoder makes of a stream that comes in pieces."""
+    """Frames that the driver's decoder makes of a stream that comes in pieces."""
     found: list[Frame] = []
     decoder = Decoder(FrameLayout(), FrameLimits())
     for at in range(0, len(data), BYTES_AT_ONCE):

@@ -1,4 +1,4 @@
-"""What a press at 1 N ends at when this computer stalls for seconds, or the skin dies: bounded, and measured.
+"""Force at which a press at 1 N ends when this computer stalls for seconds, or the skin dies: bounded, and measured.
 
 The bound is that of `i2t.hardware.collision`: k (v T + v^2 / 2 a), with T the time until the controller's watchdog runs
 dry (or until the skin counts as silent) and 40 ms. A stall is SIGSTOP, either of the program alone, or of the process
@@ -141,7 +141,7 @@ class _KillingRecorder(NullRecorder):
         self._skin, self.force = skin, 0.0
 
     def state(self, state: Any) -> None:
-        """Of the arm."""
+        """Silence the skin once the arm presses."""
         super().state(state)
         force = STIFFNESS_N_M * (HEIGHT_M - self.positions[-1][2])
         if force >= PRESSED_N and not self.force:

@@ -45,7 +45,7 @@ class TrialStore:
         return [kept[number] for number in sorted(kept) if number < count]
 
     def _read(self) -> dict[int, Trial]:
-        """What is kept; a last line that was cut short by a kill is left out."""
+        """Trials that are kept; a last line that was cut short by a kill is left out."""
         kept: dict[int, Trial] = {}
         if self._path.exists():
             for line in self._path.read_text().splitlines():

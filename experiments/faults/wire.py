@@ -1,4 +1,4 @@
-"""Boards on bad lines: what is delivered wrong, and what is lost although it came whole, for each format, kind of
+"""Boards on bad lines: frames delivered wrong, and frames lost although they came whole, for each format, kind of
 damage, rate and signal.
 
 Where a format has neither checksum nor counter, a changed value that differs from the true one by less than the noise
@@ -87,7 +87,7 @@ SIGNALS: dict[str, Callable[[int, float, int], SignalAt]] = {
 
 
 class LineResult(NamedTuple):
-    """What a decoder made of frames that went over a line."""
+    """Frames that a decoder found on a line."""
 
     sent: int
     intact: int

@@ -1,1 +1,1 @@
-"""What a recording of a skin is worth: one report for any of them."""
+"""Worth of a recording of a skin: one report for any of them."""

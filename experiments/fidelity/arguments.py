@@ -10,7 +10,7 @@ from i2t.cli import Limits, Seed
 
 @dataclass(frozen=True)
 class FidelityArgs:
-    """What recordings of a skin are worth: checks, noise, calibration curves, heads and ceilings in one report."""
+    """Judge recordings of a skin: checks, noise, calibration curves, heads and ceilings in one report."""
 
     dataset: tuple[Path, ...] = ()  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
     simulated_skins: Annotated[int, Limits(0)] = 0  # instead: judge so many simulated skins, pressed and slid over

@@ -9,7 +9,7 @@ from i2t.calibration.heads import HeadBudget
 
 @dataclass(frozen=True)
 class FidelityPreset:
-    """How much is tried."""
+    """Sizes of the report."""
 
     counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # presses to calibrate with
     draws: int = 5  # of them
@@ -19,6 +19,7 @@ class FidelityPreset:
     block_mm: float = 6.0
     held_out_share: float = 0.2  # of blocks, rows or time
     simulated_strokes: int = 160  # of each skin, with --simulated-skins
+    try_causes: bool = True  # of a predictor that loses; else only those that show in the numbers
     heads: HeadBudget = field(default_factory=HeadBudget)
     heads_across: HeadBudget = field(default_factory=lambda: HeadBudget(400, 1500, rows=4000))
 
@@ -30,7 +31,8 @@ FIDELITY_PRESETS: dict[str, FidelityPreset] = {
         heads=HeadBudget(400, 1200, 0, rows=4000),
     ),
     "debug": FidelityPreset(
-        counts=(20,), draws=1, method_seconds=5.0, test_rows=100, forward_rows=150, simulated_strokes=8,
+        counts=(20,), draws=1, try_causes=False, method_seconds=5.0, test_rows=100, forward_rows=150,
+        simulated_strokes=8,
         heads=HeadBudget(100, 200, 0, rows=400), heads_across=HeadBudget(100, 200, 0, rows=400),
     ),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""How many presses predict all others: baselines and i2t's own calibration, on three ways of holding presses out."""
+"""Learning curves of calibration: baselines and i2t's own, on three ways of holding presses out."""
 
 import time
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
 
 
 def across_sessions(recordings: Sequence[SkinRecording], preset: FidelityPreset, seed: int, section: Section) -> None:
-    """What a session says of another of the same skin, as it is and with a gain and an offset for each channel."""
+    """R2 between sessions of the same skin, as they are and with a gain and an offset for each channel."""
     rows = [["known", "predicted", "as it is", "aligned by 20 presses", "from 20 presses of its own"]]
     section.numbers["r2"] = {}
     for known in recordings:
@@ -100,7 +100,7 @@ def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> di
 
 
 def by_calibrate(recording: SkinRecording) -> ForwardMethod:
-    """What `i2t.calibrate` makes of the known presses."""
+    """Predictions of `i2t.calibrate` from the known presses."""
     board = recording.board
     if board is not None and board.num_readings != recording.readings.shape[1]:
         board = None
@@ -183,7 +183,7 @@ def _interval_cell(summary: dict[str, float] | None) -> str:
 def _compare_with_baselines(
     split: str, curves: dict[str, dict[int, dict[str, float]]], errors: MethodErrors
 ) -> list[str]:
-    """How i2t's calibration stands to the best baseline at each count, by the numbers as they are printed."""
+    """Compare i2t's calibration with the best baseline at each count, by the numbers as they are printed."""
     if not curves[CALIBRATED]:
         return [f"Held out {split}: {CALIBRATED} predicts nothing."]
     found: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""What a recording is, and what in it contradicts a sound one."""
+"""Description of a recording, and contradictions of a sound one."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -67,7 +67,9 @@ def describe(recording: SkinRecording, section: Section) -> None:
 
 
 def check(recording: SkinRecording, section: Section, findings: list[Finding] | None = None) -> None:
-    """What contradicts a sound recording; a sentence for each finding. What is estimated of it joins the findings."""
+    """Find contradictions of a sound recording; a sentence for each finding. What is estimated of it joins the
+    findings.
+    """
     found: list[str] = []
     numbers = section.numbers
     _check_channels(recording, found, numbers)
@@ -79,7 +81,7 @@ def check(recording: SkinRecording, section: Section, findings: list[Finding] | 
 
 
 def one_tip(recording: SkinRecording) -> None:
-    """CannotTellError where presses are of several objects."""
+    """Raise CannotTellError where presses are of several objects."""
     if recording.labels is not None and len(np.unique(recording.labels)) > 1:
         raise CannotTellError(
             f"{len(np.unique(recording.labels))} objects touched the skin, and what a place and a load say of a "
@@ -88,8 +90,8 @@ def one_tip(recording: SkinRecording) -> None:
 
 
 def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
-    """Name and values (n,) of what says how hard was pressed: depth where it is known and varies, else force, else
-    nothing (one load for all).
+    """Name and values (n,) of the load: depth where it is known and varies, else force, else nothing (one load for
+    all).
     """
     for name in ("depth", "force"):
         if recording.varies(name) and recording.known(name).mean() > 0.5:
@@ -134,7 +136,7 @@ def _known(recording: SkinRecording, numbers: dict) -> list[list[str]]:
 
 
 def _unit(recording: SkinRecording, numbers: dict) -> str:
-    """Which unit the steps of the values suggest."""
+    """Unit that the steps of the values suggest."""
     raw = recording.readings if recording.baseline is None else recording.readings + recording.baseline
     steps = np.array([_step(channel) for channel in raw.T])
     xy, z = (float(np.nanmedian(part)) if np.isfinite(part).any() else np.nan for part in (
@@ -295,7 +297,7 @@ def _check_unknowns(
 
 
 def _overview(recording: SkinRecording) -> Figure:
-    """Where was pressed and what was read, in order."""
+    """Places and readings of presses, in order."""
     figure = Figure(figsize=(12, 3.4), layout="constrained")
     place, order, load_axes = figure.subplots(1, 3)
     length = np.linalg.norm(recording.readings, axis=1)

@@ -75,7 +75,7 @@ def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Sectio
 
 
 def ceilings(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
-    """What repeated presses say of the best that any model can reach."""
+    """Limits that repeated presses set to the best model."""
     presses = press_set(recording)
     rows, predicted = left_out(presses, preset.forward_rows)
     reached = explained_share(presses.readings[rows], predicted)
@@ -126,7 +126,7 @@ def _noise_rows(recording: SkinRecording, section: Section, rows: list[list[str]
 
 
 def _noise_at_rest(recording: SkinRecording) -> NoiseSizes:
-    """From differences of rows that follow each other in air, else of presses that were repeated."""
+    """Noise from differences of rows that follow each other in air, else of presses that were repeated."""
     contact, y = recording.targets.get("contact"), recording.readings
     seconds = np.diff(recording.time)
     follows = (np.diff(recording.session) == 0) & ~(seconds > STREAM_GAP_S) & np.isfinite(seconds)
@@ -148,7 +148,7 @@ def _by_axis(size: np.ndarray) -> tuple[float, float]:
 
 
 def _repeat_noise(presses: PressSet) -> np.ndarray:
-    """(c,) uT: of one press, from pairs of neighbours as near as can be, less what their loads explain."""
+    """Noise (c,) uT of one press, from pairs of neighbours as near as can be, less what their loads explain."""
     one, other = repeated_pairs(presses)
     if len(one) < MIN_REPEATS:
         raise CannotTellError(
@@ -249,7 +249,7 @@ def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
 
 
 def _slid_distance(recording: SkinRecording) -> np.ndarray:
-    """(n,) m along the skin from where a stroke began."""
+    """Distance (n,) m along the skin from where a stroke began."""
     position = recording.targets["position"]
     begins = np.unique(recording.session, return_index=True, return_inverse=True)
     return np.linalg.norm(position - position[begins[1][begins[2].ravel()]], axis=1)
@@ -324,7 +324,7 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
 def _press_hysteresis(
     recording: SkinRecording, preset: FidelityPreset, section: Section, rows: list[list[str]]
 ) -> None:
-    """What part of the press before each chip keeps: its residual against the reading before."""
+    """Share of the press before that each chip keeps: its residual against the reading before."""
     presses = press_set(recording, at_least=60)
     if is_stream(recording):
         raise CannotTellError("Rows follow each other in strokes: what a press leaves in the next one is unknown.")

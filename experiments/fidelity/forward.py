@@ -1,5 +1,5 @@
-"""From where and how hard to readings without any knowledge of skins: the baselines of calibration, and the model by
-which what repeats is separated from what does not. NumPy.
+"""Readings from places and loads without any knowledge of skins: the baselines of calibration, and the model by which
+what repeats is separated from what does not. NumPy.
 """
 
 from collections.abc import Callable
@@ -102,7 +102,7 @@ def simple_gp(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndar
 def predict_simple_gp(
     settings: tuple[float, float, float], presses: PressSet, known: np.ndarray, coordinates: np.ndarray
 ) -> np.ndarray:
-    """What the GP of given settings predicts at (n, 3) coordinates of presses."""
+    """Predictions of the GP of given settings at (n, 3) coordinates of presses."""
     x, y = presses.coordinates[known], presses.readings[known]
     middle = y.mean(0)
     factor = cho_factor(_kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x)), lower=True)
@@ -155,7 +155,7 @@ def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:
 
 
 def loses_beyond_chance(own: np.ndarray, other: np.ndarray) -> bool:
-    """Whether squared errors (n,) of one method are larger than another's on the same rows by more than chance.
+    """Test whether squared errors (n,) of one method are larger than another's on the same rows by more than chance.
 
     Rows that follow each other err alike, so that differences are summed over runs of rows: twice the standard error of
     these sums.

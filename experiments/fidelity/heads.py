@@ -27,7 +27,7 @@ CALIBRATION_BINS = 10
 
 
 class HeadScore(NamedTuple):
-    """How well a head predicts rows it never saw, in the unit of its target."""
+    """Scores of a head on rows it never saw, in the unit of its target."""
 
     rows: int
     rmse: float  # of a probability: root of the Brier score
@@ -190,7 +190,7 @@ def calibration_error(probability: np.ndarray, yes: np.ndarray) -> float:
 
 
 def caption(target: str) -> str:
-    """Of a target's table."""
+    """Caption of a target's table."""
     unit = TARGETS[target].unit
     published = f"; published: {PUBLISHED_FIGURES[target]}" if target in PUBLISHED_FIGURES else ""
     return f"{target} ({unit}{published})" if unit else f"{target} (probability{published})"
@@ -243,7 +243,7 @@ def _squared(both: np.ndarray) -> np.ndarray:
 
 
 def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:
-    """For metrics.json."""
+    """Scores as metrics.json holds them."""
     return {
         name: {
             "method": test.method,

@@ -24,12 +24,12 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.runs import begin, write_json
-from experiments.fidelity import curves, describe, dynamics, heads, views
+from experiments.fidelity import causes, curves, describe, dynamics, heads, views
 from experiments.fidelity.arguments import FidelityArgs
 from experiments.fidelity.config import FidelityPreset, fidelity_preset
 from experiments.fidelity.page import write_page
 from experiments.fidelity.sections import Section, print_table, written
-from i2t.calibration.heads import SkinRecording, corrected_recording, read_recordings
+from i2t.calibration.heads import SkinRecording, corrected_recording, is_dataset, read_recordings
 from i2t.errors import DataError
 from i2t.unknowns import Finding
 
@@ -51,6 +51,9 @@ def run(args: FidelityArgs) -> dict[str, Any]:
             "Heads across sessions": partial(heads.heads_across, recordings, preset.heads_across, args.seed),
         }
         chapters["Across sessions"] = [_said(written(title, work)) for title, work in parts.items()]
+    for path in filter(is_dataset, args.dataset):
+        work = partial(causes.cause_section, path, preset, args.seed)
+        chapters.setdefault(path.name, []).append(_said(written("What may keep a predictor from learning", work)))
     metrics = {
         "source": sorted({recording.source for recording in recordings}),
         "seed": args.seed,
@@ -116,7 +119,7 @@ def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> 
 
 
 def without_repeats(about: Section, findings: Sequence[Finding]) -> Section:
-    """What a recording is, without what its converter found and the checks find again."""
+    """Description of a recording, without what its converter found and the checks find again."""
     if findings:
         about.sentences = [sentence for sentence in about.sentences if not sentence.startswith(FOUND_BY_CONVERTER)]
     return about

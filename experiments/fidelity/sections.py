@@ -1,4 +1,4 @@
-"""What a part of the report is, and how a part that a recording cannot support says so."""
+"""Parts of the report, and the sentences in place of parts that a recording cannot support."""
 
 import sys
 import traceback

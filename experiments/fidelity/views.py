@@ -6,7 +6,8 @@ from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import explained_share
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration.heads import SkinRecording
-from i2t.prediction.baselines import fit_baselines, measured_count, predict
+from i2t.prediction.baselines import Nearest, NearestMeasured, Ridge, RidgeMeasured, mean_of, patch_features
+from i2t.prediction.touch_model import TouchBatch
 
 MIN_OBJECTS = 3
 MAX_VIEWS = 1500
@@ -27,13 +28,21 @@ def view_section(recording: SkinRecording, preset: FidelityPreset, seed: int, se
     rng = np.random.default_rng(seed)
     held = np.isin(labels, rng.permutation(names)[: max(round(len(names) / 3), 1)])
     train, test = (rng.permutation(np.flatnonzero(rows))[:MAX_VIEWS] for rows in (~held, held))
-    conditions = _measured(recording)
-    views = recording.patches.astype(np.float64)
-    fitted = fit_baselines(views[train], conditions[train], recording.readings[train], labels[train])
-    predicted = {
-        name: predict(one, views[test], conditions[test][:, : measured_count(one)])[0] for name, one in fitted.items()
-    }
-    scores = {name: explained_share(recording.readings[test], values) for name, values in predicted.items()}
+    readings, views = recording.readings, recording.patches.astype(np.float64)
+    load = {name: recording.targets[name][:, 0] for name in ("force", "depth") if recording.known(name).all()}
+    unknown = np.full(len(recording), np.nan)
+    asked = TouchBatch(views, views, np.nan, load.get("force", unknown), unknown, load.get("depth", unknown))
+    asked = asked._replace(**{name: getattr(asked, name)[test] for name in ("patch", "view", "force", "depth")})
+    features = patch_features(views[train])
+    models = {"mean reading": mean_of(readings[train])}
+    for method in (Nearest(), Ridge(), *((NearestMeasured(), RidgeMeasured()) if load else ())):
+        conditions = tuple(load) if method.measured else ()
+        measured = np.reshape([load[name][train] for name in conditions], (len(conditions), len(train))).T
+        models[method.title] = method.model(
+            features, conditions, views[train], measured, readings[train], labels[train]
+        )
+    predicted = {name: model.predict_batch(asked).mean for name, model in models.items()}
+    scores = {name: explained_share(readings[test], values) for name, values in predicted.items()}
     section.numbers |= {"objects": len(names), "held_out_touches": len(test), "r2": scores}
     section.tables[f"R2 on {len(test)} touches of objects not seen"] = [
         ["method", "R2"],
@@ -42,9 +51,3 @@ def view_section(recording: SkinRecording, preset: FidelityPreset, seed: int, se
     section.sentences.append(
         "These are the baselines that a predictor has to beat; python -m experiments.train --dataset DIR trains one."
     )
-
-
-def _measured(recording: SkinRecording) -> np.ndarray:
-    """(n, k): force and depth where they are known throughout."""
-    known = [recording.targets[name] for name in ("force", "depth") if recording.known(name).all()]
-    return np.concatenate(known, axis=1) if known else np.zeros((len(recording), 0))

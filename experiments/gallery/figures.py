@@ -132,7 +132,7 @@ def touched_object(story: Story) -> Figure:
 
 
 def calibration_curve(story: Story) -> Figure:
-    """How many presses of a skin predict all others."""
+    """Number of presses of a skin that predict all others."""
     pad, rng = i2t.sample_pad(jax.random.key(2)), np.random.default_rng(0)
     n = CURVE_COUNTS[-1] + HELD_OUT
     position, depth = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.1e-3, 0.5e-3, n)
@@ -210,7 +210,7 @@ def _outline(axes: Axes, mask: np.ndarray) -> None:
 
 
 def _draw_both(axes: Axes, story: Story, row: int) -> None:
-    """What was imagined of a touch and what was felt, as the field's change at each chip."""
+    """Imagined and felt reading of a touch, as the field's change at each chip."""
     board, felt, imagined = story.run.dataset.board, story.unseen.reading[row], story.imagined.mean[row]
     scale = float(np.abs(np.stack([felt, imagined])).max())
     viz.draw_skin(axes)

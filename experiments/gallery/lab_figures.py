@@ -31,7 +31,7 @@ MONITOR_SCALE_UT = 40.0  # at the end of a bar
 
 
 def registration(story: Story) -> Figure:
-    """Where an object stands, before and after it was touched at known poses."""
+    """An object's pose, before and after it was touched at known poses."""
     surface = i2t.prepare_surface(i2t.make_object(HIDDEN_OBJECT).mesh)
     errors = SimulationErrors(placement=0.0, placement_angle=0.0)
     pad = i2t.sample_pad(jax.random.key(1))
@@ -84,7 +84,7 @@ def rig(story: Story) -> Figure:
 
 
 def monitor(story: Story) -> Figure:
-    """What `python -m i2t.hardware.reskin` shows of an emulated board while something presses it."""
+    """Output of `python -m i2t.hardware.reskin` for an emulated board while something presses it."""
     with reskin_board.started("--press", "1", "--seed", "0") as (port, _), ReSkin(port) as skin:
         time.sleep(MONITOR_REST_S)
         rest = skin.read(skin_monitor.REST_SAMPLES).reading.mean(0)

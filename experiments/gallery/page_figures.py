@@ -13,8 +13,7 @@ from experiments.gallery.story import HIDDEN_OBJECT, Story
 from i2t import viz
 from i2t.depth.patches import DepthPatch
 from i2t.objects.catalogue import STAMPS
-from i2t.prediction.predictor import predict_pressures
-from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.prediction.smoothing import local_planes
 from i2t.simulation.depth_camera import add_depth_noise, render_view, table_triangles
 from i2t.simulation.touches import SimulationErrors
@@ -116,7 +115,7 @@ def stamps(story: Story) -> Figure:
 
 
 def accuracy_curves(story: Story) -> Figure:
-    """How often five methods name the right one of five objects, after each of ten touches."""
+    """Accuracy of five methods among five objects, after each of ten touches."""
     measured = json.loads((RESULTS / "recognize.json").read_text())
     methods = measured["sets"]["all"]["methods"]
     figure = Figure(figsize=(8, 4.4), layout="constrained")

@@ -35,7 +35,7 @@ SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)  # of values, which
 
 
 def pressures(story: Story) -> Figure:
-    """What the skin is pressed by: five objects with 2 N each, and the pressure below them."""
+    """Five objects pressed on the skin with 2 N each, and the pressure below them."""
     pad = i2t.nominal_pad()
     figure = Figure(figsize=(13, 5.4), layout="constrained")
     figure.suptitle(titled(f"Patch and pressure of five objects, {PRESSING_FORCE_N:g} N each", True))
@@ -99,7 +99,7 @@ def field(story: Story) -> Figure:
 
 
 def reliability(story: Story) -> Figure:
-    """How many felt values lie within the intervals that the predictor states, on objects it was not trained on."""
+    """Share of felt values within the intervals that the predictor states, on objects it was not trained on."""
     dataset, trained_on = story.run.dataset, json.loads((story.folder / "config.json").read_text())
     test = [dataset.objects.index(name) for name in trained_on["experiment"]["simulation"]["test"]]
     unseen = dataset.select(np.isin(dataset.touches.object, test) & (dataset.touches.code != ReturnCode.AIR))

@@ -1,4 +1,4 @@
-"""What several figures of the documents share."""
+"""Data that several figures of the documents share."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -24,7 +24,7 @@ EPISODE = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
 
 
 class Story:
-    """What several figures share: a finished run, its predictions, and one episode of recognition."""
+    """Data that several figures share: a finished run, its predictions, and one episode of recognition."""
 
     def __init__(
         self, folder: Path, *, world: Recognition = PRESETS["paper"], config: RecognizerConfig = EPISODE
@@ -45,17 +45,17 @@ class Story:
 
     @cached_property
     def imagined(self) -> Reading:
-        """The predictor's readings of these."""
+        """The predictor's readings of the unseen touches."""
         return self.imagine(self.unseen)
 
     def imagine(self, touches: Touches) -> Reading:
-        """The predictor's readings of any touches, which are not judged again: a wrench sensor's noise may pull."""
+        """The predictor's readings of any touches, not checked again: a wrench sensor's noise may pull."""
         given = {"force": touches.force, "nearest": touches.nearest, "depth": touches.depth, "wide": touches.wide}
         return self.run.predictor.predict_views(touches.patch, **given)
 
     @cached_property
     def ranked(self) -> np.ndarray:
-        """These touches from the smallest to the largest error of their prediction."""
+        """Unseen touches from the smallest to the largest error of their prediction."""
         return np.argsort(np.square(self.imagined.mean - self.unseen.reading).mean(1))
 
     @cached_property

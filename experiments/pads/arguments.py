@@ -24,7 +24,7 @@ class PadsArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return "python -m experiments.calibrate_pads"
 
     def check(self) -> None:

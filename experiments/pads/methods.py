@@ -9,12 +9,12 @@ import optax
 from jaxtyping import Array, Float, Key
 
 from experiments.pads.simulate import PROBE_FORCES_N, PROBE_TIP, REACH_M, SkinSession
+from i2t import mlp, training
 from i2t.calibration import localize
 from i2t.calibration.localize import PressLibrary, WeightPosterior
 from i2t.calibration.physics import LayerParameters, PadFit, layer_prior
-from i2t.prediction import mlp
+from i2t.mlp import Layers
 from i2t.prediction.metrics import nearest_neighbours
-from i2t.prediction.mlp import Layers
 from i2t.skin.boards import reskin_board
 
 LIBRARY_FORCES_N = np.linspace(*PROBE_FORCES_N, 3)
@@ -26,7 +26,7 @@ NEIGHBOUR_COUNTS = (1, 2, 3, 5, 8)
 
 
 def press_library(layer: LayerParameters, spacing: float, refinement: int = 2) -> PressLibrary:
-    """What presses on a layer over the nominal board would read."""
+    """Predicted readings of presses on a layer over the nominal board."""
     return localize.make_press_library(
         layer, reskin_board(), PROBE_TIP, reach=REACH_M, loads=LIBRARY_FORCES_N, spacing=spacing, refinement=refinement
     )
@@ -96,4 +96,4 @@ def _train(key: Key[Array, ""], x: Float[Array, "n c"], y: Float[Array, "n 2"], 
         return jnp.mean((_positions(layers, x[rows]) - y[rows]) ** 2)
 
     layers = mlp.init(key_weights, (x.shape[1], *HIDDEN, y.shape[1]))
-    return mlp.fit(layers, loss, optimizer, jax.random.split(key_batches, steps))[0]
+    return training.descend(layers, loss, optimizer, jax.random.split(key_batches, steps))[0]

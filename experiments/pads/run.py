@@ -48,7 +48,7 @@ LAYER_FIT_PRESSES = 20  # that the layer is fitted to
 
 @dataclass(frozen=True)
 class LocalizationStudy:
-    """How much of everything."""
+    """Sizes of the experiment."""
 
     boards: int = 6
     labelled: tuple[int, ...] = (5, 20, 100, 390)

@@ -31,11 +31,11 @@ class SkinSession(NamedTuple):
 
     @property
     def presses(self) -> Presses:
-        """Without their readings."""
+        """Presses without their readings."""
         return Presses(self.position, self.force)
 
     def rows(self, part: slice) -> "SkinSession":
-        """Some of them."""
+        """Some of the presses."""
         return SkinSession(*(values[part] for values in self))
 
 

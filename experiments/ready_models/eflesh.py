@@ -117,7 +117,7 @@ def _grid(session: RecordedSession) -> np.ndarray:
 
 
 def _interval_scaling(calibration: Calibration, presses: RecordedSession) -> np.ndarray:
-    """By what each channel's deviations are to be multiplied, so that nine in ten readings lie in the 90 % range."""
+    """Factors of each channel's deviations with which nine in ten readings lie in the 90 % range."""
     mean, std = calibration.predict(presses.position, presses.depth)
     away = np.quantile(np.abs(presses.reading - mean) / std, RANGE_SHARE, axis=0) / RANGE_STDS
     return np.asarray(calibration.interval_scaling) * away

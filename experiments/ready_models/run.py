@@ -33,7 +33,7 @@ ORBAX_NOTE = "commit_success.txt"  # names the folder of the machine that wrote 
 
 
 class CardFigures(NamedTuple):
-    """What a card says of the predictor, from the metrics of its run."""
+    """Figures of the predictor for a card, from the metrics of its run."""
 
     kept: str
     methods: dict[str, dict[str, Any]]

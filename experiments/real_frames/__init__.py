@@ -1,1 +1,1 @@
-"""How far are imagined patches from those of real depth cameras?"""
+"""Comparison of imagined patches with those of real depth cameras."""

@@ -82,6 +82,6 @@ def figure_f200(name: str, depth: np.ndarray, pixels: list[tuple[int, int]], pat
 
 
 def draw(axes: Axes, patch: np.ndarray, window: float, reach: float) -> AxesImage:
-    """A patch with what is not known in grey."""
+    """Draw a patch, with unknown pixels in grey."""
     axes.set_facecolor(NOT_SEEN_COLOUR)
     return viz.draw_patch(axes, patch, window, reach)

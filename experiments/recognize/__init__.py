@@ -1,1 +1,1 @@
-"""Which object is it: the paper's rules against a calibrated belief."""
+"""Recognition of objects: the paper's rules against a calibrated belief."""

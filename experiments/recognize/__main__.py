@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
-from experiments.common.commands import carry_out
+from experiments.common.commands import carrying_out
 from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.recognize.arguments import LiveArgs, SimulateArgs
 from i2t.cli import docstring_of, renamed_flags
@@ -53,18 +53,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     args: SimulateArgs | LiveArgs = read_options(
         commands, words, program="python -m experiments.recognize", description=__doc__, config=()
     )
-    return carry_out(args, words, _run)
-
-
-def _run(args: SimulateArgs | LiveArgs) -> Any:
-    """Do the work; what it needs is imported once the command line is known to make sense."""
-    if isinstance(args, LiveArgs):
-        from experiments.recognize import live
-
-        return live.run(args)
-    from experiments.recognize import run
-
-    return run.run(args)
+    module = "experiments.recognize.live" if isinstance(args, LiveArgs) else "experiments.recognize.run"
+    with carrying_out(args, words, module) as this:
+        checked = this.checked()
+        this.run(checked)
+    return this.code
 
 
 if __name__ == "__main__":

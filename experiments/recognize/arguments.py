@@ -8,7 +8,9 @@ import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
 from experiments.common.tasks import TaskOptions
-from i2t.cli import Count, Positive, Probability, Seed, require_path, require_with
+from i2t.cli import Count, Probability, Seed, require_path, require_with
+from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
+from i2t.collect.checks import check_arm, check_camera, check_skin
 
 PresetName = Literal["paper", "debug"]
 UnitName = Literal["m", "cm", "mm", "inch"]
@@ -42,7 +44,7 @@ class SimulateArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run: a study, where the run simulates its touches."""
+        """Command to try with a finished run: a study, where the run simulates its touches."""
         if self.dataset is None:
             return f"python -m experiments.studies policy --trained-run {self.trained_run}"
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
@@ -100,15 +102,9 @@ class LiveArgs:
     max_error_probability: Probability = 0.05  # ends when the most probable object is wrong with at most this
     num_sites: Count = 24  # of each object, to choose among
     num_particles: Count = 64  # poses of each object
-    arm: str = "simulated"  # ur, simulated, emulated, or another package's
-    skin: str = "simulated"  # reskin, simulated, emulated, or another package's
-    camera: str = "simulated"  # realsense, simulated, folder, or another package's
-    host: str | None = None  # of the arm's controller
-    port: str | None = None  # of the skin
-    board: str | None = None  # of the skin: reskin (default), anyskin, or grid-RxC for R rows and C columns of chips
-    views: Path | None = None  # folder of views to show as the camera
-    state_timeout: Positive | None = None  # s without a state after which a UR arm is taken for lost; 0.1 by default
-    watchdog_rate: Positive | None = None  # Hz, how often a UR controller must hear from us; 10 by default
+    arm: Annotated[ArmArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=ArmArgs)
+    skin: Annotated[SkinArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=SkinArgs)
+    camera: Annotated[CameraArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=CameraArgs)
     pad_name: str | None = None  # of a real skin, as it was collected; "skin" by default
     worn_pad: Path | None = None  # a pad on disk, for simulated and emulated skins
     rig: Path | None = None  # calibration of the lab; says where the object is believed to stand, and how surely
@@ -116,35 +112,34 @@ class LiveArgs:
 
     @property
     def real(self) -> bool:
-        """Whether the arm is a real one."""
-        return self.arm not in NOT_REAL
+        """Tell whether the arm is a real one."""
+        return self.arm.kind not in NOT_REAL
 
     @property
     def worn(self) -> str:
         """Name of the skin that touches, as a collection would have it."""
-        if self.skin not in NOT_REAL:
+        if self.skin.kind not in NOT_REAL:
             return self.pad_name or "skin"
         return self.pad_name or (f"simulated, {self.worn_pad.stem}" if self.worn_pad else "simulated pad 0")
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        if self.worn_pad and self.skin not in NOT_REAL:
-            raise ValueError(f"--worn-pad is for simulated and emulated skins, and --skin is {self.skin}; leave it out")
+        if self.worn_pad and self.skin.kind not in NOT_REAL:
+            raise ValueError(
+                f"--worn-pad is for simulated and emulated skins, and --skin is {self.skin.kind}; leave it out"
+            )
         if self.true_object and self.real:
-            raise ValueError(f"--true-object is for arms that are not real, and --arm is {self.arm}; pass --truth")
+            raise ValueError(f"--true-object is for arms that are not real, and --arm is {self.arm.kind}; pass --truth")
         if not 0 <= self.prior_unknown < 1:
             raise ValueError(f"--prior-unknown {self.prior_unknown:g}: give a probability, from 0 to below 1")
         if self.prior_unknown > 0 and self.num_surrogates < 1:
             raise ValueError(f"--num-surrogates {self.num_surrogates}: --prior-unknown needs surrogates, 16 say")
-        require_with("--views", self.views is not None, "--camera folder", self.camera == "folder")
-        if self.host and self.arm == "simulated":
-            raise ValueError("--host is the address of a controller, and --arm is simulated; leave it out")
-        if self.port and self.skin == "simulated":
-            raise ValueError("--port is of a board, and --skin is simulated; leave it out")
+        check_arm(self.arm)
+        check_skin(self.skin)
+        check_camera(self.camera)
         require_objects(self.objects, self.unit)
         require_pad(self.pad)
-        for flag, path in (("--worn-pad", self.worn_pad), ("--views", self.views)):
-            require_path(flag, path)
+        require_path("--worn-pad", self.worn_pad)
         require_path("--rig", self.rig, "file")
         self._check_true_object()
         if self.pad is None:

@@ -1,4 +1,4 @@
-"""How much of everything the recognition experiments have; what was fixed before testing."""
+"""Sizes of the recognition experiments; what was fixed before testing."""
 
 from dataclasses import dataclass, field
 

@@ -32,7 +32,7 @@ from experiments.recognize.arguments import LiveArgs
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t.collect import session
-from i2t.collect.arguments import CollectArgs
+from i2t.collect.arguments import CollectArgs, LabArgs, WorldArgs
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
@@ -68,7 +68,7 @@ def run(args: LiveArgs) -> dict[str, Any]:
     source = pad_sources.find_pad_source(
         pad=args.pad, run=args.trained_run, cfg=cfg, meshes=meshes, rig=rig if args.rig else None
     )
-    require_skin(source.skin, [args.worn], worn_board(args, source.skin.board), f"--skin {args.skin}")
+    require_skin(source.skin, [args.worn], worn_board(args, source.skin.board), f"--skin {args.skin.kind}")
     known = source.make(key_fit)
     print(pad_sources.describe(known))
     recognizer = make_recognizer(args, cfg, key_sites, pad_model=known.model, meshes=meshes, rig=rig)
@@ -87,12 +87,13 @@ def run(args: LiveArgs) -> dict[str, Any]:
 
 def worn_board(args: LiveArgs, expected: Board) -> Board:
     """The board that a command line names; that of another package's skin shows with its first touch."""
-    if args.skin == "simulated":
-        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad, args.board).board))
-    name = args.board or boards.DEFAULT_BOARD
-    if args.skin == "emulated" and args.worn_pad:
+    skin = args.skin
+    if skin.kind == "simulated":
+        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad, skin.board).board))
+    name = skin.board or boards.DEFAULT_BOARD
+    if skin.kind == "emulated" and args.worn_pad:
         return Board(*(np.asarray(part) for part in read_pad(args.worn_pad, name).board))
-    return boards.make_board(name) if args.skin in ("reskin", "emulated") else expected
+    return boards.make_board(name) if skin.kind in ("reskin", "emulated") else expected
 
 
 def make_recognizer(
@@ -122,7 +123,7 @@ def make_recognizer(
 
 
 def collect_args(args: LiveArgs, cfg: Recognition, meshes: dict[str, Mesh], true_object: str | None) -> CollectArgs:
-    """The collection whose sites the recogniser chooses; what stands there, if it is simulated."""
+    """Collection whose sites the recogniser chooses, with the object if simulated."""
     sources = {path.stem: str(path) for path in args.objects}
     # A real arm only needs to know how high things may be.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
@@ -133,26 +134,17 @@ def collect_args(args: LiveArgs, cfg: Recognition, meshes: dict[str, Mesh], true
         arm=args.arm,
         skin=args.skin,
         camera=args.camera,
-        host=args.host,
-        port=args.port,
-        board=args.board,
-        views=args.views,
-        rig=args.rig,
-        object=sources.get(there, there),
-        unit=args.unit or "mm",
+        world=WorldArgs(sources.get(there, there), args.unit or "mm", args.worn_pad, seed=args.seed),
+        lab=LabArgs(args.rig),
         name=args.truth or "unknown",
-        pad=args.worn_pad,
         pad_name=args.worn,
-        seed=args.seed,
-        state_timeout=args.state_timeout,
-        watchdog_rate=args.watchdog_rate,
         skip_first_touch=True,  # nobody knows what stands there, so that it would contradict any mesh
         settings=replace(TouchSettings(), skin_change=cfg.limits.skin_change, overtravel=cfg.limits.overtravel),
     )
 
 
 class LiveEpisode:
-    """Answers the procedure, which asks for sites and tells what became of them, and prints what is believed."""
+    """Episode that chooses the procedure's sites, learns from the touches made there, and prints the belief."""
 
     def __init__(self, recognizer: ObjectRecognizer, key: jax.Array) -> None:
         self.recognizer, self.key = recognizer, key

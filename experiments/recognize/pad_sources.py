@@ -35,7 +35,7 @@ from i2t.types import TWIST_LEVER_M
 
 
 class PadSource(NamedTuple):
-    """Where a pad model comes from, before it is made."""
+    """Source of a pad model, before it is made."""
 
     skin: SkinIdentity
     make: Callable[[jax.Array], KnownPad]  # with a key
@@ -119,7 +119,7 @@ def describe(known: KnownPad) -> str:
 
 
 def to_json(known: KnownPad) -> dict[str, object]:
-    """What metrics.json says of a pad model.
+    """Entry of metrics.json for a pad model.
 
     Args:
         known: The pad model.

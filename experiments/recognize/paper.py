@@ -27,19 +27,18 @@ import jax
 import numpy as np
 
 from experiments.common.checks import pad_name
-from experiments.common.runs import slug, write_json
+from experiments.common.runs import write_json
 from experiments.common.tasks import Task, TaskOptions, run_tasks
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
 from experiments.recognize.report import CONSTANT, IMAGINE2TOUCH, RULES_GP, EpisodeResults, Results
 from experiments.recognize.trained_run import meshes_by_name, read_simulated_run
+from i2t.files import slug
 from i2t.prediction import checkpoint
-from i2t.prediction.predictor import (
-    GPModel,
-    PatchNetwork,
-    Predictor,
-    TrainedNetwork,
-)
+from i2t.prediction.gp_method import GPModel
+from i2t.prediction.model import ModelConfig
+from i2t.prediction.networks import PatchNetwork
+from i2t.prediction.predictor import Predictor
 from i2t.progress import progress
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumber
 from i2t.recognition.paper_rules import (
@@ -83,9 +82,9 @@ def load_paper_networks(folder: Path) -> PaperNetworks | None:
         if not checkpoint.exists(place):
             continue
         params, norm, about = checkpoint.load(place)
-        if about.model.pixels != PATCH_PIXELS or about.model.conditions:
-            continue  # a network of another camera, or one that is told more than the paper's
-        model = PatchNetwork(TrainedNetwork(params, about.model, norm))
+        if about.model.pixels != PATCH_PIXELS or isinstance(about.model, ModelConfig):
+            continue  # a network of another camera, or more than the paper's
+        model = PatchNetwork(params, about.model, norm)
         found[row] = Predictor(model, PATCH_WINDOW, about.model.reach, default_force=1.0, default_depth=0.0)
         epochs.append(about.epoch)
     if not found:
@@ -141,7 +140,7 @@ def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int, options
 
 
 def network_epochs(folder: Path) -> int | None:
-    """For how many epochs the paper's networks of a run were trained."""
+    """Number of epochs for which the paper's networks of a run were trained."""
     found = load_paper_networks(folder)
     return None if found is None else found.epochs
 
@@ -197,8 +196,9 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
 
 
 def kept_predictor(predictor: Predictor) -> dict[str, ReadingPredictor]:
-    """The predictor that a run kept, by its row's name."""
-    return {RULES_GP if isinstance(predictor.model, GPModel) else "same rules, network on pressure": predictor}
+    """The best predictor on predicted pressure of a run, or the one that it kept, by its row's name."""
+    method = (predictor.metadata or {}).get("method", "kept predictor")
+    return {RULES_GP if isinstance(predictor.model, GPModel) else f"same rules, {method}": predictor}
 
 
 def play_set(

@@ -36,7 +36,7 @@ TOO_FEW = "too few episodes for an interval"
 
 
 class Sessions(NamedTuple):
-    """Which sessions count, and how many of their touches."""
+    """Sessions that count, and numbers of their touches."""
 
     names: tuple[str, ...]  # in the order of the episodes
     touches: int  # of each, the first
@@ -44,7 +44,7 @@ class Sessions(NamedTuple):
     left_out: tuple[str, ...]  # with fewer
 
     def describe(self) -> str:
-        """One line."""
+        """Describe the sessions in one line."""
         fewest, most = min(self.usable), max(self.usable)
         said = f"{len(self.names)} sessions of {fewest if fewest == most else f'{fewest} to {most}'} usable touches"
         if most > self.touches:
@@ -155,7 +155,7 @@ def recognise(
     particles: Particles,
     cfg: Recognition,
 ) -> reporting.EpisodeResults:
-    """What every method believes along recorded sessions."""
+    """Beliefs of every method along recorded sessions."""
     surfaces = prepare_surfaces(list(meshes.values()))
     sites, episodes = episodes_from_dataset(recorded, list(meshes), touches, overtravel=cfg.limits.overtravel)
     (table,) = precompute_outcomes(

@@ -1,4 +1,4 @@
-"""What `experiments.recognize` leaves behind: episodes on disk, scores over pads with intervals, tables, figures."""
+"""Output of `experiments.recognize`: episodes on disk, scores over pads with intervals, tables, figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -83,7 +83,7 @@ def _to_part(each: EpisodeResults) -> Part:
 
 
 def load(path: Path) -> Results:
-    """What `save` wrote."""
+    """Read what `save` wrote."""
     sets = load_part(path)
     results = {}
     for name, names in json.loads(str(sets["about"])).items():
@@ -121,8 +121,8 @@ def pooled(parts: Sequence[Results], name: str, method: str) -> tuple[np.ndarray
 
 
 def clusters_of(parts: Sequence[Results], name: str, *, objects: bool = False) -> list[np.ndarray]:
-    """By what the pooled episodes of a set are alike: their pad, their pool of sites, and with `objects` the object
-    that was there. Without them intervals are for these very objects.
+    """Clusters of the pooled episodes of a set: by pad, by pool of sites, and with `objects` by the object that was
+    there. Without them intervals are for these very objects.
     """
     labels = [
         np.concatenate([np.full(len(part[name].truth), part[name].pad) for part in parts]),
@@ -235,7 +235,7 @@ def score_method(parts: Sequence[Results], name: str, method: str) -> dict[str, 
 def score_objects(
     names: Sequence[str], hit: np.ndarray, truth: np.ndarray, clusters: Sequence[np.ndarray]
 ) -> dict[str, Any]:
-    """How often each object is recognised when it is there, after the last touch and in the mean over touches."""
+    """Rates at which each object is recognised when it is there, after the last touch and in the mean over touches."""
     found = {}
     for i, name in enumerate(names):
         rows = truth == i
@@ -335,7 +335,7 @@ def published_accuracy(name: str, method: str) -> float | None:
 
 
 def print_objects(entry: dict[str, Any], touches: int) -> None:
-    """How often each object is recognised."""
+    """Print the rate at which each object is recognised."""
     print(f"  {f'after {touches}, by the object that was there':46}" + "".join(f"{x:>20}" for x in entry["objects"]))
     for method, values in entry["methods"].items():
         if method.endswith(SHOWN_BY_OBJECT):
@@ -353,7 +353,7 @@ def print_mean_over_objects(means: dict[str, Any]) -> None:
 
 
 def print_calibration(summary: dict[str, Any]) -> None:
-    """How far the fused belief is calibrated: stopping, scores and conformal sets."""
+    """Print the calibration of the fused belief: stopping, scores and conformal sets."""
     entry = summary["sets"].get("all", next(iter(summary["sets"].values())))
     fused = entry["methods"]["fused"]
     for stop in fused["stopping"]:
@@ -384,7 +384,7 @@ def _number(value: float) -> str:
 
 
 def _limits(estimate: dict[str, float], digits: int = 3) -> str:
-    """An interval; where nothing tells its clusters apart there is none."""
+    """Write an interval, or "none" where nothing tells its clusters apart."""
     if not np.isfinite([estimate["low"], estimate["high"]]).all():
         return "[" + " " * (digits + 1) + "none" + " " * (digits + 1) + "]"
     return f"[{estimate['low']:z.{digits}f}, {estimate['high']:z.{digits}f}]"

@@ -24,9 +24,7 @@ is in docs/recognition.md. Everything is simulated unless --dataset says otherwi
 (95 % intervals over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
 """
 
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,41 +40,25 @@ from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
+from experiments.recognize.plans import ObjectSet, how_long, object_groups, plan_touches
 from experiments.recognize.report import CONSTANT
 from experiments.recognize.trained_run import TrainedRun, load_meshes, meshes_by_name
 from i2t import dataset as data
-from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
-from i2t.recognition.local_surfaces import is_large, reached_boxes
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
 from i2t.recognition.paper_rules import ConstantPredictor, ReadingPredictor, paper_rules
 from i2t.recognition.site_pool import (
-    BATCH_TOUCHES,
-    TouchPlan,
-    plan_informative_touches,
-    plan_random_touches,
     pose_particles,
-    predict_outcomes,
     prepare_surfaces,
-    sample_pools,
 )
 from i2t.types import Board, Surface
 
 ORACLE_EVIDENCE = ("readings and presence", "fused")
 
 
-class ObjectSet(NamedTuple):
-    """A set of objects to tell apart."""
-
-    names: Sequence[str]
-    episodes: int  # of each
-    heuristic: bool  # whether the paper's chooses the sites
-    share: int = 1  # episodes that touch the same sites, each of which is then imagined once for all of them
-
-
 class EpisodeWorld(NamedTuple):
-    """What the sets of one pad and seed share."""
+    """Data that the sets of one pad and seed share."""
 
     cfg: Recognition
     trained: TrainedRun
@@ -111,15 +93,12 @@ def play_part(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int, pat
 
 def configure(args: SimulateArgs) -> Recognition:
     """The preset with the numbers of episodes that the command line asks for."""
-    cfg = choose_preset(PRESETS, args.preset)
-    if args.episodes is not None:
-        n = args.episodes
-        cfg = replace(cfg, episodes=n, paper_episodes=2 * n, own_episodes=n, validation_episodes=n)
-    if args.paper_episodes is not None:
-        cfg = replace(cfg, paper_episodes=args.paper_episodes)
-    if args.num_particles is not None:
-        cfg = replace(cfg, num_particles=args.num_particles)
-    return cfg
+    n = args.episodes
+    of_paper = args.paper_episodes if args.paper_episodes is not None or n is None else 2 * n
+    return choose_preset(
+        PRESETS, args.preset,
+        episodes=n, own_episodes=n, validation_episodes=n, paper_episodes=of_paper, num_particles=args.num_particles,
+    )  # fmt: skip
 
 
 def report(args: SimulateArgs, parts: list[reporting.Results], source: str, board: Board) -> dict[str, Any]:
@@ -146,7 +125,7 @@ def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> repor
     done: reporting.Results = {}
     particles = pose_particles(cfg.errors, cfg.num_particles, seed)
     world = EpisodeWorld(cfg, trained, oracle, rule_predictors(folder, trained), particles, folder)
-    groups = object_groups(args, cfg)
+    groups = object_groups(args.objects, args.unit, cfg)
     prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
     for i, (meshes, sets) in enumerate(groups):
         surfaces = {name: next(prepared) for name in meshes}
@@ -164,27 +143,6 @@ def rule_predictors(folder: Path, trained: TrainedRun) -> dict[str, ReadingPredi
     networks = {} if found is None else found.networks
     mean = trained.dataset.touches.reading[trained.rows].mean(0)
     return {**networks, **paper.kept_predictor(trained.predictor), CONSTANT: ConstantPredictor(mean)}
-
-
-def object_groups(args: SimulateArgs, cfg: Recognition) -> list[tuple[dict[str, Mesh], dict[str, ObjectSet]]]:
-    """Groups of meshes by name, each with the sets that are played among them."""
-    if args.objects:
-        own = load_meshes(args.objects, args.unit)
-        return [(own, {"your objects": ObjectSet(list(own), cfg.own_episodes, False, cfg.pool_episodes)})]
-    return [
-        (
-            meshes_by_name(cfg.validation),
-            {"validation": ObjectSet(cfg.validation, cfg.validation_episodes, False)},
-        ),
-        (
-            meshes_by_name(cfg.objects),
-            {
-                "all": ObjectSet(cfg.objects, cfg.episodes, False),
-                "primitives": ObjectSet(cfg.primitives, cfg.paper_episodes, True),
-                "tools": ObjectSet(cfg.tools, cfg.paper_episodes, True),
-            },
-        ),
-    ]
 
 
 def play_set(
@@ -212,45 +170,3 @@ def play_set(
     pad = f"pad {pad_name(world.folder)}"
     pools = np.array([f"{world.folder.name}, {name}, pool {number}" for number in plan.pool])
     return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes, pad, pools)
-
-
-def how_long(
-    name: str,
-    surfaces: Sequence[Surface],
-    plan: TouchPlan,
-    models: Mapping[str, BeliefModel],
-    *,
-    particles: Particles,
-    overtravel: float,
-) -> str:
-    """How long it takes to imagine all touches of a set, measured on a first batch, which is compiled before."""
-    T, twist = np.asarray(plan.sites.T_w_t), particles.twist
-    boxes = reached_boxes(surfaces[:1], twist) if is_large(surfaces) else None
-    some = T[: max(BATCH_TOUCHES // len(twist), 1)]
-    reading_models = [model.reading_model for model in models.values()]
-    imagine = partial(predict_outcomes, surfaces[:1], twist, some, reading_models, overtravel=overtravel, boxes=boxes)
-    imagine()
-    started = time.perf_counter()
-    imagine()
-    count, batch = len(surfaces) * len(T) * len(twist), len(some) * len(twist)
-    minutes = (time.perf_counter() - started) * count / batch / 60
-    return (
-        f"{name}: {plan.chosen.size:,} touches are simulated, and {count:,} imagined in some {max(minutes, 1):.0f} min "
-        f"on this machine (measured on {batch}); fewer --episodes or --num-particles take less"
-    )
-
-
-def plan_touches(
-    key: jax.Array, objects: ObjectSet, surfaces: Sequence[Surface], episodes: int, cfg: Recognition
-) -> TouchPlan:
-    """Where episodes touch: at the heuristic's sites of random candidates, or at random ones."""
-    if not objects.heuristic:
-        return plan_random_touches(
-            key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits, share=objects.share
-        )
-    key_pools, key_sites = jax.random.split(key)
-    pool = np.arange(episodes) // cfg.pool_episodes
-    pools = sample_pools(
-        key_pools, surfaces, objects.names, pools=int(pool[-1]) + 1, each=cfg.pool_sites, limits=cfg.site_limits
-    )
-    return plan_informative_touches(key_sites, pools, pool, cfg.touches)

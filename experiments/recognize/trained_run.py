@@ -1,4 +1,4 @@
-"""What recognition takes from a finished run of `experiments.train`: its touches, its predictor, and its pad."""
+"""Input of recognition from a finished run of `experiments.train`: its touches, its predictor, and its pad."""
 
 import json
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ def load_trained_run(key: jax.Array, folder: Path, errors: SimulationErrors, lim
 
 
 def read_simulated_run(folder: Path) -> tuple[Dataset, Predictor, Pad]:
-    """What a run that simulated its touches left.
+    """Read a run that simulated its touches.
 
     Args:
         folder: Of the run.
@@ -79,7 +79,7 @@ def read_simulated_run(folder: Path) -> tuple[Dataset, Predictor, Pad]:
         raise ValueError(f"{folder} keeps no touches; train it again: python -m experiments.train")
     number = about["pad"]
     pad = numbered_pad(number) if isinstance(number, int) else load_pad(Path(number))
-    # The predictor on predicted contact pressure, where a baseline may have been kept in its place.
+    # The best on predicted contact pressure, also where another was kept.
     on_pressure = folder / "checkpoint" / "on_pressure"
     predictor = load_predictor(on_pressure if on_pressure.is_dir() else folder)
     return data.load_dataset(folder / "data.h5"), predictor, pad

@@ -1,1 +1,1 @@
-"""Which shape is it? An unknown object's surface from a few touches."""
+"""An unknown object's surface from a few touches."""

@@ -15,7 +15,7 @@ MESH_ENDINGS = (".obj", ".stl", ".ply", ".glb")
 
 @dataclass(frozen=True)
 class ReconstructSizes:
-    """How much is done."""
+    """Sizes of the experiment."""
 
     train: int = 80  # shapes of the library
     validation: int = 6  # objects, in neither, on which the width of the bands is chosen
@@ -64,7 +64,7 @@ class ReconstructArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return "python -m experiments.reconstruct_patch"
 
     def check(self) -> None:
@@ -93,7 +93,7 @@ class ReconstructArgs:
 
     @property
     def sizes(self) -> ReconstructSizes:
-        """Those of the preset, but for what was given."""
+        """Sizes of the preset, except those given."""
         given = {name: getattr(self, name) for name in ("train", "test", "touches", "pads", "seeds")}
         return choose_preset(PRESETS, self.preset, **given)
 

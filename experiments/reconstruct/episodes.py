@@ -33,7 +33,7 @@ ORACLE_POINTS = 500  # of the true surface, by which the oracle judges
 
 @dataclass(frozen=True)
 class Explorer:
-    """What is the same for all episodes of a run."""
+    """Data that all episodes of a run share."""
 
     models: dict[bool, SurfaceModel]  # with the library, and of smoothness alone
     shapes: list[TrueShape]  # of the reality's objects
@@ -55,12 +55,12 @@ class Episode:
 
 
 def site_limits(args: ReconstructArgs) -> SiteLimits:
-    """What is safe: an object that is held, or one on a table."""
+    """Limits of safe sites, for an object that is held or one on a table."""
     return AROUND_LIMITS if args.reach == "around" else SiteLimits()
 
 
 def reported(touches: int) -> tuple[int, ...]:
-    """After how many touches surfaces are judged."""
+    """Numbers of touches after which surfaces are judged."""
     return tuple(sorted({count for count in REPORTED if count <= touches} | {touches}))
 
 

@@ -73,7 +73,7 @@ def draw_errors(report: dict[str, Any]) -> Picture:
 
 
 def draw_reliability(episodes: Episodes) -> Picture:
-    """How much of the true surface lies in bands of each nominal coverage."""
+    """Share of the true surface in bands of each nominal coverage."""
     figure = Picture(figsize=(4.6, 4.2), layout="constrained")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color=GREY, lw=1, ls=":")

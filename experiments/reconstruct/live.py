@@ -11,7 +11,7 @@ from jaxtyping import Float
 from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.reconstruct.world import split_objects
 from i2t.collect import session
-from i2t.collect.arguments import CollectArgs
+from i2t.collect.arguments import ArmArgs, CollectArgs, SkinArgs, WorldArgs
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome
 from i2t.geometry import inverse
@@ -28,7 +28,7 @@ MAX_FAILURES = 10  # of sites in a row
 
 
 class Exploration:
-    """Answers the procedure, which asks for sites and tells what became of them."""
+    """Exploration that chooses the procedure's sites and learns from the touches made there."""
 
     def __init__(self, model: SurfaceModel, settings: TouchSettings, *, seed: int, touches: int) -> None:
         self.model, self.seed, self.touches = model, seed, touches
@@ -52,12 +52,12 @@ class Exploration:
         return None
 
     def within(self, T_w_t: Float[np.ndarray, "4 4"]) -> bool:
-        """Whether the arm may go to the end of a press that meets nothing."""
+        """Test whether the arm may go to the end of a press that meets nothing."""
         end = T_w_t[:3, 3] + self.config.overtravel * T_w_t[:3, 2]
         return self.rig.limits.contains((self.rig.T_base_world @ np.append(end, 1.0))[:3])
 
     def learn(self, outcome: SiteOutcome) -> None:
-        """What a touch says of the surface: where it met it, or the way that was free."""
+        """Update the surface with a touch: where it met it, or the way that was free."""
         touch = outcome.touch
         self.failures = 0 if touch else self.failures + 1
         if touch is None:
@@ -70,7 +70,7 @@ class Exploration:
 
 
 def explore(args: ReconstructArgs) -> Path:
-    """Touch the object that stands there.
+    """Touch the object.
 
     Args:
         args: With --arm and --true-object.
@@ -89,11 +89,10 @@ def explore(args: ReconstructArgs) -> Path:
     collected = CollectArgs(
         out=folder,
         touches=sizes.touches,
-        arm=str(args.arm),
-        skin=str(args.arm),
-        object=str(args.true_object),
+        arm=ArmArgs(str(args.arm)),
+        skin=SkinArgs(str(args.arm)),
+        world=WorldArgs(str(args.true_object), seed=args.seed),
         name=UNKNOWN,
-        seed=args.seed,
         skip_first_touch=True,  # nobody knows what stands there, so that it would contradict any mesh
         settings=settings,
     )

@@ -33,7 +33,7 @@ from i2t.reconstruction.surface import (
 from i2t.registration.touch import contact_poses
 from i2t.types import STANDOFF, ReturnCode
 
-MIN_CONTACTS = 3  # fewer say next to nothing of a shape
+MIN_CONTACTS = 3  # fewer say almost nothing of a shape
 ROOM_M = 10e-3  # about the contacts, in which the surface is sought
 
 
@@ -110,7 +110,7 @@ def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
 
 
 def prior_of(touches: RecordedTouches, args: ReconstructArgs) -> SurfaceModel:
-    """What is known before: shapes of --meshes or of the catalogue's random objects, on a grid about the contacts."""
+    """Prior of the surface: shapes of --meshes or of the catalogue's random objects, on a grid about the contacts."""
     met = touches.T_o_t[touches.hit]
     at = met[:, :3, 3]
     low, high = np.minimum(at.min(0) - ROOM_M, [-40e-3, -40e-3, 0.0]), np.maximum(at.max(0) + ROOM_M, [40e-3] * 3)
@@ -119,7 +119,7 @@ def prior_of(touches: RecordedTouches, args: ReconstructArgs) -> SurfaceModel:
 
 
 def reconstruct(model: SurfaceModel, touches: RecordedTouches) -> tuple[SurfaceState, SurfaceEstimate]:
-    """What the contacts and the ways through air say of the surface."""
+    """Reconstruct the surface from the contacts and the ways through air."""
     state, _ = init(model)
     for T_o_t, hit in zip(*touches, strict=True):
         state, _ = update(model, state, contact_evidence(T_o_t, hit=bool(hit), swept=STANDOFF))

@@ -70,7 +70,7 @@ def _ratio(above: np.ndarray, below: np.ndarray, clusters: Sequence[np.ndarray])
 
 
 def _shares(episodes: Episodes, sizes: ReconstructSizes) -> dict[str, list[float]]:
-    """Which part of the way from random to the greedy oracle each policy goes, after the same touches."""
+    """Share of the way from random to the greedy oracle that each policy goes, after the same touches."""
     touches = min(GAP_TOUCHES, sizes.oracle_touches, sizes.touches)
     if not {"random", "oracle"} <= episodes.keys() or touches not in reported(sizes.touches):
         return {}

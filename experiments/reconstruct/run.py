@@ -94,7 +94,7 @@ def make_models(split: ObjectSplit) -> dict[bool, SurfaceModel]:
 
 
 class Band(NamedTuple):
-    """How wide bands are."""
+    """Width of the bands."""
 
     scale: float  # of all standard deviations
     floor: float  # m, standard deviation that no touch takes away

@@ -1,4 +1,4 @@
-"""How near a reconstructed surface comes to the true one, and whether its bands hold it."""
+"""Distance of a reconstructed surface to the true one, and coverage of its bands."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -23,7 +23,7 @@ SCORES = ("chamfer_mm", "iou", "f_score", "coverage", "band_mm", "hidden_mm")
 
 
 class TrueShape(NamedTuple):
-    """What a reconstruction is compared with."""
+    """The true shape, to compare reconstructions with."""
 
     points: np.ndarray  # (n, 3) m, of the surface
     tree: cKDTree
@@ -33,7 +33,7 @@ class TrueShape(NamedTuple):
 
 
 def true_shape(mesh: Mesh, grid: VoxelGrid, samples: int) -> TrueShape:
-    """What a reconstruction is compared with, and how near the grid itself allows it to come."""
+    """The true shape, and how near the grid itself allows a reconstruction to come."""
     points, _ = sample_surface(mesh, samples)
     distance = signed_distance_grid(mesh, grid)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
@@ -60,14 +60,14 @@ def judge(estimate: SurfaceEstimate, truth: TrueShape, hidden: np.ndarray | None
 
 
 class SurfaceErrors(NamedTuple):
-    """By how much the signed distance misses zero at points of the true surface."""
+    """Absolute signed distances at points of the true surface, where they should be zero."""
 
     distance: np.ndarray  # m, without its sign
     std: np.ndarray  # m, as estimated
 
     @property
     def standard(self) -> np.ndarray:
-        """The same in standard deviations."""
+        """The errors in standard deviations."""
         return self.distance / self.std
 
 
@@ -88,7 +88,9 @@ def hidden_points(truth: TrueShape, seen: np.ndarray) -> np.ndarray:
 
 
 def _distances(mesh: Mesh, truth: TrueShape) -> tuple[np.ndarray, np.ndarray]:
-    """From the estimated surface to the true one, and back; where nothing was estimated, the object's diagonal."""
+    """Distances from the estimated surface to the true one, and back; where nothing was estimated, the object's
+    diagonal.
+    """
     if not len(mesh.faces):
         return np.full(1, truth.diagonal), np.full(1, truth.diagonal)
     points, _ = sample_surface(mesh, len(truth.points))

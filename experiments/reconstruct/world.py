@@ -56,7 +56,7 @@ class Skins(NamedTuple):
 
 @dataclass(frozen=True)
 class Reality:
-    """What only the simulation knows."""
+    """Facts that only the simulation knows."""
 
     objects: list[Object]
     surfaces: Surface  # stacked
@@ -100,7 +100,7 @@ def split_objects(args: ReconstructArgs, sizes: ReconstructSizes) -> ObjectSplit
 
 
 def ends_in_zero(path: Path, root: Path) -> bool:
-    """Whether a mesh is unseen: its folder's name ends in 0, or its own where it lies in no folder of its own."""
+    """Test whether a mesh is unseen: its folder's name ends in 0, or its own where it lies in no folder of its own."""
     return (path.stem if path.parent == root else path.parent.name).endswith("0")
 
 
@@ -161,7 +161,7 @@ def begin_session(reality: Reality, number: int, *, seed: int) -> Session:
 
 
 def evidence_of(touch: Any, kind: str, model: PressModel, library: PatchLibrary) -> TouchEvidence:
-    """What a touch says of the surface: where it was, and what its reading or a perfect tactile image adds."""
+    """Evidence of a touch on the surface: where it was, and what its reading or a perfect tactile image adds."""
     T_o_t = np.asarray(touch.T_w_t, np.float64)  # the object is believed at the world's origin
     hit = int(touch.code) != ReturnCode.AIR
     if not hit:

@@ -10,7 +10,7 @@ from i2t.cli import Count, Limits, Seed, require_path
 
 @dataclass(frozen=True)
 class PatchSizes:
-    """How much is done."""
+    """Sizes of the experiment."""
 
     patches: int = 12_000  # of the library
     shapes: int = 240  # drawn ones to train on, besides those of the catalogue; of validation and test a fifth each
@@ -29,7 +29,7 @@ PRESETS: dict[str, PatchSizes] = {
 
 @dataclass(frozen=True)
 class RecordedSizes:
-    """How many recorded presses are taken at most."""
+    """Largest numbers of recorded presses."""
 
     learnt: int = 800  # of which the skin is calibrated, with those by which constants are chosen
     test: int = 1200  # of all parts
@@ -59,7 +59,7 @@ class PatchArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return "python -m experiments.reconstruct"
 
     def check(self) -> None:
@@ -73,5 +73,5 @@ class PatchArgs:
 
     @property
     def sizes(self) -> PatchSizes:
-        """Those of the preset, but for what was given."""
+        """Sizes of the preset, except those given."""
         return choose_preset(PRESETS, self.preset, patches=self.patches, test=self.test, pads=self.pads)

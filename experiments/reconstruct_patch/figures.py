@@ -65,7 +65,7 @@ def draw_reliability(found: dict[str, Any], names: Sequence[str]) -> Figure:
 
 
 def draw_tips(places: np.ndarray, weights: np.ndarray, true: np.ndarray, report: dict[str, Any]) -> Figure:
-    """Where the tip of a few presses may have been, by their readings, and where it was.
+    """Draw likely places of the tip at a few presses, by their readings, and the true one.
 
     Args:
         places: (p, 2) m.

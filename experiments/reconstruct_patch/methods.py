@@ -1,4 +1,6 @@
-"""Ways to say what a press met. Each gives weights of the library's patches, but for a network, which gives pixels."""
+"""Methods that infer what a press met. Each gives weights of the library's patches, but for a network, which gives
+pixels.
+"""
 
 from functools import partial
 from typing import NamedTuple
@@ -9,7 +11,8 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from i2t.prediction import gp, mlp
+from i2t import mlp, training
+from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure
 from i2t.recognition.outcomes import linear_reading_model
 from i2t.reconstruction.local_shape import (
@@ -86,7 +89,7 @@ def first_stop(press: PressCurve) -> PressCurve:
 
 
 def bayes_weights(press: PressCurve, model: PressModel, library: PatchLibrary) -> Array:
-    """Of one press."""
+    """Posterior weights of one press."""
     return infer_patch(press.reading, press.force, press.travel, model=model, library=library, samples=1).weight
 
 
@@ -107,7 +110,7 @@ def learned_model(key: Array, model: PressModel, library: PatchLibrary, board: B
 def judge_candidate(
     press: PressCurve, true: Array, others: Array, own: PressModel, model: PressModel
 ) -> tuple[Array, Array]:
-    """How many of the other candidates explain one press better than the true one, and by how many bits the true one
+    """Number of other candidates that explain one press better than the true one, and by how many bits the true one
     does so better than patches of the library on the average; `own` is the model of all candidates.
     """
     force = jnp.maximum(press.force, SMALLEST_FORCE_N)
@@ -123,13 +126,13 @@ def judge_candidate(
 
 
 def features(press: PressCurve) -> Array:
-    """What a press measured, as one row: readings, logarithms of forces, travels (mm)."""
+    """Measurements of a press, as one row: readings, logarithms of forces, travels (mm)."""
     rows = [press.reading.reshape(*press.reading.shape[:-2], -1), jnp.log(press.force + 0.05), 1e3 * press.travel]
     return jnp.concatenate(rows, -1)
 
 
 def neighbour_weights(press: PressCurve, seen: Array, scale: Array, count: Array) -> Array:
-    """Alike for the patches of the nearest imagined presses (n, features), in units of `scale`."""
+    """Equal weights for the patches of the nearest imagined presses (n, features), in units of `scale`."""
     distance = jnp.sum(((features(press)[None] - seen) / scale[None]) ** 2, axis=-1)
     bound = jnp.sort(distance)[jnp.minimum(count, len(distance)) - 1]
     near = (distance <= bound).astype(jnp.float32)
@@ -137,7 +140,7 @@ def neighbour_weights(press: PressCurve, seen: Array, scale: Array, count: Array
 
 
 def image_weights(press: PressCurve, library: PatchLibrary, width: Array) -> Array:
-    """By a perfect tactile image: the true newtons on each cell of 1 mm at every stop, compared with the library's."""
+    """Weights by a perfect tactile image: the true newtons on each cell of 1 mm at every stop against the library's."""
     distance = jnp.zeros(len(library.patch))
     knots = jnp.log(library.loads)
     for s in range(press.force.shape[0]):
@@ -170,7 +173,7 @@ def train_network(key: Array, presses: PressCurve, library: PatchLibrary, steps:
         return jnp.mean(gaussian + optax.sigmoid_binary_cross_entropy(mask, near))
 
     fit = jax.jit(
-        lambda layers, keys: mlp.fit(layers, loss, optax.adam(optax.cosine_decay_schedule(2e-3, steps)), keys)
+        lambda layers, keys: training.descend(layers, loss, optax.adam(optax.cosine_decay_schedule(2e-3, steps)), keys)
     )
     return PixelNetwork(fit(layers, jax.random.split(key_steps, steps))[0], mean, std)
 

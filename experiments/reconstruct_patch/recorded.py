@@ -55,12 +55,12 @@ class LabelledPresses(NamedTuple):
     row: Int[np.ndarray, " n"]  # in the recording
 
     def rows(self, chosen: Int[np.ndarray, " k"] | Bool[np.ndarray, " n"]) -> "LabelledPresses":
-        """Some of them."""
+        """Some of the presses."""
         return LabelledPresses(*(part[chosen] for part in self))
 
 
 class TipsFound(NamedTuple):
-    """What was said of presses."""
+    """Estimates of presses."""
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"] | None = None  # m or N
@@ -103,7 +103,7 @@ class FoldRows(NamedTuple):
 
 
 class FoldAnswer(NamedTuple):
-    """What was said of the presses of one part of the blocks."""
+    """Estimates of the presses of one part of the blocks."""
 
     test: Int[np.ndarray, " c"]
     learnt: int  # presses
@@ -132,7 +132,7 @@ def answer(recording: SkinRecording, presses: LabelledPresses, kind: str, rows: 
 
 
 def _joined(parts: list[TipsFound]) -> TipsFound:
-    """What was said of the presses of all parts; the weights of places, which differ, are left out."""
+    """Estimates of the presses of all parts; the weights of places, which differ, are left out."""
 
     def together(name: str) -> np.ndarray | None:
         column = [getattr(part, name) for part in parts]
@@ -194,7 +194,7 @@ def _fold(
 
 
 class TipConstants(NamedTuple):
-    """How readings are believed."""
+    """Constants of the likelihood of readings."""
 
     temperature: float
     dof: float
@@ -202,19 +202,19 @@ class TipConstants(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """What validation blocks chose."""
+    """Constants that validation blocks chose."""
 
     alone: TipConstants
     pooled: TipConstants
     neighbours: int
 
     def as_json(self) -> dict[str, Any]:
-        """By the names of the methods."""
+        """Constants by the names of the methods."""
         return {TIP: self.alone._asdict(), POOLED: self.pooled._asdict(), NEIGHBOURS: self.neighbours}
 
 
 def choose(recording: SkinRecording, presses: LabelledPresses, kind: str, rows: FoldRows) -> Chosen:
-    """By the weight of true places for the posteriors, by squared error for the neighbours."""
+    """Choose by the weight of true places for the posteriors, by squared error for the neighbours."""
     given, asked = presses.rows(rows.train), presses.rows(rows.validation)
     model, head = imagined(given, kind), by_head(recording, given, asked, kind)
     near = KDTree(np.asarray(model.places)).query(asked.position)[1]
@@ -239,13 +239,13 @@ def choose(recording: SkinRecording, presses: LabelledPresses, kind: str, rows: 
 
 
 def imagined(given: LabelledPresses, kind: str) -> TipModel:
-    """What the skin reads of its tip anywhere, as presses say."""
+    """Model of the skin's readings of its tip, from presses."""
     calibration: Calibration = i2t.calibrate(given.position, given.load, given.reading, load_kind=kind)  # type: ignore[arg-type]
     return imagine_tip(calibration, given.position, given.load)
 
 
 def with_likelihood(model: TipModel, constants: TipConstants) -> TipModel:
-    """The same skin, believed otherwise."""
+    """The same skin with another likelihood."""
     return model._replace(likelihood=model.likelihood._replace(temperature=constants.temperature, dof=constants.dof))
 
 
@@ -280,7 +280,7 @@ def neighbours(given: LabelledPresses, readings: Float[np.ndarray, "n c"], k: in
 
 
 def by_head(recording: SkinRecording, given: LabelledPresses, asked: LabelledPresses, kind: str) -> TipsFound:
-    """What the skin's heads say."""
+    """Estimates of the skin's heads."""
     known = recording.rows(given.row)
     position, load = (fit_head(known, target).predict(asked.reading) for target in ("position", kind))
     return TipsFound(position.mean, load.mean[:, 0], std=position.std)

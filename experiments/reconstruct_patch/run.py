@@ -191,8 +191,8 @@ def evaluate(found: dict[str, Scores], picked: dict[str, Any], trials: Sequence[
 
 
 def judge_candidates(trials: Sequence[Trial], part: Part) -> dict[str, Any]:
-    """How often the patch that was met comes first, or among the first five, of 100 unseen ones, and how many bits a
-    press tells of it.
+    """Rates at which the patch that was met comes first, or among the first five, of 100 unseen ones, and the bits that
+    a press tells of it.
     """
     judge = jax.jit(
         lambda presses, true, others, own, model: jax.lax.map(

@@ -1,4 +1,4 @@
-"""How far what was said of a press is right, one touch at a time."""
+"""Scores of the inferred patch of a press, one touch at a time."""
 
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ MM = 1e3
 
 
 class MetSurface(NamedTuple):
-    """What a press met; one touch, or many on axis 0."""
+    """The surface that a press met; one touch, or many on axis 0."""
 
     patch: Array  # (p, p) m
     contact: Array  # (cells,) at the last stop
@@ -134,7 +134,7 @@ def report(
 
 
 def choose_thresholds(scores: dict[str, np.ndarray]) -> dict[str, int]:
-    """Which of `THRESHOLDS` give the best masks on validation objects."""
+    """Choose those of `THRESHOLDS` with the best masks on validation objects."""
     return {name: int(np.argmax(scores[name].mean(0))) for name in ("mask", "contact") if name in scores}
 
 

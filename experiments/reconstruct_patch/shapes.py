@@ -59,12 +59,12 @@ def draw_shape(seed: int) -> Mesh:
 
 
 def _part_of(index: int) -> str:
-    """Of an object of the catalogue: a quarter to test, an eighth to validate, every family in each part."""
+    """Part of an object of the catalogue: a quarter to test, an eighth to validate, every family in each part."""
     return "test" if index % 4 == 2 else "validation" if index % 8 == 5 else "train"
 
 
 def _of_folder(part: str, folder: Path) -> Shapes:
-    """Of a folder's meshes in the order of their names, every tenth to test, and every tenth to validate."""
+    """Meshes of a folder in the order of their names, every tenth to test, and every tenth to validate."""
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
     remainder = {"test": (0,), "validation": (5,), "train": (1, 2, 3, 4, 6, 7, 8, 9)}[part]
     kept = [path for i, path in enumerate(files) if i % 10 in remainder]

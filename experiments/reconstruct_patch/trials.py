@@ -30,12 +30,12 @@ class Trial(NamedTuple):
     truth: MetSurface
 
     def with_likelihood(self, likelihood: PatchLikelihood) -> "Trial":
-        """The same, imagined with another likelihood."""
+        """The same trial, imagined with another likelihood."""
         return self._replace(model=self.model._replace(likelihood=likelihood))
 
 
 class ShapeMethod(NamedTuple):
-    """What a method makes of a press, `infer(press, fitted, library)`, and what is fitted to each pad."""
+    """A method: its estimate of a press, `infer(press, fitted, library)`, and what is fitted to each pad."""
 
     infer: Callable[..., Any]  # weights of the library's patches; or mask, depth and deviation of coarse pixels
     fitted: Sequence[Any]
@@ -49,7 +49,7 @@ def by_imagination(models: Sequence[PressModel], *, first_stop_only: bool = Fals
 
 
 def by_prior(models: Sequence[PressModel]) -> ShapeMethod:
-    """Every patch alike, whatever was read."""
+    """Equal weights for every patch, whatever was read."""
     return ShapeMethod(_alike, models, [0.0] * len(models))
 
 
@@ -85,7 +85,7 @@ def score_touches(method: ShapeMethod, trials: Sequence[Trial], library: PatchLi
 
 @cache
 def _infer_all(infer: Callable[..., Any]) -> Callable[..., Any]:
-    """What a method makes of all presses of one pad, one after the other, compiled."""
+    """Compile a method's estimates of all presses of one pad, one after the other."""
     return jax.jit(lambda presses, fitted, library: jax.lax.map(lambda press: infer(press, fitted, library), presses))
 
 

@@ -1,4 +1,4 @@
-"""What the methods are tried on: libraries of the three parts of the split, pads, and presses with their truth."""
+"""World of the experiment: libraries of the three parts of the split, pads, and presses with their truth."""
 
 from typing import NamedTuple
 
@@ -54,7 +54,7 @@ def press_all(keys: Array, pad: Pad, heights: Array) -> PressCurve:
 
 
 def truth_of(part: Part, presses: PressCurve) -> MetSurface:
-    """What presses of a part met, at their last stop."""
+    """Surfaces that presses of a part met, at their last stop."""
     library = part.library
     return MetSurface(
         patch=np.asarray(library.patch, np.float32),

@@ -1,1 +1,1 @@
-"""How far one depth patch corrects a pose."""
+"""Correction of a pose by one depth patch."""

@@ -11,7 +11,7 @@ from i2t.cli import Count, NotNegative, Positive, Seed, require_path
 
 @dataclass(frozen=True)
 class CaseSizes:
-    """How much is done."""
+    """Sizes of the experiment."""
 
     cases: int = 200  # shared among all objects
     objects: int = 40  # different ones, besides those of --data
@@ -41,7 +41,7 @@ class RefineArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return with_trained_run("python -m experiments.studies registered")
 
     def check(self) -> None:
@@ -50,5 +50,5 @@ class RefineArgs:
 
     @property
     def sizes(self) -> CaseSizes:
-        """Those of the preset, but for what was given."""
+        """Sizes of the preset, except those given."""
         return choose_preset(PRESETS, self.preset, cases=self.cases, objects=self.objects, starts=self.starts)

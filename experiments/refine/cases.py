@@ -19,10 +19,10 @@ from i2t.types import PATCH_PIXELS, REACH, Patch, Surface
 
 
 class Cases(NamedTuple):
-    """Where the tool was and where it is thought to be: (objects, cases of each) of everything."""
+    """True and believed poses of the tool: (objects, cases of each) of everything."""
 
-    true: np.ndarray  # T_w_t
-    start: np.ndarray  # T_w_t
+    true: np.ndarray  # T_o_t
+    start: np.ndarray  # T_o_t
     eigenvalues: np.ndarray  # (..., 6) of the Gauss-Newton matrix at the true pose
     directions: np.ndarray  # (..., 6, 6)
 
@@ -66,7 +66,7 @@ def draw_cases(key: jax.Array, objects: Sequence[Object], surfaces: Surface, eac
 
 
 def draw_views(key: jax.Array, surfaces: Surface, cases: Cases, noise: float) -> Views:
-    """What is seen at the true poses, without and with noise (m) of each pixel."""
+    """Views at the true poses, without and with noise (m) of each pixel."""
     look = jax.jit(jax.vmap(render_patch, (None, 0)))
     clean = [jax.device_get(look(element(surfaces, i), poses)) for i, poses in enumerate(cases.true)]
     each = cases.true.shape[1]
@@ -78,7 +78,7 @@ def draw_views(key: jax.Array, surfaces: Surface, cases: Cases, noise: float) ->
 
 
 def add_noise(key: jax.Array, patch: Patch, noise: float) -> Patch:
-    """What a camera with independent noise in every pixel makes of a patch: what it sees at the reach stays there."""
+    """Add a camera's independent noise to every pixel of a patch: what it sees at the reach stays there."""
     heights = jnp.where(patch.depth < REACH, patch.nearest + patch.depth, jnp.inf)
     heights = heights + noise * jax.random.normal(key, heights.shape)
     nearest = jnp.min(heights)

@@ -29,8 +29,8 @@ def draw_patches(
     observable: np.ndarray,
     rows: int = 4,
 ) -> Figure:
-    """What the camera saw, what the start shows, what the found pose shows, and how far that is from the truth, for the
-    objects with the most observable directions.
+    """Draw what the camera saw, the start, the found pose, and how far that is from the truth, for the objects with the
+    most observable directions.
     """
     rows = min(rows, len(objects))
     figure = Figure(figsize=(9.5, 2.4 * rows + 0.9), layout="constrained")
@@ -65,7 +65,7 @@ def draw_patches(
 
 
 def draw_bounds(curves: dict[str, np.ndarray], bound: float) -> Figure:
-    """How success depends on which directions count."""
+    """Success against the bound on the directions that count."""
     figure = Figure(figsize=(6, 3.8), layout="constrained")
     axes = figure.subplots()
     colours = (style.BLUE, style.ORANGE, style.GREEN, style.RED)

@@ -48,7 +48,7 @@ from i2t.types import PATCH_PIXELS, TWIST_LEVER_M, Surface
 class Method(NamedTuple):
     """A way to seek a pose."""
 
-    search: Callable[..., Any]  # key, surface, patch and T_w_t to a pose
+    search: Callable[..., Any]  # key, surface, patch and T_o_t to a pose
     noisy: bool  # whether it is given what a camera sees
 
 
@@ -81,25 +81,25 @@ def run(args: RefineArgs) -> dict:
         observable=np.asarray(observable_directions(cases.eigenvalues, bound)),
     )
     viz.save_figure(figure, args.out / "patches.png")
-    curves = {name: success(T_w_t, cases, ERROR_BINS, args) for name, T_w_t in found.items()}
+    curves = {name: success(T_o_t, cases, ERROR_BINS, args) for name, T_o_t in found.items()}
     viz.save_figure(draw_bounds(curves, bound), args.out / "bounds.png")
     print(table(report))
     return report
 
 
 def camera_name(args: RefineArgs) -> str:
-    """What a method's name says of the camera."""
+    """Name of the camera in a method's name."""
     return f"noise {args.noise * MM_PER_M:g} mm"
 
 
 def list_methods(args: RefineArgs) -> dict[str, Method]:
-    """From one start and from several, without noise and with a camera's."""
+    """Methods from one start and from several, without noise and with a camera's."""
     starts = args.sizes.starts
     precise = PatchRegistrationConfig()
     careful = replace(precise, final_scale=max(precise.final_scale, 3 * args.noise))  # the loss takes noise for noise
 
-    def single(key, surface, observed, T_w_t, how):
-        return refine_pose(surface, observed, T_w_t, how)
+    def single(key, surface, observed, T_o_t, how):
+        return refine_pose(surface, observed, T_o_t, how)
 
     several = partial(
         refine_pose_multistart,
@@ -124,7 +124,7 @@ def seek(key: jax.Array, name: str, method: Method, *, surfaces: Surface, cases:
     objects, each = cases.true.shape[:2]
     return np.stack(
         [
-            jax.device_get(batch(jax.random.split(key, each), element(surfaces, i), patches[i], cases.start[i]).T_w_t)
+            jax.device_get(batch(jax.random.split(key, each), element(surfaces, i), patches[i], cases.start[i]).T_o_t)
             for i, key in enumerate(progress(jax.random.split(key, objects), desc=name))
         ]
     )
@@ -144,6 +144,6 @@ def evaluate(
         "observable_directions": np.bincount(observable.sum(-1).ravel(), minlength=7).tolist(),  # cases with 0 to 6
         "unobservable_motion": unobservable_motion(cases.directions, observable),
         "at_start": judge(cases.start, cases, bound, objects, args),
-        "methods": {name: judge(T_w_t, cases, bound, objects, args) for name, T_w_t in found.items()},
+        "methods": {name: judge(T_o_t, cases, bound, objects, args) for name, T_o_t in found.items()},
         "seed": args.seed,
     }

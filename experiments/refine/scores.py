@@ -15,18 +15,18 @@ MM_PER_M = 1e3
 TWIST_PARTS = {"sliding": [0, 1], "approach": [2], "tilt": [3, 4], "spin": [5]}
 
 
-def remaining(T_w_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray, np.ndarray]:
+def remaining(T_o_t: np.ndarray, cases: Cases, bound: float) -> tuple[np.ndarray, np.ndarray]:
     """Error in the observable directions: translation (m) and rotation (degrees)."""
     # Of a motion that leaves what is seen unchanged the logarithm has no part in the directions that can be seen.
-    error = log(inverse(cases.true.astype(float)) @ T_w_t) * ([1.0] * 3 + [TWIST_LEVER_M] * 3)
+    error = log(inverse(cases.true.astype(float)) @ T_o_t) * ([1.0] * 3 + [TWIST_LEVER_M] * 3)
     along = np.einsum("...ji,...j->...i", cases.directions, error) * (cases.eigenvalues >= bound)
     error = np.einsum("...ij,...j->...i", cases.directions, along)
     return np.linalg.norm(error[..., :3], axis=-1), np.degrees(np.linalg.norm(error[..., 3:], axis=-1) / TWIST_LEVER_M)
 
 
-def judge(T_w_t: np.ndarray, cases: Cases, bound: float, objects: Sequence[Object], args: RefineArgs) -> dict:
+def judge(T_o_t: np.ndarray, cases: Cases, bound: float, objects: Sequence[Object], args: RefineArgs) -> dict:
     """Success with its 95 % interval (Wilson), its rate in each family, and the errors."""
-    distance, angle = remaining(T_w_t, cases, bound)
+    distance, angle = remaining(T_o_t, cases, bound)
     ok = (distance <= args.close) & (angle <= args.close_angle)
     interval = binomtest(int(ok.sum()), ok.size).proportion_ci(method="wilson")
     families = np.array([item.family for item in objects])
@@ -39,20 +39,20 @@ def judge(T_w_t: np.ndarray, cases: Cases, bound: float, objects: Sequence[Objec
     }
 
 
-def success(T_w_t: np.ndarray, cases: Cases, bounds: np.ndarray, args: RefineArgs) -> np.ndarray:
+def success(T_o_t: np.ndarray, cases: Cases, bounds: np.ndarray, args: RefineArgs) -> np.ndarray:
     """Success for each bound."""
-    errors = [remaining(T_w_t, cases, bound) for bound in bounds]
+    errors = [remaining(T_o_t, cases, bound) for bound in bounds]
     return np.array([np.mean((d <= args.close) & (a <= args.close_angle)) for d, a in errors])
 
 
 def unobservable_motion(directions: np.ndarray, observable: np.ndarray) -> dict[str, float]:
-    """How much of each kind of motion lies in the directions that do not count, 0 to 1, on average."""
+    """Share of each kind of motion in the directions that do not count, 0 to 1, on average."""
     share = (directions**2 * ~observable[..., None, :]).sum(-1).reshape(-1, 6).mean(0)
     return {name: float(share[axes].mean()) for name, axes in TWIST_PARTS.items()}
 
 
 def table(report: dict) -> str:
-    """What was found, as text."""
+    """The scores as text."""
     cases, counts = report["cases"], report["observable_directions"]
     lines = [
         f"{'':28s}{'success':>8s}  {'95 % interval':15s}{'mm: median':>11s}{'95 %':>9s}{'deg: median':>13s}{'95 %':>9s}"

@@ -1,4 +1,4 @@
-"""What is run again, in which order, and where its numbers appear: one step for each command of the documents."""
+"""Steps to run again, in order, and where their numbers appear: one for each command of the documents."""
 
 import shlex
 from pathlib import Path

@@ -50,7 +50,7 @@ def write_tables(docs: Path) -> list[str]:
 
 
 def _measured_now(docs: Path, found: re.Match[str]) -> str:
-    """The mark of a table that is to come, or of one if it was measured since."""
+    """The mark of a table to come, or of a table if it was measured since."""
     if not (docs / "results" / f"{found[1]}.json").exists():
         return found[0]
     return f"<!-- table: {found[1]} {found[2]} -->\n"
@@ -77,7 +77,7 @@ def table(docs: Path, step: str, name: str, page: str = "") -> str:
 
 
 def shortened(step: str, measured: Measured) -> Measured:
-    """What of a step's metrics is kept with the documents: what tables show, with a few decimals.
+    """Metrics of a step that are kept with the documents: what tables show, with a few decimals.
 
     Args:
         step: Whose.
@@ -201,7 +201,7 @@ def differences_of_set(name: str) -> Table:
 
 
 def stopping_of_set(name: str, method: str) -> Table:
-    """What the stopping rule keeps of what it was asked."""
+    """Errors of the stopping rule against those asked for."""
 
     def render(measured: Measured) -> str:
         rows = [
@@ -389,7 +389,7 @@ def local_shapes(measured: Measured) -> str:
 
 
 def local_shapes_of_catalogue(measured: Measured) -> str:
-    """The same on the catalogue's test objects alone."""
+    """Scores of the same methods on the catalogue's test objects alone."""
     scores = [score for score in _PATCH_SCORES if score[0] in _OF_CATALOGUE]
     first, *others = (title for _, title, _ in scores)
     rows = _patch_rows(measured["catalogue"], scores)

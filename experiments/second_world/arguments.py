@@ -30,4 +30,4 @@ class SecondWorldArgs:
         return self.sessions or sessions, self.touches or touches
 
     def check(self) -> None:
-        """All options go together."""
+        """Refuse nothing: all options go together."""

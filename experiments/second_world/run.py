@@ -68,7 +68,7 @@ def run(args: SecondWorldArgs) -> dict[str, Any]:
 
 
 def train_in(folder: Path, args: SecondWorldArgs, errors: WorldErrors) -> dict[str, Any]:
-    """What `experiments.train` measures on touches of a world."""
+    """Metrics of `experiments.train` on touches of a world."""
     recordings, converted = folder / "recordings", folder / "data"
     write_recordings(recordings, args, errors)
     _must(convert, "imagine2touch", str(recordings), str(converted), "--overwrite")
@@ -166,6 +166,6 @@ def _samples(rng: np.random.Generator, field: np.ndarray) -> np.ndarray:
 
 
 def _save(path: Path, values: np.ndarray) -> None:
-    """Into a name without ending, as the authors do."""
+    """Save into a name without ending, as the authors do."""
     with path.open("wb") as file:
         np.save(file, values, allow_pickle=True)

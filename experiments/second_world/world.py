@@ -34,7 +34,7 @@ RAYS_FROM_M = 30e-3  # behind the tool's plane, for what the skin meets
 
 @dataclass(frozen=True)
 class WorldErrors:
-    """One standard deviation each."""
+    """Errors of a world, one standard deviation each."""
 
     placement: float = 1e-3  # m, of an object in a session
     placement_angle: float = np.radians(1.0)
@@ -65,7 +65,7 @@ class ReferenceSkin(NamedTuple):
 
 
 class WorldTouches(NamedTuple):
-    """What a lab records of one session."""
+    """Records of one session in a lab."""
 
     image: np.ndarray  # (n, 48, 48) m, depth from the camera
     T_w_t: np.ndarray  # (n, 4, 4) at the end of the press, as the arm reports it
@@ -164,7 +164,7 @@ def _touch(
 
 
 def press(skin: ReferenceSkin, heights: np.ndarray, force: float) -> tuple[float, np.ndarray]:
-    """How deep (m) a surface sinks until the springs push with a force, and how far they give (cells, cells) m.
+    """Depth (m) to which a surface sinks until the springs push with a force, and how far they give (cells, cells) m.
 
     Heights (m) are those of the surface over its nearest point, infinite where there is none.
     """
@@ -236,7 +236,7 @@ def photograph(rng: np.random.Generator, mesh: trimesh.Trimesh, T_o_c: np.ndarra
 
 
 def _first_hits(mesh: trimesh.Trimesh, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """How often a direction fits between an origin and what it meets first; infinite where it meets nothing."""
+    """Distances from origins to first hits, in lengths of the direction; infinite where nothing is met."""
     points, rays, _ = mesh.ray.intersects_location(origins, directions, multiple_hits=False)
     found = np.full(len(origins), np.inf)
     times = np.sum((points - origins[rays]) * directions[rays], -1) / np.sum(directions[rays] ** 2, -1)

@@ -1,1 +1,1 @@
-"""Which of five stamps was pressed into the skin."""
+"""Classification of five stamps by touch."""

@@ -25,7 +25,7 @@ class ShapesArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return "python -m experiments.reconstruct_patch"
 
     def check(self) -> None:

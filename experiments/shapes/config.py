@@ -3,14 +3,14 @@
 from dataclasses import dataclass, field
 
 from experiments.shapes.methods import Methods
-from experiments.shapes.networks import Classifier
 from experiments.shapes.world import StampPressConfig
+from i2t.paper.classifier import Classifier
 from i2t.skin.elasticity import Grid
 
 
 @dataclass(frozen=True)
 class ShapeExperiment:
-    """What `python -m experiments.shapes` does."""
+    """Settings of `python -m experiments.shapes`."""
 
     pads: tuple[int, ...] = (0, 1, 2)  # numbers of the simulated skins
     presses: int = 1280  # on each, the paper's

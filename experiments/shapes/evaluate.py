@@ -1,4 +1,4 @@
-"""What the classifiers reach: on parts that are held out, on a new skin, with other sensors, and what limits them."""
+"""Scores of the classifiers: on parts that are held out, on a new skin, with other sensors, and their limits."""
 
 from dataclasses import replace
 from typing import Any
@@ -26,7 +26,7 @@ from i2t.skin.pad import numbered_pad
 
 
 def splits(benchmark: StampClassificationBenchmark, held: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What each method guesses of each press, split by split."""
+    """Guesses of each method for each press, split by split."""
     return {
         split: {method: benchmark.guesses(method, part).tolist() for method in benchmark.methods()}
         for split, part in held.items()
@@ -76,8 +76,8 @@ def other_sensors(cfg: ShapeExperiment) -> dict[str, SimulationErrors]:
 
 
 def limits(cfg: ShapeExperiment, seed: int) -> dict[str, list[float]]:
-    """What the paper's classifier would reach on the first skin on a random fifth of easier presses, of more, and of
-    rows of which several are of one press: share of right answers and number of rows.
+    """Scores of the paper's classifier on the first skin on a random fifth of easier presses, of more, and of rows of
+    which several are of one press: share of right answers and number of rows.
     """
     how = replace(cfg.pressing, friction=False)  # whose part is small
     repeated = replace(how, readings=cfg.rows)

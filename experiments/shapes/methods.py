@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.shapes.networks import Classifier, classify
+from experiments.shapes.networks import classify
 from experiments.shapes.pad import (
     LAYERS,
     FittedSkin,
@@ -32,6 +32,7 @@ from experiments.shapes.world import PREFIX, SHAPES
 from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
 from i2t.geometry import inverse
+from i2t.paper.classifier import Classifier
 from i2t.simulation import touches as simulation
 from i2t.skin.elasticity import GRID, Grid
 from i2t.types import Board, Pad, ReturnCode
@@ -71,12 +72,12 @@ class StampPresses(NamedTuple):
 
     @property
     def poses(self) -> StampPoses:
-        """What the arm knew."""
+        """Poses that the arm knew."""
         return StampPoses(self.position, self.rotation, self.force)
 
     @property
     def located(self) -> bool:
-        """Whether it knew all that a press is imagined from."""
+        """Tell whether the arm knew all that a press is imagined from."""
         return all(bool(np.isfinite(leaf).all()) for leaf in self.poses)
 
 
@@ -105,7 +106,7 @@ def shapes_of(dataset: Dataset) -> tuple[str, ...]:
 
 
 def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | None:
-    """Which of `FOLDS` parts each press is tested in; None where the arm did not say what the split needs.
+    """The one of `FOLDS` parts that each press is tested in; None where the arm did not say what the split needs.
 
     random: any presses. location: squares of 2 mm. depth: fifths of each shape's depth (or force). angle: sectors of
     72 degrees.
@@ -157,7 +158,7 @@ class StampClassificationBenchmark:
     fits: dict[bytes, tuple[FittedSkin, np.ndarray]] = field(default_factory=dict)  # the last fit, by what it was of
 
     def methods(self) -> tuple[str, ...]:
-        """Those that can be had of these presses."""
+        """Names of the methods that these presses allow."""
         arm = (ARM,) if np.isfinite(self._arm()).all() else ()
         return (PAPER, *arm, *((NETWORK, IMAGINED) if self.features else ()))
 
@@ -209,7 +210,7 @@ class StampClassificationBenchmark:
         return self.fits[key]
 
     def _arm(self) -> np.ndarray:
-        """(n, 6): what the arm measured of each press."""
+        """Measurements (n, 6) of each press by the arm."""
         p = self.presses
         return np.c_[p.position, np.cos(p.rotation), np.sin(p.rotation), p.force, p.depth]
 
@@ -251,7 +252,7 @@ def rows_per_shape(presses: StampPresses, each: int, seed: int) -> np.ndarray:
 
 
 def read_again(dataset: Dataset, pads: list[Pad], errors: simulation.SimulationErrors, seed: int) -> np.ndarray:
-    """(n, c): what another sensor reads of the same simulated presses, whose ideal readings are known."""
+    """Readings (n, c) by another sensor of the same simulated presses, whose ideal readings are known."""
     touches = dataset.touches
     assert touches.truth is not None
     made = np.zeros_like(touches.reading)

@@ -1,37 +1,22 @@
-"""Small classifiers of readings: the paper's (15 - 500 - 10 - 5, cross entropy), and others of its kind that are shown
-imagined presses too.
+"""Classifiers of readings: the paper's (`i2t.paper.classifier`), and others of its kind that are shown imagined presses
+too, with noise drawn afresh.
 
-Rectifiers follow both hidden layers; that, Adam and the number of steps are not in the paper. Inputs are standardised
-by the training presses. Minibatches are drawn with replacement, so that trainings on different numbers of presses share
-one compiled program.
+Minibatches are drawn with replacement, so that trainings on different numbers of presses share one compiled program.
 """
 
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, Float, Int, Key
 
-from i2t.prediction import mlp
-from i2t.prediction.mlp import Layers
+from i2t.mlp import Layers
+from i2t.paper import classifier
+from i2t.paper.classifier import Classifier
 
 CAPACITY_ROWS = 2048  # capacities are multiples of it
-
-
-@dataclass(frozen=True)
-class Classifier:
-    """How to train."""
-
-    hidden: tuple[int, ...] = (500, 10)
-    steps: int = 2400  # of 128 presses: 300 epochs of the paper's 1024
-    batch: int = 128
-    rate: float = 1e-3  # falls to 0 as a cosine
-    decay: float = 0.0  # decoupled, of matrices
-    members: int = 1
 
 
 class TrainingSet(NamedTuple):
@@ -46,28 +31,20 @@ class TrainingSet(NamedTuple):
 
 @partial(jax.jit, static_argnames=("cfg", "classes"))
 def _train(key: Key[Array, ""], known: TrainingSet, cfg: Classifier, classes: int) -> Layers:
-    key_init, key_steps = jax.random.split(key)
-    optimizer = optax.adamw(
-        optax.cosine_decay_schedule(cfg.rate, cfg.steps),
-        weight_decay=cfg.decay,
-        mask=lambda tree: jax.tree.map(lambda leaf: leaf.ndim > 1, tree),
-    )
     inputs = known.x.shape[1]
 
-    def loss(layers: Layers, key: Key[Array, ""]) -> Array:
+    def draw(key: Key[Array, ""]) -> tuple[Array, Array]:
         key_rows, key_noise = jax.random.split(key)
         rows = jax.random.randint(key_rows, (cfg.batch,), 0, known.n)
         noise = jax.random.normal(key_noise, (cfg.batch, inputs)) @ known.noise_factor
-        logits = jax.vmap(lambda one: mlp.apply(layers, one))(known.x[rows] + known.noise_share[rows] * noise)
-        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(logits, known.y[rows]))
+        return known.x[rows] + known.noise_share[rows] * noise, known.y[rows]
 
-    keys = jax.vmap(lambda i: jax.random.fold_in(key_steps, i))(jnp.arange(cfg.steps))
-    return mlp.fit(mlp.init(key_init, (inputs, *cfg.hidden, classes)), loss, optimizer, keys)[0]
+    return classifier.fit(key, draw, cfg, inputs=inputs, classes=classes)
 
 
 @jax.jit
 def _log_probability(layers: Layers, x: Float[Array, "n d"]) -> Float[Array, "n classes"]:
-    return jax.nn.log_softmax(jax.vmap(lambda one: mlp.apply(layers, one))(x))
+    return jax.nn.log_softmax(classifier.logits(layers, x))
 
 
 def classify(

@@ -48,12 +48,12 @@ class StampTip:
     surface: Array
 
     def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """What lies over the cells, whatever the position."""
+        """Heights over the cells, whatever the position."""
         return self.surface
 
 
 class StampPoses(NamedTuple):
-    """What the arm knows of n presses."""
+    """Poses of n presses, as the arm knows them."""
 
     position: Float[np.ndarray, "n 2"]  # m, of the face's middle on the skin
     rotation: Float[np.ndarray, " n"]  # rad, about the skin's normal
@@ -80,7 +80,7 @@ def layer_of(thickness: float, mount_compliance: float) -> LayerParameters:
 def stamp_features(
     layer: LayerParameters, board: Board, drawn: Stamp, which: Int[Array, " n"], poses: StampPoses, *, grid: Grid = GRID
 ) -> Float[Array, "n c k"]:
-    """What a press of each stamp `which` reads (uT) of each weight of the map, of prior variance 1."""
+    """Readings (uT) of a press of each stamp `which` for each weight of the map, of prior variance 1."""
 
     def one(args: tuple) -> Array:
         index, position, rotation, force = args
@@ -175,7 +175,7 @@ def fit_hysteresis(
     session: Int[np.ndarray, " n"],
     sessions: Int[np.ndarray, " m"],
 ) -> Float[np.ndarray, "m c"]:
-    """What share of the press before each chip keeps in each session.
+    """Share of the press before that each chip keeps in each session.
 
     Args:
         residuals: Of presses (uT).
@@ -203,6 +203,6 @@ def predict_reading(skin: FittedSkin, features: Float[np.ndarray, "*n c k"]) -> 
 def log_likelihood(
     skin: FittedSkin, features: Float[np.ndarray, "n classes c k"], readings: Float[np.ndarray, "n c"]
 ) -> Float[np.ndarray, "n classes"]:
-    """How probable the readings are if each of the stamps had been pressed there, up to a constant."""
+    """Log likelihood of the readings if each of the stamps had been pressed there, up to a constant."""
     error = readings[:, None] - predict_reading(skin, features)
     return -0.5 * np.einsum("nco,op,ncp->nc", error, np.linalg.inv(skin.covariance), error)

@@ -1,4 +1,4 @@
-"""What `experiments.shapes` writes: tables next to the paper's, confusion matrices, figures."""
+"""Output of `experiments.shapes`: tables next to the paper's, confusion matrices, figures."""
 
 from pathlib import Path
 from typing import Any

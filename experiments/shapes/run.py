@@ -115,12 +115,12 @@ def folds_of(presses: StampPresses, seed: int) -> dict[str, np.ndarray]:
 
 
 def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int, path: Path) -> None:
-    """What all methods reach on one pad, kept in `path`."""
+    """Scores of all methods on one pad, kept in `path`."""
     write_json(path, evaluate_pad(presses, pad, cfg, seed))
 
 
 def evaluate_pad(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) -> dict[str, Any]:
-    """What all methods reach on one pad: on each split, as a new skin after the others, and with other sensors."""
+    """Scores of all methods on one pad: on each split, as a new skin after the others, and with other sensors."""
     own, others = presses.pads[pad], presses.pads[:pad] + presses.pads[pad + 1 :]
     benchmark = make_benchmark(own, presses.dataset.board, presses.names, cfg=cfg.methods, seed=seed)
     return {

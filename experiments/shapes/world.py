@@ -59,7 +59,7 @@ class Stamp(NamedTuple):
 
 @dataclass(frozen=True)
 class StampPressConfig:
-    """How the stamps are pressed."""
+    """Settings of the presses of the stamps."""
 
     max_position: float = 2.9e-3  # m, from the skin's middle along x and y: at any rotation the whole face is on it
     max_rotation: float = 2 * math.pi  # rad

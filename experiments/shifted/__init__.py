@@ -1,1 +1,1 @@
-"""Whether calibration loses to a baseline on shifted and damaged recordings."""
+"""Comparison of calibration with baselines on shifted and damaged recordings."""

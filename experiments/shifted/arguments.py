@@ -9,7 +9,7 @@ from i2t.cli import Count, Seed
 
 @dataclass(frozen=True)
 class ShiftedArgs:
-    """What i2t.calibrate is worth on recordings that are shifted, damaged or of other skins, next to baselines."""
+    """Judge i2t.calibrate on recordings that are shifted, damaged or of other skins, next to baselines."""
 
     dataset: Path  # a recording of one skin that was pressed at many places and depths
     out: Path = Path("runs/shifted")  # folder for everything that is made
@@ -20,7 +20,7 @@ class ShiftedArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:

@@ -118,7 +118,7 @@ def scores_of(presses: PressSet, variant: Variant, known: np.ndarray, test: np.n
 
 
 def summary(cells: list[dict[str, Any]]) -> dict[str, Any]:
-    """How often and by how much the best baseline is above."""
+    """Rate and amount by which the best baseline is above."""
     gain = np.array([one["gain"] for one in cells])
     if not len(gain):
         return {"cells": 0}
@@ -132,7 +132,7 @@ def summary(cells: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def print_table(metrics: dict[str, Any]) -> None:
-    """Where the best baseline is clearly above, and the summary."""
+    """Print where the best baseline is clearly above, and the summary."""
     for one in metrics["cells"]:
         if one["gain"] < -SHOWN_LOSS:
             best = one["best_baseline"]

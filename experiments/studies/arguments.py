@@ -39,12 +39,12 @@ class StudyArgs:
 
     @property
     def debug(self) -> bool:
-        """Whether this is a small run, too small to mean anything."""
+        """Tell whether this is a small run, too small to mean anything."""
         return self.preset == "debug"
 
     @property
     def folder(self) -> Path:
-        """For everything that is made."""
+        """Folder for everything that is made."""
         return self.out or Path("runs") / self.study
 
     def check(self) -> None:

@@ -1,4 +1,4 @@
-"""Would another value of a constant of the belief have been better?
+"""Comparison of the belief's constants with other values.
 
 Each constant takes a few values, one constant at a time, on the same episodes with the validation objects; test objects
 take no part. Values are compared by the log loss over all touches after a temperature of their own, as that is fitted

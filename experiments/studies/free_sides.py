@@ -40,8 +40,8 @@ NEEDS_FINITE_ELEMENTS = "a pad with free sides"
 
 
 class SideTable(NamedTuple):
-    """What free sides add for each of `PARITIES`, on the q cells of the quarter x, y > 0 (row by row), per newton on a
-    cell and its mirror images; Young's modulus is 1.
+    """Effects of free sides for each of `PARITIES`, on the q cells of the quarter x, y > 0 (row by row), per newton on
+    a cell and its mirror images; Young's modulus is 1.
     """
 
     sinking: Float[np.ndarray, "4 q q"]  # mean of the surface's first cell under a load on the second
@@ -52,7 +52,7 @@ class SideTable(NamedTuple):
 
 
 def tabulate(thickness: float, poisson: float, *, cells: int = TABLE_CELLS, layers: int = ELEMENT_LAYERS) -> SideTable:
-    """What free sides change of a layer.
+    """Tabulate the effect of free sides on a layer.
 
     Args:
         thickness: Of the layer (m).
@@ -222,7 +222,7 @@ class FreeSides:
         return state.point * scale * pad.young, state.residual <= CONTACT_TOLERANCE
 
     def extra_indentation(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """By how much the surface sinks more than the bonded layer's.
+        """Extra sinking of the surface over the bonded layer's.
 
         Args:
             force: On each cell of `grid` (N).
@@ -236,7 +236,7 @@ class FreeSides:
         return weights @ self._whole(moved[:, None], np.ones(1), np.ones(1))[0] @ weights.T
 
     def moved(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "d 6 n n"]:
-        """By how much the magnets move and turn more than the bonded layer's.
+        """Extra motion and turning of the magnets over the bonded layer's.
 
         Args:
             force: On each cell of `grid` (N).

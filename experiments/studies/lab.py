@@ -1,4 +1,4 @@
-"""What all studies share: a finished run with its pad model, objects to tell apart, simulated episodes, tables."""
+"""Code that all studies share: a finished run with its pad model, objects to tell apart, simulated episodes, tables."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -81,7 +81,7 @@ class StudyLab:
         return sample_sites(key, self.surfaces, self.names, self.cfg.num_sites, self.cfg.site_limits)
 
     def truth(self, repeats: int = 1) -> np.ndarray:
-        """Which object is there in each episode: all in turn; `repeats` times as often where episodes are short."""
+        """Object of each episode: all in turn; `repeats` times as often where episodes are short."""
         return np.arange(len(self.surfaces) * self.episodes * repeats) % len(self.surfaces)
 
     def plan(self, key: Array, *, truth: np.ndarray | None = None, touches: int | None = None) -> EpisodePlan:
@@ -154,9 +154,8 @@ def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
 
 
 def clusters_of(parts: Sequence[Part], pads: Sequence[str], *, objects: str | None = None) -> list[np.ndarray]:
-    """By what the pooled episodes are alike, for their intervals: their pad, the draw of their sites where parts tell
-    it, and with `objects`, a column's name, the object that was there. Without them intervals are for these very
-    objects.
+    """Clusters of the pooled episodes, for their intervals: by pad, by the draw of their sites where parts tell it, and
+    with `objects`, a column's name, by the object that was there. Without them intervals are for these very objects.
     """
     counts = [len(part["truth"]) for part in parts]
     labels = [np.repeat(np.asarray(pads), counts)]

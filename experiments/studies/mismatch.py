@@ -1,4 +1,4 @@
-"""What does it cost if the world's physics is not the belief's?
+"""Cost of a world whose physics is not the belief's.
 
 The belief stays as it is: fitted to touches of the matched world, its predictions those of the bonded elastic layer.
 The test episodes are simulated in other worlds, with common random numbers, one thing different in each; every row's
@@ -44,7 +44,7 @@ DEBUG_WORLDS = (MATCHED, "Winkler foundation", "meshes 3 % larger")
 
 @dataclass(frozen=True)
 class MismatchedWorld:
-    """What is different from the matched world."""
+    """Differences from the matched world."""
 
     pad: Callable[[Pad], Pad] = field(default=lambda pad: pad)
     mesh: Callable[[Mesh], Mesh] = field(default=lambda mesh: mesh)

@@ -1,6 +1,6 @@
-"""How many presses does a pad need that was never recorded? It is pressed with a known ball, and a pad is fitted to its
-readings (`i2t.calibration.physics`). As in `experiments.recognize --pad`, a pad model is fitted to simulated touches
-with that pad, and errs as much more as the pad is off presses left out.
+"""Number of presses that a pad needs that was never recorded. It is pressed with a known ball, and a pad is fitted to
+its readings (`i2t.calibration.physics`). As in `experiments.recognize --pad`, a pad model is fitted to simulated
+touches with that pad, and errs as much more as the pad is off presses left out.
 """
 
 import jax

@@ -1,4 +1,4 @@
-"""Is the object an unknown one? Half of the episodes have an unknown object of the same families as the known ones.
+"""Detection of unknown objects. Half of the episodes have an unknown object of the same families as the known ones.
 
 The unknown class is represented by surrogate unknowns (`i2t.objects.catalogue.surrogate_unknown`): objects like the
 known ones, but none of them. They have pose particles as the known ones have and take part in the posterior throughout
@@ -48,7 +48,7 @@ class OpenSetObjects(NamedTuple):
     surrogates: int
 
     def meshes(self) -> list[Mesh]:
-        """Of all of them."""
+        """Meshes of all objects."""
         known = [catalogue.make_object(name).mesh for name in self.known]
         unknown = [catalogue.make_object(name).mesh for name in self.unknown]
         return known + unknown + [catalogue.surrogate_unknown(known, i).mesh for i in range(self.surrogates)]
@@ -101,14 +101,14 @@ def evaluate_set(
 
 
 def draw_objects(known: int, unknown: int, episodes: int, seed: int) -> np.ndarray:
-    """Which object is there: the known ones in turn, then as many episodes with unknown ones, each about as often."""
+    """Draw each episode's object: the known in turn, then as many episodes with unknown ones, each about as often."""
     rng, count = np.random.default_rng(seed), known * episodes
     drawn = np.concatenate([rng.permutation(unknown) for _ in range(-(-count // unknown))])[:count]
     return np.concatenate([np.arange(count) % known, known + drawn])
 
 
 def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
-    """How well unknown objects are distinguished from known ones, and how far the unknown class is calibrated."""
+    """Detection of unknown objects among known ones, and calibration of the unknown class."""
     validation, test = (_pooled([OpenSetEpisodes(**part[name]) for part in parts]) for name in ("validation", "test"))
     scaling = calibrated.fit_platt(validation.p_unknown, validation.truth < 0)
     p, p_unknown = calibrated.apply_platt(test.p, test.p_unknown, scaling)
@@ -143,7 +143,7 @@ def score_episodes(name: str, episodes: OpenSetEpisodes, clusters: Clusters) -> 
 
 
 def tables_of_detection(result: dict[str, Any]) -> dict[str, Any]:
-    """How well unknown objects are recognised as such, and what is right of each share of them, calibrated."""
+    """Rates at which unknown objects are recognised as such, and accuracies at each share of them, calibrated."""
     area = result["auroc"]
     at = [
         [str(t), {key: values[t - 1] for key, values in area.items()}]

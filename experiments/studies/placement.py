@@ -1,4 +1,4 @@
-"""How sure may one be where the placement's error is stated wrong?
+"""Confidence where the placement's error is stated wrong.
 
 Objects stand as far off as in two worlds (1 and 2 mm and degrees), and half of it, the truth or twice as much is stated
 to the belief. It infers the scale of what is stated; next to it is the belief that takes it as exact. Temperatures are
@@ -37,7 +37,7 @@ VALIDATION, TEST = "validation", "test"
 
 
 class Condition(NamedTuple):
-    """How far objects are off, and the error that is stated to the belief."""
+    """True displacement of objects, and the error that is stated to the belief."""
 
     true_mm: float
     stated: str  # a key of `STATED_FACTORS`

@@ -1,6 +1,6 @@
-"""What does it cost not to know where the object stands? It lies anywhere on a patch of table, turned in any way, and
-is pressed straight down at random points of the table (`i2t.recognition.planar`). Where the table is, is known no
-better than a placement elsewhere: its height and its tilts err by `SimulationErrors.placement` and `placement_angle`.
+"""Cost of not knowing where the object stands. It lies anywhere on a patch of table, turned in any way, and is pressed
+straight down at random points of the table (`i2t.recognition.planar`). Where the table is, is known no better than a
+placement elsewhere: its height and its tilts err by `SimulationErrors.placement` and `placement_angle`.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ PLANAR_TOUCHES_SHOWN = (1, 5, 10, 15, 20)
 
 
 class TablePresses(NamedTuple):
-    """Where objects lie and where the table is pressed."""
+    """Poses of objects and sites pressed on the table."""
 
     truth: np.ndarray  # (e,)
     pose: np.ndarray  # (e, 3) m, m, rad
@@ -193,7 +193,7 @@ def rotation_error(angle: np.ndarray, symmetry: np.ndarray) -> np.ndarray:
 
 
 def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
-    """What not knowing the pose costs, and how well it is found."""
+    """Cost of not knowing the pose, and errors of the pose found."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth = columns["truth"]
     result: dict[str, Any] = {"episodes": len(truth), "methods": {}}

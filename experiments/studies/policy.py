@@ -1,4 +1,4 @@
-"""Which next touch makes one confident soonest: a random one, the paper's heuristic, or the most informative one?"""
+"""Touches until one is confident under each policy: random, the paper's heuristic, the most informative."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,7 +33,7 @@ CONFIDENCE = 0.95  # that episodes are to reach
 
 
 class TouchOptions(NamedTuple):
-    """What policies choose among, and what is known of each site."""
+    """Sites that policies choose among, and what is known of each."""
 
     sites: SitePool
     table: PredictedTouch  # predicted touches, (sites, objects, k)
@@ -134,7 +134,7 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
 
 
 def tables_of_policies(result: dict[str, Any]) -> dict[str, Any]:
-    """What each policy reaches, and what choosing by information saves."""
+    """Scores of each policy, and touches that choosing by information saves."""
     rows = [
         [name, scores["mean"], scores["touches_to_95"]["mean"], scores["touches_to_95"]["never"]]
         for name, scores in result["policies"].items()

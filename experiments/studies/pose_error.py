@@ -1,4 +1,4 @@
-"""How well must a pose be known for the paper's rules, and for its baseline that only knows where contacts were?
+"""Accuracy of poses that the paper's rules need, and their baseline that only knows where contacts were.
 
 The same episodes with more and more error of the object's pose, and with noisy views of the objects. Readings are
 predicted by the paper's networks, where the run trained them, and by the predictor that it kept.

@@ -1,5 +1,5 @@
-"""What does it take to know where the object stands? It may be 5 mm and 5 degrees off; one depth image, taken from
-the side, registers every candidate (`i2t.registration`), and the belief takes the poses found and their covariance.
+"""Recognition of an object whose pose a view finds. It may be 5 mm and 5 degrees off; one depth image, taken from the
+side, registers every candidate (`i2t.registration`), and the belief takes the poses found and their covariance.
 """
 
 import math
@@ -40,7 +40,7 @@ ERRORS = ("position_error", "rotation_error", "refused", "others_refused")
 
 
 class RegisteredPoses(NamedTuple):
-    """Where a view of each episode has each candidate."""
+    """Poses of each candidate, as found by a view of each episode."""
 
     T_w_o: Array  # (e, objects, 4, 4); where it was believed, if its registration was refused
     covariance: Array  # (6, 6) m^2, mean of those that were found
@@ -124,7 +124,7 @@ def register_views(
 
 
 def registration_errors(truth: np.ndarray, poses: RegisteredPoses, sessions: SessionErrors) -> dict[str, np.ndarray]:
-    """How far the view has the true object from where it stands (m, rad), and which registrations were refused."""
+    """Errors of the view's pose of the true object (m, rad), and which registrations were refused."""
     rows = np.arange(len(truth)), truth
     difference = inverse(sessions.T_o_placed) @ poses.T_w_o[rows]
     refused = poses.refused[rows]
@@ -156,7 +156,7 @@ def _depth_view(
 
 
 def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
-    """What knowing the pose is worth, and how well a view finds it."""
+    """Gain from knowing the pose, and errors of the pose that a view finds."""
     columns = pool_parts([{key: part[key] for key in ERRORS} for part in parts])
     result = report_methods([{key: p for key, p in part.items() if key not in ERRORS} for part in parts], out, pads)
     kept, where = ~columns["refused"], "as the view has the object"

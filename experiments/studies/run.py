@@ -53,7 +53,7 @@ from experiments.studies.lab import StudyLab, prepare_lab, report_methods
 
 
 class StudySteps(NamedTuple):
-    """What a study does with each pad and seed, and with all of them."""
+    """Steps of a study: for each pad and seed, and for all of them."""
 
     evaluate: Callable[[StudyLab], Part]
     report: Callable[[Sequence[Part], Path, Sequence[str]], dict[str, Any]]  # of the parts and their pads

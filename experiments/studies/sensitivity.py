@@ -1,4 +1,4 @@
-"""What errors of pose, noise and harder presses do: the same episodes in other worlds, each known to the belief."""
+"""Effect of errors of pose, noise and harder presses: the same episodes in other worlds, each known to the belief."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -57,12 +57,12 @@ def worlds(base: SimulationErrors) -> dict[str, SensitivityWorld]:
 
 
 def _ambient_every(base: SimulationErrors, touches: int) -> SimulationErrors:
-    """With the ambient measured at every so many touches: the earth's field turns with the tool in between."""
+    """Errors with the ambient measured at every so many touches: the earth's field turns with the tool in between."""
     return replace(base, faults=replace(base.faults, ambient_every=touches))
 
 
 def _placed(base: SimulationErrors, size: float) -> SimulationErrors:
-    """With another error of placement, in mm and degrees."""
+    """Errors with another one of placement, in mm and degrees."""
     return replace(base, placement=size * 1e-3, placement_angle=np.radians(size))
 
 

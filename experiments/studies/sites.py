@@ -1,4 +1,4 @@
-"""How informative is a first touch of a flat, of an edge and of a corner?"""
+"""Information of a first touch of a flat, of an edge and of a corner."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -76,8 +76,8 @@ def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, A
 
 
 def information_bits(p: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """What each touch tells, in bits: how much the probability of the truth grew over that of guessing. Its mean is the
-    information as far as the belief is calibrated.
+    """Information of each touch, in bits: how much the probability of the truth grew over that of guessing. Its mean is
+    the information as far as the belief is calibrated.
     """
     right = p.astype(np.float64)[np.arange(len(p)), truth]
     return np.log2(np.clip(right, metrics.PROBABILITY_FLOOR, 1) * p.shape[1])

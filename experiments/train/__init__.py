@@ -1,1 +1,1 @@
-"""The main experiment: which predictor foretells readings on objects it has not seen."""
+"""The main experiment: predictors of readings on objects not seen in training."""

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 
-from experiments.common.commands import run_command
+from experiments.common.commands import command
 from experiments.common.presets import answer_renamed_value
 from experiments.train.arguments import TrainArgs
 
@@ -11,7 +11,10 @@ from experiments.train.arguments import TrainArgs
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     answer_renamed_value(argv, "--split", {"run": "session"})
-    return run_command(TrainArgs, argv, "experiments.train.run")
+    with command(TrainArgs, argv, "experiments.train.run") as this:
+        args = this.checked()
+        this.run(args)
+    return this.code
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from experiments.common.checks import require_dataset, require_objects
 from experiments.common.runs import RECOGNITION_ABOUT
 from experiments.common.tasks import TaskOptions
 from i2t.cli import Count, Limits, Seed, require_path, require_with
+from i2t.paper.config import PaperOptions
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,9 @@ class TrainArgs:
     pads: tuple[Seed, ...] | None = None  # numbers of simulated pads, in place of the preset's
     seed: Seed = 0  # of everything random
     seeds: Count | None = None  # how many seeds, from --seed on; one unless given
+    methods: tuple[str, ...] | None = None  # in place of the preset's; the mean reading is always among them
+    method: tuple[str, ...] = ()  # of your own, beside those: my_package.module:Method
+    paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
     epochs: Count | None = None  # of the networks, in place of the preset's
     softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0  # of the skin; 4: E is a quarter of the nominal
     resume: bool = False  # go on with an unfinished run in --out
@@ -37,7 +41,7 @@ class TrainArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run: recognition, where its touches make a pad model and meshes are known."""
+        """Command to try with a finished run: recognition, where its touches make a pad model and meshes are known."""
         objects = "" if self.dataset is None else self._objects_to_recognise()
         if self.dataset is None or objects:
             return f"python -m experiments.recognize --trained-run {self.out}{objects}"

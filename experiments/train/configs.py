@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass, field, replace
 
-from i2t.prediction.model import ModelConfig
-from i2t.prediction.training import TrainConfig
+from i2t.prediction.methods import METHODS
 from i2t.simulation.touches import PressLimits, SimulationErrors
 from i2t.skin.contact import FINE_GRID
+from i2t.training import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -40,29 +40,14 @@ def _shares(total: int, parts: int) -> list[int]:
 
 @dataclass(frozen=True)
 class TrainExperiment:
-    """What `python -m experiments.train` does."""
+    """Settings of `python -m experiments.train`."""
 
     simulation: Simulation = field(default_factory=Simulation)
-    networks: dict[str, ModelConfig] = field(
-        default_factory=lambda: {
-            "paper's network, mask": ModelConfig(input="mask"),
-            "paper's network, depth": ModelConfig(),
-            "network on predicted contact pressure": ModelConfig(
-                input="image",
-                pixels=20,
-                bottleneck=30,
-                auxiliary=False,
-                heteroscedastic=True,
-                members=5,
-                conditions=("force", "depth"),
-            ),
-        }
-    )
+    methods: tuple[str, ...] = tuple(METHODS)
     training: TrainConfig = field(default_factory=lambda: TrainConfig(epochs=120))
     pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
     seeds: int = 1
     hidden_tilt: float = 0.4 * math.pi / 180  # rad, that a noisy view leaves open
-    softness: float = 1.0  # of the skin that is pressed, in units of the nominal one's
     block: float = 6e-3  # m, edge of a spatial block where presses on one object are split
 
 
@@ -78,7 +63,7 @@ PRESETS: dict[str, TrainExperiment] = {
             touches_per_session=12,
             limits=PressLimits(),
         ),
-        networks={"paper's network, depth": ModelConfig()},
+        methods=tuple(name for name in METHODS if name not in ("paper-mask", "pressure-network")),
         training=TrainConfig(epochs=12, batch_size=16),
     ),
     "study": replace(TrainExperiment(), pads=tuple(range(6))),

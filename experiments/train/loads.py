@@ -1,24 +1,31 @@
-"""What says how hard each touch was pressed, asked before anything is computed: the force or the depth, in the sign and
-from the height that the recording counts them, or nothing.
+"""Load of each touch, chosen before anything is computed: the force or the depth, in the sign and from the height that
+the recording counts them, or nothing.
 """
 
 from typing import Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from i2t.dataset import Dataset
-from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction import gp
+from i2t.prediction.methods import ALIKE_FORCE_N, views_of
+from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.types import Touches
 
 MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor depth is known of them
 PULLING_SHARE = 0.8  # of touches with a force below zero, from which on the sign is taken to be the other
 NIL_SHARE = 0.5  # of touches without a load, from which on it says nothing
-ALIKE_FORCE_N = 1.0  # as `median_conditions` has it where no force was measured
 LEAST_DEPTH_M = 10e-6  # that counts as a press
+NIL_SHARE_TO_SHIFT = 0.2  # of touches without a depth, from which on another height of first contact is looked for
+HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
+MIN_GAIN = 0.05  # of R2, from which on a change is taken for right
+TRIED_TOUCHES = 200  # on which changes are tried
+TRIED_STEPS = 20  # of the choice of hyperparameters
 
 
 class PressLoad(NamedTuple):
-    """What contact pressure can be predicted from."""
+    """Quantity that contact pressure can be predicted from."""
 
     control: Literal["force", "depth"] | None  # None: nothing says how hard a touch was pressed
     force_sign: float  # -1 where a pressing force is counted negative
@@ -55,7 +62,7 @@ def press_load(touches: Touches) -> PressLoad:
 
 
 def _forced(force: np.ndarray) -> PressLoad:
-    """How far forces say how hard was pressed."""
+    """Judge forces as a load."""
     floor = PressureModelConfig.floor
     pulling, median = float(np.mean(force < -floor)), float(np.median(force))
     if pulling >= PULLING_SHARE:
@@ -74,7 +81,7 @@ def _forced(force: np.ndarray) -> PressLoad:
 
 
 def _deep(depth: np.ndarray) -> PressLoad:
-    """How far depths say how hard was pressed."""
+    """Judge depths as a load."""
     nil = float(np.mean(depth < LEAST_DEPTH_M))
     if nil > NIL_SHARE:
         said = (
@@ -86,7 +93,7 @@ def _deep(depth: np.ndarray) -> PressLoad:
 
 
 def with_known_load(dataset: Dataset) -> tuple[Dataset, str | None]:
-    """Leave out the few touches of which neither force nor depth is known; many of them are no reason to.
+    """Leave out touches of which neither force nor depth is known, where they are few.
 
     Args:
         dataset: Of touches.
@@ -113,3 +120,65 @@ def several_skins(dataset: Dataset) -> list[str]:
         f"touches of {len(skins)} skins ({named}) are predicted as if they were of one; convert them apart (--board, "
         "--pad of the converter)"
     ]
+
+
+class Tried(NamedTuple):
+    """Inputs of n touches for a method on predicted pressure."""
+
+    views: np.ndarray  # (n, w, w) m
+    force: np.ndarray  # (n,) N
+    depth: np.ndarray  # (n,) m
+    readings: np.ndarray  # (n, 3 chips) uT
+    groups: np.ndarray  # (n,)
+
+
+def likely_height(
+    dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig
+) -> tuple[float, str | None]:
+    """The height by which depths should count from elsewhere, so that predicted pressures explain the most.
+
+    Args:
+        dataset: Of n touches.
+        rows: (n,) bool, those that methods learn from.
+        groups: (n,) which cross-validation leaves whole.
+        cfg: How contact pressure is predicted, from depths.
+
+    Returns:
+        m to add to depths, 0 where none explains clearly more, and a sentence where it is not.
+    """
+    seen = tried_touches(dataset, some_groups(np.flatnonzero(rows), groups, TRIED_TOUCHES), groups)
+    as_is = explained(seen, cfg)
+    r2 = {h: explained(seen._replace(depth=seen.depth + np.float32(h)), cfg) for h in HEIGHTS_M if h > 0}
+    best = max(r2, key=lambda height: r2[height])
+    if r2[best] <= max(as_is, 0.0) + MIN_GAIN:
+        return 0.0, None
+    return best, (
+        f"depths are taken to count from {1e3 * best:g} mm too low: with it predicted pressures explain {r2[best]:.2f} "
+        f"of held-out training touches instead of {max(as_is, 0.0):.2f}"
+    )
+
+
+def tried_touches(dataset: Dataset, which: np.ndarray, groups: np.ndarray) -> Tried:
+    """Inputs of some touches for a method on predicted pressure."""
+    touches, views = dataset.touches, np.asarray(views_of(dataset)[which])
+    return Tried(views, touches.force[which], touches.depth[which], touches.reading[which], groups[which])
+
+
+def explained(seen: Tried, cfg: PressureModelConfig) -> float:
+    """R2 of the Gaussian process on held-out groups; minus infinity where it cannot be fitted."""
+    pressure = predict_pressures(cfg, seen.views, seen.force, seen.depth)
+    try:
+        _, r2 = gp.choose_hyperparameters(
+            pressure, jnp.asarray(seen.readings), seen.groups, steps=TRIED_STEPS, limit=TRIED_TOUCHES
+        )
+    except ValueError:
+        return float("-inf")
+    return float(np.nanmax(np.asarray(r2)))
+
+
+def some_groups(which: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
+    """Rows of whole groups, in random order of the groups, up to a number of rows."""
+    rng = np.random.default_rng(0)
+    names, of = np.unique(groups[which], return_inverse=True)
+    rank = rng.permutation(len(names))[of.ravel()]
+    return np.sort(which[np.argsort(rank, kind="stable")[:count]])

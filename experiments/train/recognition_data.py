@@ -1,4 +1,4 @@
-"""What recognition needs of a run on recorded touches: the touches that it trained on, of which skin they are, and the
+"""Data for recognition from a run on recorded touches: the touches that it trained on, of which skin they are, and the
 meshes of what was touched.
 
 A run of `experiments.train --dataset` keeps `recognition.h5`, the training touches with their surroundings left out,
@@ -31,7 +31,7 @@ MIN_PAD_SESSIONS = 2  # hyperparameters are chosen on sessions left out
 
 
 class MeshFile(NamedTuple):
-    """Where the mesh of an object is from."""
+    """File of the mesh of an object."""
 
     path: Path
     unit: str
@@ -152,7 +152,7 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
 
 
 def read(folder: Path) -> KnownTouches:
-    """What `keep` kept.
+    """Read what `keep` kept.
 
     Args:
         folder: Of the run.
@@ -174,7 +174,7 @@ def read(folder: Path) -> KnownTouches:
 
 
 def _kept_mesh(out: Path, file: MeshFile | None) -> dict[str, str] | str:
-    """What is noted of an object's mesh, of which a file is copied."""
+    """Copy the mesh file of an object, and return its note."""
     if file is None:
         return "catalogue"
     (out / RECOGNITION_MESHES).mkdir(exist_ok=True)

@@ -1,5 +1,8 @@
-"""What `experiments.train` leaves behind: scores with intervals, tables and figures."""
+"""Output of `experiments.train`: scores with intervals, tables and figures."""
 
+import time
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +10,63 @@ import numpy as np
 
 from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
-from experiments.train.splitting import Split
+from experiments.train.evaluation import Evaluation
+from experiments.train.prepare import Prepared
 from i2t import viz
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, Split
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
+from i2t.prediction.predictor import Predictor, save
+
+ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not
+
+
+def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict[str, Any], started: float) -> None:
+    """Write the predictor, the figures and, last of all, metrics.json."""
+    dataset, split, choice = prepared.touches.dataset, prepared.split, evaluation.choice
+    touches = dataset.touches
+    truth, groups = touches.reading[split.test], split.groups[split.test]
+    noise = None if touches.truth is None else (touches.reading - touches.truth.reading).std(0)  # the sensor's own
+    metrics: dict[str, Any] = {
+        "source": dataset.source,
+        **about,
+        "split": split.how,
+        "counts": {part: int(getattr(split, part).sum()) for part in ("train", "validation", "test")},
+        "groups": len(np.unique(groups)),
+        "noise_uT": None if noise is None else noise.tolist(),
+        "best": choice.best,
+        "validation_r2": choice.r2,
+        "choice": choice.to_json(),
+        "validated_on": {
+            "groups": len(np.unique(split.groups[split.validation])),
+            "objects": len(np.unique(touches.object[split.validation])),
+        },
+        "methods": {
+            name: scored(truth, mean, groups, noise, evaluation.std.get(name))
+            | {"validation_coverage_90": evaluation.coverage.get(name)}
+            for name, mean in evaluation.predicted.items()
+        },
+        "by_object": by_object(dataset, split, truth, evaluation.predicted),
+        "seconds": 0.0,
+    }
+    for folder, method in {"predictor": choice.best, ON_PRESSURE: choice.best_on_pressure}.items():
+        if method is not None:
+            metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
+            save(out / "checkpoint" / folder, replace(evaluation.predictors[method], metadata=metadata))
+    figures(
+        out, dataset, split,
+        predicted=evaluation.predicted, best=choice.best, curves=curves_of(evaluation.predictors), noise=noise,
+        metrics=metrics,
+    )  # fmt: skip
+    metrics["seconds"] = round(time.perf_counter() - started, 1)
+    write_json(out / "metrics.json", metrics)
+
+
+def curves_of(fitted: Mapping[str, Predictor]) -> dict[str, np.ndarray]:
+    """Errors of networks over epochs, on training and on validation touches."""
+    kept = {name: each.metadata or {} for name, each in fitted.items()}
+    curves = {name: np.asarray(metadata["curve"]) for name, metadata in kept.items() if "curve" in metadata}
+    parts = ("training", "validation")
+    return {f"{name}, {part}": curve[:, i] for name, curve in curves.items() for i, part in enumerate(parts)}
 
 
 def scored(
@@ -170,7 +226,7 @@ def print_table(result: dict[str, Any]) -> None:
 
 
 def _print_choice(result: dict[str, Any]) -> None:
-    """What was kept, how sure that is, and whether its range holds what it says."""
+    """Print what was kept, how sure that is, and whether its range holds what it says."""
     best, choice = result["best"], result["choice"]
     lead, inside = choice["over_best_baseline"], result["methods"][best]
     said = f"kept: {best}, the best on validation touches (R² {_number(result['validation_r2'][best])})"
@@ -185,7 +241,7 @@ def _print_choice(result: dict[str, Any]) -> None:
 
 
 def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:
-    """By how much a method is better, and over what its interval is, or why it has none."""
+    """Write a lead and its interval, and over what that is, or why there is none."""
     objects = f"{over['objects']} {'object' if over['objects'] == 1 else 'objects'}"
     if lead["low"] is None or not np.isfinite(lead["low"]):
         groups = objects if over["groups"] == over["objects"] else f"{over['groups']} groups of {objects}"

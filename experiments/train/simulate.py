@@ -1,13 +1,21 @@
-"""The default data set of `experiments.train`: simulated touches of a preset's objects with one pad."""
+"""The default data set of `experiments.train`: simulated touches of a preset's objects with one pad, and what a model
+would reach on them if nothing erred.
+"""
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from experiments.train.configs import Simulation
 from i2t import dataset as data
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, Split
 from i2t.objects import catalogue
+from i2t.prediction import gp
+from i2t.prediction.gp import ContactPressure
+from i2t.prediction.gp_method import fit_gp
+from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.progress import progress
 from i2t.rendering.render import prepare_surface
 from i2t.simulation import touches as simulation
@@ -42,3 +50,16 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int,
     dataset = Dataset.simulated(touches, cfg.objects, pad, pad_name=named, session="run", meta=meta)
     data.save_dataset(path, dataset)
     return dataset
+
+
+def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split, seed: int) -> np.ndarray:
+    """Readings (n, 3 chips) uT of the test touches by the same Gaussian process where the camera saw what the skin met
+    and the force was known: what errors cost.
+    """
+    truth = dataset.touches.truth
+    assert truth is not None
+    exact = replace(pressure_model, smooth=False, tilt=0.0, pitch=dataset.window / dataset.touches.patch.shape[1])
+    pressure = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
+    fitted = fit_gp(pressure, dataset.touches.reading, split, seed)
+    rows = np.flatnonzero(split.test)
+    return np.asarray(gp.predict(fitted, ContactPressure(pressure.pressure[rows], pressure.load[rows]))[0])

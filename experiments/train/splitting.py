@@ -1,30 +1,17 @@
-"""Which touches train, which choose between methods, and which test: whole objects, sessions, places or times, never
-single touches of what was trained on.
+"""Split of touches into those that train, choose between methods, and test: whole objects, sessions, places or times,
+never single touches of what was trained on.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from experiments.train.configs import TrainExperiment
 from i2t import dataset as data
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, Split
 from i2t.errors import DataError
 from i2t.types import ReturnCode, Touches
 
 MIN_SPLIT_BLOCKS, LEAST_BLOCK_M = 12, 1.5e-3  # blocks are made smaller for there to be as many, down to this edge
 MIN_SESSIONS = 5  # that can be held out where places cannot
-
-
-@dataclass(frozen=True)
-class Split:
-    """Rows to train on, to validate on and to test on, and the groups that are never torn apart."""
-
-    train: np.ndarray
-    validation: np.ndarray
-    test: np.ndarray
-    groups: np.ndarray
-    how: str
 
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
@@ -92,6 +79,6 @@ def _split_of_one_object(dataset: Dataset, edge: float) -> str:
 
 
 def conditions_of(touches: Touches, split: Split) -> tuple[str, ...]:
-    """Which of force, nearest and depth were measured at every touch."""
+    """Conditions among force, nearest and depth that were measured at every touch."""
     used = split.train | split.validation | split.test
     return tuple(name for name in ("force", "nearest", "depth") if np.isfinite(getattr(touches, name)[used]).all())

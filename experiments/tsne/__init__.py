@@ -1,1 +1,1 @@
-"""Do views and readings of touches sort themselves alike?"""
+"""Agreement of views and readings of touches."""

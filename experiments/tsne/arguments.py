@@ -23,7 +23,7 @@ class TsneArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return "python -m experiments.notebooks"
 
     def check(self) -> None:

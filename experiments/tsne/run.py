@@ -27,7 +27,6 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
 from experiments.train.configs import PRESETS as TRAININGS
 from experiments.train.configs import TrainExperiment
-from experiments.train.methods import train_network
 from experiments.train.simulate import simulated_dataset
 from experiments.train.splitting import split_dataset
 from experiments.tsne.arguments import TsneArgs
@@ -35,8 +34,9 @@ from i2t import dataset as data
 from i2t import viz
 from i2t.dataset import Dataset
 from i2t.errors import DataError
-from i2t.prediction import model
-from i2t.prediction.model import Inputs, ModelConfig
+from i2t.paper import network
+from i2t.prediction.methods import TrainingTouches
+from i2t.prediction.networks import PaperDepth, PaperMask
 from i2t.recognition.metrics import to_json
 from i2t.types import ReturnCode
 from i2t.viz import agreement, clusters
@@ -47,7 +47,7 @@ EXAMPLE_RANKS = (0.0, 0.5)  # the touches nearest to and at the median distance 
 
 @dataclass(frozen=True)
 class Plan:
-    """What `python -m experiments.tsne` does."""
+    """Settings of `python -m experiments.tsne`."""
 
     training: TrainExperiment = field(
         default_factory=lambda: replace(TRAININGS["paper"], training=replace(TRAININGS["paper"].training, epochs=40))
@@ -121,18 +121,17 @@ def tests(x: np.ndarray, y: np.ndarray, groups: np.ndarray, plan: Plan, seed: in
 def bottleneck(dataset: Dataset, plan: Plan, args: TsneArgs, felt: np.ndarray) -> dict[str, Any]:
     """The agreement of the paper's network's five values with the readings of touches that it was not trained on."""
     split = split_dataset(dataset, plan.training, "auto", args.seed)
-    network = ModelConfig(input=args.kind, pixels=dataset.touches.patch.shape[1], reach=dataset.reach)
-    trained, _ = train_network(
-        "paper's network", network, plan.training.training,
-        images=dataset.touches.patch, touches=dataset.touches, split=split, folder=args.out / "checkpoint",
-    )  # fmt: skip
-    params = jax.tree.map(lambda leaf: leaf[0], trained.params)
+    touches = TrainingTouches(dataset, training=plan.training.training, folder=args.out / "checkpoint")
+    method = PaperMask() if args.kind == "mask" else PaperDepth()
+    found = method.fit(jax.random.key(args.seed), touches, split)
+    assert found is not None
+    model: Any = found.model
+    params, cfg = jax.tree.map(lambda leaf: leaf[0], model.params), model.cfg
 
     @jax.jit
     def encode(patches: jax.Array) -> jax.Array:
         def one(patch: jax.Array) -> jax.Array:
-            inputs = model.prepare(network, trained.normalisation, Inputs(patch, jnp.zeros(0)))
-            return model.apply(params, network, inputs).latent
+            return network.apply(params, cfg, network.prepare_patch(cfg, patch)).latent
 
         return jax.vmap(one)(patches)
 

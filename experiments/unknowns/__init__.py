@@ -1,1 +1,1 @@
-"""How well is what a recording does not say found in it?"""
+"""Tests of estimates of what a recording does not say."""

@@ -25,7 +25,7 @@ class UnknownsArgs:
 
     @property
     def next_command(self) -> str:
-        """What to try with a finished run."""
+        """Command to try with a finished run."""
         return "python -m experiments.fidelity --help"
 
     def check(self) -> None:

@@ -52,7 +52,7 @@ GROWTH = 1.6  # power of the depth by which readings are taken to grow
 
 
 class Answer(NamedTuple):
-    """What was said of one damaged recording and of the sound one."""
+    """Findings on one damaged recording and on the sound one."""
 
     found: bool
     known: bool
@@ -101,7 +101,7 @@ def board_of(skin: PressedSkinOfKind) -> Board:
 
 
 def ask_lag(one: RecordedPresses, board: Board, rng: np.random.Generator) -> Answer:
-    """Labels of another row."""
+    """Labels shifted by some rows."""
     rows = int(rng.integers(1, 4)) * int(rng.choice([-1, 1]))
     assert one.height is not None
     late = one._replace(position=np.roll(one.position, rows, 0), height=np.roll(one.height, rows), force=None)
@@ -110,7 +110,7 @@ def ask_lag(one: RecordedPresses, board: Board, rng: np.random.Generator) -> Ans
 
 
 def ask_height(one: RecordedPresses, board: Board, rng: np.random.Generator) -> Answer:
-    """Heights that count from elsewhere."""
+    """Heights counted from another zero."""
     assert one.height is not None
     zero = float(rng.uniform(-0.1, 0.1))
     found = unknowns.find_height_zero(one._replace(height=one.height + zero))

@@ -17,9 +17,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Key
 
+from i2t import mlp, training
 from i2t.calibration.structured_gp import Presses
-from i2t.prediction import mlp
-from i2t.prediction.mlp import Layers
+from i2t.mlp import Layers
 
 INPUTS = 3  # x, y and load
 WIDTH = 64
@@ -75,7 +75,7 @@ def init(
 
 
 def features(network: PressFeatures, presses: Presses) -> Float[Array, "n k"]:
-    """What the head sees of each press, of size 1 together.
+    """Features of each press for the head, of size 1 together.
 
     Args:
         network: The network.
@@ -182,7 +182,7 @@ def pretrain(
 
     optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, steps))
     start = (network.layers, network.log_noise)
-    (layers, log_noise), path = mlp.fit(start, loss, optimizer, jax.random.split(key_steps, steps))
+    (layers, log_noise), path = training.descend(start, loss, optimizer, jax.random.split(key_steps, steps))
     return network._replace(layers=layers, log_noise=log_noise), path
 
 
@@ -222,6 +222,6 @@ def train_from_scratch(
 
     optimizer = optax.adamw(optax.cosine_decay_schedule(LEARNING_RATE, steps), weight_decay=WEIGHT_DECAY)
     start = (network.layers, jnp.zeros((FEATURES, readings.shape[1])))
-    (layers, _), _ = mlp.fit(start, loss, optimizer, jax.random.split(jax.random.fold_in(key, 0), steps))
+    (layers, _), _ = training.descend(start, loss, optimizer, jax.random.split(jax.random.fold_in(key, 0), steps))
     trained = network._replace(layers=layers)
     return trained, fit_head(trained, presses, readings)

@@ -1,4 +1,4 @@
-"""Boards that a skin may lie on, where nobody says which: the named ones of as many chips, in four turns each.
+"""Candidate boards of a skin whose board is unknown: the named ones of as many chips, in four turns each.
 
 Where a chip has its largest share of the readings' power, it lies: the presses' positions weighted by these shares have
 a centre for each chip, and boards are ranked by how well these centres lie as their chips do. The few that fit best are
@@ -20,7 +20,7 @@ SAME_M = 1e-6  # chips that differ by less are in one place
 def board_candidates(
     positions: Float[np.ndarray, "n 2"], readings: Float[np.ndarray, "n c"]
 ) -> dict[str, Float[np.ndarray, "chips 2"]]:
-    """The boards that fit best to where each chip reads most.
+    """Boards that best fit the places where each chip reads most.
 
     Args:
         positions: Of the presses (m).
@@ -40,7 +40,7 @@ def board_candidates(
 
 
 def _named_boards(chips: int) -> dict[str, np.ndarray]:
-    """Chip positions of boards of a name in four turns; what lies as another does is left out."""
+    """Chip positions of named boards in four turns; equal ones are left out."""
     found: dict[str, np.ndarray] = {}
     for name, make in BOARDS.items():
         at = np.asarray(make().chips[:, :2], np.float64)
@@ -52,7 +52,7 @@ def _named_boards(chips: int) -> dict[str, np.ndarray]:
 
 
 def _fit(positions: np.ndarray, readings: np.ndarray, chips: np.ndarray) -> float:
-    """Correlation of where chips lie with where they have their share of the readings' power."""
+    """Correlation of chip positions with the centres of their share of the readings' power."""
     power = (readings.reshape(len(readings), len(chips), AXES_PER_CHIP) ** 2).sum(2)
     share = power / np.maximum(power.sum(1, keepdims=True), 1e-12)
     centre = share.T @ (positions - positions.mean(0)) / np.maximum(share.sum(0), 1e-12)[:, None]

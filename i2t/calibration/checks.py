@@ -1,4 +1,4 @@
-"""Diagnostics of recorded presses: what in them contradicts any model of a sound skin, and what to do about it.
+"""Diagnostics of recorded presses: contradictions to any model of a sound skin, and their remedies.
 
 NumPy only. Presses are compared with their nearest neighbours in position and load, so that no model is needed.
 """
@@ -15,7 +15,7 @@ AXES_PER_CHIP = 3  # of a chip
 
 
 class DataWarnings(NamedTuple):
-    """Where recorded presses contradict the model."""
+    """Conflicts of recorded presses with the model."""
 
     repeated: Bool[np.ndarray, " n"]  # rows that repeat the reading before them
     label_lag: int  # rows by which the labels come late; best explains the readings
@@ -26,7 +26,7 @@ class DataWarnings(NamedTuple):
     sensitivity_ut_per_n: float = float("nan")  # median norm of a reading per force; only where the load is a force
 
     def messages(self) -> list[str]:
-        """What to tell a person.
+        """Warnings for a person.
 
         Returns:
             One sentence for each finding; empty where nothing is wrong.

@@ -23,7 +23,7 @@ from i2t.skin.files import save_pad
 from i2t.types import Board
 
 MAX_RADIUS_MM = 50.0
-MIN_PAD_PRESSES = 5  # fewer tell next to nothing of a map
+MIN_PAD_PRESSES = 5  # fewer tell almost nothing of a map
 
 
 class PressedSkin(NamedTuple):
@@ -37,7 +37,7 @@ class PressedSkin(NamedTuple):
 
 
 class PressedPad(NamedTuple):
-    """A pad fitted to presses, and how far it is off each, as fitted to all others."""
+    """A pad fitted to presses, and its errors on presses left out."""
 
     fit: PadFit
     presses: int
@@ -144,7 +144,7 @@ def fit_pressed_pad(pressed: PressedSkin, tip: RoundTip) -> PressedPad:
 
 
 def save_pressed_pad(path: Path | str, found: PressedPad, *, pad: str, source: str) -> None:
-    """Write a fitted pad, and how far it is off, as one file.
+    """Write a fitted pad, and its errors, as one file.
 
     Args:
         path: Of the file; `.npz` by custom.

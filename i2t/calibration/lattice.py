@@ -29,7 +29,7 @@ _CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
 
 
 class _Lattice(NamedTuple):
-    """How one skin's magnets lie and move."""
+    """Layout and motion of a skin's magnets."""
 
     rest: Array  # (4, 2) m
     above: Array  # () m, of the magnets over the chips
@@ -93,7 +93,7 @@ def sample_skins(
     max_depth: float,
     board: Board | None = None,
 ) -> tuple[Presses, Float[Array, "count n c"]]:
-    """Many random skins, random presses of each, and what they read.
+    """Many random skins, random presses of each, and their readings.
 
     Args:
         key: Random key.

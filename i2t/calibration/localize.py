@@ -1,5 +1,5 @@
-"""Where on the skin a known tip pressed, from the reading: on a pad of which some presses are known, or only the
-readings of some, or nothing.
+"""Position of a press by a known tip, from the reading: on a pad of which some presses are known, or only the readings
+of some, or nothing.
 
 For a known layer a reading is linear in the weights w of the pad's magnetization (`i2t.calibration.physics`), and their
 posterior is normal. A reading y then has, for each position and load that may have made it, the likelihood
@@ -35,7 +35,7 @@ ANNEALING_FACTORS = (8.0, 5.0, 3.0, 2.0, 1.5, 1.2, 1.0, 1.0, 1.0)  # on the nois
 
 
 class PressLibrary(NamedTuple):
-    """What a grid of presses would read."""
+    """Predicted readings on a grid of presses."""
 
     positions: Float[Array, "m 2"]  # m
     loads: Float[Array, " m"]  # N
@@ -60,7 +60,7 @@ def make_press_library(
     refinement: int = 2,
     spacing: float = GRID_SPACING_M,
 ) -> PressLibrary:
-    """What presses by force on a square grid would read.
+    """Predict the readings of presses by force on a square grid.
 
     Args:
         layer: Parameters of the layer.
@@ -141,7 +141,7 @@ def log_likelihood(
 def localize(
     library: PressLibrary, weights: WeightPosterior, readings: Float[Array, "n c"], *, radius: float = 1e-3
 ) -> tuple[Float[Array, "n 2"], Float[Array, " n"]]:
-    """Where each press most probably was; all presses of the library are as likely before.
+    """Locate each press; all presses of the library are equally likely before.
 
     Args:
         library: What presses would read.
@@ -162,7 +162,7 @@ def localize(
 def fit_weights_without_positions(
     library: PressLibrary, readings: Float[Array, "n c"], noise_std: float
 ) -> WeightPosterior:
-    """Fit a pad's weights to readings whose positions and loads nobody noted.
+    """Fit a pad's weights to readings of unknown positions and loads.
 
     Args:
         library: What presses would read.

@@ -1,4 +1,4 @@
-"""A calibrated skin as a user holds it: presses in, readings out, on disk in one file.
+"""A calibrated skin: presses in, readings out, on disk in one file.
 
     import i2t
 
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from i2t import given, serialization
+from i2t import serialization, validation
 from i2t.calibration import population_gp, structured_gp
 from i2t.calibration.candidates import board_candidates
 from i2t.calibration.checks import AXES_PER_CHIP
@@ -61,14 +61,14 @@ _interval_scaling = jax.jit(structured_gp.interval_scaling)
 
 
 class CalibrationRecord(NamedTuple):
-    """What is on disk of a structured Gaussian process."""
+    """Structured Gaussian process on disk."""
 
     gp: StructuredGP
     interval_scaling: Array  # (c,)
 
 
 class PopulationRecord(NamedTuple):
-    """What is on disk of a Gaussian process of a population."""
+    """Gaussian process of a population on disk."""
 
     gp: PopulationGP
     interval_scaling: Array  # (c,)
@@ -104,7 +104,7 @@ class Calibration:
 
     @property
     def board_shares(self) -> dict[str, float]:
-        """Weight of each board that was a candidate, and of none, by what presses left out say; they sum to 1."""
+        """Weight of each candidate board, and of none, by presses left out; they sum to 1."""
         if isinstance(self.gp, StructuredGP):
             return {self.boards[0] if self.boards else NO_BOARD_NAME: 1.0}
         return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population_gp.board_shares(self.gp)), strict=True))
@@ -159,7 +159,7 @@ class Calibration:
         return (mean[0], std[0]) if single else (mean, std)
 
     def predict_mean(self, positions: np.ndarray, loads: np.ndarray) -> np.ndarray:
-        """Mean readings of presses as a later session takes them for its own mean.
+        """Mean readings of presses, which a later session takes for its own mean.
 
         Args:
             positions: (n, 2) m.
@@ -197,7 +197,7 @@ class Calibration:
         return population_gp.condition(self.gp)
 
     def _linear(self, n: int, previous_readings: ArrayLike | None, temperature: ArrayLike | float | None) -> np.ndarray:
-        """What acts in proportion on each of n readings, as the calibration has it; 0 where it is not given."""
+        """Values of the linear terms of n readings, in the calibration's order; 0 where one is not given."""
         assert isinstance(self.gp, PopulationGP)
         c, names = self.gp.readings.shape[1], self.metadata.get(LINEAR_TERMS, [])
         values_of = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
@@ -309,7 +309,7 @@ def load_calibration(path: Path | str) -> Calibration:
 
 
 def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:
-    """A calibration from what is on disk, if its parts fit."""
+    """A calibration from its record on disk, if its parts fit."""
     record = jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), record)
     gp, n = record.gp, len(record.gp.presses.load)
     whole = gp.weights.shape[0] == n and gp.cholesky.shape[-2:] == (n, n)
@@ -339,7 +339,7 @@ def _load_population(path: Path | str) -> Calibration:
 
 
 def _population_calibration(path: Path | str, record: PopulationRecord, about: dict[str, Any]) -> Calibration:
-    """A calibration by the population from what is on disk, if its parts fit."""
+    """A calibration by the population from its record on disk, if its parts fit."""
     load_kind = about.get("load", "")
     gp = population_gp.of_any_version(record.gp)
     boards = _board_names(gp, about.get("boards"))
@@ -373,7 +373,7 @@ def _chips(board: Board) -> np.ndarray:
 def _checked(
     positions: ArrayLike | None, loads: ArrayLike | None, readings: ArrayLike, load_kind: str, board: Board | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions (n, 2), loads (n, kinds) and readings (n, c) that can be, or ValueError."""
+    """Valid positions (n, 2), loads (n, kinds) and readings (n, c), or ValueError."""
     if load_kind not in LOAD_COLUMNS:
         raise ValueError(f"{load_kind!r} is no load; choose one of {', '.join(LOAD_COLUMNS)}")
     if positions is None and load_kind == "none":
@@ -381,13 +381,13 @@ def _checked(
             "readings alone can be segmented into presses and checked, but say nothing about another press; give "
             "positions, depths or forces"
         )
-    readings = given.numbers("readings", readings, "(n, channels) uT").astype(np.float64)
+    readings = validation.numbers("readings", readings, "(n, channels) uT").astype(np.float64)
     n = len(readings) if readings.ndim == 2 else 0
     where, amount = np.zeros((n, 2)), np.zeros((n, 0))
     if positions is not None:
-        where = given.numbers("positions", positions, "(n, 2) metres").astype(np.float64)
+        where = validation.numbers("positions", positions, "(n, 2) metres").astype(np.float64)
     if loads is not None:
-        amount = given.numbers("loads", loads, "(n,) metres or newtons").astype(np.float64)
+        amount = validation.numbers("loads", loads, "(n,) metres or newtons").astype(np.float64)
     shape = (n,) if load_kind in MAX_LOAD else (n, len(LOAD_COLUMNS[load_kind]))
     if n == 0 or where.shape != (n, 2) or amount.shape != shape:
         raise ValueError(
@@ -413,7 +413,7 @@ def _as_rows(
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Positions (n, 2) and loads (n, kinds) to be predicted, and whether a single press was asked for."""
     kinds = len(LOAD_COLUMNS[load_kind])
-    amount = None if loads is None else given.numbers("loads", loads, "metres or newtons").astype(np.float64)
+    amount = None if loads is None else validation.numbers("loads", loads, "metres or newtons").astype(np.float64)
     if (amount is None) != (kinds == 0):
         raise ValueError(f"loads are missing or not known to this calibration, whose loads are: {load_kind}")
     if positions is None:
@@ -421,7 +421,7 @@ def _as_rows(
         rows = amount.shape[: amount.ndim - (kinds > 1)]
         where = np.zeros((*rows, 2))
     else:
-        where = given.numbers("positions", positions, "(n, 2) metres").astype(np.float64)
+        where = validation.numbers("positions", positions, "(n, 2) metres").astype(np.float64)
     rows = where.shape[:-1]
     expected = None if amount is None else (*rows, kinds) if kinds > 1 else rows
     if where.shape[-1:] != (2,) or len(rows) > 1 or (amount is not None and amount.shape != expected):
@@ -432,7 +432,7 @@ def _as_rows(
 
 
 def _check_rows(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> None:
-    """ValueError where a position or a load cannot be."""
+    """Refuse impossible positions and loads (ValueError)."""
     if not (np.abs(positions) < MAX_POSITION_M).all():
         raise ValueError(f"positions must be finite and within {MAX_POSITION_M:g} m of the skin's centre; give metres")
     for kind, amount in zip(LOAD_COLUMNS[load_kind], loads.T, strict=True):
@@ -446,10 +446,10 @@ def _check_rows(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Non
 def _linear_term(
     name: str, values: ArrayLike | float | None, mean_temperature: float, shape: tuple[int, int]
 ) -> np.ndarray:
-    """(n, c): what one term multiplies; 0 where it is not known."""
+    """Values (n, c) of one linear term; 0 where it is not known."""
     if values is None:
         return np.zeros(shape)
-    term = given.numbers(name, values, "numbers, one or one for each press").astype(np.float64)
+    term = validation.numbers(name, values, "numbers, one or one for each press").astype(np.float64)
     if name == TEMPERATURE:
         term = np.broadcast_to((term.reshape(-1, 1) if term.ndim else term) - mean_temperature, shape)
     elif term.shape == shape[1:]:
@@ -460,6 +460,6 @@ def _linear_term(
 
 
 def _checked_presses(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Presses:
-    """Presses that can be, or ValueError."""
+    """Valid presses, or ValueError."""
     _check_rows(positions, loads[:, None], load_kind)
     return Presses(jnp.asarray(positions, jnp.float32), jnp.asarray(loads, jnp.float32))

@@ -1,4 +1,4 @@
-"""Structured Gaussian process (GP) of one skin: from a few presses with one tip, what all other presses will read.
+"""Structured Gaussian process (GP) of one skin: readings of all presses, predicted from a few with one tip.
 
 A press has a position x (m, tool frame) and a load d: its depth (m) or its normal force (N), one of them throughout. A
 reading of channel c is
@@ -45,7 +45,7 @@ SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have on
 
 @in_one_line
 class Presses(NamedTuple):
-    """Where and how hard a skin was pressed."""
+    """Positions and loads of presses."""
 
     position: Float[Array, "n 2"]  # m, tool frame
     load: Float[Array, " n"]  # depth in m, or normal force in N
@@ -121,7 +121,7 @@ class LeaveOneOut(NamedTuple):
 
 
 def load_response(hyperparameters: StructuredGPHyperparameters, load: Float[Array, " n"]) -> Float[Array, " n"]:
-    """How a signal grows with the load: f, which is 1 at the unit load.
+    """Growth of the signal with the load: f, which is 1 at the unit load.
 
     Args:
         hyperparameters: Unit load, offset and power.

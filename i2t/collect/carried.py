@@ -56,7 +56,7 @@ class SkinOnTool:
 
 
 class RestReading(NamedTuple):
-    """What a skin read before a press."""
+    """Reading of a skin before a press."""
 
     ambient: Float[Array, " c"]  # uT
     expected: Float[Array, " c"] | None  # uT, by the fitted field
@@ -79,7 +79,7 @@ class SkinLog:
         self._log.samples(samples, self._skin)
 
     def state(self, state: ArmState) -> None:
-        """Nothing is kept, as in `TouchLog.state`: the skin at the tool keeps it."""
+        """Keep nothing: the skin at the tool keeps states, as in `TouchLog.state`."""
 
     def event(self, text: str) -> None:
         """Keep what happened, as in `TouchLog.event`."""
@@ -99,7 +99,7 @@ class AnyStopCondition:
         self.stopped: tuple[str, ...] = ()  # names of the skins that stopped it; "" for the one at the tool
 
     def __call__(self, state: ArmState) -> float | None:
-        """Whether a skin has changed enough.
+        """Test whether a skin has changed enough.
 
         Args:
             state: The arm's newest.
@@ -174,7 +174,7 @@ def compared(
 
 
 def felt(change: Float[Array, " c"], board: Board, rule: StopRule) -> bool:
-    """Whether a skin has felt a press.
+    """Test whether a skin has felt a press.
 
     Args:
         change: (3 chips,) uT, of its reading.
@@ -190,7 +190,7 @@ def felt(change: Float[Array, " c"], board: Board, rule: StopRule) -> bool:
 
 
 def own_code(code: ReturnCode, felt_by: bool, alone: bool) -> ReturnCode:
-    """How a press ended for one of several skins.
+    """Return code of a press for one of several skins.
 
     Args:
         code: Of the press.
@@ -217,7 +217,7 @@ def carried_touch(
     seen: SeenPatch | None,
     counters: SkinCounters,
 ) -> CarriedTouch:
-    """What a further skin read in a touch.
+    """Result of a touch for a further skin.
 
     Args:
         skin: Which.

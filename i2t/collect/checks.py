@@ -1,11 +1,11 @@
-"""What a collection's command line is checked for before anything large is imported: files, names, and options that
-would have no effect.
+"""Checks of a collection's command line before anything large is imported: files, names, and options that would have no
+effect.
 """
 
 from pathlib import Path
 
 from i2t.cli import require_path, require_with
-from i2t.collect.arguments import CollectArgs
+from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
 from i2t.errors import DeviceError
 from i2t.hardware.ur.config import check_watch
 from i2t.objects.named import require_object
@@ -14,7 +14,7 @@ SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
 
 
 def check_collect_args(args: CollectArgs) -> None:
-    """Refuse what is not there, and what does not go together.
+    """Refuse files that are missing, and options that do not go together.
 
     Args:
         args: The options of the command.
@@ -24,38 +24,76 @@ def check_collect_args(args: CollectArgs) -> None:
     """
     if args.out.exists() and not args.out.is_dir():
         raise ValueError(f"--out {args.out}: is a file; name a folder")
-    for flag, path in (("--rig", args.rig), ("--pad", args.pad), ("--views", args.views), ("--replay", args.replay)):
-        require_path(flag, path, "file or folder")
-    require_with("--replay", args.replay is not None, "--skin replay", args.skin == "replay")
-    if args.skin == "replay" and args.replay is None:
-        raise ValueError("--skin replay needs a recording to play: pass --replay FILE")
-    if args.board is not None:
-        from i2t.skin.boards import make_board
+    require_path("--rig", args.lab.rig, "file or folder")
+    require_path("--pad", args.world.pad, "file or folder")
+    check_arm(args.arm)
+    check_camera(args.camera)
+    check_skin(args.skin)
+    if args.world.pad and args.skin.kind not in NOT_REAL:
+        raise ValueError(f"--pad is of simulated skins, and --skin is {args.skin.kind}; leave it out")
+    require_object(args.world.object, args.world.unit, flag="--object")
 
-        make_board(args.board)
-    require_with("--views", args.views is not None, "--camera folder", args.camera == "folder")
-    if args.camera == "folder" and args.views is None:
-        raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
-    if args.camera_serial and args.camera in (SIMULATED, "folder"):
-        raise ValueError(
-            f"--camera-serial says which camera it is, and --camera is {args.camera}; leave it out, or pass --camera "
-            "realsense"
-        )
-    require_with("--skin-serial", args.skin_serial is not None, "--skin reskin", args.skin == "reskin")
-    if args.skin_serial and args.port:
-        raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
-    if args.host and args.arm == SIMULATED:
+
+def check_arm(arm: ArmArgs) -> None:
+    """Refuse options of an arm that do not go together.
+
+    Args:
+        arm: The options.
+
+    Raises:
+        ValueError: An option has no effect; the message names its flag.
+    """
+    if arm.host and arm.kind == SIMULATED:
         raise ValueError(
             "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"
         )
-    if args.port and args.skin in (SIMULATED, "replay"):
-        raise ValueError(f"--port is of a board, and --skin is {args.skin}; leave it out, or pass --skin reskin")
-    if args.pad and args.skin not in NOT_REAL:
-        raise ValueError(f"--pad is of simulated skins, and --skin is {args.skin}; leave it out")
-    check_watch(args.state_timeout, args.watchdog_rate)  # of a UR arm, real or emulated
-    require_object(args.object, args.unit, flag="--object")
-    if args.replay is not None:
-        _require_recording(args.replay, args.board)
+    check_watch(arm.state_timeout, arm.watchdog_rate)  # of a UR arm, real or emulated
+
+
+def check_camera(camera: CameraArgs) -> None:
+    """Refuse options of a camera that do not go together.
+
+    Args:
+        camera: The options.
+
+    Raises:
+        ValueError: A folder is missing, or an option has no effect; the message names its flag.
+    """
+    require_path("--views", camera.views, "file or folder")
+    require_with("--views", camera.views is not None, "--camera folder", camera.kind == "folder")
+    if camera.kind == "folder" and camera.views is None:
+        raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
+    if camera.camera_serial and camera.kind in (SIMULATED, "folder"):
+        raise ValueError(
+            f"--camera-serial says which camera it is, and --camera is {camera.kind}; leave it out, or pass --camera "
+            "realsense"
+        )
+
+
+def check_skin(skin: SkinArgs) -> None:
+    """Refuse options of a skin that do not go together.
+
+    Args:
+        skin: The options.
+
+    Raises:
+        ValueError: A file or a board is missing, or an option has no effect; the message names its flag.
+    """
+    require_path("--replay", skin.replay, "file or folder")
+    require_with("--replay", skin.replay is not None, "--skin replay", skin.kind == "replay")
+    if skin.kind == "replay" and skin.replay is None:
+        raise ValueError("--skin replay needs a recording to play: pass --replay FILE")
+    if skin.board is not None:
+        from i2t.skin.boards import make_board
+
+        make_board(skin.board)
+    require_with("--skin-serial", skin.skin_serial is not None, "--skin reskin", skin.kind == "reskin")
+    if skin.skin_serial and skin.port:
+        raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
+    if skin.port and skin.kind in (SIMULATED, "replay"):
+        raise ValueError(f"--port is of a board, and --skin is {skin.kind}; leave it out, or pass --skin reskin")
+    if skin.replay is not None:
+        _require_recording(skin.replay, skin.board)
 
 
 def _require_recording(path: Path, board: str | None) -> None:

@@ -72,7 +72,7 @@ class CarriedSkinConfig(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviceConfig:
-    """Which devices. Raises ValueError for what does not go together."""
+    """Configuration of the devices. Raises ValueError for what does not go together."""
 
     arm: ArmConfig
     skin: SkinConfig
@@ -122,7 +122,7 @@ class DeviceConfig:
 
 
 class DeviceContext:
-    """What the devices of one collection share; each part is made when it is first asked for.
+    """Context that the devices of one collection share; each part is made when it is first asked for.
 
     Args:
         config: Which devices.
@@ -136,7 +136,7 @@ class DeviceContext:
 
     @cached_property
     def clock(self) -> Clock:
-        """Virtual where only simulated devices take part, else this machine's."""
+        """Clock: virtual where only simulated devices take part, else this machine's."""
         skins = [self.config.skin, *(device for _, device in self.config.carried)]
         simulated = all(isinstance(skin, SimulatedSkinConfig) for skin in skins)
         if isinstance(self.config.arm, SimulatedArmConfig) and simulated:
@@ -147,7 +147,7 @@ class DeviceContext:
 
     @cached_property
     def world(self) -> WorldConfig:
-        """What simulated and emulated devices meet; a pad that is not on the emulated board is refused here."""
+        """World that simulated and emulated devices meet; a pad that is not on the emulated board is refused here."""
         world, skin = self.config.world, self.config.skin
         if not isinstance(skin, EmulatedSkinConfig):
             return world
@@ -157,12 +157,12 @@ class DeviceContext:
 
     @cached_property
     def scene(self) -> "ObjectScene":
-        """What simulated devices meet."""
+        """Scene that simulated devices meet."""
         return make_scene(self.world, self.rig)
 
     @cached_property
     def simulated_lab(self) -> "SimulatedLab":
-        """Where simulated arm and skin are; an emulated skin hears what is felt there."""
+        """Lab of the simulated arm and skin; an emulated skin is told what is felt there."""
         from i2t.emulators.in_process import SimulatedLab
         from i2t.emulators.scene import ContactModel
 
@@ -177,7 +177,7 @@ class DeviceContext:
         return SimulatedLab(self.scene, self.clock, seed=self.config.world.seed, contact_model=model)
 
     def carried_lab(self, place: CarriedSkin, number: int, *, emulated: bool) -> "SimulatedLab":
-        """Where a further skin of a simulated arm is, with a pad of its own.
+        """Lab of a further skin of a simulated arm, with a pad of its own.
 
         Args:
             place: The skin.
@@ -199,7 +199,7 @@ class DeviceContext:
 
     @cached_property
     def carried_boards(self) -> dict[str, tuple[str, tuple[str, int]]]:
-        """Ports of the emulated boards of further skins, and where they hear what is felt, by the skins' names."""
+        """Ports of the emulated boards of further skins, and addresses that take their fields, by the skins' names."""
         from i2t.emulators import lab, reskin_board
 
         started = {}
@@ -300,7 +300,7 @@ def _require_values(skin: Skin, board: Board) -> None:
 
 
 def _board(config: SkinConfig, skin: Skin, context: DeviceContext) -> Board:
-    """Where the chips of a skin are."""
+    """Board of a skin."""
     if isinstance(config, SimulatedSkinConfig):
         return context.scene.board
     if isinstance(config, ReSkinConfig | ReplayConfig | EmulatedSkinConfig):
@@ -315,7 +315,7 @@ def _board(config: SkinConfig, skin: Skin, context: DeviceContext) -> Board:
 
 
 def source_of(devices: Devices) -> str:
-    """What a data set must say of the touches of devices.
+    """Source of touches that a data set states for devices.
 
     Args:
         devices: Connected.
@@ -374,7 +374,7 @@ def _(config: PluginConfig, context: DeviceContext) -> GuardedArm:
 
 
 def stall_watch_s(config: ArmConfig) -> float | None:
-    """After which time an arm whose computer stalls stops by itself.
+    """Time (s) after which an arm whose computer stalls stops by itself.
 
     Args:
         config: Of the arm.

@@ -1,4 +1,4 @@
-"""Before a collection: what would be touched, and whether every device does its part, with nothing moved."""
+"""Dry run of a collection: what would be touched, and whether every device does its part, with nothing moved."""
 
 import math
 from pathlib import Path
@@ -37,7 +37,7 @@ def dry_run(
     ambient: AmbientSettings | None = None,
     watch_s: float | None = None,
 ) -> int:
-    """Say what would be done with what, and whether it could.
+    """Check sites, settings and devices of a collection, and report what it would do.
 
     Args:
         procedure: Its devices are connected.
@@ -87,7 +87,7 @@ def dry_run(
 
 
 def touch_seconds(path: TouchPath) -> float:
-    """About how long a touch takes.
+    """Approximate duration of a touch.
 
     Args:
         path: How fast it is made.
@@ -106,7 +106,7 @@ def touch_seconds(path: TouchPath) -> float:
 
 
 def energy_lines(path: TouchPath, watch_s: float | None) -> list[str]:
-    """How hard a collision and a press can become, for a person.
+    """Sentences on the force of a collision and of a press.
 
     Args:
         path: Of the touches.
@@ -140,7 +140,7 @@ def _refused(procedure: Procedure, sites: list[Site]) -> dict[int, str]:
 
 
 def _device_checks(procedure: Procedure) -> list[_Check]:
-    """What arm, skin and camera do."""
+    """Checks of arm, skin and camera."""
     state = procedure.arm.state()
     skins = {procedure.skin.features.name: procedure.skin}
     skins |= {f"the skin {each.name}, {each.skin.features.name}": each.skin for each in procedure.carried}

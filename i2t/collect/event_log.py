@@ -28,12 +28,12 @@ ENTRY_HEADER = struct.Struct("<cI")
 
 
 class StorageError(DeviceError):
-    """What was recorded cannot be kept: the disk is full or not ours, or the clock was set."""
+    """Recorded data cannot be kept: the disk is full or not ours, or the clock was set."""
 
 
 @runtime_checkable
 class TouchLog(Protocol):
-    """Who hears what is measured and what happens while a touch is made."""
+    """Log that takes measurements and events while a touch is made."""
 
     def samples(self, samples: Samples, skin: str = "") -> None:
         """Keep samples of a skin; the same sample may come twice.
@@ -184,7 +184,7 @@ def _chips(path: Path, header: bytes) -> dict[str, int]:
 
 
 def storage_error(path: Path, error: Exception) -> StorageError:
-    """What became of a file, in a sentence.
+    """Error about a file that cannot be written, in a sentence.
 
     Args:
         path: Of the file or folder.

@@ -1,4 +1,4 @@
-"""Before the first touch of a session: does the rig agree with what camera, arm and skin say?
+"""Check of the rig against camera, arm and skin, before the first touch of a session.
 
     air       what the arm feels while it touches nothing and nothing has been zeroed: a payload that is wrong
     looks     the camera over some sites; near each the depth must be that of the mesh where the rig has it
@@ -77,7 +77,7 @@ class SlowTouch(NamedTuple):
 
 
 class FirstTouchPlan(NamedTuple):
-    """What is looked at and touched."""
+    """Sites to look at and to touch."""
 
     looks: tuple[Site, ...]
     touch: SlowTouch
@@ -129,7 +129,7 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
 
 
 def touch_tolerance(procedure: Procedure) -> float:
-    """How far from its site the first touch may meet the object.
+    """Distance from its site within which the first touch may meet the object.
 
     Args:
         procedure: Its rig says how well the object's place is known.
@@ -188,7 +188,7 @@ def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[st
 
 
 def depth_contradiction(depth: Array, expected: Array, on_object: Array) -> tuple[float, float]:
-    """How much of an object is not seen where it should be.
+    """Share of an object that is not seen where it should be.
 
     Args:
         depth: (h, w) m, as measured; NaN where nothing was.
@@ -207,7 +207,7 @@ def depth_contradiction(depth: Array, expected: Array, on_object: Array) -> tupl
 
 
 def expected_view(triangles: Array, site: Array, T_w_c: Array, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """What the camera should see of an object around a site.
+    """View of an object that the camera should see around a site.
 
     Args:
         triangles: (n, 3 corners, 3) m, of the object in W.
@@ -231,7 +231,7 @@ def expected_view(triangles: Array, site: Array, T_w_c: Array, camera: Camera) -
 
 
 def _edges(depth: Array, site: Array, T_w_c: Array, camera: Camera) -> np.ndarray:
-    """(h, w) which pixels are so near an edge that they may show what is next to it."""
+    """Mask (h, w) of pixels so near an edge that they may show what is next to it."""
     away = max(float((site - T_w_c[:3, 3]) @ T_w_c[:3, 2]), 1e-3)
     size = 2 * max(1, round(camera.fx * FIRST_EDGE_M / away)) + 1
     known = np.where(np.isfinite(depth), depth, 10.0)
@@ -318,7 +318,7 @@ def _touch(procedure: Procedure, touch: SlowTouch) -> str:
 
 
 def _felt(procedure: Procedure, ambient: Array, late_mm: float) -> str:
-    """What the skin says of the first touch; raises RigContradictedError."""
+    """Response of the skin to the first touch, in a sentence; raises RigContradictedError."""
     procedure.clock.sleep(procedure.settings.hold)
     change = _mean_reading(procedure) - ambient
     force = -float(procedure.arm.state().wrench[2])
@@ -331,16 +331,16 @@ def _felt(procedure: Procedure, ambient: Array, late_mm: float) -> str:
 
 
 class _NoLog:
-    """Hears of samples and states, and keeps none: the first touch is no touch of the set."""
+    """Takes samples and states, and keeps none: the first touch is no touch of the set."""
 
     def samples(self, samples: Samples, skin: str = "") -> None:
-        """Of a skin."""
+        """Take samples of a skin."""
 
     def state(self, state: ArmState) -> None:
-        """Of the arm."""
+        """Take a state of the arm."""
 
     def event(self, text: str) -> None:
-        """What happened."""
+        """Take an event."""
 
 
 def _mean_reading(procedure: Procedure) -> Array:
@@ -348,6 +348,6 @@ def _mean_reading(procedure: Procedure) -> Array:
 
 
 def _mean_of(procedure: Procedure, skin: Skin) -> Array:
-    """Of enough samples, half a second, that noise cannot pass for a press nor hide one."""
+    """Mean of enough samples, half a second, that noise cannot pass for a press nor hide one."""
     count = int(np.clip(FELT_S * skin.features.rate, procedure.settings.ambient, FELT_SAMPLES))
     return mean_known(skin.read(count).reading, axis=0)

@@ -116,7 +116,7 @@ def gather_of_skins(
     settings: AmbientSettings,
     on_pose: Callable[[int], None] | None = None,
 ) -> dict[str, FreePoses]:
-    """As `gather_free_poses`, of several skins on the tool at once.
+    """Take the poses as `gather_free_poses`, with several skins on the tool at once.
 
     Args:
         arm: As there.
@@ -169,7 +169,7 @@ def gather_of_skins(
 
 
 def _samples(skins: Sequence[Skin], clock: Clock, seconds: float) -> list[np.ndarray]:
-    """(s, c) uT of each skin, of some seconds, whatever their rates are; they take turns."""
+    """Samples (s, c) uT of each skin, of some seconds, whatever their rates are; they take turns."""
     end = clock.now() + seconds
     parts = [[skin.read(BURST_SAMPLES).reading] for skin in skins]
     while clock.now() < end:
@@ -179,7 +179,7 @@ def _samples(skins: Sequence[Skin], clock: Clock, seconds: float) -> list[np.nda
 
 
 def _stacked(read: list[np.ndarray]) -> np.ndarray:
-    """(p, s, c) uT; poses at which fewer samples came are filled up with what is missing."""
+    """Stack samples (p, s, c) uT; poses at which fewer samples came are filled up with NaN."""
     most = max(map(len, read))
     stacked = np.full((len(read), most, read[0].shape[1]), np.nan)
     for pose, samples in enumerate(read):
@@ -204,7 +204,7 @@ def _free_box(path: TouchPath, settings: AmbientSettings) -> tuple[np.ndarray, n
 
 
 def _pointing_down(path: TouchPath, T_b_t: np.ndarray) -> np.ndarray:
-    """(3, 3) of a tool that points down in the world and keeps its turn, in the base."""
+    """Rotation (3, 3) of a tool that points down in the world and keeps its turn, in the base."""
     z = -path.rig.T_base_world[:3, 2]
     x = T_b_t[:3, 0] - (T_b_t[:3, 0] @ z) * z
     if np.linalg.norm(x) < 0.1:  # its x axis points up or down: the other one does not

@@ -1,4 +1,4 @@
-"""Where the tool goes for a touch, and whether it may: all goals are checked against the box before the first motion.
+"""Path of the tool for a touch, and its check: all goals are checked against the box before the first motion.
 
 What is outside is refused and never moved inside. Frames: W world, B robot base, T tool; metres.
 """
@@ -21,7 +21,7 @@ from i2t.types import Array
 
 
 class PressBounds(NamedTuple):
-    """What a press ends at, at the most (N)."""
+    """Greatest forces at the end of a press (N)."""
 
     force: float  # whatever the skin does: force told it to stop
     stall: float  # what comes while the computer stalls, until the arm stops by itself; NaN where only it knows when
@@ -47,7 +47,7 @@ class TouchPath:
     why_unreachable: Callable[[Sequence[Array]], str] | None = None
 
     def poses(self, site: Site) -> tuple[Array, Array, Array, Array]:
-        """Where the touch of a site looks, prepares, slows down and ends at the latest.
+        """Poses at which the touch of a site looks, prepares, slows down and ends at the latest.
 
         Args:
             site: Where.
@@ -90,7 +90,7 @@ class TouchPath:
             raise UnreachableError(f"site {site.number}: {refused}")
 
     def allows(self, goals: Sequence[Array]) -> bool:
-        """Whether the tool may come down from the way across to the first of some poses, and go on in lines.
+        """Test whether the tool may come down from the way across to the first of some poses, and go on in lines.
 
         Args:
             goals: T_b_t (4, 4), m, in order.
@@ -103,7 +103,7 @@ class TouchPath:
         return not self._unplanned((_at_height(goals[0], self.transfer_height()), *goals))
 
     def _unplanned(self, goals: Sequence[Array]) -> str:
-        """Why the arm cannot follow lines, by its own answer or by the rig's; empty where it can, or nobody knows."""
+        """Reason why the arm cannot follow lines, by its own answer or the rig's; empty if it can or nobody knows."""
         if self.why_unreachable is not None:
             return self.why_unreachable(goals)
         if not self.rig.arm:
@@ -151,16 +151,16 @@ class TouchPath:
 
     @property
     def free_speed(self) -> float:
-        """m/s, of motions in the air: as asked, but no faster than what can be stopped within the force limit."""
+        """Speed (m/s) in the air: as asked, but no faster than what can be stopped within the force limit."""
         return min(self.settings.speed, self.rig.limits.free_speed)
 
     @property
     def retreat_speed(self) -> float:
-        """m/s, of retreats, bounded likewise."""
+        """Speed (m/s) of retreats, bounded likewise."""
         return min(self.settings.retreat, self.rig.limits.free_speed)
 
     def press_bounds(self, watch_s: float | None) -> PressBounds:
-        """What a press ends at, at the most, by the formula of `i2t.hardware.collision`.
+        """Greatest forces at the end of a press, by the formula of `i2t.hardware.collision`.
 
         Args:
             watch_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
@@ -179,7 +179,7 @@ class TouchPath:
         )
 
     def transfer_height(self) -> float:
-        """How high the tool goes from site to site: `clearance` above the object's highest point.
+        """Height of the tool from site to site: `clearance` above the object's highest point.
 
         Returns:
             m, in the base.

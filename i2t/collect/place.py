@@ -1,4 +1,4 @@
-"""Where an object stands, from a depth view of it: the pose goes into the lab's calibration file.
+"""Pose of an object, from a depth view of it: the pose goes into the lab's calibration file.
 
     python -m i2t.place lab.toml --object mug.stl --unit mm --host 192.168.0.2 --write    # a RealSense on the arm
     python -m i2t.place lab.toml --object mug.stl --unit mm --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def place(asked: PlaceArgs) -> str:
-    """Find where the object is.
+    """Find the object's pose.
 
     Args:
         asked: The command line.

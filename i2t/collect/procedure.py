@@ -83,7 +83,7 @@ RETREAT_SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)  # of `prepare`, that a retreat trie
 
 
 class _Press(NamedTuple):
-    """A press until it stands."""
+    """Press that has ended."""
 
     result: ApproachResult
     started: float  # s
@@ -124,7 +124,7 @@ class Procedure:
     carried: Sequence[SkinOnTool] = ()
 
     def run(self, choose: ChooseSite, recorder: TouchRecorder) -> Iterator[SiteOutcome]:
-        """Touch what is chosen, until nothing is.
+        """Touch the chosen sites, until none is chosen.
 
         Args:
             choose: Gives the next site by what became of the others, None at the end.
@@ -313,7 +313,7 @@ class Procedure:
 
     @property
     def _rule(self) -> StopRule:
-        """Which change of a reading stops a press."""
+        """Rule by which the change of a reading stops a press."""
         settings = self.settings
         return StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
 
@@ -417,7 +417,7 @@ class Procedure:
 
     @property
     def path(self) -> TouchPath:
-        """Where the tool goes, and whether it may."""
+        """Path of the tool, and its checks."""
         planned = self.arm.why_unreachable if isinstance(self.arm, PlanningArm) else None
         return TouchPath(self.rig, self.settings, self.top, self.unreachable, planned)
 
@@ -438,7 +438,7 @@ class Procedure:
                 state = self.arm.go(T_b_t, self.path.free_speed, self.settings.acceleration)
 
     def retreat(self) -> None:
-        """Away from whatever the tool may touch: back along its axis, as far as the box allows, then up.
+        """Retreat from whatever the tool may touch: back along its axis, as far as the box allows, then up.
 
         At the edge of the box there may be no way back along the axis. A skin that faces down is then lifted straight
         up: that leads away from what it pressed, and what slides along its side is stopped by the force limit of free
@@ -468,7 +468,7 @@ class Procedure:
         self.arm.go(back, self.path.free_speed, self.settings.acceleration)
 
     def recover(self) -> None:
-        """After a failure: stand, retreat, and have skin and camera speak again.
+        """Recover from a failure: stand, retreat, and reconnect skin and camera where they fail.
 
         Raises:
             DeviceError: The arm, or after `patience` another device, needs a person.
@@ -507,7 +507,7 @@ def _counted_since(now: SkinCounters, before: SkinCounters) -> SkinCounters:
 
 
 def is_at(state: ArmState, goal: Array) -> bool:
-    """Whether the tool stands at a pose.
+    """Test whether the tool stands at a pose.
 
     Args:
         state: Of the arm.

@@ -58,7 +58,7 @@ WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for 
 
 @dataclass(frozen=True)
 class SessionInfo:
-    """What the touches of a session have in common."""
+    """Metadata that the touches of a session have in common."""
 
     object: str
     pad: str
@@ -75,7 +75,7 @@ class SessionInfo:
 
 @dataclass(frozen=True)
 class CarriedSkinInfo:
-    """What the touches of a session have in common for a further skin."""
+    """Metadata that the touches of a session have in common for a further skin."""
 
     pad: str
     board: Board
@@ -122,7 +122,7 @@ class Recorder:
         self._newest = written_at(done[-1]) if done else 0.0
 
     def close(self) -> None:
-        """Let the folder go; raises nothing."""
+        """Release the folder; raises nothing."""
         self._end_raw(keep=True)
         self._lock.close()
 
@@ -153,7 +153,7 @@ class Recorder:
             )
 
     def begin(self, site: Site, attempt: int) -> EventLog:
-        """A touch begins.
+        """Begin a touch.
 
         Args:
             site: Where.
@@ -208,7 +208,7 @@ class Recorder:
             )
 
     def abandon(self, reason: str) -> None:
-        """The touch was not made; what was read of it is kept aside.
+        """Give up a touch; what was read of it is kept aside.
 
         Args:
             reason: A sentence for the log.
@@ -332,7 +332,7 @@ def _dataset(touch: TouchResult, info: SessionInfo, samples: Series) -> Dataset:
 
 
 def _carried_dataset(touch: TouchResult, name: str, info: SessionInfo, samples: Series) -> Dataset:
-    """What a further skin read in the touch, as a data set of one row."""
+    """Data set of one row with what a further skin read in the touch."""
     carried, about = touch.carried[name], info.carried[name]
     meta = {**info.meta, **about.meta, dataset.SKIN_NAME: name}
     return _one_row(carried, carried.T_w_s, info, pad=about.pad, board=about.board, meta=meta, samples=samples)
@@ -452,7 +452,7 @@ def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
 
 
 def read_notes(folder: Path) -> dict[str, Any] | None:
-    """What `write_notes` kept.
+    """Read the notes that `write_notes` kept.
 
     Args:
         folder: Of the touches.
@@ -477,7 +477,7 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
 
 
 def _what_is_wrong(notes: Any) -> str:
-    """What in a folder's notes no session can have written; "" where nothing is."""
+    """Entry of a folder's notes that no session can have written; "" where there is none."""
     if not isinstance(notes, dict):
         return "it holds no table"
     for name, kinds in NOTE_KINDS.items():

@@ -1,4 +1,4 @@
-"""A session of collecting: what was done before, which site is next, and what is said meanwhile.
+"""Session of collecting: touches done before, choice of the next site, and reports meanwhile.
 
 `i2t.collect.command` is its command line.
 """
@@ -19,18 +19,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.collect import recorder
-from i2t.collect.arguments import CollectArgs
-from i2t.collect.devices import (
-    ArmConfig,
-    CameraConfig,
-    CarriedSkinConfig,
-    DeviceConfig,
-    Devices,
-    SkinConfig,
-    make_devices,
-    source_of,
-    stall_watch_s,
-)
+from i2t.collect.arguments import CollectArgs, LabArgs, SkinArgs
+from i2t.collect.device_configs import device_config
+from i2t.collect.devices import Devices, make_devices, source_of, stall_watch_s
 from i2t.collect.dry_run import check_camera, dry_run
 from i2t.collect.first_touch import first_touch
 from i2t.collect.procedure import Procedure
@@ -41,27 +32,12 @@ from i2t.collect.touch import ChooseSite, ExtractPatch, Site, SiteOutcome, Unrea
 from i2t.dataset import load_dataset, read_touch
 from i2t.dataset.card import write_card
 from i2t.depth.camera import Camera
-from i2t.emulators.world import (
-    EmulatedArmConfig,
-    EmulatedSkinConfig,
-    SimulatedArmConfig,
-    SimulatedCameraConfig,
-    SimulatedSkinConfig,
-    WorldConfig,
-)
 from i2t.errors import DataError, DeviceError
-from i2t.hardware.camera_folder import CameraFolderConfig
-from i2t.hardware.carried_skins import CarriedSkin
-from i2t.hardware.named_devices import require_named
-from i2t.hardware.plugins import DeviceKind, PluginConfig, is_plugin
 from i2t.hardware.protocols import View, channel_names
-from i2t.hardware.realsense import RealSenseConfig
-from i2t.hardware.reskin.config import ReplayConfig, ReSkinConfig
 from i2t.hardware.reskin.monitor import bar
 from i2t.hardware.rig import RENAMED_RIG_KEYS, Rig
 from i2t.hardware.rig_checks import require_plausible
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
-from i2t.hardware.ur.config import UrConfig
 from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD, board_note, name_of_board
@@ -86,7 +62,7 @@ def collect(
     Args:
         args: As on the command line.
         choose: Says which site is next; by default the next of a random list.
-        on_outcome: Hears of each touch once it is saved.
+        on_outcome: Called with each touch once it is saved.
 
     Returns:
         The exit code.
@@ -95,24 +71,26 @@ def collect(
         ValueError: What was asked for does not go together, or cannot be read.
         DeviceError: A person is needed.
     """
-    rig = read_rig(args)
-    target = read_object(args.object, args.unit)
-    name = args.name or (target.name if args.object == target.name else Path(args.object).stem)
-    if not args.trust_rig and not args.dry_run:
+    rig = read_rig(args.lab, real=args.arm.kind == "ur")
+    world = args.world
+    target = read_object(world.object, world.unit)
+    name = args.name or (target.name if world.object == target.name else Path(world.object).stem)
+    if not args.lab.trust_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
     done, notes = _resume(args, name, rig, target.mesh)
-    config = device_config(args, begin=max(done.values(), default=0.0) + 1.0, rig=rig)
-    sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, args.seed, name)
+    begin = max(done.values(), default=0.0) + 1.0
+    config = device_config(args.arm, args.skin, args.camera, world, begin=begin, rig=rig)
+    sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, world.seed, name)
     with ExitStack() as stack:
         devices = make_devices(config, rig, stack)
-        if args.rig is None and devices.arm.features.source == "real":
+        if args.lab.rig is None and devices.arm.features.source == "real":
             raise ValueError(NO_RIG)
         if not args.dry_run and len(done) >= args.touches:
             print(f"{len(done)} touches are there already; raise --touches for more")
             return 0
         procedure = _connect(args, devices, rig, sampler=sampler, notes=notes, stack=stack)
         print(_headline(args, source_of(devices), name))
-        print("".join(f"{note}\n" for note in _board_notes(args, rig).values()), end="")
+        print("".join(f"{note}\n" for note in _board_notes(args.skin.board, rig).values()), end="")
         _check_boards(args.out, devices, rig)
         check_camera(procedure)
         if args.dry_run:
@@ -124,7 +102,7 @@ def collect(
         file_recorder.check()
         if not args.skip_first_touch:
             first_touch(procedure, sampler)
-        procedure.ambient_field = fitted_ambient(procedure, args.ambient, args.out, seed=args.seed)
+        procedure.ambient_field = fitted_ambient(procedure, args.ambient, args.out, seed=world.seed)
         session = _Session(args, procedure, sampler, set(done))
         _run(session, choose or session.choose, file_recorder, notes, on_outcome)
     return 0
@@ -160,9 +138,9 @@ def _connect(
     )
 
 
-def _board_notes(args: CollectArgs, rig: Rig) -> dict[str, str]:
-    """What is to be said of where the chips of named boards lie, by the skins' names."""
-    names = {rig.skin: args.board or DEFAULT_BOARD, **{place.name: place.board for place in rig.skins}}
+def _board_notes(board: str | None, rig: Rig) -> dict[str, str]:
+    """Notes on the places of the chips of named boards, by the skins' names."""
+    names = {rig.skin: board or DEFAULT_BOARD, **{place.name: place.board for place in rig.skins}}
     several = len(names) > 1
     notes = {name: board_note(board) for name, board in names.items()}
     return {name: f"{name}: {note}" if several else note for name, note in notes.items() if note}
@@ -202,11 +180,11 @@ def _check_health(procedure: Procedure) -> None:
 def _session_info(
     args: CollectArgs, procedure: Procedure, devices: Devices, *, name: str, notes: dict[str, Any]
 ) -> SessionInfo:
-    """What the data set says of every touch of this session."""
+    """Metadata that the data set has of every touch of this session."""
     arm, skin, rig = procedure.arm, procedure.skin, procedure.rig
     return SessionInfo(
         object=name,
-        pad=args.pad_name or _pad_name(args),
+        pad=args.pad_name or _pad_name(args.skin, args.world.pad),
         session=notes["session"],
         source=source_of(devices),
         board=devices.board,
@@ -223,7 +201,7 @@ def _session_info(
             },
             "rig": notes["rig"],
             "settings": json.dumps(vars(args.settings)),
-            **({"board": said} if (said := board_note(args.board or DEFAULT_BOARD)) else {}),
+            **({"board": said} if (said := board_note(args.skin.board or DEFAULT_BOARD)) else {}),
         },
         skin=rig.skin if devices.carried else "",
         carried={
@@ -242,7 +220,7 @@ def _session_info(
 
 
 def _serial_number(device: object) -> str:
-    """That of a connected device: a board on USB, a camera, an arm's controller; "" where it has none."""
+    """Serial number of a connected device: a board on USB, a camera, an arm's controller; "" where it has none."""
     number = getattr(device, "serial_number", None) or getattr(getattr(device, "info", None), "serial_number", None)
     return str(number or "")
 
@@ -273,7 +251,7 @@ def _run(
 
 
 class _Session:
-    """Which site is next, and what is said meanwhile."""
+    """Choice of the next site, and reports meanwhile."""
 
     def __init__(self, args: CollectArgs, procedure: Procedure, sampler: SiteSampler, done: set[int]) -> None:
         self.args, self.procedure, self.sampler, self.done = args, procedure, sampler, done
@@ -359,10 +337,10 @@ def _resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[in
     notes = recorder.read_notes(args.out)
     same = {
         "object": name,
-        "seed": args.seed,
-        "devices": [args.arm, args.skin, args.camera],
-        "board": args.board or DEFAULT_BOARD,
-        "pose": args.pose,
+        "seed": args.world.seed,
+        "devices": [args.arm.kind, args.skin.kind, args.camera.kind],
+        "board": args.skin.board or DEFAULT_BOARD,
+        "pose": args.lab.pose,
         "sites": vars(args.sites),
         "settings": {key: value for key, value in vars(args.settings).items() if key not in CHANGEABLE_SETTINGS},
         "rig": _rig_hash(rig),
@@ -395,14 +373,14 @@ def _resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[in
 
 
 def _mesh_hash(mesh: Mesh) -> str:
-    """Ten hexadecimal digits that another mesh of the same name has not."""
+    """Hash of a mesh, ten hexadecimal digits."""
     corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
     return hashlib.sha256(corners.round(7).tobytes()).hexdigest()[:10]
 
 
 def _rig_hash(rig: Rig) -> str:
-    """Ten hexadecimal digits that another rig, or the object elsewhere, has not. Keys have their earlier names, so that
-    a collection that an earlier version began goes on.
+    """Hash of a rig and of the object's pose in it, ten hexadecimal digits. Keys have their earlier names, so that a
+    collection that an earlier version began goes on.
     """
     text = rig.text()
     for earlier, name in RENAMED_RIG_KEYS["limits"].items():
@@ -434,11 +412,12 @@ def _keep_serial(notes: dict[str, Any], device: str, serial: str, out: Path) -> 
 # What the command line means
 
 
-def read_rig(args: CollectArgs) -> Rig:
+def read_rig(args: LabArgs, *, real: bool) -> Rig:
     """The lab's calibration, with the object where the command line says.
 
     Args:
         args: As on the command line.
+        real: Whether a real arm will move.
 
     Returns:
         The rig; the emulators' own where none is named and no real arm is asked for.
@@ -446,7 +425,7 @@ def read_rig(args: CollectArgs) -> Rig:
     Raises:
         ValueError: A real arm needs a rig, or the file is damaged.
     """
-    if args.rig is None and args.arm == "ur":
+    if args.rig is None and real:
         raise ValueError(NO_RIG)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
     if args.pose is None:
@@ -456,108 +435,11 @@ def read_rig(args: CollectArgs) -> Rig:
     return replace(rig, T_world_object=T, object_from="given")
 
 
-def device_config(args: CollectArgs, begin: float = 0.0, rig: Rig | None = None) -> DeviceConfig:
-    """Configurations of the devices that a command line and a rig name.
-
-    Args:
-        args: As on the command line.
-        begin: Unix time (s) at which virtual time may begin.
-        rig: The lab's calibration, with its further skins; by default there are none.
-
-    Returns:
-        The configurations.
-
-    Raises:
-        ValueError: A name is not known, or what it needs is missing.
-    """
-    world = WorldConfig(
-        args.object,
-        args.unit,
-        args.pad,
-        seed=args.seed,
-        no_pose_error=args.no_pose_error,
-        stiffness=args.stiffness,
-        board=args.board if args.skin in ("simulated", "emulated") else None,
-    )
-    carried = tuple(CarriedSkinConfig(place, _carried_config(place)) for place in (rig.skins if rig else ()))
-    return DeviceConfig(_arm_config(args), _skin_config(args), _camera_config(args), world, begin, carried=carried)
-
-
-def _arm_config(args: CollectArgs) -> ArmConfig:
-    given = {"state_timeout": args.state_timeout, "watchdog_rate": args.watchdog_rate}
-    watched = {name: value for name, value in given.items() if value is not None}
-    match args.arm:
-        case "simulated":
-            return SimulatedArmConfig()
-        case "emulated":
-            return EmulatedArmConfig(args.host, **watched)
-        case "ur" if args.host:
-            return UrConfig(args.host, **watched)
-        case "ur":
-            raise ValueError("a UR arm needs the address of its controller; pass --host")
-    return _plugin_config("arm", args.arm, args.host, "ur, simulated, emulated")
-
-
-def _skin_config(args: CollectArgs) -> SkinConfig:
-    board = args.board or DEFAULT_BOARD
-    match args.skin:
-        case "simulated":
-            return SimulatedSkinConfig()
-        case "emulated":
-            return EmulatedSkinConfig(args.port, board)
-        case "reskin":
-            return ReSkinConfig(args.port, board, args.skin_serial)
-        case "replay" if args.replay:
-            return ReplayConfig(args.replay, board)
-        case "replay":
-            raise ValueError("a replay needs a recording; pass --replay FILE")
-    config = _plugin_config("skin", args.skin, args.port, "reskin, simulated, emulated, replay")
-    if args.board:
-        raise ValueError(f"--board {args.board} means nothing to --skin {args.skin}, which knows its own; leave it out")
-    return config
-
-
-def _carried_config(place: CarriedSkin) -> SkinConfig:
-    match place.device:
-        case "simulated":
-            return SimulatedSkinConfig()
-        case "emulated":
-            return EmulatedSkinConfig(None, place.board)
-        case "reskin":
-            return ReSkinConfig(place.address or None, place.board, place.serial_number or None)
-        case "replay":
-            return ReplayConfig(Path(place.address), place.board)
-    if not is_plugin("skin", place.device):
-        raise ValueError(
-            f"skins.{place.name}.device is {place.device!r}; give one of reskin, simulated, emulated, replay, a name "
-            "that an installed package registers, or package.module:Class"
-        )
-    return PluginConfig(place.device, place.address or None)
-
-
-def _camera_config(args: CollectArgs) -> CameraConfig:
-    match args.camera:
-        case "simulated":
-            return SimulatedCameraConfig()
-        case "realsense":
-            return RealSenseConfig(args.camera_serial)
-        case "folder" if args.views:
-            return CameraFolderConfig(args.views)
-        case "folder":
-            raise ValueError("a folder of views must be named; pass --views DIR")
-    return _plugin_config("camera", args.camera, args.camera_serial, "realsense, simulated, folder")
-
-
-def _plugin_config(kind: DeviceKind, name: str, address: str | None, built_in: str) -> PluginConfig:
-    require_named(kind, name, built_in)
-    return PluginConfig(name, address)
-
-
 # What is said
 
 
 def _headline(args: CollectArgs, source: str, name: str) -> str:
-    devices = f"arm {args.arm}, skin {args.skin}, camera {args.camera}"
+    devices = f"arm {args.arm.kind}, skin {args.skin.kind}, camera {args.camera.kind}"
     said = {
         "simulated": "SIMULATED: no real device takes part",
         "mixed": "MIXED: some of these devices are not real",
@@ -566,16 +448,16 @@ def _headline(args: CollectArgs, source: str, name: str) -> str:
     return f"{name}: {devices} ({said})"
 
 
-def _pad_name(args: CollectArgs) -> str:
-    if args.skin == "replay":
-        return f"replay of {args.replay.stem}" if args.replay else "replay"
-    if args.skin not in ("simulated", "emulated"):
+def _pad_name(skin: SkinArgs, pad: Path | None) -> str:
+    if skin.kind == "replay":
+        return f"replay of {skin.replay.stem}" if skin.replay else "replay"
+    if skin.kind not in ("simulated", "emulated"):
         return "skin"
-    return f"simulated, {args.pad.stem}" if args.pad else "simulated pad 0"
+    return f"simulated, {pad.stem}" if pad else "simulated pad 0"
 
 
 def _compiled_extractor(camera: Camera, sampler: SiteSampler) -> ExtractPatch:
-    """What extracts patches, compiled."""
+    """Patch extractor, compiled."""
     extract_patch = patch_extractor()
     pose = sampler.site(0).T_w_t
     blank = View(0.0, np.full((camera.height, camera.width), 0.1, np.float32), None)

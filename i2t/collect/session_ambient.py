@@ -105,7 +105,7 @@ def _said(field: AmbientField) -> str:
 
 
 def _turned(free: FreePoses) -> float:
-    """uT, root mean square over channels of the change from pose to pose."""
+    """Change (uT) from pose to pose, root mean square over channels."""
     return float(np.sqrt(np.nanmean((free.reading - np.nanmean(free.reading, axis=0)) ** 2)))
 
 

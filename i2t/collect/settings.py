@@ -1,4 +1,4 @@
-"""How a touch is made: the numbers of the procedure, without NumPy, so that a command line shows them at once."""
+"""Settings of a touch: the numbers of the procedure, without NumPy, so that a command line shows them at once."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ SETTING_RANGES = {  # the least and the greatest of each that make sense, and th
 
 @dataclass(frozen=True)
 class TouchSettings:
-    """How a touch is made. Raises ValueError for numbers that make no sense.
+    """Settings of a touch. Raises ValueError for numbers that make no sense.
 
     The speed of a press is what keeps it near its limits: at k N/m, t seconds late and braking with a, it runs
     k (v t + v^2 / 2a) past them; 10 N/mm, 60 ms and 2 mm/s give 1.2 N. The paper presses in steps; here the motion is

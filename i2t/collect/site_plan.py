@@ -1,4 +1,4 @@
-"""What a collection touches and sees: an endless list of safe sites, patches extracted from views, and a picture.
+"""Sites and views of a collection: an endless list of safe sites, patches extracted from views, and a picture.
 
 The sites of an object are random, as in the paper (`i2t.simulation.sites`), and numbered: the same seed gives the same
 list, however many of them are used, so that a collection goes on where it stopped.

@@ -1,4 +1,4 @@
-"""When the skin stops a press, and where that press began.
+"""Stop of a press by the skin, and beginning of that press.
 
 A press ends where the mean change of some samples is large enough, and differs enough between chips: a change that all
 chips see alike, turned to common axes, is a field of the room. Afterwards the contact onset is found by following the
@@ -22,7 +22,7 @@ AT_REST_SILENCE_S = 0.4  # that a skin may be silent while the arm still stands
 
 
 class StopRule(NamedTuple):
-    """Which change of a reading stops a press."""
+    """Rule by which the change of a reading stops a press."""
 
     skin_change: float  # uT, norm of the change of a reading
     nonuniform_share: float  # of it must differ between chips
@@ -61,7 +61,7 @@ class SkinStopCondition:
         self._states: list[tuple[float, Array]] = []
 
     def __call__(self, state: ArmState) -> float | None:
-        """Whether the skin has changed enough.
+        """Test whether the skin has changed enough.
 
         Args:
             state: The arm's newest.
@@ -94,7 +94,7 @@ class SkinStopCondition:
             )
 
     def _hear(self, state: ArmState) -> None:
-        """Take what is new; raises DeviceTimeoutError if the skin is silent."""
+        """Take new samples; raises DeviceTimeoutError if the skin is silent."""
         fresh = self._skin.since(self._number)
         self._log.state(state)
         self._states.append((state.time, (state.T_b_t @ self._T_tool_skin)[:3, 3]))
@@ -127,7 +127,7 @@ class SkinStopCondition:
 
 
 def nonuniform_field(change: Float[Array, " c"], board: Board) -> Float[Array, "chips 3"]:
-    """What of a change differs between chips.
+    """Part of a change that differs between chips.
 
     Args:
         change: (3 chips,) uT, of a reading; NaN for a chip that is missing.
@@ -146,7 +146,7 @@ def onset_distance(
     ambient: Float[Array, " c"],
     change: Float[Array, " c"],
 ) -> float:
-    """How far a press went past first contact.
+    """Distance of a press past first contact.
 
     A line is fitted to the samples whose change, along the final change, is 15 to 70 % of it, and extrapolated to zero
     change; a chip that is missing is left out. The line is that of a flat face; where force grows as indentation to the

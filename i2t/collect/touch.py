@@ -1,4 +1,4 @@
-"""What a touch of a session is: its site, what came of it, what can go wrong, and who records it.
+"""Touch of a session: its site, its outcome, its errors, and its recorder.
 
 Frames: W world, B robot base, T tool, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
@@ -18,14 +18,14 @@ from i2t.types import Array, ReturnCode
 
 
 class Site(NamedTuple):
-    """Where to touch: the skin's pose where it would just lie on the surface."""
+    """Site to touch: the skin's pose where it would just lie on the surface."""
 
     number: int
     T_w_t: Float[Array, "4 4"]
 
 
 class SeenPatch(NamedTuple):
-    """What the camera saw before the skin."""
+    """Patch in front of the skin, as the camera saw it."""
 
     patch: Float[Array, "48 48"]  # m
     wide: Float[Array, "72 72"]  # m
@@ -34,7 +34,7 @@ class SeenPatch(NamedTuple):
 
 
 class CarriedTouch(NamedTuple):
-    """What a further skin on the tool read in a touch."""
+    """Reading of a further skin on the tool in one touch."""
 
     T_w_s: Float[Array, "4 4"]  # of the skin at the end of the press
     code: ReturnCode  # that of the touch where this skin felt it, else AIR
@@ -70,7 +70,7 @@ class TouchResult(NamedTuple):
 
 
 class SiteOutcome(NamedTuple):
-    """What became of a site, for whoever chooses the next."""
+    """Outcome of a site, for whoever chooses the next."""
 
     site: Site
     code: ReturnCode
@@ -80,10 +80,10 @@ class SiteOutcome(NamedTuple):
 
 @runtime_checkable
 class TouchRecorder(Protocol):
-    """Who records touches (`i2t.collect.recorder.Recorder`)."""
+    """Recorder of touches (`i2t.collect.recorder.Recorder`)."""
 
     def begin(self, site: Site, attempt: int) -> TouchLog:
-        """A touch begins.
+        """Begin a touch.
 
         Args:
             site: Where.
@@ -97,7 +97,7 @@ class TouchRecorder(Protocol):
         """
 
     def save(self, touch: TouchResult) -> None:
-        """The touch was made; once this returns it is safe.
+        """Keep a touch that was made; once this returns it is safe.
 
         Args:
             touch: The touch, with its patch and view.
@@ -107,7 +107,7 @@ class TouchRecorder(Protocol):
         """
 
     def abandon(self, reason: str) -> None:
-        """The touch was not made.
+        """Give up a touch.
 
         Args:
             reason: Why, as a sentence.

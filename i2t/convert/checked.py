@@ -1,4 +1,4 @@
-"""What a converter does about the unknowns of a session: it estimates them, says each in a sentence, puts right what
+"""Treatment of the unknowns of a session by a converter: it estimates them, says each in a sentence, puts right what
 the session contradicts, and lets the findings travel with the data set.
 """
 
@@ -16,7 +16,7 @@ AXES_OF_CHIP = 3
 
 
 class SessionCheck(NamedTuple):
-    """What was found in one session, ready to be applied to its arrays."""
+    """Findings in one session, ready to be applied to its arrays."""
 
     findings: tuple[Finding, ...]
     factors: dict[str, float]  # on lengths, depths, fields, forces, the sign of heights and of forces
@@ -53,7 +53,7 @@ class SessionCheck(NamedTuple):
 
     @property
     def zero(self) -> Finding | None:
-        """What is known of the height of first contact."""
+        """Finding on the height of first contact."""
         return find(self.findings, HEIGHT_ZERO)
 
 

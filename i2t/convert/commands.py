@@ -496,7 +496,7 @@ def _later(command: Callable[..., None]) -> Callable[..., Callable[[], None]]:
 
 
 def _run(work: Callable[[], None]) -> None:
-    """One command, and after it what was left out."""
+    """Run one command, and print its warnings after it."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)  # `BadFileWarning` is one
         try:
@@ -507,7 +507,7 @@ def _run(work: Callable[[], None]) -> None:
 
 
 def _require(source: Path, target: Path, overwrite: bool, lengths: dict[str, float] | None = None) -> None:
-    """Refuse what is not there, what is taken, and lengths (mm) that are none, before anything large is imported."""
+    """Refuse missing sources, taken targets, and lengths (mm) that are none, before anything large is imported."""
     _require_source(source)
     require_writable("DST", target)
     for flag, length in (lengths or {}).items():

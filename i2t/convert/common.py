@@ -1,4 +1,4 @@
-"""What all converters share: their result, how damage is treated, and reading text and tables of numbers."""
+"""Parts that all converters share: their result, how damage is treated, and reading text and tables of numbers."""
 
 import io
 from dataclasses import dataclass, field, replace

@@ -101,7 +101,7 @@ def convert(
 
 
 def _of_one_board(parts: list[Dataset], notes: ConversionLog) -> list[Dataset]:
-    """The parts, all with the board as it is described where they do not agree on how it lies."""
+    """Data sets with one board: the described one where the sessions do not agree on how it lies."""
     if all(np.allclose(a, b) for part in parts for a, b in zip(part.board, parts[0].board, strict=True)):
         return parts
     notes.info("left out: how the board lies, in which the sessions differ; it is taken as described in all of them")
@@ -114,7 +114,7 @@ def _board() -> Board:
 
 
 class _Options(NamedTuple):
-    """How sessions are read, as the arguments of `convert`."""
+    """Options for reading sessions, as the arguments of `convert`."""
 
     radius: float  # m
     window: float  # m
@@ -127,7 +127,7 @@ class _Options(NamedTuple):
 
 
 class _Probe(NamedTuple):
-    """Where the probe was."""
+    """States of the probe."""
 
     x: np.ndarray  # (n,) m, on the skin
     y: np.ndarray  # (n,) m
@@ -180,7 +180,7 @@ def _session(folder: Path, options: _Options, notes: ConversionLog) -> list[Data
 
 
 class _Reference(NamedTuple):
-    """Where a session's positions and heights count from, in the robot's axes."""
+    """Origin of a session's positions and heights, in the robot's axes."""
 
     centre: np.ndarray  # (2,) m
     zero: float  # m, of first contact; NaN where it is unknown
@@ -189,7 +189,7 @@ class _Reference(NamedTuple):
 def _check_pressed(
     name: str, states: np.ndarray, values: np.ndarray, options: _Options, notes: ConversionLog
 ) -> tuple[SessionCheck, _Reference]:
-    """What a session of presses from above does not say."""
+    """Estimate what a session of presses from above does not say."""
     position, middle = _positions(states)
     presses = RecordedPresses(
         position[:, :2] - middle[:2], values[:, 1:], height=position[:, 2], force=_load(states), seconds=states[:, 0]
@@ -238,7 +238,7 @@ def _heights(position: np.ndarray, check: SessionCheck) -> np.ndarray:
 def _check_sheared(
     name: str, states: np.ndarray, values: np.ndarray, options: _Options, notes: ConversionLog
 ) -> SessionCheck:
-    """What a session of shear does not say: only units are looked at."""
+    """Estimate what a session of shear does not say: only units are looked at."""
     board = _board()
     if options.as_stated:
         return SessionCheck((), {}, lag=0, order=None, signs=None, board=board, meta={})

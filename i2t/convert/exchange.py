@@ -1,4 +1,4 @@
-"""What the formats of others' tools share: a data set as named columns and a JSON note, and back, value by value.
+"""Common part of others' formats: a data set as named columns and a JSON note, and back, value by value.
 
 A column has a touch on each row, in the order of the data set. Fields keep their names and units (`i2t.types.Touches`);
 those of the truth are called `truth_...`. The note holds names, board, window, reach, source and provenance, everything
@@ -50,7 +50,7 @@ def columns_of(dataset: Dataset) -> dict[str, np.ndarray]:
 
 
 def note_of(dataset: Dataset) -> dict[str, Any]:
-    """What holds for all touches of a data set, as JSON can hold it.
+    """Note that holds for all touches of a data set, as JSON can hold it.
 
     Args:
         dataset: Any.

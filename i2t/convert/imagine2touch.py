@@ -150,7 +150,7 @@ def _pushing(dataset: Dataset, other_force: np.ndarray, options: "_Options", not
 
 
 class _Options(NamedTuple):
-    """How runs are read, as the arguments of `convert`."""
+    """Options for reading runs, as the arguments of `convert`."""
 
     board: Board
     order: str
@@ -267,7 +267,7 @@ def _poses(stem: Path, n: int, options: "_Options", notes: ConversionLog) -> _Po
 
 
 def _along(moved: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far a motion (n, 3) goes along axes (n, 3), and how far aside."""
+    """Lengths of a motion (n, 3) along axes (n, 3), and aside."""
     approach = np.sum(moved * axis, axis=1)
     return approach, np.linalg.norm(moved - approach[:, None] * axis, axis=1)
 
@@ -322,7 +322,7 @@ MEANINGS: dict[int, tuple[_Meaning, ...]] = {  # by the number of values, what i
 
 
 def _meanings(folders: Sequence[Path], notes: ConversionLog) -> dict[int, _Meaning]:
-    """How the rotations of all runs are meant, by their number of values: one program wrote them all, so that all runs
+    """Meaning of the rotations of all runs, by their number of values: one program wrote them all, so that all runs
     decide together. Touches move along tool z. The documented reading gives way only where half of the touches go
     clearly elsewhere and nearly all agree with another: of nearly upright touches both orders of a quaternion tell the
     same axis, and which fits better is chance.

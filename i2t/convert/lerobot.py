@@ -231,7 +231,7 @@ def _info(dataset: Dataset, frames: dict[str, np.ndarray], episodes: int) -> dic
 
 
 def _stats(values: np.ndarray) -> dict[str, Any]:
-    """Of what was measured; zero where nothing was."""
+    """Statistics of measured values; zero where nothing was measured."""
     values = values.reshape(len(values), *(values.shape[1:] or (1,))).astype(np.float64)
     known = np.isfinite(values)
     count = np.maximum(known.sum(0), 1)

@@ -120,7 +120,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _Parts(NamedTuple):
-    """What a pickle says of an array: its state, still to be checked."""
+    """Parts of a pickled array: its state, still to be checked."""
 
     shape: tuple[int, ...]
     code: str
@@ -129,7 +129,7 @@ class _Parts(NamedTuple):
 
 
 def _inert_parts() -> dict[str, Callable[..., Any]]:
-    """What the names in a pickle may mean: inert classes and functions that only collect what they are given."""
+    """Meanings of the names in a pickle: inert classes and functions that only collect what they are given."""
 
     class ReSkinData(NamedTuple):
         time: Any

@@ -345,7 +345,7 @@ def _row(source: Path, number: int, line: dict[str, Any], columns: _Columns) -> 
 
 
 def _answered(line: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:
-    """Which values of a row are of chips that answered: one without any of its three values did not, if others did."""
+    """Mask of a row's values from chips that answered: one without any of its values did not, if others did."""
     written = np.array([line[name].strip() != "" for name in names]).reshape(-1, AXES_OF_CHIP)
     answered = written.any(1) if written.any() else np.ones(len(written), bool)
     return np.repeat(answered, AXES_OF_CHIP)

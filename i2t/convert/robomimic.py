@@ -78,7 +78,7 @@ def read_robomimic(path: Path) -> Dataset:
 
 
 def _number(name: str) -> int:
-    """Of a demonstration, by which they are in order."""
+    """Number of a demonstration, by which they are in order."""
     return int(name.removeprefix("demo_"))
 
 

@@ -103,7 +103,7 @@ def _samples(path: Path, item: Any) -> list[list[float]]:
 
 
 def _time(item: Any) -> float:
-    """When the last of nested samples was read, which [time, delay, values, device] say."""
+    """Time of the last of nested samples, which [time, delay, values, device] say."""
     if not isinstance(item, list):
         return math.nan
     if len(item) == 4 and isinstance(item[2], list) and not isinstance(item[0], list):
@@ -122,8 +122,8 @@ def _mean(samples: list[list[float]], order: str) -> np.ndarray:
 
 
 def _detected(path: Path, samples: np.ndarray) -> str:
-    """Which end of a chip's four values is the temperature: within the chip's range and steady, as no field component
-    is on five chips at once.
+    """End of a chip's four values that is the temperature: within the chip's range and steady, as no field component is
+    on five chips at once.
     """
     spread = {}
     for order, column in (("binary", 0), ("ascii", 3)):

@@ -63,7 +63,7 @@ class _Rows(NamedTuple):
     labels: np.ndarray  # (n, 1 + e): line in the file, and the labels
 
     def part(self, start: int, end: int) -> "_Rows":
-        """Some of them, one after the other."""
+        """Some of the rows, one after the other."""
         some = slice(start, end)
         return _Rows(self.names[some], self.time[some], self.readings[some], self.labels[some])
 
@@ -107,7 +107,7 @@ class _Search:
 
 @dataclass
 class _Damage:
-    """What is wrong with rows: it ends the conversion, or is counted."""
+    """Damage of rows: it ends the conversion, or is counted."""
 
     skip_bad: bool
     rows: int = 0
@@ -121,7 +121,7 @@ class _Damage:
         self.rows, self.first = self.rows + 1, self.first or str(error)
 
     def sentences(self) -> list[str]:
-        """What was left out."""
+        """Sentences on what was left out."""
         said = [f"left out: {self.rows} damaged rows; the first: {self.first}"] if self.rows else []
         return said + ([f"left out: {self.silent} rows in which a chip did not answer"] if self.silent else [])
 
@@ -243,7 +243,7 @@ def _press_row(
 
 
 def _columns(source: Path, table: TableRows, chips: int) -> _Columns:
-    """What stands where; a table without time or without the values of the board is refused."""
+    """Columns of a log; a table without time or without the values of the board is refused."""
     header = table.header
     if len(set(header)) != len(header):
         raise DataError(f"{source}: a column name stands twice in the first line; rename one")
@@ -317,7 +317,7 @@ def _number(text: str) -> float:
 def _sound(
     source: Path, rows: list[tuple[int, list[str]]], numbers: np.ndarray, names: list[str], damage: _Damage
 ) -> np.ndarray:
-    """Which rows hold numbers that can be, and a time."""
+    """Mask of rows that hold plausible numbers and a time."""
     wrong = np.abs(numbers) >= MAX_TABLE_VALUE
     wrong[:, 0] = ~np.isfinite(numbers[:, 0])  # Unix time is larger than any other number
     for k in np.flatnonzero(wrong.any(1)):

@@ -6,7 +6,15 @@ reads, `splits` holds touches out. The schema is described in docs/data.md.
 """
 
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
-from i2t.dataset.splits import by_group, holdout_blocks, holdout_last, holdout_names, spatial_blocks, square_blocks
+from i2t.dataset.splits import (
+    Split,
+    by_group,
+    holdout_blocks,
+    holdout_last,
+    holdout_names,
+    spatial_blocks,
+    square_blocks,
+)
 from i2t.dataset.store import (
     SKIN_NAME,
     BadFileWarning,
@@ -31,6 +39,7 @@ __all__ = [
     "Record",
     "Series",
     "SkinChoiceError",
+    "Split",
     "by_group",
     "concatenate",
     "holdout_blocks",

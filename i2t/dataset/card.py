@@ -23,7 +23,7 @@ NOTES_BETWEEN, SESSIONS_BETWEEN = " | ", "; "  # notes, and what several parts o
 
 
 def card_of(dataset: Dataset, *, board_name: str = "") -> str:
-    """What a data set holds, as a page of Markdown.
+    """Card of a data set, as a page of Markdown.
 
     Args:
         dataset: Any.
@@ -74,7 +74,7 @@ def write_card(folder: Path | str, dataset: Dataset, *, board_name: str = "") ->
 
 
 def _contents(dataset: Dataset, board_name: str) -> list[tuple[str, str]]:
-    """What there is, by name."""
+    """Contents of a data set, by name."""
     said = dataset.summary()
     chips = ", ".join(f"({1e3 * x:.1f}, {1e3 * y:.1f})" for x, y in np.asarray(dataset.board.chips)[:, :2])
     missing = {name: count for name, count in said["missing"].items() if name != "chips"}
@@ -100,7 +100,7 @@ def _contents(dataset: Dataset, board_name: str) -> list[tuple[str, str]]:
 
 
 def _findings(found: dict[str, str]) -> list[str]:
-    """What was found out about each session, as the sentences that were said then."""
+    """Findings about each session, as the sentences that were said then."""
     blocks = []
     for session, text in list(found.items())[:MAX_NAMES]:
         said = _sentences(text)
@@ -136,7 +136,7 @@ def _rows(texts: dict[str, str]) -> list[tuple[str, str]]:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """What a JSON value says, by the names on the way to it."""
+    """Leaves of a JSON value as text, by the names on the way to them."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _leaves(f"{name}: {key}", part)

@@ -1,4 +1,4 @@
-"""What a data set is: touches as NumPy arrays, the names their indices point to, and what holds for all of them.
+"""Data sets: touches as NumPy arrays, the names their indices point to, and what holds for all of them.
 
 Everything here is NumPy; arrays of another library (JAX) are taken over on construction. Floats are float32 and indices
 int32.
@@ -199,7 +199,7 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
 
 
 def times_of(dataset: Dataset) -> np.ndarray:
-    """When each touch was.
+    """Time of each touch.
 
     Args:
         dataset: Of n touches.
@@ -348,7 +348,7 @@ def _joined(parts: list[np.ndarray]) -> np.ndarray:
 
 
 def _takes_no_memory(values: np.ndarray) -> bool:
-    """Whether these are views made by `missing_context`."""
+    """Test whether these are views made by `missing_context`."""
     return values.ndim == 3 and values.size > 0 and not any(values.strides)
 
 

@@ -1,4 +1,4 @@
-"""Which touches to hold out. Every function returns a boolean mask of the touches held out, or labels to split by.
+"""Choice of touches to hold out. Every function returns a boolean mask of the touches held out, or labels to split by.
 
 Neighbouring touches of one object share what they feel, and those of one session share their errors: rows are therefore
 never shuffled singly, but held out by object, by pad, by session, by block of space, or from some time on.
@@ -11,6 +11,7 @@ never shuffled singly, but held out by object, by pad, by session, by block of s
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +20,25 @@ from i2t.errors import DataError
 
 # Of a block: a regular grid of presses may fall on block edges, and rounding must not scatter it to both sides.
 EDGE_SLACK = 1e-3
+
+
+@dataclass(frozen=True)
+class Split:
+    """Touches to train on, to choose by and to test on, as masks (n,).
+
+    Attributes:
+        train: To fit to.
+        validation: To choose between methods by.
+        test: To report on.
+        groups: (n,) session, spatial block or stretch of time of each touch, which is never torn apart.
+        how: In words, what is held out.
+    """
+
+    train: np.ndarray
+    validation: np.ndarray
+    test: np.ndarray
+    groups: np.ndarray
+    how: str
 
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:

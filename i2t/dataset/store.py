@@ -91,11 +91,11 @@ class Record:
 
     @property
     def skin_names(self) -> tuple[str, ...]:
-        """Of the skin at the tool, "" where it has none, and of the further ones."""
+        """Names of the skin at the tool, "" where it has none, and of the further ones."""
         return (self.touch.meta.get(SKIN_NAME, ""), *self.skins)
 
     def of_skin(self, name: str | None = None) -> "Record":
-        """What was recorded of one of several skins, as if it had been the only one.
+        """Record of one of several skins, as if it had been the only one.
 
         Args:
             name: Of the skin; it may be left out where there is one.
@@ -307,7 +307,7 @@ def _with_all_chips(path: Path, dataset: Dataset, skip_bad: bool) -> Dataset:
 
 
 def index(folder: str | Path) -> dict[str, dict[str, Any]]:
-    """What the files of a folder hold.
+    """Index of the files of a folder.
 
     Kept in index.json, so that only new or changed files are read; a missing, stale or unreadable index is rebuilt, and
     a folder that cannot be written does without. It is a convenience for listing: `load_dataset` never uses it, so a
@@ -474,7 +474,7 @@ def _get_dataset(file: h5py.Group) -> Dataset:
 
 
 def _stored(group: h5py.Group, name: str) -> str:
-    """What a file calls a field or a list of names."""
+    """Name that a file has for a field or a list of names."""
     return name if name in group else FIELDS_OF_VERSION_1.get(name, name)
 
 

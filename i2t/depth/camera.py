@@ -19,7 +19,7 @@ import numpy as np
 import tifffile
 from PIL import Image, UnidentifiedImageError
 
-from i2t import files, given
+from i2t import files, validation
 from i2t.errors import DataError
 from i2t.types import ORTHOGONALITY_TOLERANCE
 
@@ -48,7 +48,7 @@ class Distortion(StrEnum):
 
 
 class Encoding(StrEnum):
-    """How a file's 16-bit numbers hold depth."""
+    """Encodings of depth in a file's 16-bit numbers."""
 
     PLAIN = "plain"
     ROTATED = "rotated"  # turned left by three bits, as in files of a RealSense F200
@@ -81,7 +81,7 @@ class Camera:
             if not isinstance(size, int | np.integer) or not 2 <= size <= MAX_IMAGE_PIXELS:
                 raise ValueError(f"camera: {name} is {size!r}; give whole pixels from 2 to {MAX_IMAGE_PIXELS}")
         lens = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
-        given.numbers("camera: fx, fy, cx, cy and coefficients", lens, "pixels, and the lens's coefficients")
+        validation.numbers("camera: fx, fy, cx, cy and coefficients", lens, "pixels, and the lens's coefficients")
         if not all(math.isfinite(value) for value in lens):
             raise ValueError(f"camera: fx, fy, cx, cy and coefficients {lens} must all be finite; calibrate it again")
         if self.fx <= 0 or self.fy <= 0:
@@ -332,7 +332,7 @@ def read_tif(path: str | Path) -> np.ndarray:
 
 
 def _has_another(file: tifffile.TiffFile) -> bool:
-    """Whether there is a second image; the list of all may be endless."""
+    """Test whether there is a second image; the list of all may be endless."""
     try:
         return file.pages[1] is not None
     except IndexError:

@@ -42,7 +42,7 @@ def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"
 
 
 def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, "*n"]) -> Float[Array, "*n 3"]:
-    """Find what pixels show.
+    """Find the points that pixels show.
 
     Args:
         camera: The camera.
@@ -85,7 +85,7 @@ def project_to_pixel(camera: Camera, x: Float[Array, "*n"], y: Float[Array, "*n"
 
 
 def _distort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """From a straight lens to this one."""
+    """Distort lines of sight, from a straight lens to this one."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
             return _solve(lambda u, v: brown_conrady(camera, u, v), x, y)
@@ -100,7 +100,7 @@ def _distort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _undistort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """From this lens to a straight one; NaN beyond 90 degrees from the axis."""
+    """Undistort lines of sight, from this lens to a straight one; NaN beyond 90 degrees from the axis."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
             return brown_conrady(camera, x, y)

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num
 
-from i2t import given
+from i2t import validation
 from i2t.depth.camera import Camera, check_image, check_view
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
@@ -76,7 +76,7 @@ def patch_from_depth(
     step: float = MAX_DEPTH_STEP_M,
     fill: float = MAX_HOLE_M,
 ) -> DepthPatch:
-    """What the tool at `T_w_t` has in front of it, as the camera at `T_w_c` saw it: `render_patch` for depth images.
+    """Patch in front of the tool at `T_w_t`, as the camera at `T_w_c` saw it: `render_patch` for depth images.
 
     All but `depth` and the two poses are static. It has no reverse-mode derivative. Holes are bridged from side to
     side, but to the deeper side where the sides differ by more than their distance: what a nearer surface hides lies
@@ -109,13 +109,13 @@ def patch_from_depth(
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
         reading, std = predictor.predict(seen.patch.depth, force=1.0)
     """
-    if not given.is_traced(depth, T_w_c, T_w_t):
+    if not validation.is_traced(depth, T_w_c, T_w_t):
         hint = "a (4, 4) transform"
-        poses = given.numbers("T_w_c", T_w_c, hint), given.numbers("T_w_t", T_w_t, hint)
-        check_view(given.numbers("depth", depth, "an image of metres"), camera, *poses)
-    given.number("window", window, "a length (m) above 0", above=0)
-    given.count("pixels", pixels)
-    given.number("fill", fill, "a length (m), 0 for none", least=0)
+        poses = validation.numbers("T_w_c", T_w_c, hint), validation.numbers("T_w_t", T_w_t, hint)
+        check_view(validation.numbers("depth", depth, "an image of metres"), camera, *poses)
+    validation.number("window", window, "a length (m) above 0", above=0)
+    validation.count("pixels", pixels)
+    validation.number("fill", fill, "a length (m), 0 for none", least=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
     sizes = {"window": window, "reach": reach, "standoff": standoff, "grazing": grazing, "step": step, "fill": fill}
@@ -317,7 +317,7 @@ def _cells(depth: Array, camera: Camera, grazing: float, step: float) -> Float[A
 
 
 class _March(NamedTuple):
-    """How far rays have been followed, (n, n) each; free is what lies before the surface."""
+    """State of rays that are followed, (n, n) each; free is what lies before the surface."""
 
     going: Array  # bool
     free: Array  # bool, at the last sample
@@ -345,7 +345,7 @@ def _follow(
 
 
 def _gap(rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, part: Array) -> tuple[Array, Array]:
-    """How far rays are behind the surface, as a difference of inverse depths (1/m), and whether they are on it.
+    """Distance of rays behind the surface, as a difference of inverse depths (1/m), and whether they are on it.
 
     `part` (n, n) says where on the rays, from 0 at their start to 1 at their end.
     """
@@ -393,7 +393,7 @@ def _march(rays: _Rays, gap: _Gap, reach: float, inner: tuple[slice, slice]) -> 
 
 
 def _crossing(gap: _Gap, low: Array, high: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Where rays go from free (`low`) to behind (`high`), by the Illinois method (Dowell and Jarratt, 1971), and a
+    """Crossing of rays from free (`low`) to behind (`high`), by the Illinois method (Dowell and Jarratt, 1971), and a
     function that tells, from their inverse depth, whether that is on surface.
     """
 

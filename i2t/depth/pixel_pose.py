@@ -1,4 +1,4 @@
-"""Where a tool stands that touches what a pixel of a depth image shows.
+"""Pose of a tool that touches what a pixel of a depth image shows.
 
 The pixel's point is the tool's origin. The surface's normal is that of the plane of least squared distances through
 the measured points around it: its normal is the direction in which they spread least (Pearson, "On lines and planes of
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from i2t import given
+from i2t import validation
 from i2t.depth.camera import Camera, check_depth, check_pose
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import contact_frame
@@ -61,12 +61,12 @@ def pose_at_pixel(
         T_w_t = i2t.pose_at_pixel(image, camera, T_w_c, (320, 180))
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
     """
-    image = given.numbers("depth", depth, "an image of metres")
-    T = given.numbers("T_w_c", T_w_c, "a (4, 4) transform").astype(np.float64)
+    image = validation.numbers("depth", depth, "an image of metres")
+    T = validation.numbers("T_w_c", T_w_c, "a (4, 4) transform").astype(np.float64)
     check_depth(image, camera)
     check_pose("T_w_c", T)
-    given.number("roll", roll, "radians")
-    given.number("radius", radius, f"metres above 0, such as {FITTED_RADIUS_M:g}", above=0)
+    validation.number("roll", roll, "radians")
+    validation.number("radius", radius, f"metres above 0, such as {FITTED_RADIUS_M:g}", above=0)
     column, row = _pixel(pixel, camera)
     points = _points(image, camera)
     at = points[row, column]
@@ -82,7 +82,7 @@ def pose_at_pixel(
 
 def _pixel(pixel: Any, camera: Camera) -> tuple[int, int]:
     """Column and row of the nearest pixel of the image."""
-    at = given.numbers("pixel", pixel, "(u, v), column and row")
+    at = validation.numbers("pixel", pixel, "(u, v), column and row")
     if at.shape != (2,) or not np.isfinite(at).all():
         raise ValueError(f"pixel: {pixel} is not two finite numbers; give (u, v), column and row")
     column, row = (math.floor(value + 0.5) for value in at)
@@ -95,7 +95,7 @@ def _pixel(pixel: Any, camera: Camera) -> tuple[int, int]:
 
 
 def _points(image: Float[np.ndarray, "height width"], camera: Camera) -> Float[np.ndarray, "height width 3"]:
-    """What pixels show, in C (m); NaN where nothing was measured."""
+    """Points that pixels show, in C (m); NaN where nothing was measured."""
     x, y = np.asarray(pixel_rays(camera), np.float64)
     z = np.where(np.isfinite(image) & (image > 0), image, np.nan).astype(np.float64)
     return np.stack([x * z, y * z, z], -1)

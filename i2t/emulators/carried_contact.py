@@ -1,4 +1,4 @@
-"""What a tool feels that carries several skins: each meets the scene at its own pose, and their forces add up.
+"""Contact of a tool that carries several skins: each meets the scene at its own pose, and their forces add up.
 
 Frames: B robot base, T tool, S skin; `T_a_b` maps points in b to a. Metres, newtons.
 """
@@ -24,7 +24,7 @@ class CarriedContact:
         self.model, self._T_tool_skin = model, np.asarray(T_tool_skin, float)
 
     def pose(self, position: Float[Array, "3"], turned: Float[Array, "3 3"]) -> tuple[Array, Array]:
-        """Where the skin is.
+        """Pose of the skin.
 
         Args:
             position: (3,) m, of the tool in the base.
@@ -36,7 +36,7 @@ class CarriedContact:
         return position + turned @ self._T_tool_skin[:3, 3], turned @ self._T_tool_skin[:3, :3]
 
     def __call__(self, position: Float[Array, "3"], turned: Float[Array, "3 3"]) -> Float[Array, "6"]:
-        """What the skin meets.
+        """Wrench of the skin's contact.
 
         Args:
             position: (3,) m, of the tool in the base.
@@ -64,12 +64,12 @@ class SeveralContacts:
 
     @property
     def scene(self) -> TouchableScene:
-        """What the skin in the tool's frame meets."""
+        """Scene that the skin in the tool's frame meets."""
         return self.own.scene
 
     @property
     def busy(self) -> bool:
-        """Whether it is being worked out what lies ahead of a skin."""
+        """Tell whether the contact ahead of a skin is being worked out."""
         return self.own.busy or any(each.model.busy for each in self.carried)
 
     def __call__(self, position: Float[Array, "3"], turned: Float[Array, "3 3"]) -> Float[Array, "6"]:
@@ -85,7 +85,7 @@ class SeveralContacts:
         return np.asarray(sum((each(position, turned) for each in self.carried), start=self.own(position, turned)))
 
     def far(self, position: Float[Array, "3"], turned: Float[Array, "3 3"]) -> bool:
-        """Whether no skin is near what it will meet.
+        """Test whether no skin is near what it will meet.
 
         Args:
             position: (3,) m, of the tool in the base.

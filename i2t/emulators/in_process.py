@@ -1,4 +1,4 @@
-"""Skin, arm and depth camera of a lab that is not there, behind the protocols of the real ones.
+"""Simulated skin, arm and depth camera of a lab, behind the protocols of the real ones.
 
     lab = SimulatedLab(ObjectScene(mesh, T_b_o, pad, errors), VirtualClock())
     with SimulatedSkin(lab) as skin, SimulatedArm(lab, rig.limits) as arm: ...
@@ -216,7 +216,7 @@ class CarriedSkinLab(SimulatedLab):
 
 
 class _SimulatedDevice(DeviceBase):
-    """What skin and arm of a lab share."""
+    """Base class of skin and arm of a lab."""
 
     def __init__(self, lab: SimulatedLab, name: str) -> None:
         self.lab, self._name = lab, name
@@ -227,7 +227,7 @@ class _SimulatedDevice(DeviceBase):
         self._trouble = None
 
     def close(self) -> None:
-        """Let it go."""
+        """Disconnect it."""
         self._trouble = NotConnectedError(f"{self._name} was closed; connect it again")
 
     def _check(self) -> None:
@@ -252,12 +252,12 @@ class SimulatedSkin(_SimulatedDevice):
 
     @property
     def features(self) -> SkinFeatures:
-        """Known before `connect`."""
+        """Features, known before `connect`."""
         return SkinFeatures(self._name, "simulated", channel_names(self.board.num_chips), "uT", 1 / TICK_S)
 
     @property
     def counters(self) -> SkinCounters:
-        """So far; nothing is ever lost."""
+        """Counts so far; nothing is ever lost."""
         rate = 1 / TICK_S if self._trouble is None else 0.0
         return SkinCounters(samples=self.lab.number, connects=self._connects, rate=rate)
 
@@ -333,7 +333,7 @@ class SimulatedArm(_SimulatedDevice):
 
     @property
     def features(self) -> ArmFeatures:
-        """Known before `connect`."""
+        """Features, known before `connect`."""
         limits = self.limits
         return ArmFeatures(
             self._name,
@@ -345,12 +345,12 @@ class SimulatedArm(_SimulatedDevice):
         )
 
     def connect(self) -> None:
-        """Take it."""
+        """Connect it."""
         super().connect()
         self.lab.advance()
 
     def close(self) -> None:
-        """Stop it and let it go."""
+        """Stop and disconnect it."""
         with self.lab.lock:
             self.lab.robot.stop(BRAKING_M_S2)
         super().close()

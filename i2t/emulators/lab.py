@@ -28,7 +28,7 @@ from i2t.skin.boards import make_board
 
 
 def board_address(process: "subprocess.Popen[str]") -> tuple[str, int]:
-    """Where a board that was started with `--field` listens.
+    """Address at which a board that was started with `--field` listens.
 
     Args:
         process: Of the board; this is the next line that it prints.
@@ -104,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _check(args: LabArgs, board: str) -> None:
-    """Refuse what is not there before any process starts."""
+    """Refuse missing files and unknown objects before any process starts."""
     if args.object is not None:
         require_object(args.object, args.unit, flag="--object")
     require_path("--rig", args.rig, "file")

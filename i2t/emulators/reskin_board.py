@@ -82,7 +82,7 @@ class EmulatedBoardArgs:
 
 
 class Readings:
-    """What the chips measure, sample after sample.
+    """Readings of the chips, sample after sample.
 
     Args:
         noise: Times that of real boards.
@@ -164,7 +164,7 @@ class BoardPort:
 
     @property
     def plugged(self) -> bool:
-        """Whether there is a port."""
+        """Tell whether there is a port."""
         return self.master is not None
 
     def plug(self) -> str:
@@ -188,7 +188,7 @@ class BoardPort:
         self._unlink()
 
     def is_open(self) -> bool:
-        """Whether somebody has the port open."""
+        """Tell whether somebody has the port open."""
         if self.master is None:
             return False
         poll = select.poll()
@@ -291,7 +291,7 @@ def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
 
 
 class _Line:
-    """What becomes of samples on their way out of the board."""
+    """Output line of the board, which may lose or damage samples."""
 
     def __init__(self, options: EmulatedBoardArgs) -> None:
         self._options, self._count = options, -1
@@ -299,7 +299,7 @@ class _Line:
         self._faults = np.random.default_rng((options.seed, 2))  # of chips and whole frames
 
     def frame(self, reading: np.ndarray, temperature: np.ndarray, port: BoardPort) -> bytes:
-        """A sample as it leaves the board, or what a wrong baud rate or a bad line makes of it."""
+        """Bytes of a sample as it leaves the board, or as a wrong baud rate or a bad line changes it."""
         options = self._options
         self._count += 1
         gone = self._faults.random(len(temperature)) < options.fail_share
@@ -314,7 +314,7 @@ class _Line:
         return corrupt(whole, options.substitute, options.drop, self._rng) if damaged else whole
 
     def rubbish(self) -> bytes:
-        """What a board sends while it starts."""
+        """Bytes that a board sends while it starts."""
         return self._rng.bytes(RUBBISH_BYTES)
 
 

@@ -16,7 +16,7 @@ DIPOLE_UT_M3 = 0.1  # uT m^3 of an ampere square metre: mu_0 / 4 pi
 
 
 class RoomField(NamedTuple):
-    """What makes the ambient field. The defaults are a lab of the southern half of the Earth with some iron in it: a
+    """Sources of the ambient field. The defaults are a lab of the southern half of the Earth with some iron in it: a
     tool that points down, at the emulators' first pose, feels about (18, -7, -41) uT, and iron makes about 1 uT of it.
     """
 

@@ -67,7 +67,7 @@ class Recipe(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether every name exists on this controller."""
+        """Tell whether every name exists on this controller."""
         return "NOT_FOUND" not in self.types
 
     @property

@@ -36,7 +36,7 @@ STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is
 
 
 class ContactLine(NamedTuple):
-    """What the skin meets on its way along its own z axis."""
+    """Contact of the skin on its way along its own z axis."""
 
     T_b_t: Array  # (4, 4) where the line begins
     first: float  # m from there to first contact, inf where there is none
@@ -46,7 +46,7 @@ class ContactLine(NamedTuple):
     reading: Array  # (k, 3 chips) uT, without noise
 
     def distance_along(self, position: Array, turned: Array) -> float | None:
-        """How far a pose is along the line.
+        """Distance of a pose along the line.
 
         Args:
             position: (3,) m, of the tool in the base.
@@ -64,7 +64,7 @@ class ContactLine(NamedTuple):
         return along
 
     def covers(self, along: float) -> bool:
-        """Whether what lies ahead of a position on the line is known.
+        """Test whether the contact ahead of a position on the line is known.
 
         The object is looked for only `LINE_LENGTH_M` ahead of the line's beginning: where nothing was found, more may
         come behind its end.
@@ -79,7 +79,7 @@ class ContactLine(NamedTuple):
         return begun and bool(np.isfinite(self.first) or along <= LINE_TOLERANCE_M)
 
     def contact_at(self, along: float) -> tuple[float, Array, Array]:
-        """What the skin feels at a place of the line; beyond the last load that is known it goes on straight.
+        """Contact of the skin at a place of the line; beyond the last load that is known it goes on straight.
 
         Args:
             along: m from the line's beginning.
@@ -100,7 +100,7 @@ class ContactLine(NamedTuple):
 
 @runtime_checkable
 class TouchableScene(Protocol):
-    """What a lab's tool meets."""
+    """Scene that a lab's tool meets."""
 
     board: Board
     rest: Array  # (3 chips,) uT, the reading of the skin alone
@@ -109,7 +109,7 @@ class TouchableScene(Protocol):
     errors: SimulationErrors
 
     def near(self, position: Array) -> bool:
-        """Whether anything may be within a line's reach of a place.
+        """Test whether anything may be within a line's reach of a place.
 
         Args:
             position: (3,) m, in the base.
@@ -156,7 +156,7 @@ class SpringPlane:
         self.rest, self.gains = np.zeros(board.num_readings), np.ones(board.num_readings)
 
     def near(self, position: Array) -> bool:
-        """Whether it is near, from above or below, as in `TouchableScene.near`."""
+        """Test whether it is near, from above or below, as in `TouchableScene.near`."""
         return bool(abs(position[2] - self.height) < LINE_LENGTH_M)
 
     def ahead(self, T_b_t: Array) -> ContactLine:
@@ -219,7 +219,7 @@ class ObjectScene:
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
     def near(self, position: Array) -> bool:
-        """Whether the object may be near, as in `TouchableScene.near`."""
+        """Test whether the object may be near, as in `TouchableScene.near`."""
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
     def ahead(self, T_b_t: Array) -> ContactLine:
@@ -245,7 +245,7 @@ class ObjectScene:
 @jax.jit
 @full_precision
 def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array, Array, Array, Array]:
-    """How far it is to first contact (m), and how deep each load sinks (m), with its centre (m) and reading (uT)."""
+    """Distance (m) to first contact, and the depth (m), centre (m) and reading (uT) of each load."""
     pose, hit = press_along(surface, T_o_t, T_o_t[:3, 2], max_distance=LINE_LENGTH_M)
     met = render_patch(surface, pose, window=PAD_WINDOW, pixels=GRID.cells)
     hit = hit & jnp.isfinite(met.nearest)
@@ -263,7 +263,7 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
 
 
 class ContactModel:
-    """What a moving tool feels: the contact of an `i2t.emulators.robot_motion.Robot`, and the reading of its skin.
+    """Contact of a moving tool, for an `i2t.emulators.robot_motion.Robot`, and the reading of its skin.
 
     A line is worked out once the tool stands somewhere near the object; with `wait` False that happens in the
     background (it takes hundredths of a second), and until it is done, while it is `busy`, nothing is met.
@@ -285,7 +285,7 @@ class ContactModel:
 
     @property
     def busy(self) -> bool:
-        """Whether a line is being worked out in the background."""
+        """Tell whether a line is being worked out in the background."""
         return self._coming is not None
 
     def __call__(self, position: Array, turned: Array) -> Array:
@@ -299,7 +299,7 @@ class ContactModel:
         return np.concatenate([turned @ [0.0, 0.0, -force], turned @ [-force * y, force * x, 0.0]])
 
     def ambient(self, position: Array, turned: Array) -> Array:
-        """What the room makes the skin read at a pose, within `AMBIENT_STEP_M` of it (1e-3 uT of the default room).
+        """Reading of the room's field at a pose, within `AMBIENT_STEP_M` of it (1e-3 uT of the default room).
 
         Args:
             position: (3,) m, of the tool in the base.
@@ -317,7 +317,7 @@ class ContactModel:
         return reading
 
     def far(self, position: Array) -> bool:
-        """Whether the tool is at least `NEAR_CONTACT_M` from first contact, or off the line on which there is one.
+        """Test whether the tool is at least `NEAR_CONTACT_M` from first contact, or off the line on which there is one.
 
         Args:
             position: (3,) m, of the tool in the base.

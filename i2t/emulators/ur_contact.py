@@ -1,4 +1,4 @@
-"""What the tool of the emulated UR arm touches: an object, through the skin's physics (`i2t.emulators.scene`).
+"""Contact of the emulated UR arm's tool: with an object, through the skin's physics (`i2t.emulators.scene`).
 
 The only part of that process that needs JAX, imported only if there is an object. The object stands where the rig's
 file says it is, but for the errors of a session of that seed.

@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run(options: ControllerArgs) -> None:
-    """Be a controller until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
+    """Run a controller until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
 
     Args:
         options: What it is like.
@@ -195,7 +195,7 @@ def _server(options: ControllerArgs) -> Server:
 
 
 def _contact(options: ControllerArgs) -> tuple[Contact, float]:
-    """What the tool touches, and the noise of its force sensor (N)."""
+    """Contact of the tool, and the noise of its force sensor (N)."""
     if options.object is None:
         return plane(options.plane, options.stiffness), options.noise or 0.0
     from i2t.emulators.ur_contact import make_contact_model

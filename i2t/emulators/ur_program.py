@@ -1,4 +1,4 @@
-"""What a UR controller runs: the script that ur_rtde uploads, and what the safety system does to it.
+"""Program of a UR controller: the script that ur_rtde uploads, and what the safety system does to it.
 
 Commands and results pass through registers: input_int_0 holds a command, output_int_0 says ready (1) or done (2), and
 goes back to ready once the client has written 0. `i2t.emulators.ur_controller` says what is emulated and what is not.
@@ -170,7 +170,7 @@ class Controller:
         self.kill()
 
     def _execute(self, command: int) -> Finished | None:
-        """Carry out a command; returns what says that it has ended, None where it is never answered."""
+        """Carry out a command; returns a test of its end, None where it is never answered."""
         if command in (Command.MOVE_L, Command.STOP_L, Command.SPEED_STOP, Command.MOVE_UNTIL_CONTACT):
             return self._execute_motion(command)
         d, robot = self.in_doubles, self.robot
@@ -289,7 +289,7 @@ class Controller:
         }
 
     def status(self) -> dict[str, Any]:
-        """What a test or a person wants to know, past the client; clocks in s."""
+        """State for a test or a person, past the client; clocks in s."""
         robot = self.robot
         return {
             "clock": self.clock,

@@ -40,7 +40,7 @@ class Client:
 
     @property
     def controls(self) -> bool:
-        """Whether it is a client that writes registers, not one that only listens."""
+        """Tell whether it is a client that writes registers, not one that only listens."""
         return bool(self.inputs)
 
 

@@ -1,4 +1,4 @@
-"""What simulated and emulated devices meet: an object of the catalogue or a mesh file, and the pad that touches it.
+"""World of simulated and emulated devices: an object of the catalogue or a mesh file, and the pad that touches it.
 
 The configurations of simulated and emulated devices are here too. JAX is imported only once a scene is made.
 """
@@ -22,7 +22,7 @@ CARRIED_PAD_KEY = 1900  # of the random pad of a further skin on the tool, plus 
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """What simulated and emulated devices meet."""
+    """World that simulated and emulated devices meet."""
 
     object: str  # of the catalogue, or a mesh file
     unit: str | None = None  # of a mesh file

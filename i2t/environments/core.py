@@ -48,7 +48,7 @@ MIN_FEATURE_PROBABILITY = 1e-4  # of features
 
 @dataclass(frozen=True)
 class Workspace:
-    """What the six numbers of a pose mean: each goes from -1 to 1."""
+    """Ranges of the six numbers of a pose: each goes from -1 to 1."""
 
     reach: float = 40e-3  # m, of x and y to either side
     height: float = 45e-3  # m; z goes from 0 to here
@@ -76,7 +76,7 @@ class OutcomeTable(NamedTuple):
 
 
 class TouchBeliefs(NamedTuple):
-    """What an environment needs to say how probable each object is (`i2t.environments.beliefs`)."""
+    """Data from which an environment says how probable each object is (`i2t.environments.beliefs`)."""
 
     predicted: PredictedTouch  # (pads, sites, objects, k)
     likelihood: Likelihood
@@ -84,7 +84,7 @@ class TouchBeliefs(NamedTuple):
 
 
 class EnvironmentParams(NamedTuple):
-    """What may be there, and what touches it."""
+    """Objects that may be there, and pads that touch them."""
 
     surfaces: Surface  # of the objects, stacked
     pads: Pad  # stacked
@@ -98,12 +98,12 @@ class EnvironmentParams(NamedTuple):
 
     @property
     def objects(self) -> int:
-        """How many objects there are."""
+        """Number of objects."""
         return self.surfaces.triangles.shape[0]
 
     @property
     def sites(self) -> int:
-        """How many sites there are."""
+        """Number of sites."""
         return self.T_w_site.shape[0]
 
     @property
@@ -129,14 +129,14 @@ class EnvironmentParams(NamedTuple):
 
 
 class TouchAction(NamedTuple):
-    """Where to touch next, and what is believed."""
+    """Place of the next touch, and what is believed."""
 
     touch: Int[Array, ""] | Float[Array, "6"]  # a site, or the numbers of a pose (`Workspace`)
     prediction: Float[Array, " p"] | None = None  # None: the environment's own posterior
 
 
 class EnvironmentObservation(NamedTuple):
-    """What is known after a touch."""
+    """Observation after a touch."""
 
     reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
@@ -282,7 +282,7 @@ class TouchEnvironment:
         )
 
     def _measure(self, key_force: Array, key_noise: Array, outcome: TouchOutcome, board: Board) -> TouchObservation:
-        """What the sensors say of a touch."""
+        """Measurement of a touch by the sensors."""
         noise = sensor_noise(key_noise, board, self.config.errors.noise)
         force = outcome.force + self.config.errors.force * jax.random.normal(key_force)
         return TouchObservation(
@@ -300,7 +300,7 @@ class TouchEnvironment:
         return jax.tree.map(partial(jnp.where, safe), after, state.belief)
 
     def _prediction(self, state: EnvironmentState, action: TouchAction) -> Array:
-        """What an action predicts."""
+        """Prediction of an action."""
         if action.prediction is not None:
             return action.prediction
         if state.belief is None:
@@ -308,7 +308,7 @@ class TouchEnvironment:
         return jnp.log(jnp.maximum(beliefs.posterior(state.belief), beliefs.MIN_PROBABILITY))
 
     def _observe(self, state: EnvironmentState, measured: TouchObservation, refused: Array) -> EnvironmentObservation:
-        """What an agent is shown."""
+        """Observation that an agent is shown."""
         posterior = jnp.zeros(0) if state.belief is None else beliefs.posterior(state.belief)
         return EnvironmentObservation(
             reading=measured.reading,
@@ -353,7 +353,7 @@ def touch_outcome(
 
 
 def sensor_noise(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array, " c"]:
-    """What the chips add to a reading: the mean of the samples in contact minus that of those before.
+    """Noise that the chips add to a reading: the mean of the samples in contact minus that of those before.
 
     Distributed as in `i2t.skin.noise.add_sensor_noise` but for the converter's steps, which are far below the noise,
     and in one draw for each channel.
@@ -393,7 +393,7 @@ def pose_of_numbers(numbers: Float[Array, "6"], workspace: Workspace) -> Float[A
 def is_safe_everywhere(
     T_w_site: Float[Array, "4 4"], params: EnvironmentParams, config: EnvironmentConfig
 ) -> Bool[Array, ""]:
-    """Whether a touch is safe on every object at every believed placement, and over the table where it meets nothing.
+    """Test whether a touch is safe on every object at every believed placement, and over the table if it meets nothing.
 
     Args:
         T_w_site: contact pose of the tool.

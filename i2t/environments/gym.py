@@ -164,7 +164,7 @@ class SingleTouchEnv(gymnasium.Env):
 
 
 def observation_space(params: EnvironmentParams) -> gymnasium.Space:
-    """What observations may be.
+    """Space of observations.
 
     Args:
         params: what may be there.
@@ -192,7 +192,7 @@ def observation_space(params: EnvironmentParams) -> gymnasium.Space:
 
 
 def action_space(environment: TouchEnvironment, params: EnvironmentParams) -> Any:
-    """What actions may be.
+    """Space of actions.
 
     Args:
         environment: its rules.

@@ -34,7 +34,7 @@ ADVANTAGE_STD_OFFSET = 1e-6  # added to the deviation of advantages
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """How a policy is learned."""
+    """Configuration of the learning of a policy."""
 
     iterations: int = 400
     episodes: int = 256  # of each iteration
@@ -58,7 +58,7 @@ class TouchNetwork(nn.Module):
 
     @nn.compact
     def __call__(self, memory: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
-        """One observation further.
+        """Advance by one observation.
 
         Args:
             memory: (hidden,).
@@ -74,7 +74,7 @@ class TouchNetwork(nn.Module):
 
 
 class LearnedPolicy(NamedTuple):
-    """What was learned, and how it went."""
+    """Learned policy, and its losses on the way."""
 
     params: Any  # of the network
     loss: Float[Array, " i"]  # of predictions after each touch of an iteration's episodes, mean over touches
@@ -259,7 +259,7 @@ def _log_chances(logits: Array, may: Array) -> Array:
 
 
 def _log_chance(log: Array, site: Array) -> Array:
-    """That of the site that was chosen; 0 where there was no choice."""
+    """Log probability of the chosen site; 0 where there was no choice."""
     chosen = jnp.take_along_axis(log, jnp.maximum(site, 0)[..., None], -1)[..., 0]
     return jnp.where(site == NO_SITE, 0.0, chosen)
 

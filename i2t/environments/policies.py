@@ -15,7 +15,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import map_batches
 from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment
-from i2t.recognition import belief, ensemble
+from i2t.paper import loop
+from i2t.recognition import belief
 from i2t.recognition import policy as recognition_policy
 from i2t.recognition.policy import NO_SITE
 
@@ -55,7 +56,7 @@ def heuristic_site(
     key: Key[Array, ""], state: EnvironmentState, touched: Bool[Array, " sites"], params: EnvironmentParams
 ) -> Int[Array, ""]:
     """The paper's heuristic: an informative site of the most probable object
-    (`i2t.recognition.ensemble.site_informativeness`), or any other where none is left.
+    (`i2t.paper.loop.site_informativeness`), or any other where none is left.
 
     Args:
         key: random key.
@@ -67,10 +68,10 @@ def heuristic_site(
         The site.
     """
     key_object, key_site = jax.random.split(key)
-    which = ensemble.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.touches)
+    which = loop.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.touches)
     own = params.owner[None] == jnp.arange(params.objects)[:, None]
     everywhere = jnp.broadcast_to(params.T_w_site[None], (params.objects, *params.T_w_site.shape))
-    weight = ensemble.site_informativeness(everywhere[..., :3, 3], -everywhere[..., :3, 2], own, which)
+    weight = loop.site_informativeness(everywhere[..., :3, 3], -everywhere[..., :3, 2], own, which)
     return _draw(key_site, weight, params.allowed & ~touched)
 
 

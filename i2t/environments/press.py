@@ -34,7 +34,7 @@ TOUCH_TOLERANCE = 1e-3  # of the deepest deflection
 
 
 class TouchOutcome(NamedTuple):
-    """How a touch ends, before the sensors are read."""
+    """End of a touch, before the sensors are read."""
 
     reading: Float[Array, "*batch c"]  # uT, noise free; 0 where nothing was met
     force: Float[Array, "*batch"]  # N
@@ -43,7 +43,7 @@ class TouchOutcome(NamedTuple):
 
 
 class TouchGeometry(NamedTuple):
-    """Where the skin meets a surface; the same for every pad."""
+    """Geometry of the skin's contact with a surface; the same for every pad."""
 
     height: Float[Array, "n n"]  # m, behind the nearest point, over the pad's cells
     nearest: Float[Array, ""]  # m, of that point along the approach, from the site
@@ -51,7 +51,7 @@ class TouchGeometry(NamedTuple):
 
 
 def response_map(pad: Pad) -> Float[Array, "c n n"]:
-    """What a pressure on each cell of 1 mm adds to a reading, as long as the skin moves little.
+    """Response of a reading to a pressure on each cell of 1 mm, as long as the skin moves little.
 
     Args:
         pad: the skin.

@@ -1,4 +1,4 @@
-"""What is to be found out by touch: which object it is, or where it is.
+"""Tasks of active touch: which object it is, or where it is.
 
 A task says how an object may stand, what a prediction is and how wrong it is. Another task, say which shape an object
 has, is another class with these methods (`TouchTask`); nothing else of an environment changes.
@@ -20,14 +20,14 @@ SAFETY_STEPS = (-1.0, 0.0, 1.0)  # of each of a planar pose's numbers, where tou
 
 @runtime_checkable
 class TouchTask(Protocol):
-    """What is to be found out."""
+    """Task to be solved by touch."""
 
     @property
     def name(self) -> str:
-        """By which it is registered."""
+        """Name by which it is registered."""
 
     def prediction_size(self, objects: int) -> int:
-        """How many numbers a prediction has.
+        """Number of values of a prediction.
 
         Args:
             objects: of the environment.
@@ -37,7 +37,7 @@ class TouchTask(Protocol):
         """
 
     def placement(self, key: Key[Array, ""], errors: SimulationErrors) -> Float[Array, "4 4"]:
-        """Where an object stands in an episode, T_w_o.
+        """Pose of an object in an episode, T_w_o.
 
         Args:
             key: random key.
@@ -48,14 +48,14 @@ class TouchTask(Protocol):
         """
 
     def safety_placements(self) -> Float[np.ndarray, "h 4 4"]:
-        """Where objects may be thought to stand: a touch has to be safe on each object at each of these.
+        """Poses at which objects may be thought to stand: a touch has to be safe on each object at each of these.
 
         Returns:
             T_w_o of the hypotheses.
         """
 
     def target(self, which: Int[Array, ""], T_w_o: Float[Array, "4 4"], objects: int) -> Float[Array, " p"]:
-        """What a perfect prediction would say.
+        """Prediction that is perfect.
 
         Args:
             which: the object that is there.
@@ -67,7 +67,7 @@ class TouchTask(Protocol):
         """
 
     def loss(self, prediction: Float[Array, " p"], target: Float[Array, " p"]) -> Float[Array, ""]:
-        """How wrong a prediction is; rewards are its negative.
+        """Error of a prediction; rewards are its negative.
 
         Args:
             prediction: of an agent.
@@ -80,7 +80,7 @@ class TouchTask(Protocol):
 
 @dataclass(frozen=True)
 class WhichObject:
-    """Which of some objects is it? It stands where it is believed to, but for the lab's placement errors.
+    """Recognition of one of some objects. It stands where it is believed to, but for the lab's placement errors.
 
     A prediction is a logit of each object; the loss is the cross entropy (nats).
     """
@@ -146,7 +146,7 @@ class WhichObject:
 
 @dataclass(frozen=True)
 class WhereIsIt:
-    """Where on the table is an object? It was shifted and turned about the vertical, uniformly within bounds.
+    """Localisation of an object on the table. It was shifted and turned about the vertical, uniformly within bounds.
 
     A prediction is shift along x, shift along y and turn, each as a fraction of its bound; the loss is their mean
     square error.

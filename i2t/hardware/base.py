@@ -1,4 +1,4 @@
-"""What drivers share: the `with` block of every device, and what a depth camera tells of itself."""
+"""Base classes of drivers: the `with` block of every device, and the features of a depth camera."""
 
 from typing import Any, TypeVar
 
@@ -41,7 +41,7 @@ class CameraBase(DeviceBase):
 
     @property
     def features(self) -> CameraFeatures:
-        """What is known before `connect`, and after it what the device reported."""
+        """Features as known before `connect`, and after it as the device reported them."""
         return self._features
 
     @property

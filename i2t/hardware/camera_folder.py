@@ -67,7 +67,7 @@ class RecordedDepthCamera(CameraBase):
         self._names, self._next, self._due = names, self._first, 0.0
 
     def close(self) -> None:
-        """Give no more views."""
+        """Stop giving views."""
         self._names = None
 
     def capture(self, timeout: float = 2.0) -> View:
@@ -111,7 +111,7 @@ class RecordedDepthCamera(CameraBase):
 
 
 def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]:
-    """What the description of a folder of views holds.
+    """Read the description of a folder of views.
 
     Args:
         path: The folder.

@@ -60,7 +60,7 @@ class CarriedSkin:
             raise ValueError(f"skins.{self.name} names no board; add address, {what} so that no other is taken for it")
 
     def text(self, pose: str) -> list[str]:
-        """It as lines of TOML.
+        """The skin as lines of TOML.
 
         Args:
             pose: `T_tool_skin` as TOML.

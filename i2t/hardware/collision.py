@@ -1,4 +1,4 @@
-"""How hard a collision becomes, and how fast a motion may be.
+"""Force of a collision, and fastest allowed motion.
 
 A tool that meets something at a speed v goes on for the time t in which nothing has been told to brake, and then brakes
 with a: it stops after

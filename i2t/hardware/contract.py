@@ -1,4 +1,4 @@
-"""What every arm, skin and camera must do, as tests that a third party's pytest runs too.
+"""Requirements of every arm, skin and camera, as tests that a third party's pytest runs too.
 
     from i2t.hardware.contract import SkinContract
 
@@ -39,7 +39,7 @@ class _Contract:
 
 
 class ArmContract(_Contract):
-    """What every guarded arm must do; it stands at `home` before each test."""
+    """Requirements of every guarded arm; it stands at `home` before each test."""
 
     limits: MotionLimits  # of the arm
     home: Array  # (4, 4) T_b_t, tool pointing down, 50 mm inside the box on all sides
@@ -116,7 +116,7 @@ class ArmContract(_Contract):
             at_rest(arm)
 
     def test_what_is_beyond_the_limits_is_refused_before_anything_moves(self, make: Callable[[], GuardedArm]) -> None:
-        """Goals outside the box and no poses, and what is too fast."""
+        """Goals outside the box, matrices that are no poses, and motions that are too fast are refused."""
         limits, near = self.limits, self.pose(0.01)
         low, aside, nan = (np.array(self.home) for _ in range(3))
         low[2, 3], aside[1, 3], nan[2, 3] = limits.lower[2] - 0.05, limits.upper[1] + 0.01, np.nan
@@ -180,7 +180,7 @@ class ArmContract(_Contract):
     def test_an_approach_beyond_the_limits_is_refused_before_anything_moves(
         self, make: Callable[[], GuardedArm]
     ) -> None:
-        """Too far, and too hard."""
+        """Approaches that go too far or push too hard are refused."""
         limits = self.limits
         with make() as arm:
             with pytest.raises(ValueError, match="approach distance"):
@@ -190,7 +190,7 @@ class ArmContract(_Contract):
             np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).T_b_t, self.home, atol=1e-6)
 
     def test_an_approach_ends_where_something_says_stop(self, make: Callable[[], GuardedArm]) -> None:
-        """Force, a stop condition, or the distance; an error in the condition stops the arm too."""
+        """Force, a stop condition or the distance ends an approach; an error in the condition stops the arm too."""
         start, floor = self.above_floor(0.01), self.floor or 0.0
         with make() as arm:
             arm.go(start, 0.1, 0.5)
@@ -252,7 +252,7 @@ def at_rest(arm: GuardedArm) -> tuple[ArmState, float]:
 
 
 class SkinContract(_Contract):
-    """What every skin must do; the Earth's field is all that it need measure."""
+    """Requirements of every skin; the Earth's field is all that it need measure."""
 
     rate: float = 400.0  # Hz, nominal
     has_temperature: bool = True
@@ -277,7 +277,7 @@ class SkinContract(_Contract):
         skin.close()
 
     def test_samples_are_whole_plausible_and_in_order(self, make: Callable[[], Skin]) -> None:
-        """Every sample once, measured after the call, in microtesla."""
+        """Every sample comes once, measured after the call, in microtesla."""
         with make() as skin:
             channels = len(skin.features.channels)
             called = time.monotonic()
@@ -295,7 +295,7 @@ class SkinContract(_Contract):
             assert skin.counters.loss == 0
 
     def test_since_gives_every_sample_once(self, make: Callable[[], Skin]) -> None:
-        """Asked again and again it leaves none out."""
+        """Repeated calls of `since` leave no sample out."""
         with make() as skin:
             newest, numbers = int(skin.latest(TEST_PATIENCE_S).number[-1]), list[int]()
             first = newest + 1
@@ -309,7 +309,7 @@ class SkinContract(_Contract):
             assert len(numbers) >= 100
 
     def test_waiting_has_an_end(self, make: Callable[[], Skin]) -> None:
-        """More samples than come in time, and none."""
+        """A call for more samples than come in time, or for none, ends with an error."""
         with make() as skin:
             begun = time.monotonic()
             with pytest.raises(DeviceTimeoutError):
@@ -319,7 +319,7 @@ class SkinContract(_Contract):
                 skin.read(0)
 
     def test_it_can_be_closed_twice_and_connected_again(self, make: Callable[[], Skin]) -> None:
-        """Numbers of samples go on."""
+        """Sample numbers go on after a reconnection."""
         skin = make()
         with skin:
             skin.read(5, TEST_PATIENCE_S)
@@ -333,13 +333,13 @@ class SkinContract(_Contract):
 
 
 class CameraContract(_Contract):
-    """What every depth camera must do; something lies 90 to 200 mm before it."""
+    """Requirements of every depth camera; something lies 90 to 200 mm before it."""
 
     depth_range: tuple[float, float] = (0.09, 0.2)  # m, of what it looks at
     min_measured_share: float = 0.9  # of the pixels
 
     def test_features_are_known_before_connecting(self, make: Callable[[], DepthCamera]) -> None:
-        """It measures as near as the nearest that is looked at."""
+        """The camera measures nearer than the far end of `depth_range`."""
         features = make().features
         assert features.source in ("real", "emulated", "simulated", "replay", "folder")
         assert 0 <= features.nearest < self.depth_range[1]
@@ -374,7 +374,7 @@ class CameraContract(_Contract):
                     assert view.colour.dtype == np.uint8
 
     def test_it_can_be_closed_twice_and_connected_again(self, make: Callable[[], DepthCamera]) -> None:
-        """It gives views again."""
+        """The camera gives views again."""
         camera = make()
         with camera:
             camera.capture(TEST_PATIENCE_S)

@@ -47,7 +47,7 @@ PRINT_PIXELS_PER_MM = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
 
 @dataclass(frozen=True, kw_only=True)
 class CharucoArgs:
-    """What a ChArUco board looks like."""
+    """Layout of a ChArUco board."""
 
     columns: int = 8  # of squares
     rows: int = 6  # of squares

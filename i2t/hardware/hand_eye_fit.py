@@ -1,4 +1,4 @@
-"""Where a camera sits in the tool, from a board seen from many poses of the tool; pure NumPy and SciPy.
+"""Pose of a camera in the tool, from a board seen from many poses of the tool; pure NumPy and SciPy.
 
 With X = T_t_c and Y = T_b_o of the board, a corner p of the board appears in view i along the line of sight of
 X^-1 T_b_t,i^-1 Y p. First X's rotation from the rotations between views, then its translation, both linear (Park and
@@ -74,7 +74,7 @@ def pixel_rays(camera: Camera, pixels: Array) -> Array:
 
 
 def _bent(camera: Camera, rays: Array) -> Array:
-    """Lines of sight (k, 2) moved by a lens in its direct sense."""
+    """Lines of sight (k, 2) distorted by a lens in its direct sense."""
     return np.stack(brown_conrady(camera, *rays.T), axis=1)
 
 
@@ -168,7 +168,7 @@ def closed_form(tools: Array, T_c_o: Array) -> Array:
 
 
 def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
-    """X and Y with the least squares of what was seen, from a guess."""
+    """X and Y by least squares of the corners seen, from a guess."""
     index = np.repeat(np.arange(len(views)), [len(view.corners) for view in views])
     T_t_b = inverse(np.stack([view.T_b_t for view in views]))[index]
     corners, rays = np.concatenate([s.corners for s in views]), np.concatenate([s.rays for s in views])
@@ -185,7 +185,7 @@ def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tup
 
 
 def _miss(X: Array, Y: Array, view: BoardView) -> Array:
-    """(k, 2) by which lines of sight are missed."""
+    """Errors (k, 2) of the predicted lines of sight."""
     T = inverse(view.T_b_t @ X) @ Y
     seen = view.corners @ T[:3, :3].T + T[:3, 3]
     return seen[:, :2] / seen[:, 2:] - view.rays

@@ -1,4 +1,4 @@
-"""Which poses an arm of revolute joints reaches, how near to its joint limits and singularities, and along which way.
+"""Kinematics of arms of revolute joints: reachable poses, distance to joint limits and singularities, joint paths.
 
 An arm is a chain of fixed motions with a rotation about z between each two, which describes any arm of revolute joints;
 `from_dh` and `from_modified_dh` make it of the makers' tables. Poses are solved for joints by damped least squares from
@@ -41,13 +41,13 @@ class SerialArm:
 
     @property
     def reach(self) -> float:
-        """m, the length of the stretched chain."""
+        """Length (m) of the stretched chain."""
         return float(np.linalg.norm(self.fixed[:, :3, 3], axis=1).sum())
 
 
 @dataclass(frozen=True)
 class JointPath:
-    """How an arm follows a line of poses."""
+    """Joint path of an arm along a line of poses."""
 
     joints: Float[np.ndarray, "k n"]  # rad, at each of the poses
     margin: float  # rad, least distance of a joint from its limit on the way
@@ -105,7 +105,7 @@ def from_modified_dh(
 
 
 def forward(arm: SerialArm, joints: Float[Array, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
-    """Where the flange is.
+    """Pose of the flange.
 
     Args:
         arm: Any.
@@ -140,7 +140,7 @@ def solve(
 
 
 def dexterity(arm: SerialArm, joints: Float[Array, " n"]) -> float:
-    """How far from a singularity an arm is.
+    """Distance of an arm from a singularity.
 
     Args:
         arm: Any.
@@ -271,7 +271,7 @@ def _about_x(angle: int | float) -> np.ndarray:
 
 
 def _chain(arm: SerialArm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(..., 4, 4) the flange and (..., 6, n) its Jacobian: m and rad of each radian, along the base's axes."""
+    """Flange (..., 4, 4) and its Jacobian (..., 6, n): m and rad of each radian, along the base's axes."""
     T = np.broadcast_to(arm.fixed[0], (*q.shape[:-1], 4, 4))
     axes, points = [], []
     for i in range(q.shape[-1]):
@@ -297,7 +297,7 @@ def _dexterity(arm: SerialArm, q: np.ndarray) -> np.ndarray:
 
 
 def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(k, n) joints within the limits, from others towards a pose of the flange, and (k,) whether they got there."""
+    """Joints (k, n) within the limits, from others towards a pose of the flange, and whether they got there (k,)."""
     for _ in range(ITERATIONS):
         T, J = _chain(arm, q)
         error = _error(T, goal, arm.reach)
@@ -318,7 +318,7 @@ def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarra
 
 
 def _error(T: np.ndarray, goal: np.ndarray, length: float) -> np.ndarray:
-    """(k, 6) what is missing to the goal: position as a share of a length, and the rotation vector, base axes."""
+    """Error (k, 6) to the goal: position as a share of a length, and the rotation vector, base axes."""
     apart = (goal[:3, 3] - T[:, :3, 3]) / length
     turn = so3_log(goal[:3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
     return np.concatenate([apart, turn], 1)
@@ -340,7 +340,7 @@ def _between(one: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
 
 
 def _distinct(joints: np.ndarray) -> list[np.ndarray]:
-    """Those that differ by more than a tenth of a radian somewhere, in their order."""
+    """Joint vectors that differ by more than a tenth of a radian in some joint, in their order."""
     kept: list[np.ndarray] = []
     for each in joints:
         if all(np.abs(each - one).max() > 0.1 for one in kept):

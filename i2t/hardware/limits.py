@@ -1,4 +1,4 @@
-"""What no motion of an arm may exceed, and the refusal of what would, before a packet is sent.
+"""Limits that no motion of an arm may exceed, checked before a packet is sent.
 
 Goals are (4, 4) T_b_t in metres, tool in robot base. The box holds the tool's origin: flange, elbow and cable are not
 watched here, so set the robot's own safety limits on the pendant too. The box is convex: a straight motion between two
@@ -28,7 +28,7 @@ FREE_TRIP_SHARE = 1 / 3  # of the force limit, at which a free motion is stopped
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Anything beyond is refused, or stops the arm. Raises ValueError for limits that are none."""
+    """Limits of motions: anything beyond is refused, or stops the arm. Raises ValueError for limits that are none."""
 
     lower: tuple[float, float, float]  # m, corner of the box for the tool's origin, base axes
     upper: tuple[float, float, float]  # m
@@ -61,16 +61,16 @@ class MotionLimits:
 
     @property
     def trip_force(self) -> float:
-        """N, at which a free motion is stopped, so that with what comes until it stands it stays within the limit."""
+        """Force (N) that stops a free motion, so that with what comes until it stands it stays within the limit."""
         return FREE_TRIP_SHARE * self.force
 
     @property
     def free_speed(self) -> float:
-        """m/s, the fastest free motion whose collision ends within the force limit (`i2t.hardware.collision`)."""
+        """Speed (m/s) of the fastest free motion whose collision stays within the limit (`i2t.hardware.collision`)."""
         return min(self.speed, fastest_speed(self.force - self.trip_force, self.stiffness, braking=BRAKING_M_S2))
 
     def collision_force(self, speed: float, trip: float) -> float:
-        """Where a collision ends at the most.
+        """Greatest force of a collision.
 
         Args:
             speed: m/s.
@@ -82,7 +82,7 @@ class MotionLimits:
         return trip + overrun_force(speed, self.stiffness, braking=BRAKING_M_S2)
 
     def check(self, goal: Array, speed: float, acceleration: float) -> None:
-        """Refuse a goal that is no pose or lies outside the box, and what is too fast.
+        """Refuse a goal that is no pose or lies outside the box, and a motion that is too fast.
 
         Args:
             goal: (4, 4) T_b_t in m.
@@ -149,7 +149,7 @@ class MotionLimits:
                 )
 
     def contains(self, position: Array, margin: float = 0.0) -> bool:
-        """Whether the box holds a position.
+        """Test whether the box holds a position.
 
         Args:
             position: (3,) m, in the base.

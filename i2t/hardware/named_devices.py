@@ -126,7 +126,7 @@ def require_named(kind: DeviceKind, name: str, built_in: str) -> None:
 
 
 class ToolPose:
-    """Where an arm's tool is, while a person moves it.
+    """Pose of an arm's tool, while a person moves it.
 
     A UR arm is listened to and not controlled. Another package's arm is connected for each pose and then let go.
 

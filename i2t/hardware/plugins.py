@@ -36,7 +36,7 @@ class PluginConfig:
 
 @dataclass(frozen=True, eq=False)
 class DeviceSetup:
-    """What a third party's device is built with."""
+    """Setup with which a third party's device is built."""
 
     rig: Rig  # the lab's calibration: frames, payload, limits
     address: str | None = None  # --host for an arm, --port for a skin, --camera-serial for a camera
@@ -44,7 +44,7 @@ class DeviceSetup:
 
 
 def is_plugin(kind: DeviceKind, name: str) -> bool:
-    """Whether a name means a third party's device.
+    """Test whether a name means a third party's device.
 
     Args:
         kind: Arm, skin or camera.

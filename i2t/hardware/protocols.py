@@ -1,4 +1,4 @@
-"""What a skin, an arm and a depth camera are, whoever made them; and what comes out of them.
+"""Protocols of a skin, an arm and a depth camera, whoever made them; and their data.
 
 A device is built without touching anything, tells its features, and works between `connect` and `close`, which `with`
 calls. Times are `time.monotonic()` of this machine in seconds, taken as near to the measurement as the device allows.
@@ -23,7 +23,7 @@ StopReason: TypeAlias = Literal["condition", "force", "torque", "distance"]
 
 
 class Device(Protocol):
-    """What all devices share."""
+    """Methods that all devices share."""
 
     def connect(self) -> None:
         """Start the device; calling it again after a failure or `close` starts it anew. Raises DeviceError."""
@@ -39,7 +39,7 @@ class Device(Protocol):
 
 
 class SkinFeatures(NamedTuple):
-    """What is known of a skin before it is connected."""
+    """Features of a skin, known before it is connected."""
 
     name: str
     source: str  # real, emulated, simulated or replay: what a file must say of its readings
@@ -70,7 +70,7 @@ class Samples(NamedTuple):
 
 
 class SkinCounters(NamedTuple):
-    """What came and what did not, since the skin was first connected. Only `rate` ever falls."""
+    """Counts of samples, bytes and losses, since the skin was first connected. Only `rate` ever falls."""
 
     samples: int = 0  # delivered
     lost: int = 0  # frames that did not come whole, by the board's own count or the bytes of them that were left
@@ -97,11 +97,11 @@ class Skin(Device, Protocol):
 
     @property
     def features(self) -> SkinFeatures:
-        """Known before `connect`."""
+        """Features, known before `connect`."""
 
     @property
     def counters(self) -> SkinCounters:
-        """So far; can be asked for at any time and never raises."""
+        """Counts so far; can be asked for at any time and never raises."""
 
     def latest(self, timeout: float = 0.4) -> Samples:
         """The newest sample, at once.
@@ -132,7 +132,7 @@ class Skin(Device, Protocol):
         """
 
     def since(self, number: SupportsIndex) -> Samples:
-        """Samples that came after another and are still in the queue, without waiting.
+        """Samples after a given one that are still in the queue, without waiting.
 
         Args:
             number: Of that sample, as in `Samples`; -1 for all.
@@ -143,7 +143,7 @@ class Skin(Device, Protocol):
 
 
 class ArmFeatures(NamedTuple):
-    """What is known of an arm before it is connected."""
+    """Features of an arm, known before it is connected."""
 
     name: str
     source: str  # real, emulated or simulated
@@ -174,7 +174,7 @@ class Arm(Device, Protocol):
 
     @property
     def features(self) -> ArmFeatures:
-        """Known before `connect`."""
+        """Features, known before `connect`."""
 
     def state(self, timeout: float = 0.1) -> ArmState:
         """The newest state.
@@ -231,7 +231,7 @@ class PlanningArm(Protocol):
     """An arm that knows where it can go; others are planned with the arm that the rig names, if it names one."""
 
     def why_unreachable(self, goals: Sequence[Array]) -> str:
-        """Whether it can follow straight lines from pose to pose, asked before anything moves.
+        """Reason why it cannot follow straight lines from pose to pose, asked before anything moves.
 
         Args:
             goals: Poses T_b_t (4, 4) of the tool, m.
@@ -242,7 +242,7 @@ class PlanningArm(Protocol):
 
 
 class CameraFeatures(NamedTuple):
-    """What is known of a depth camera before it is connected."""
+    """Features of a depth camera, known before it is connected."""
 
     name: str
     source: str  # real, emulated, simulated or folder
@@ -286,7 +286,7 @@ class DepthCamera(Device, Protocol):
 
 
 class ApproachResult(NamedTuple):
-    """How a guarded approach ended."""
+    """Outcome of a guarded approach."""
 
     reason: StopReason
     answer: Any  # what the caller's stop condition returned, None unless it stopped the arm

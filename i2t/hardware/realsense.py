@@ -234,7 +234,7 @@ class RealSense(CameraBase):
         return ColourImage(when, np.array(frames.get_color_frame().get_data()), *self._colour)
 
     def _fresh(self, timeout: float) -> tuple[float, Any]:
-        """When frames were exposed after now, and the frames."""
+        """Exposure time of the next frames exposed after now, and these frames."""
         called = time.monotonic()
         for number in range(sys.maxsize):
             left = called + timeout - time.monotonic()
@@ -270,7 +270,7 @@ class RealSense(CameraBase):
                 return None
 
     def _exposed(self, frames: Any) -> float | None:
-        """When frames were exposed, on the monotonic clock; None where their clock is another than this computer's."""
+        """Time of exposure of frames, on the monotonic clock; None where their clock is not this computer's."""
         domains = self._rs.timestamp_domain
         if frames.get_frame_timestamp_domain() not in (domains.global_time, domains.system_time):
             return None

@@ -70,7 +70,7 @@ def _pose(x: float, y: float, z: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """What is where and how far it may go. The defaults describe the emulators and the simulation, no lab.
+    """Calibration of a lab: places and limits. The defaults describe the emulators and the simulation, no lab.
 
     Raises ValueError, with one sentence that names the field, for values that cannot be.
     """
@@ -176,7 +176,7 @@ class Rig:
             temporary.write_text(self.text(), encoding="utf-8")
 
     def text(self) -> str:
-        """It as TOML."""
+        """The rig as TOML."""
         lines = ["# A rig of i2t: T_a_b maps points in b to a, as the four rows of its matrix."]
         for table, keys in _tables().items():
             lines += ["", f"# {COMMENTS[table]}", f"[{table}]"]
@@ -250,7 +250,7 @@ def _carried(tables: Any) -> tuple[CarriedSkin, ...]:
 
 
 def _value(key: str, value: Any) -> Any:
-    """What a key of a file holds, as the type that it must be."""
+    """Value of a key of a file, as the type that it must be."""
     name = key.split(".")[1]
     if name in ("arm", "skin", "model", "object_from"):
         if not isinstance(value, str):
@@ -377,7 +377,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summary(rig: Rig) -> str:
-    """What a rig means, for a person to compare with what stands on the table.
+    """Summary of a rig, for a person to compare with what stands on the table.
 
     Args:
         rig: The lab's calibration.

@@ -1,4 +1,4 @@
-"""Is a rig plausible? What no lab looks like is one sentence that names the field and what to do.
+"""Plausibility of a rig: each value that no lab has is one sentence that names the field and the remedy.
 
 `i2t.hardware.rig` refuses what cannot be. Here is refused what can be but is nearly always a mistake: a tool that looks
 back into its flange, metres for millimetres where both are in range, a camera in front of the skin, a lens of another
@@ -41,7 +41,7 @@ LEAST_ABOVE_OBJECT_M = 40e-3  # that the box must leave above an object
 
 @runtime_checkable
 class StatedRig(Protocol):
-    """What a rig states (`i2t.hardware.rig.Rig`)."""
+    """Values that a rig states (`i2t.hardware.rig.Rig`)."""
 
     @property
     def T_flange_tool(self) -> Array:
@@ -81,7 +81,7 @@ class StatedRig(Protocol):
 
     @property
     def limits(self) -> MotionLimits:
-        """That no motion exceeds."""
+        """Limits that no motion exceeds."""
 
     @property
     def object_covariance(self) -> Array:
@@ -93,7 +93,7 @@ class StatedRig(Protocol):
 
 
 def implausible(rig: StatedRig, vertices: Float[Array, "v 3"] | None = None) -> list[str]:
-    """What about a rig is nearly always a mistake.
+    """Find values of a rig that are nearly always mistakes.
 
     Args:
         rig: A lab's calibration.
@@ -130,7 +130,7 @@ def require_plausible(rig: StatedRig, vertices: Float[Array, "v 3"] | None = Non
 
 
 def other_lens(rig: Camera, own: Camera) -> str:
-    """Whether a rig's lens is another than the camera's own.
+    """Compare a rig's lens with the camera's own.
 
     Args:
         rig: As the rig has it.
@@ -159,7 +159,7 @@ def other_lens(rig: Camera, own: Camera) -> str:
 
 
 def other_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"]) -> str:
-    """Whether a controller was told another TCP than the rig's.
+    """Compare the TCP that a controller was told with the rig's.
 
     Args:
         T_flange_tool: As the rig has it.
@@ -182,7 +182,7 @@ def other_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"
 
 
 def _carried(rig: StatedRig) -> Iterator[str]:
-    """Further skins that would meet everything first, or lie where another one is."""
+    """Find further skins that would meet everything first, or lie where another one is."""
     placed: dict[str, Array] = {"at the tool": np.eye(4)}
     for skin in rig.skins:
         out_by = float(skin.T_tool_skin[2, 3])

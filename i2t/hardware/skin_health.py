@@ -1,4 +1,4 @@
-"""Whether a skin at rest is healthy: dead, frozen and saturated chips, noise, steps, temperature; and whether it feels.
+"""Health of a skin at rest: dead, frozen and saturated chips, noise, steps, temperature; and whether it feels.
 
 A pure judgement of samples that a skin sent while it touched nothing, and of the change that a light press made. Each
 defect is one sentence that names chip and axis. What makes readings a lie stops a session (`stops`); what makes them
@@ -52,7 +52,7 @@ class SkinDefect(NamedTuple):
 
 
 class SkinHealth(NamedTuple):
-    """What samples at rest tell of a skin."""
+    """Health of a skin by its samples at rest."""
 
     rate: float  # Hz
     noise: Float[np.ndarray, " c"]  # uT, standard deviation of one sample; NaN for a chip that is missing
@@ -160,7 +160,7 @@ def press_defect(change: Float[Array, " c"], force: float) -> str:
 
 
 def _white_noise(by_chip: Array) -> np.ndarray:
-    """(chips, 3) uT, of one sample, without slow changes; NaN for a chip that is missing."""
+    """White noise (chips, 3) uT of one sample, without slow changes; NaN for a chip that is missing."""
     change = np.abs(np.diff(by_chip, axis=0))
     noise = np.full(by_chip.shape[1:], np.nan)
     for chip, axis in np.ndindex(*noise.shape):
@@ -172,12 +172,12 @@ def _white_noise(by_chip: Array) -> np.ndarray:
 
 
 def _dead(by_chip: Array) -> np.ndarray:
-    """(chips,) which chips send zeros most of the time: no field is zero along three axes at once."""
+    """Mask (chips,) of chips that send zeros most of the time: no field is zero along three axes at once."""
     return (by_chip == 0).all(2).mean(0) > 0.5
 
 
 def _saturated(by_chip: Array) -> np.ndarray:
-    """(chips, 3) which axes stay at their greatest value, near or beyond the least end of a converter's range."""
+    """Mask (chips, 3) of axes that stay at their greatest value, near or beyond the least end of a converter."""
     size = np.abs(np.where(np.isfinite(by_chip), by_chip, 0.0))
     greatest = size.max(0)
     clipped = (size == greatest).mean(0) > CLIPPED_SHARE
@@ -185,7 +185,7 @@ def _saturated(by_chip: Array) -> np.ndarray:
 
 
 def _frozen(by_chip: Array) -> np.ndarray:
-    """(chips, 3) which axes did not change once, though the other chips' say that they should have."""
+    """Mask (chips, 3) of axes that did not change once, though the other chips' say that they should have."""
     change = np.diff(by_chip, axis=0)
     known = np.isfinite(change).sum(0)
     still = (known >= MIN_REST_SAMPLES // 2) & (np.nan_to_num(np.abs(change)).sum(0) == 0)

@@ -1,4 +1,4 @@
-"""Where the skin is in the tool, by touching a flat with each of its corners; the first lines of a rig that are true.
+"""Place of the skin in the tool, by touching a flat with each of its corners; the first lines of a rig that are true.
 
     python -m i2t.hardware.touch_off --host 192.168.0.2 --rig lab.toml --height 0.012 --at 0.4 0.1 --write
 
@@ -58,7 +58,7 @@ RENAMED_TOUCH_OFF_FLAGS = {"--stale": "--state-timeout", "--watchdog": "--watchd
 
 
 class FittedPlane(NamedTuple):
-    """The skin as it was found."""
+    """Plane of the skin as it was found."""
 
     T_tool_skin: Array  # (4, 4), from the tool's frame as it was: a shift along z and a tilt
     flatness_error: float  # m, by which each corner misses their plane
@@ -79,7 +79,7 @@ def corner_rotation(side: tuple[int, int], tilt: float = TILT_RAD) -> Float[Arra
 
 
 def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> float:
-    """Where a press of a corner began.
+    """Distance to first contact in a press of a corner.
 
     Args:
         distance: m, of the looks on the way.
@@ -214,7 +214,7 @@ def _start(side: tuple[int, int], at: tuple[float, float], height: float) -> Arr
 
 
 def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float:
-    """Lower a corner from T_b_t (4, 4), where the arm stands; how far (m) it went until first contact."""
+    """Lower a corner from T_b_t (4, 4), where the arm stands; returns the distance (m) to first contact."""
     arm.zero_wrench()
     looks: list[tuple[float, float]] = []
 

@@ -26,7 +26,7 @@ READY_MODELS: dict[str, tuple[Part, ...]] = {
 
 
 def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
-    """Where a part of a ready model is, or the path that was meant otherwise.
+    """Path of a part of a ready model, or the given path otherwise.
 
     Args:
         name: Of a ready model, or a path; where a file or folder of that name is at hand, it is meant.
@@ -42,7 +42,7 @@ def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
 
 
 def model_card(name: str) -> dict[str, Any]:
-    """What was measured of a ready model.
+    """Data and scores of a ready model.
 
     Args:
         name: Of the model.

@@ -1,4 +1,4 @@
-"""What is touched: procedural solids, meshes and point clouds from files. Imports no JAX.
+"""Objects to touch: procedural solids, meshes and point clouds from files. Imports no JAX.
 
 Each name is loaded when it is first used: reading mesh files needs libraries that take seconds to import, and a command
 that only asks which objects there are need not wait for them.

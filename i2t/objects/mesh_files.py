@@ -31,7 +31,7 @@ Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # 
 
 @dataclass(frozen=True)
 class CleaningReport:
-    """What cleaning a mesh file did; `str` is for people."""
+    """Report on the cleaning of a mesh file; `str` is for people."""
 
     path: str
     faces_read: int
@@ -47,7 +47,7 @@ class CleaningReport:
 
     @property
     def watertight(self) -> bool:
-        """Whether the surface is closed."""
+        """Tell whether the surface is closed."""
         return self.open_edges == 0
 
     def __str__(self) -> str:
@@ -317,7 +317,7 @@ def _check_whole(path: Path, data: bytes) -> None:
 
 
 def _once(faces: NDArray) -> NDArray:
-    """Which faces to keep so that no two have the same corners.
+    """Mask of faces to keep so that no two have the same corners.
 
     Of repeated faces one stays, except of a fin: faces back to back that stand on a closed surface (scans have them),
     whose edges belong to two other faces or to none. The winding says nothing here, as it may be wrong.

@@ -1,10 +1,10 @@
-"""Where a tool stands that touches an object at a chosen point."""
+"""Poses of a tool that touches an object at a chosen point."""
 
 import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from i2t import given
+from i2t import validation
 from i2t.geometry import contact_frame
 from i2t.objects.solids import Mesh
 from i2t.types import Array
@@ -44,10 +44,10 @@ def contact_pose(
     """
     if not hasattr(mesh, "vertices") or not hasattr(mesh, "faces"):
         raise TypeError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.Mesh (i2t.load_mesh)")
-    at = given.numbers("point", point, "x, y and z in metres").astype(np.float64)
+    at = validation.numbers("point", point, "x, y and z in metres").astype(np.float64)
     if at.shape != (3,) or not np.isfinite(at).all():
         raise ValueError(f"point: {point} is not three finite numbers; give x, y and z in metres")
-    given.number("roll", roll, "radians")
+    validation.number("roll", roll, "radians")
     distance, face_normal = _nearest(mesh, at)
     if distance > MAX_OFF_SURFACE_M:
         raise ValueError(
@@ -55,14 +55,14 @@ def contact_pose(
             "point on it, in metres and in the mesh's frame"
         )
     hint = "a unit vector, or leave it out"
-    outward = face_normal if normal is None else given.numbers("normal", normal, hint).astype(np.float64)
+    outward = face_normal if normal is None else validation.numbers("normal", normal, hint).astype(np.float64)
     if outward.shape != (3,) or not abs(float(np.linalg.norm(outward)) - 1) <= UNIT_TOLERANCE:
         raise ValueError(f"normal: {normal} is no unit vector; divide it by its length, or leave it out")
     return np.asarray(contact_frame(at, outward / np.linalg.norm(outward), roll))
 
 
 def _nearest(mesh: Mesh, at: Float[np.ndarray, "3"]) -> tuple[float, Float[np.ndarray, "3"]]:
-    """How far (m) the mesh is from a point, and the unit normal of the nearest face that has an area."""
+    """Distance (m) of the mesh from a point, and the unit normal of the nearest face that has an area."""
     corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice_area = np.linalg.norm(cross, axis=1)

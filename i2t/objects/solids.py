@@ -90,7 +90,7 @@ def mesh_from_solid(solid: Manifold) -> Mesh:
 
 
 def segments(radius: Real) -> int:
-    """How many chords replace a circle within `SAGITTA`.
+    """Number of chords that replace a circle within `SAGITTA`.
 
     Args:
         radius: mm.

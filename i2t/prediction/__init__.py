@@ -1,1 +1,1 @@
-"""From what is seen, and a force, to what the skin will report: predictors, their training and their scores."""
+"""Predictors of skin readings from a view and a force, their training and their scores."""

@@ -1,5 +1,5 @@
 """Predictors that every model has to beat, and that are kept where none does: the mean reading, the nearest patches and
-ridge regression, from patches alone or together with what was measured at contact.
+ridge regression, from patches alone or together with measurements at contact.
 
 A touch becomes a vector x: principal components of its patch, and what was measured, both scaled to unit mean square
 length over the training touches. With readings y,
@@ -17,16 +17,20 @@ NumPy, because nothing here is differentiated.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int, Key
 from scipy.optimize import nnls
 
+from i2t.dataset import Split
+from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.metrics import near_rows, nearest_neighbours
+from i2t.prediction.predictor import Predictor
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.types import in_one_line
 
-MEAN, NEAREST, RIDGE, WITH_MEASURED = "mean reading", "k nearest patches", "ridge on PCA", " + measured"
 COMPONENTS = 30  # of patches, at most
 BASELINE_NEIGHBOUR_COUNTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 PENALTIES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
@@ -38,7 +42,7 @@ MIN_SPREAD_UT = 1e-6
 
 @in_one_line
 class TouchFeatures(NamedTuple):
-    """What turns a touch into a vector."""
+    """Map from a touch to a vector."""
 
     patch_mean: Float[np.ndarray, " pixels"]  # m
     basis: Float[np.ndarray, "k pixels"]
@@ -47,117 +51,109 @@ class TouchFeatures(NamedTuple):
     measured_std: Float[np.ndarray, " m"]  # N or m
 
 
-@in_one_line
-class MeanReading(NamedTuple):
-    """The mean of the training readings, whatever is touched."""
+@dataclass(frozen=True)
+class MeanReading(TouchModel):
+    """The mean of the training readings, for every touch."""
 
     mean: Float[np.ndarray, " c"]  # uT
     spread: Float[np.ndarray, " c"]  # uT, standard deviation of the training readings
 
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return len(self.mean)
 
-@in_one_line
-class NearestPatches(NamedTuple):
-    """The mean reading of the nearest training touches."""
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict, as in `TouchModel.predict_batch`."""
+        shape = (len(touches.patch), len(self.mean))
+        return Reading(np.broadcast_to(self.mean, shape).copy(), np.broadcast_to(self.spread, shape).copy())
+
+
+@dataclass(frozen=True)
+class OnFeatures(TouchModel):
+    """Model on a patch and measurements at contact."""
 
     features: TouchFeatures
+    spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups, at the least variance
+    conditions: tuple[str, ...]  # of force, nearest and depth, those that it is given
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return len(self.spread)
+
+    def _features(self, touches: TouchBatch) -> np.ndarray:
+        pixels = round(len(self.features.patch_mean) ** 0.5)
+        if touches.patch.shape[1] != pixels:
+            raise ValueError(f"patch has {touches.patch.shape[1]} pixels an edge; this model sees {pixels}")
+        return features_of(self.features, touches.patch, touches.conditions(self.conditions))
+
+    def _reading(self, mean: np.ndarray, growth: np.ndarray) -> Reading:
+        return Reading(_plain(mean), _plain(np.sqrt(growth)[:, None] * self.spread))
+
+
+@dataclass(frozen=True)
+class NearestPatches(OnFeatures):
+    """The mean reading of the nearest training touches."""
+
     points: Float[np.ndarray, "n d"]
     readings: Float[np.ndarray, "n c"]  # uT
     neighbours: Float[np.ndarray, ""]
-    spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups
     growth: Float[np.ndarray, "2"]  # of the variance, in spread^2: at distance zero, and by squared distance
 
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict, as in `TouchModel.predict_batch`."""
+        x, points, k = self._features(touches), np.asarray(self.points, np.float64), int(self.neighbours)
+        mean = nearest_neighbours(points, np.asarray(self.readings, np.float64), x, k)
+        return self._reading(mean, _grown(self.growth, _mean_square_distance(points, x, k)))
 
-@in_one_line
-class RidgeOnPatches(NamedTuple):
+
+@dataclass(frozen=True)
+class RidgeOnPatches(OnFeatures):
     """Linear regression with a squared penalty."""
 
-    features: TouchFeatures
     centre: Float[np.ndarray, " d"]
     weights: Float[np.ndarray, "d c"]  # uT
     mean: Float[np.ndarray, " c"]  # uT
     inverse: Float[np.ndarray, "d d"]  # of the system, for the leverage
-    spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups where the leverage is zero
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict, as in `TouchModel.predict_batch`."""
+        from_centre = self._features(touches) - self.centre
+        mean = from_centre @ np.asarray(self.weights, np.float64) + self.mean
+        return self._reading(mean, 1 + _leverage(np.asarray(self.inverse, np.float64), from_centre))
 
 
-Baseline: TypeAlias = MeanReading | NearestPatches | RidgeOnPatches
-Method: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray]  # (x, y, at, option) -> (m, c)
+Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray]  # x, y, at, option
 
 
-def fit_baselines(
-    patches: Float[np.ndarray, "n h w"],
-    measured: Float[np.ndarray, "n m"],
-    readings: Float[np.ndarray, "n c"],
-    groups: Int[np.ndarray, " n"],
-) -> dict[str, Baseline]:
-    """Every baseline, fitted to training touches.
-
-    Args:
-        patches: m.
-        measured: What was measured at contact (N, m), without NaN; with no column, no baseline is given any.
-        readings: uT.
-        groups: The run or spatial block of each touch, which cross-validation leaves whole.
-
-    Returns:
-        Baselines by name.
-    """
-    readings = np.asarray(readings, np.float64)
-    fold = fold_of(groups)
-    found: dict[str, Baseline] = {MEAN: MeanReading(_plain(readings.mean(0)), _floored(readings.std(0)))}
-    variants = {"": measured[:, :0], WITH_MEASURED: measured}
-    of_patches = touch_features(patches, measured[:, :0])
-    for suffix, columns in variants.items():
-        if suffix and not measured.shape[1]:
-            continue
-        features = _with_measured(of_patches, columns)
-        points = _plain(features_of(features, patches, columns))
-        found[NEAREST + suffix] = _fit_nearest(features, points, readings, fold)
-        found[RIDGE + suffix] = _fit_ridge(features, points, readings, fold)
-    order = (MEAN, *(name + suffix for name in (NEAREST, RIDGE) for suffix in variants))
-    return {name: found[name] for name in order if name in found}
-
-
-def predict(
-    baseline: Baseline, patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]
-) -> tuple[Float[np.ndarray, "n c"], Float[np.ndarray, "n c"]]:
-    """Readings of touches.
+def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
+    """The mean reading as a model.
 
     Args:
-        baseline: A fitted baseline.
-        patches: m, as many pixels as it was fitted to.
-        measured: What it was given in fitting, in the same order; no column where it was given none.
+        readings: uT, of the training touches.
 
     Returns:
-        Mean and standard deviation, uT.
+        It, with the spread of the readings.
     """
-    if isinstance(baseline, MeanReading):
-        shape = (len(patches), len(baseline.mean))
-        return np.broadcast_to(baseline.mean, shape).copy(), np.broadcast_to(baseline.spread, shape).copy()
-    x = features_of(baseline.features, patches, measured)
-    if isinstance(baseline, NearestPatches):
-        points, k = np.asarray(baseline.points, np.float64), int(baseline.neighbours)
-        mean = nearest_neighbours(points, np.asarray(baseline.readings, np.float64), x, k)
-        factor = _grown(baseline.growth, _mean_square_distance(points, x, k))
-    else:
-        from_centre = x - baseline.centre
-        mean = from_centre @ np.asarray(baseline.weights, np.float64) + baseline.mean
-        factor = 1 + _leverage(np.asarray(baseline.inverse, np.float64), from_centre)
-    return _plain(mean), _plain(np.sqrt(factor)[:, None] * baseline.spread)
+    plain = readings.astype(np.float64)
+    return MeanReading(_plain(plain.mean(0)), _floored(plain.std(0)))
 
 
-def measured_count(baseline: Baseline) -> int:
-    """How many measured values a baseline is given with the patch.
+def patch_features(patches: Float[np.ndarray, "n h w"]) -> TouchFeatures:
+    """`touch_features` of patches alone.
 
     Args:
-        baseline: A fitted baseline.
+        patches: m, of the training touches.
 
     Returns:
-        Their number.
+        Their principal components.
     """
-    return 0 if isinstance(baseline, MeanReading) else len(baseline.features.measured_mean)
+    return touch_features(patches, np.zeros((len(patches), 0)))
 
 
 def touch_features(patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
-    """What turns touches like these into vectors.
+    """Fit the map from touches to vectors.
 
     Args:
         patches: m, of the training touches.
@@ -168,7 +164,6 @@ def touch_features(patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarr
     """
     flat = patches.reshape(len(patches), -1).astype(np.float64)
     mean = flat.mean(0)
-    # Eigenvectors of the smaller of the two covariance matrices.
     basis = np.linalg.svd(flat - mean, full_matrices=False)[2][:COMPONENTS]
     length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all patches alike
     nothing = np.zeros(0, np.float32)
@@ -179,7 +174,7 @@ def touch_features(patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarr
 
 
 def _with_measured(features: TouchFeatures, measured: np.ndarray) -> TouchFeatures:
-    """The same components, with scales of what was measured."""
+    """The same components, with scales of the measurements."""
     std = measured.astype(np.float64).std(0)
     scale = _plain(np.where(std > 0, std, 1))
     return features._replace(measured_mean=_plain(measured.mean(0)), measured_std=scale)
@@ -239,7 +234,7 @@ def ridge(
 
 
 def held_out(
-    method: Method,
+    method: Regression,
     option: float,
     x: Float[np.ndarray, "n d"],
     y: Float[np.ndarray, "n c"],
@@ -265,7 +260,7 @@ def held_out(
 
 
 def _best_option(
-    method: Method, options: Sequence[float], x: np.ndarray, y: np.ndarray, fold: np.ndarray
+    method: Regression, options: Sequence[float], x: np.ndarray, y: np.ndarray, fold: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """The option with the least squared error on held-out parts, and these errors (n, c)."""
     if fold.max() == 0:  # nothing can be held out of a single touch
@@ -275,7 +270,9 @@ def _best_option(
     return options[best], errors[best]
 
 
-def _fit_nearest(features: TouchFeatures, points: np.ndarray, readings: np.ndarray, fold: np.ndarray) -> NearestPatches:
+def _fit_nearest(
+    features: TouchFeatures, conditions: tuple[str, ...], points: np.ndarray, readings: np.ndarray, fold: np.ndarray
+) -> NearestPatches:
     x = np.asarray(points, np.float64)
 
     def mean(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
@@ -288,12 +285,12 @@ def _fit_nearest(features: TouchFeatures, points: np.ndarray, readings: np.ndarr
         known = fold != i if (fold != i).any() else fold == i
         away[fold == i] = _mean_square_distance(x[known], x[fold == i], int(k))
     growth = nnls(np.c_[np.ones(len(x)), away], ((error / spread) ** 2).mean(1))[0]
-    return NearestPatches(
-        features, points, _plain(readings), _plain(np.asarray(k)), spread=spread, growth=_plain(growth)
-    )
+    return NearestPatches(features, spread, conditions, points, _plain(readings), _plain(np.asarray(k)), _plain(growth))
 
 
-def _fit_ridge(features: TouchFeatures, points: np.ndarray, readings: np.ndarray, fold: np.ndarray) -> RidgeOnPatches:
+def _fit_ridge(
+    features: TouchFeatures, conditions: tuple[str, ...], points: np.ndarray, readings: np.ndarray, fold: np.ndarray
+) -> RidgeOnPatches:
     x = np.asarray(points, np.float64)
     penalty, error = _best_option(ridge, PENALTIES, x, readings, fold)
     centre, mean, inverse = x.mean(0), readings.mean(0), np.linalg.inv(_system(x, penalty))
@@ -301,7 +298,7 @@ def _fit_ridge(features: TouchFeatures, points: np.ndarray, readings: np.ndarray
     known = 1 + _leverage(inverse, x - centre)
     spread = _floored(np.sqrt((error**2 / known[:, None]).mean(0)))
     centre, weights, mean, inverse = (_plain(value) for value in (centre, weights, mean, inverse))
-    return RidgeOnPatches(features, centre, weights, mean, inverse=inverse, spread=spread)
+    return RidgeOnPatches(features, spread, conditions, centre, weights, mean, inverse)
 
 
 def _system(x: np.ndarray, penalty: float) -> np.ndarray:
@@ -327,5 +324,83 @@ def _floored(spread: np.ndarray) -> np.ndarray:
 
 
 def _plain(values: np.ndarray) -> np.ndarray:
-    """As on disk, so that what is loaded predicts the same."""
+    """Values as on disk, so that a loaded model predicts the same."""
     return np.asarray(values, np.float32)
+
+
+class Mean(Method):
+    """The mean reading."""
+
+    title = "mean reading"
+    baseline = True
+
+    def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor:
+        """Fit, as in `Method.fit`."""
+        return touches.predictor(mean_of(touches.dataset.touches.reading[split.train]), split)
+
+
+class Nearest(Method):
+    """The nearest patches."""
+
+    title = "k nearest patches"
+    baseline = True
+    measured: ClassVar[bool] = False
+    fit_points: ClassVar[Callable[..., OnFeatures]] = staticmethod(_fit_nearest)
+
+    def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
+        """Fit, as in `Method.fit`; with measurements, where there are any."""
+        conditions = touches.measured if self.measured else ()
+        if self.measured and not conditions:
+            return None
+        rows, seen = split.train, touches.dataset.touches
+        of_patches = touches.once("patch features", lambda: patch_features(seen.patch[rows]))
+        measured = touches.conditions(rows)[:, : len(conditions)]
+        model = self.model(of_patches, conditions, seen.patch[rows], measured, seen.reading[rows], split.groups[rows])
+        return touches.predictor(model, split)
+
+    def model(
+        self,
+        of_patches: TouchFeatures,
+        conditions: tuple[str, ...],
+        patches: Float[np.ndarray, "n h w"],
+        measured: Float[np.ndarray, "n m"],
+        readings: Float[np.ndarray, "n c"],
+        groups: Int[np.ndarray, " n"],
+    ) -> TouchModel:
+        """The model of n training touches.
+
+        Args:
+            of_patches: What turns their patches into vectors.
+            conditions: Names of what was measured.
+            patches: m.
+            measured: What was measured at contact.
+            readings: uT.
+            groups: Held out together.
+
+        Returns:
+            Fitted.
+        """
+        features = _with_measured(of_patches, measured)
+        points = _plain(features_of(features, patches, measured))
+        return self.fit_points(features, conditions, points, readings.astype(np.float64), fold_of(groups))
+
+
+class NearestMeasured(Nearest):
+    """The nearest touches, by patch and measurements."""
+
+    title = "k nearest patches + measured"
+    measured = True
+
+
+class Ridge(Nearest):
+    """Ridge regression on patches."""
+
+    title = "ridge on PCA"
+    fit_points = staticmethod(_fit_ridge)
+
+
+class RidgeMeasured(Ridge):
+    """Ridge regression on patches and measurements."""
+
+    title = "ridge on PCA + measured"
+    measured = True

@@ -9,37 +9,37 @@ as JSON, both configurations, the versions of the packages that wrote it, and wh
 
 import math
 import shutil
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 from orbax.checkpoint import v1 as ocp
 
+from i2t import training
 from i2t._version import __version__
 from i2t.errors import CheckpointError
 from i2t.files import may_grow_to, read_json
-from i2t.prediction import training
-from i2t.prediction.model import ModelConfig, Normalisation, Params, Standard
-from i2t.prediction.training import TrainConfig, TrainState
+from i2t.paper.config import PaperConfig
+from i2t.paper.network import Params
+from i2t.prediction.model import ModelConfig, Normalisation, as_paper, conditions_of, learner
+from i2t.prediction.touch_model import config_from
+from i2t.training import Standard, TrainConfig, TrainState
 
 CHECKPOINT_FORMAT = "i2t checkpoint"
 CHECKPOINT_VERSION = 1
 MAX_DESCRIPTION_BYTES = 2**26
-MAX_LIST = 100  # values of a list in a configuration, such as layers
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
-
-Config = TypeVar("Config")
 
 
 class Description(NamedTuple):
-    """What a checkpoint says of itself."""
+    """Description of a checkpoint."""
 
-    model: ModelConfig
+    model: PaperConfig  # or a `ModelConfig`
     train: TrainConfig
     touches: int  # in the training set, which sets the length of an epoch
     epoch: int
@@ -50,7 +50,7 @@ class Description(NamedTuple):
 def save(
     directory: Path | str,
     state: TrainState,
-    model: ModelConfig,
+    model: PaperConfig,
     train: TrainConfig,
     norm: Normalisation,
     *,
@@ -88,7 +88,7 @@ def save(
 
 
 def exists(directory: Path | str) -> bool:
-    """Whether a save was finished; a first one that was interrupted leaves only its beginnings.
+    """Test for a finished save; a first one that was interrupted leaves only its beginnings.
 
     Args:
         directory: Folder of the checkpoint.
@@ -137,7 +137,7 @@ def restore(directory: Path | str) -> tuple[TrainState, Normalisation, Descripti
 
 
 def drop_state(directory: Path | str) -> None:
-    """Remove what only going on with a training needs, three quarters of its size; `load` reads what is left.
+    """Remove the part that only a resumed training needs, three quarters of its size; `load` reads the rest.
 
     Args:
         directory: Folder of the checkpoint.
@@ -178,9 +178,7 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
             "the i2t that wrote it or train again."
         )
     try:
-        # Earlier versions could train several seeds together and said so; one seed is what is trained now.
-        training_said = {name: value for name, value in about["train"].items() if (name, value) != ("seeds", 1)}
-        model, train = config_from(ModelConfig, about["model"]), config_from(TrainConfig, training_said)
+        model, train = _configs(dict(about["model"]), dict(about["train"]))
         touches = int(about["touches"])
     except (TypeError, ValueError, LookupError, AttributeError) as error:
         written_by = about.get("packages", {}) if isinstance(about.get("packages"), dict) else {}
@@ -198,8 +196,37 @@ def _describe(directory: Path | str) -> tuple[Description, Path]:
     ), step
 
 
+def _configs(model: dict[str, Any], train: dict[str, Any]) -> tuple[PaperConfig, TrainConfig]:
+    """Network and training options. Earlier versions could train several seeds together, of which one is trained now,
+    and kept the weights of the loss with the training; `members` are of networks that may be more than the paper's.
+    """
+    if train.pop("seeds", 1) != 1:
+        raise ValueError("several seeds trained together")
+    train.pop("seed", None)
+    weights = train.pop("loss", {})
+    model |= {new: weights[old] for old, new in (("auxiliary", "auxiliary_weight"), ("beta", "beta")) if old in weights}
+    return network_config(model), config_from(TrainConfig, train)
+
+
+def network_config(values: dict[str, Any]) -> PaperConfig:
+    """Network, from its JSON form.
+
+    Args:
+        values: Fields by name.
+
+    Returns:
+        The paper's configuration where nothing more is configured.
+
+    Raises:
+        ValueError: A field is unknown, or a value is refused.
+    """
+    input_now = {"image": "pressure"}.get(values.get("input", ""), values.get("input"))  # a name of earlier versions
+    values = values | ({"input": input_now} if input_now else {})
+    return as_paper(config_from(ModelConfig if "members" in values else PaperConfig, values))
+
+
 def read_description(folder: Path) -> dict[str, Any]:
-    """What the writer of a checkpoint said of it.
+    """Read the description of a checkpoint.
 
     Args:
         folder: Of one checkpoint.
@@ -219,7 +246,7 @@ def read_description(folder: Path) -> dict[str, Any]:
 
 
 def check_size(folder: Path, shapes: PyTree) -> None:
-    """Refuse arrays that are said to be larger than a folder can hold: what was never written is read as zeros.
+    """Refuse arrays that are said to be larger than a folder can hold: unwritten parts are read as zeros.
 
     Args:
         folder: Of one checkpoint.
@@ -238,7 +265,7 @@ def check_size(folder: Path, shapes: PyTree) -> None:
 
 
 def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
-    """Load what `abstract` describes, to the default device."""
+    """Load the arrays of `abstract` to the default device."""
     check_size(step, abstract)
 
     def shapes(tree: Any) -> Any:
@@ -264,44 +291,17 @@ def _arrays(step: Path, abstract: dict[str, Any]) -> dict[str, Any]:
 
 
 def _abstract(about: Description) -> tuple[PyTree, Normalisation, TrainState]:
-    """Shapes and types of what a checkpoint holds: best parameters, normalisation, and the rest of the state."""
+    """Shapes and types in a checkpoint: best parameters, normalisation, and the rest of the state."""
     try:
-        state = jax.eval_shape(partial(training.start, about.model, about.train, about.touches))
+        begin = partial(training.init, learner=learner(about.model), cfg=about.train, touches=about.touches)
+        state = jax.eval_shape(begin, jax.random.key(0))
     except (TypeError, ValueError, ArithmeticError, LookupError) as error:
         raise CheckpointError(
             f"no network is as the checkpoint says ({error}); train again, or restore a copy."
         ) from error
 
     def normalisation() -> Normalisation:
-        reading, conditions = jnp.zeros(about.model.readings), jnp.zeros(len(about.model.conditions))
+        reading, conditions = jnp.zeros(about.model.readings), jnp.zeros(len(conditions_of(about.model)))
         return Normalisation(Standard(reading, reading), Standard(conditions, conditions), reading)
 
     return state.best_params, jax.eval_shape(normalisation), state._replace(best_params=None)
-
-
-def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
-    """A configuration from its JSON form, in which tuples became lists.
-
-    Args:
-        kind: Its dataclass.
-        values: Fields by name; those left out keep their defaults.
-
-    Returns:
-        The configuration.
-
-    Raises:
-        ValueError: A field is unknown, or a value is refused.
-    """
-    hints = get_type_hints(kind)
-    unknown = sorted(set(values) - set(hints))
-    if unknown:
-        raise ValueError(f"unknown {', '.join(unknown)}")
-
-    def convert(name: str) -> Any:
-        if is_dataclass(hints[name]):
-            return config_from(hints[name], values[name])
-        if isinstance(values[name], list) and len(values[name]) > MAX_LIST:
-            raise ValueError(f"{len(values[name])} values of {name}")
-        return tuple(values[name]) if isinstance(values[name], list) else values[name]
-
-    return kind(**{name: convert(name) for name in values})

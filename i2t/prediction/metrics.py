@@ -26,7 +26,7 @@ class Estimate(NamedTuple):
 
 
 class Score(NamedTuple):
-    """How well readings are predicted."""
+    """Accuracy of predicted readings."""
 
     r2: float  # pooled over all channels
     r2_median: float  # median over channels
@@ -65,7 +65,7 @@ def score(truth: np.ndarray, predicted: np.ndarray, noise: np.ndarray | None = N
 
 
 def _explained(error: np.ndarray, spread: np.ndarray) -> float:
-    """R2; NaN where nothing varies that could be explained."""
+    """R2; NaN where nothing varies."""
     return float(1 - error.sum() / spread.sum()) if spread.sum() > 0 else float("nan")
 
 
@@ -141,7 +141,7 @@ def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int) -> 
 
 
 def near_rows(x: np.ndarray, at: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which training touches are the k nearest; equally near ones all are, so that rounding chooses none of them.
+    """Find the k nearest training touches, and all equally near ones, so that rounding chooses none of them.
 
     Args:
         x: (n, d) features of the training touches.

@@ -1,51 +1,53 @@
-"""The network that predicts a touch: a depth patch, and what is measured at contact, become a reading.
+"""Networks beyond the paper's, built of its parts (`i2t.paper.network`), and functions that every network needs.
 
-The paper's network encodes the flattened patch (48 x 48 = 2304 values) in one hidden layer of 200, squeezes it through
-a bottleneck of 5 and decodes a reading (3 values for each chip) through a hidden layer of 500; an auxiliary head
-decodes the bottleneck through 2000 units into the patch again, so that the bottleneck keeps what was seen. Hidden
-layers are rectified, the bottleneck and the outputs are linear (as in the paper's published code). By configuration the
-patch is a depth image scaled by its reach to [0, 1], the paper's binary contact mask, or any square image taken as it
-is; a small convolutional encoder (in the manner of the published one, with strides in place of pooling and batch
-normalisation) comes before the hidden layer; conditions measured at contact (force, nearest, depth) join the image's
-features at the encoder's input and again, for the reading, next to the bottleneck, because what the camera saw does not
-tell how hard the skin is pressed; and a second output predicts the log variance of each value.
+By configuration the input is any square image (say a predicted contact pressure); a small convolutional encoder (in the
+manner of the published one, with strides in place of pooling and batch normalisation) comes before the hidden layer;
+conditions measured at contact (force, nearest, depth) join the image's features at the encoder's input and again, for
+the reading, next to the bottleneck, because what the camera saw does not tell how hard the skin is pressed; and a
+second output predicts the log variance of each value, which makes the loss of a reading the Gaussian one,
 
-Inside the network everything is standardised; `predict` speaks physical units. Parameters are one plain pytree; the
-members of an ensemble are its axis 0. `init` and `apply` work on one member and one example and are lifted by `vmap`.
+    (s + (y - m)^2 exp(-s) + log 2 pi) / 2,  weighted by exp(beta s) held constant
 
-Source: Ayad et al., "Imagine2touch" (network); Lakshminarayanan et al., "Simple and scalable predictive uncertainty
-estimation using deep ensembles", 2017 (heteroscedastic members and the moments of their mixture).
+for a reading y, its prediction m and its log variance s: beta = 0 is the likelihood itself, beta = 0.5 keeps poorly
+fitted readings from being explained away as noise (Seitzer et al., "On the pitfalls of heteroscedastic uncertainty
+estimation with probabilistic neural networks", 2022).
+
+Inside a network everything is standardised; `predict` speaks physical units. Parameters are one plain pytree; the
+members of an ensemble are its axis 0. `init`, `apply` and `losses` work on one member and one example and are lifted by
+`vmap`; `predict` mixes members (Lakshminarayanan et al., "Simple and scalable predictive uncertainty estimation using
+deep ensembles", 2017).
 """
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
-from i2t.rendering.render import contact_mask
-from i2t.types import CONTACT_TOLERANCE_M, PATCH_PIXELS, REACH, in_one_line
+from i2t.paper import loss, network
+from i2t.paper.config import PaperConfig
+from i2t.paper.network import Params, decode, decode_image, dense, encode, normal
+from i2t.training import Batch, Learner, Losses, Standard, standard, standardise
+from i2t.types import in_one_line
 
-Params: TypeAlias = dict[str, dict[str, Array]]  # {layer: {"kernel": ..., "bias": ...}}
-ImageKind: TypeAlias = Literal["depth", "mask", "image"]
 Condition: TypeAlias = Literal["force", "nearest", "depth"]
 
 LOG_VARIANCE_LIMIT = 10.0  # of standardised readings: standard deviations between 0.7 % and 150 times the data's own
 
 
 class Inputs(NamedTuple):
-    """What the network sees of one touch."""
+    """Inputs of a network for one touch."""
 
-    image: Float[Array, "n n"]  # a patch in m, or whatever `ModelConfig.input` says
+    image: Float[Array, "n n"]  # a patch in m, or whatever `PaperConfig.input` says
     conditions: Float[Array, " k"]  # in the order of `ModelConfig.conditions`: N, m, m
 
 
-class Prediction(NamedTuple):
-    """What one member says about one touch, in standardised units."""
+class MemberPrediction(NamedTuple):
+    """Prediction of one member for one touch, in standardised units."""
 
     reading: Float[Array, " c"]
     log_variance: Float[Array, " c"] | None  # None unless heteroscedastic
@@ -54,16 +56,8 @@ class Prediction(NamedTuple):
 
 
 @in_one_line
-class Standard(NamedTuple):
-    """Mean and standard deviation of each value over a training set."""
-
-    mean: Float[Array, " k"]
-    std: Float[Array, " k"]
-
-
-@in_one_line
 class Normalisation(NamedTuple):
-    """What turns physical units into the network's and back."""
+    """Scales between physical units and the network's."""
 
     reading: Standard  # uT
     conditions: Standard  # in the order of `ModelConfig.conditions`
@@ -71,42 +65,45 @@ class Normalisation(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ModelConfig:
-    """Which network; the defaults are the paper's."""
+class ModelConfig(PaperConfig):
+    """A network's options; without its own fields, the paper's."""
 
-    pixels: int = PATCH_PIXELS
-    readings: int = 15  # values of a reading, 3 for each chip of the board
-    input: ImageKind = "depth"
-    reach: float = REACH  # m, depth that becomes 1
-    tolerance: float = CONTACT_TOLERANCE_M  # m behind the nearest point that still counts as contact in a mask
     encoder: Literal["mlp", "cnn"] = "mlp"
     channels: tuple[int, ...] = (8, 16, 16)  # of the convolutions, each of stride 2
-    encoder_width: int = 200
-    bottleneck: int = 5
-    decoder_width: int = 500
-    auxiliary: bool = True
-    auxiliary_width: int = 2000
+    auxiliary: bool = True  # whether there is an auxiliary decoder
     heteroscedastic: bool = False
+    beta: float = 0.5  # of the Gaussian loss
     conditions: tuple[Condition, ...] = ()
     skip: bool = True  # conditions also next to the bottleneck
     members: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built (ValueError)."""
-        for field, kind in (("input", ImageKind), ("encoder", Literal["mlp", "cnn"])):
-            if getattr(self, field) not in get_args(kind):
-                raise ValueError(
-                    f"model.{field} is {getattr(self, field)!r}; choose one of {', '.join(get_args(kind))}."
-                )
+        """Refuse impossible values (ValueError)."""
+        super().__post_init__()
+        if self.encoder not in ("mlp", "cnn"):
+            raise ValueError(f"model.encoder is {self.encoder!r}; choose one of mlp, cnn.")
         unknown = [name for name in self.conditions if name not in get_args(Condition)]
         if unknown or len(set(self.conditions)) < len(self.conditions):
             raise ValueError(
                 f"model.conditions is {self.conditions}; name each of {', '.join(get_args(Condition))} at most once."
             )
-        sizes = ("pixels", "readings", "encoder_width", "bottleneck", "decoder_width", "auxiliary_width", "members")
-        for field in sizes:
-            if getattr(self, field) < 1:
-                raise ValueError(f"model.{field} is {getattr(self, field)}; it must be at least 1.")
+        if self.members < 1:
+            raise ValueError(f"model.members is {self.members}; it must be at least 1.")
+        if not 0 <= self.beta <= 1:
+            raise ValueError(f"model.beta is {self.beta}; it must lie between 0 and 1.")
+
+
+def as_paper(cfg: PaperConfig) -> PaperConfig:
+    """The paper's configuration where nothing more is configured.
+
+    Args:
+        cfg: Which network.
+
+    Returns:
+        The same, or the paper's part of it where the rest has its defaults.
+    """
+    own = {field.name: getattr(cfg, field.name) for field in fields(PaperConfig)}
+    return PaperConfig(**own) if cfg == ModelConfig(**own) else cfg
 
 
 class Network(nn.Module):
@@ -115,7 +112,7 @@ class Network(nn.Module):
     cfg: ModelConfig
 
     @nn.compact
-    def __call__(self, inputs: Inputs) -> Prediction:
+    def __call__(self, inputs: Inputs) -> MemberPrediction:
         """`inputs` are prepared (see `prepare`)."""
         cfg = self.cfg
         features = inputs.image
@@ -123,28 +120,21 @@ class Network(nn.Module):
             features = features[..., None]
             for i, channels in enumerate(cfg.channels):
                 size = 5 if i == 0 else 3
-                convolution = nn.Conv(channels, (size, size), 2, kernel_init=_normal(2.0), name=f"conv{i}")
+                convolution = nn.Conv(channels, (size, size), 2, kernel_init=normal(2.0), name=f"conv{i}")
                 features = nn.relu(convolution(features))
-        features = jnp.concatenate([features.reshape(-1), inputs.conditions])
-        encoded = nn.relu(_dense(cfg.encoder_width, "encoder", gain=2.0)(features))
-        latent = _dense(cfg.bottleneck, "bottleneck")(encoded)
-        code = jnp.concatenate([latent, inputs.conditions]) if cfg.skip else latent
-
-        decoded = nn.relu(_dense(cfg.decoder_width, "decoder", gain=2.0)(code))
-        reading = _dense(cfg.readings, "reading")(decoded)
-        log_variance = image = None
+        latent = encode(cfg, jnp.concatenate([features.reshape(-1), inputs.conditions]))
+        decoded = decode(cfg, jnp.concatenate([latent, inputs.conditions]) if cfg.skip else latent)
+        reading = dense(cfg.readings, "reading")(decoded)
+        log_variance = None
         if cfg.heteroscedastic:
             # Starts at the data's own variance, and is bounded smoothly so that no reading can make the loss overflow.
             raw = nn.Dense(cfg.readings, kernel_init=nn.initializers.zeros, name="log_variance")(decoded)
             log_variance = LOG_VARIANCE_LIMIT * jnp.tanh(raw / LOG_VARIANCE_LIMIT)
-        if cfg.auxiliary:
-            seen = nn.relu(_dense(cfg.auxiliary_width, "auxiliary", gain=2.0)(latent))
-            image = _dense(cfg.pixels**2, "image")(seen).reshape(cfg.pixels, cfg.pixels)
-        return Prediction(reading, log_variance, image, latent)
+        return MemberPrediction(reading, log_variance, decode_image(cfg, latent) if cfg.auxiliary else None, latent)
 
 
 def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
-    """Random parameters of one member (He et al. 2015 before rectifiers, LeCun et al. 1998 before linear outputs).
+    """Random parameters of one member, as `i2t.paper.network.init` draws them.
 
     Args:
         key: Random key.
@@ -158,55 +148,200 @@ def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
     return params
 
 
-def apply(params: Params, cfg: ModelConfig, inputs: Inputs) -> Prediction:
+def apply(params: Params, cfg: PaperConfig, inputs: Inputs | Array) -> MemberPrediction:
     """One member's prediction for one example, both in the network's units.
 
     Args:
         params: Of one member.
         cfg: Which network.
-        inputs: Prepared (see `prepare`).
+        inputs: As `prepare` gives them.
 
     Returns:
         The reading and what else the network gives.
     """
+    if not isinstance(cfg, ModelConfig):
+        assert not isinstance(inputs, Inputs)
+        said = network.apply(params, cfg, inputs)
+        return MemberPrediction(said.reading, None, said.image, said.latent)
     prediction: Any = Network(cfg).apply({"params": params}, inputs)
     return prediction
 
 
-def prepare(cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs) -> Inputs:
+def losses(
+    params: Params, cfg: ModelConfig, batch: Batch, weights: Float[Array, " n"]
+) -> tuple[Float[Array, ""], Losses]:
+    """The mean loss of some examples and its parts.
+
+    The best epoch is chosen by the likelihood itself (beta 0), because beta's weights, good for gradients, would reward
+    any small variance.
+
+    Args:
+        params: Of one member.
+        cfg: Which network, and its weights.
+        batch: Of `Inputs`, prepared, with standardised readings.
+        weights: Of the examples.
+
+    Returns:
+        What is descended, and all parts.
+    """
+    said = jax.vmap(partial(apply, params, cfg))(batch.inputs)
+    squared = jax.vmap(loss.squared_error)(said.reading, batch.target)
+    descended = reading = squared
+    if said.log_variance is not None:
+        likelihood = jax.vmap(gaussian, in_axes=(0, 0, 0, None))
+        descended, reading = (likelihood(said.reading, said.log_variance, batch.target, b) for b in (cfg.beta, 0.0))
+    image = jnp.zeros(len(weights))
+    if said.image is not None:
+        image = jax.vmap(partial(loss.image_error, cfg.input))(said.image, batch.inputs.image)
+    return Losses(descended + cfg.auxiliary_weight * image, reading, squared, image).mean(weights)
+
+
+def gaussian(
+    reading: Float[Array, " k"], log_variance: Float[Array, " k"], target: Float[Array, " k"], beta: float
+) -> Float[Array, ""]:
+    """Beta-weighted negative log likelihood per value; its value (not its gradient) depends on the weights too.
+
+    Args:
+        reading: Predicted, standardised.
+        log_variance: Predicted, of each value.
+        target: Measured, standardised.
+        beta: Exponent of the weights; 0 is the likelihood itself.
+
+    Returns:
+        Dimensionless.
+    """
+    nll = 0.5 * (log_variance + (target - reading) ** 2 * jnp.exp(-log_variance) + jnp.log(2 * jnp.pi))
+    return jnp.mean(jax.lax.stop_gradient(jnp.exp(beta * log_variance)) * nll)
+
+
+def learner(cfg: PaperConfig) -> Learner:
+    """Learner for `i2t.training`.
+
+    Args:
+        cfg: Which network; the paper's looks at patches, any other at `Inputs`.
+
+    Returns:
+        The learner.
+    """
+    if isinstance(cfg, ModelConfig):
+        return Learner(cfg, init, losses, cfg.members)
+    return Learner(cfg, network.init, loss.losses)
+
+
+def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
+    """Refuse touches that cannot be learned from.
+
+    Args:
+        batch: Of `Inputs`, in physical units.
+        cfg: Which network is to learn from them.
+        name: Of the set, for the message: "training" or "validation".
+
+    Raises:
+        ValueError: There are no touches, shapes do not fit the network, or values are not finite.
+    """
+    touches, conditions = len(batch.target), conditions_of(cfg)
+    if touches == 0:
+        raise ValueError(f"The {name} set holds no touches; choose other objects or another split.")
+    if batch.inputs.image.shape != (touches, cfg.pixels, cfg.pixels):
+        raise ValueError(
+            f"The {name} set's images have shape {batch.inputs.image.shape}; {touches} touches of model.pixels = "
+            f"{cfg.pixels} are expected."
+        )
+    if batch.inputs.conditions.shape != (touches, len(conditions)):
+        raise ValueError(
+            f"The {name} set's conditions have shape {batch.inputs.conditions.shape}; {touches} touches of "
+            f"model.conditions = {conditions} are expected."
+        )
+    bad = [("image", batch.inputs.image, (1, 2)), ("reading", batch.target, (1,))]
+    bad += [(f"condition {c!r}", batch.inputs.conditions[:, i], ()) for i, c in enumerate(conditions)]
+    for label, values, axes in bad:
+        wrong = ~np.isfinite(np.asarray(values)).all(axis=axes)
+        if wrong.any():
+            raise ValueError(
+                f"{wrong.sum()} of {touches} touches of the {name} set have a {label} that is not finite (first at "
+                f"index {np.argmax(wrong)}); leave these touches out, or train without that input."
+            )
+
+
+def conditions_of(cfg: PaperConfig) -> tuple[Condition, ...]:
+    """Conditions of a network beside the image.
+
+    Args:
+        cfg: Which network.
+
+    Returns:
+        Names of conditions; none for the paper's.
+    """
+    return cfg.conditions if isinstance(cfg, ModelConfig) else ()
+
+
+def normalisation(batch: Batch) -> Normalisation:
+    """Mean and standard deviation of the readings and conditions of a training set.
+
+    Args:
+        batch: Of `Inputs`, in physical units.
+
+    Returns:
+        The normalisation, without a residual.
+    """
+    return Normalisation(standard(batch.target), standard(batch.inputs.conditions), jnp.zeros(batch.target.shape[1]))
+
+
+def prepare(cfg: PaperConfig, norm: Normalisation, inputs: Inputs) -> Inputs | Array:
     """Physical inputs of one touch as the network wants them.
 
     Args:
         cfg: Which network.
-        normalisation: Of the training set.
+        norm: Of the training set.
         inputs: The image (m, or N on each cell for a contact pressure) and the conditions (N, m, m).
 
     Returns:
-        The image in [0, 1] unless it is taken as it is, and the conditions standardised.
+        The image in [0, 1] unless it is taken as it is, and the conditions standardised; for the paper's network the
+        patch alone.
     """
-    image = inputs.image
-    if cfg.input == "depth":
-        image = jnp.clip(image / cfg.reach, 0, 1)
-    elif cfg.input == "mask":
-        image = contact_mask(image, cfg.tolerance)
-    return Inputs(image, standardise(normalisation.conditions, inputs.conditions))
+    image = network.prepare_patch(cfg, inputs.image)
+    if not isinstance(cfg, ModelConfig):
+        return image
+    return Inputs(image, standardise(norm.conditions, inputs.conditions))
 
 
-def standardise(standard: Standard, values: Float[Array, " k"]) -> Float[Array, " k"]:
-    """Physical values in standard deviations about their mean.
+def prepared(cfg: PaperConfig, norm: Normalisation, batch: Batch) -> Batch:
+    """Physical touches in the network's units.
 
     Args:
-        standard: Mean and standard deviation of each value over the training set.
-        values: In their physical units.
+        cfg: Which network.
+        norm: Of the training set.
+        batch: Of `Inputs`, in physical units.
 
     Returns:
-        Dimensionless values.
+        The same touches, prepared for its learner.
     """
-    return (values - standard.mean) / standard.std
+    inputs = jax.vmap(partial(prepare, cfg, norm))(batch.inputs)
+    return Batch(inputs, jax.vmap(partial(standardise, norm.reading))(batch.target))
+
+
+def with_residual(params: Params, cfg: PaperConfig, norm: Normalisation, batch: Batch) -> Normalisation:
+    """Note in the normalisation the variance that all members leave unexplained on touches not trained on.
+
+    It is the mean squared error of their mean less the variance they already show, so that `predict` has the right
+    standard deviation on these touches.
+
+    Args:
+        params: Members as axis 0.
+        cfg: Which network.
+        norm: Of the training set.
+        batch: Prepared touches.
+
+    Returns:
+        The normalisation with its residual.
+    """
+    readings = jax.vmap(lambda member: jax.vmap(lambda x: apply(member, cfg, x).reading)(batch.inputs))(params)
+    unexplained = jnp.mean((readings.mean(0) - batch.target) ** 2 - readings.var(0), axis=0)
+    return norm._replace(residual=jnp.maximum(unexplained, 0))
 
 
 def predict(
-    params: Params, cfg: ModelConfig, normalisation: Normalisation, inputs: Inputs
+    params: Params, cfg: PaperConfig, norm: Normalisation, inputs: Inputs
 ) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
     """Reading of one touch from all members.
 
@@ -217,29 +352,15 @@ def predict(
     Args:
         params: Members as axis 0.
         cfg: Which network.
-        normalisation: Of the training set, with the residual of the validation set.
+        norm: Of the training set, with the residual of the validation set.
         inputs: In physical units.
 
     Returns:
         Mean and standard deviation, uT.
     """
-    prepared = prepare(cfg, normalisation, inputs)
-    members = jax.vmap(lambda member: apply(member, cfg, prepared))(params)
-    own = normalisation.residual if members.log_variance is None else jnp.exp(members.log_variance).mean(0)
+    ready = prepare(cfg, norm, inputs)
+    members = jax.vmap(lambda member: apply(member, cfg, ready))(params)
+    own = norm.residual if members.log_variance is None else jnp.exp(members.log_variance).mean(0)
     std = jnp.sqrt(own + members.reading.var(0))
-    mean = members.reading.mean(0) * normalisation.reading.std + normalisation.reading.mean
-    return mean, std * normalisation.reading.std
-
-
-def _dense(width: int, name: str, *, gain: float = 1.0) -> nn.Dense:
-    return nn.Dense(width, kernel_init=_normal(gain), name=name)
-
-
-def _normal(gain: float) -> Callable[..., Array]:
-    """Normal weights of variance gain / fan-in, drawn flat: XLA takes seconds to compile draws of four axes."""
-
-    def draw(key: Key[Array, ""], shape: tuple[int, ...], dtype: Any = jnp.float32) -> Array:
-        scale = math.sqrt(gain / math.prod(shape[:-1]))
-        return scale * jax.random.normal(key, (math.prod(shape),), dtype).reshape(shape)
-
-    return draw
+    mean = members.reading.mean(0) * norm.reading.std + norm.reading.mean
+    return mean, std * norm.reading.std

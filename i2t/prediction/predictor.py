@@ -1,20 +1,14 @@
 """A trained model in the hands of a user: a depth patch, or a mesh and a pose, becomes a reading in uT with its
 standard deviation.
 
-A predictor holds one of four models, all of which `python -m experiments.train` makes:
-
-  GPModel           the Gaussian process of `i2t.prediction.gp` on predicted contact pressure
-  PressureNetwork   the network of `i2t.prediction.model` on predicted contact pressure
-  PatchNetwork      the same network on the depth patch itself
-  BaselineModel     mean reading, nearest patches or ridge regression, of `i2t.prediction.baselines`
-
-Each is asked by `predict_batch`. Predictors are written by `save` and read by `load_predictor`; how a patch is turned
-into what the model sees is part of what is saved. A board has n chips and a reading 3 n values, whichever board the
-model was trained on.
+A predictor holds a model (`i2t.prediction.touch_model.TouchModel`), whichever method made it
+(`i2t.prediction.methods`), and asks it by `predict_batch`. Predictors are written by `save` and read by
+`load_predictor`; how a patch is turned into what the model sees is part of what is saved. A board has n chips and a
+reading 3 n values, whichever board the model was trained on.
 
     predictor = i2t.load_predictor("runs/train")
     reading, std = predictor.predict(patch, force=1.0)                          # (3n,) uT each
-    reading, std = predictor.predict_touch("mug.stl", T_w_t, force=1.0, unit="m")
+    reading, std = predictor.predict_touch("mug.stl", T_o_t, force=1.0, unit="m")
 """
 
 import json
@@ -22,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -32,152 +26,19 @@ from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
 from i2t.models import ready_path
-from i2t.prediction import baselines, checkpoint, gp, model, user_input
-from i2t.prediction.baselines import Baseline, MeanReading, NearestPatches, RidgeOnPatches, TouchFeatures
-from i2t.prediction.gp import GP, ContactPressure, GPHyperparameters
-from i2t.prediction.model import ModelConfig, Normalisation, Params
-from i2t.prediction.pressure import PressureModelConfig, predict_pressure
+from i2t.prediction import checkpoint, user_input
+from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, to_disk
 from i2t.rendering.render import prepare_surface, render_view
-from i2t.skin.pad import nominal_pad
-from i2t.types import PATCH_PIXELS, Pad, Surface, in_one_line
+from i2t.types import PATCH_PIXELS, Surface
 from i2t.views import WideView
 
 PREDICTOR_FORMAT = "i2t predictor"
-PREDICTOR_VERSION = 3
-READABLE_VERSIONS = (1, 2, 3)  # version 2 knew no baselines, version 1 said the same in other words
-BASELINES = {kind.__name__: kind for kind in (MeanReading, NearestPatches, RidgeOnPatches)}  # by their names on disk
+PREDICTOR_VERSION = 4
+READABLE_VERSIONS = (1, 2, 3, 4)  # up to version 3 there were four kinds of models, and version 1 used other words
 STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine in ten
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
-
-
-@in_one_line
-class Reading(NamedTuple):
-    """A predicted touch, in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0.
-
-    Example:
-        predictor = i2t.load_predictor("nominal")
-        mean, std = predictor.predict(patch.depth, force=1.0)  # (3 chips,) uT each
-    """
-
-    mean: np.ndarray  # (3 chips,) or (n, 3 chips) uT
-    std: np.ndarray  # as mean: standard deviation of the sensor's reading about the mean, its noise included
-
-
-@in_one_line
-class TouchBatch(NamedTuple):
-    """What is known of n touches before they are made; NaN where a value is unknown."""
-
-    patch: np.ndarray  # (n, p, p) m, behind the nearest surface point
-    view: np.ndarray  # (n, w, w) m, the patch, or the same view with its surroundings
-    pitch: float  # m, edge of a pixel of both
-    force: np.ndarray  # (n,) N, along tool z
-    nearest: np.ndarray  # (n,) m, signed distance of the nearest surface point from the tool origin
-    depth: np.ndarray  # (n,) m, travel past first contact
-    pressure: ContactPressure | None = None  # where it was predicted before
-
-
-@in_one_line
-class TrainedNetwork(NamedTuple):
-    """A network's parameters with their meaning."""
-
-    params: Params  # members as axis 0
-    cfg: ModelConfig
-    normalisation: Normalisation
-
-
-@in_one_line
-class GPModel(NamedTuple):
-    """A Gaussian process on predicted contact pressure."""
-
-    gp: GP
-    pressure: PressureModelConfig
-
-    @property
-    def channels(self) -> int:
-        """Values of a reading."""
-        return self.gp.scale.shape[-1]
-
-    def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings of touches that are seen or simulated.
-
-        Args:
-            touches: n touches.
-
-        Returns:
-            Mean and standard deviation (n, c) uT.
-        """
-        mean, std = _gp_readings(self.gp, _pressure(self.pressure, touches))
-        return Reading(np.asarray(mean), np.asarray(std))
-
-
-@in_one_line
-class PressureNetwork(NamedTuple):
-    """A network on predicted contact pressure."""
-
-    network: TrainedNetwork
-    pressure: PressureModelConfig
-
-    @property
-    def channels(self) -> int:
-        """Values of a reading."""
-        return self.network.normalisation.reading.mean.shape[-1]
-
-    def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings of touches, as in `GPModel.predict_batch`.
-
-        Raises:
-            ValueError: A condition that the network needs is unknown.
-        """
-        return _network_readings(self.network, np.asarray(_pressure(self.pressure, touches).pressure), touches)
-
-
-@in_one_line
-class PatchNetwork(NamedTuple):
-    """A network on depth patches."""
-
-    network: TrainedNetwork
-
-    @property
-    def channels(self) -> int:
-        """Values of a reading."""
-        return self.network.normalisation.reading.mean.shape[-1]
-
-    def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings of touches, as in `GPModel.predict_batch`.
-
-        Raises:
-            ValueError: Patches or conditions do not fit the network.
-        """
-        return _network_readings(self.network, touches.patch, touches)
-
-
-@in_one_line
-class BaselineModel(NamedTuple):
-    """A baseline, kept where no model is better."""
-
-    baseline: Baseline
-    conditions: tuple[str, ...] = ()  # of force, nearest and depth, those that it is given
-
-    @property
-    def channels(self) -> int:
-        """Values of a reading."""
-        return self.baseline.spread.shape[-1]
-
-    def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings of touches, as in `GPModel.predict_batch`.
-
-        Raises:
-            ValueError: Patches or conditions do not fit the baseline.
-        """
-        if not isinstance(self.baseline, MeanReading):
-            pixels = round(len(self.baseline.features.patch_mean) ** 0.5)
-            if touches.patch.shape[1] != pixels:
-                raise ValueError(f"patch has {touches.patch.shape[1]} pixels an edge; this model sees {pixels}")
-        return Reading(*baselines.predict(self.baseline, touches.patch, _conditions(self.conditions, touches)))
-
-
-Model: TypeAlias = GPModel | PressureNetwork | PatchNetwork | BaselineModel
 
 
 @dataclass(frozen=True, repr=False)
@@ -198,7 +59,7 @@ class Predictor:
         reading, std = predictor.predict(patch.depth, force=1.0)  # (c,) uT each
     """
 
-    model: Model
+    model: TouchModel
     window: float
     reach: float
     default_force: float
@@ -216,8 +77,8 @@ class Predictor:
 
     @property
     def pressure(self) -> PressureModelConfig | None:
-        """How contact pressure is predicted; None for a model that sees patches themselves."""
-        return None if isinstance(self.model, PatchNetwork | BaselineModel) else self.model.pressure
+        """Model of contact pressure; None for a model that sees patches themselves."""
+        return self.model.pressure
 
     def with_pressure(self, **changes: Any) -> "Predictor":
         """The same predictor with fields of its pressure model changed; a model on patches has none and stays.
@@ -228,9 +89,10 @@ class Predictor:
         Returns:
             The changed predictor.
         """
-        if isinstance(self.model, PatchNetwork | BaselineModel):
+        if self.pressure is None:
             return self
-        return replace(self, model=self.model._replace(pressure=replace(self.model.pressure, **changes)))
+        model: Any = self.model
+        return replace(self, model=replace(model, pressure=replace(self.pressure, **changes)))
 
     def predict(
         self,
@@ -289,7 +151,7 @@ class Predictor:
         depth: np.ndarray | None = None,
         wide: np.ndarray | None = None,
     ) -> Reading:
-        """Readings of views that i2t rendered, which are not judged again: for experiments.
+        """Readings of views that i2t rendered, which are not checked again: for experiments.
 
         Args:
             patch: (n, p, p) m.
@@ -320,7 +182,7 @@ class Predictor:
     def predict_touch(
         self,
         mesh: Any,
-        T_w_t: Float[Array, "*batch 4 4"] | np.ndarray,
+        T_o_t: Float[Array, "*batch 4 4"] | np.ndarray,
         force: Values | None = None,
         unit: str | None = None,
     ) -> Reading:
@@ -333,7 +195,7 @@ class Predictor:
             mesh: In W: a file (then `unit` is required), which is read as `i2t.load_mesh` does, box centred in x and y
                 and lowest point on z = 0; an `i2t.objects.Object`; anything with `vertices` and `faces` (m), such as a
                 mesh of trimesh, or with `vertices` and `triangles`, such as one of Open3D; or a prepared `Surface`.
-            T_w_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
+            T_o_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
             force: N along tool z, one for all or one for each; left out, the median of the training touches is taken.
             unit: Of a file's coordinates, such as "mm".
 
@@ -347,18 +209,18 @@ class Predictor:
             T_o_t = i2t.contact_pose(mesh, mesh.vertices[0])
             reading, std = predictor.predict_touch(mesh, T_o_t, force=1.0)
         """
-        seen = self.render_touches(mesh, T_w_t, unit)
+        seen = self.render_touches(mesh, T_o_t, unit)
         reading = self.predict(seen.patch, force=force, nearest=seen.nearest, wide=seen.view)
-        return Reading(reading.mean[0], reading.std[0]) if np.ndim(T_w_t) == 2 else reading
+        return Reading(reading.mean[0], reading.std[0]) if np.ndim(T_o_t) == 2 else reading
 
     def render_touches(
-        self, mesh: Any, T_w_t: Float[Array, "*batch 4 4"] | np.ndarray, unit: str | None = None
+        self, mesh: Any, T_o_t: Float[Array, "*batch 4 4"] | np.ndarray, unit: str | None = None
     ) -> TouchBatch:
-        """What lies in front of the skin at poses on a mesh, as `predict_touch` sees it.
+        """Render the views in front of the skin at poses on a mesh, as `predict_touch` does.
 
         Args:
             mesh: As for `predict_touch`.
-            T_w_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
+            T_o_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
             unit: Of a file's coordinates, such as "mm".
 
         Returns:
@@ -367,7 +229,7 @@ class Predictor:
         Raises:
             ValueError: The pose is no rigid transform, or the skin does not lie on the surface there.
         """
-        surface, poses = _surface_of(mesh, unit), user_input.checked_poses(T_w_t)
+        surface, poses = _surface_of(mesh, unit), user_input.checked_poses(T_o_t)
         seen = [jax.device_get(_render(surface, jnp.asarray(pose), self.window, self.reach)) for pose in poses]
         for pose, view in zip(poses, seen, strict=True):
             user_input.check_in_front(surface, pose, view, self.window)
@@ -390,8 +252,8 @@ class Predictor:
     def _predict_unseen(
         self, patches: np.ndarray, views: np.ndarray | None, values: dict[str, np.ndarray], valid: Any
     ) -> Reading:
-        """Readings of touches of which pixels were not seen: between those of nothing there and of the surface that
-        goes on, and as uncertain as these differ.
+        """Readings of touches with unseen pixels: between those of nothing there and of the surface continued, and as
+        uncertain as these differ.
         """
         empty, continued = (
             self._predict_classes(filled, None if views is None else user_input.in_middle(views, filled), values)
@@ -417,26 +279,6 @@ class Predictor:
         return Reading(mean, std * self.std_scale)
 
 
-def predict_pressures(
-    cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, depth: np.ndarray, pad: Pad | None = None
-) -> ContactPressure:
-    """The contact pressures of many touches, in batches of few sizes, so that a new number of them compiles nothing.
-
-    Args:
-        cfg: How pressure is predicted.
-        views: (n, w, w) m, depth views; NaN where the recording was cropped.
-        force: (n,) N along tool z.
-        depth: (n,) m past first contact.
-        pad: Whose layer is pressed; left out, one of nominal stiffness.
-
-    Returns:
-        Pressures and loads, n on axis 0.
-    """
-    columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or nominal_pad()
-    parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows, _ in user_input.size_classes(len(views))]
-    return jax.tree.map(lambda *found: jnp.concatenate(found)[: len(views)], *parts)  # only the last part is filled up
-
-
 def save(directory: Path | str, predictor: Predictor) -> None:
     """Write a predictor into a folder, which appears complete or not at all.
 
@@ -444,28 +286,17 @@ def save(directory: Path | str, predictor: Predictor) -> None:
         directory: Folder to make or to replace.
         predictor: What to write.
     """
-    kind = predictor.model
-    network, baseline = None, None
-    if isinstance(kind, GPModel):
-        arrays: dict[str, Any] = {"gp": kind.gp}
-    elif isinstance(kind, BaselineModel):
-        arrays = {"baseline": kind.baseline}
-        baseline = {"kind": type(kind.baseline).__name__, "conditions": list(kind.conditions)}
-    else:
-        arrays = {"params": kind.network.params, "normalisation": kind.network.normalisation}
-        network = asdict(kind.network.cfg)
-    arrays = _plain(arrays)
+    arrays, model = to_disk(predictor.model)
     about = {
         "format": PREDICTOR_FORMAT,
         "version": PREDICTOR_VERSION,
-        "pressure": None if predictor.pressure is None else asdict(predictor.pressure),
-        "network": network,
-        "baseline": baseline,
+        "model": model,
         **{name: getattr(predictor, name) for name in _FIELDS},
-        "shapes": jax.tree.map(lambda leaf: list(leaf.shape), arrays),
+        "shapes": jax.tree.map(lambda leaf: [str(leaf.dtype), *leaf.shape], arrays),
     }
+    kept = _with_values(arrays)
     ocp.save_checkpointables(
-        Path(directory).absolute(), arrays, custom_metadata=json.loads(json.dumps(about)), overwrite=True
+        Path(directory).absolute(), kept, custom_metadata=json.loads(json.dumps(about)), overwrite=True
     )
 
 
@@ -492,7 +323,8 @@ def load_predictor(directory: Path | str) -> Predictor:
     about = _description(directory)
     try:
         arrays = _load_arrays(directory, about)
-        return Predictor(_model_of(about, arrays), **{name: about[name] for name in _FIELDS})
+        arrays, model = _as_version_4(about, arrays)
+        return Predictor(from_disk(arrays, model), **{name: about[name] for name in _FIELDS})
     except CheckpointError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -539,7 +371,7 @@ _ARRAYS_OF_VERSION_1 = {"process": "gp"}
 
 
 def _description(directory: Path) -> dict[str, Any]:
-    """What a predictor on disk says of itself, in this version's words; `stored` keeps its arrays' names."""
+    """Description of a predictor on disk, in this version's words; `stored` keeps its arrays' names."""
     try:
         about = checkpoint.read_description(directory)
         if about["format"] != PREDICTOR_FORMAT:
@@ -556,7 +388,8 @@ def _description(directory: Path) -> dict[str, Any]:
             f"{directory} holds a predictor of version {version}, but this i2t reads versions up to "
             f"{PREDICTOR_VERSION}; use the i2t that wrote it, or train again"
         )
-    missing = [name for name in ("pressure", "network", *_FIELDS) if name not in about]
+    kinds = ("model",) if version == PREDICTOR_VERSION else ("pressure", "network")
+    missing = [name for name in (*kinds, *_FIELDS) if name not in about]
     if missing:
         raise CheckpointError(f"the predictor in {directory} lacks {', '.join(missing)}; train again")
     return {**about, "shapes": shapes}
@@ -565,87 +398,68 @@ def _description(directory: Path) -> dict[str, Any]:
 def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
     """The arrays of a predictor on disk, to the default device, under this version's names."""
     here = jax.sharding.SingleDeviceSharding(jax.devices()[0])
-    abstract = jax.tree.map(
-        lambda shape: jax.ShapeDtypeStruct(tuple(shape), jnp.float32, sharding=here),
-        about["shapes"],
-        is_leaf=lambda node: isinstance(node, list),
-    )
+
+    def leaf(said: list[Any]) -> jax.ShapeDtypeStruct:
+        dtype, shape = (said[0], said[1:]) if said and isinstance(said[0], str) else ("float32", said)  # as before
+        return jax.ShapeDtypeStruct(tuple(shape), dtype, sharding=here)
+
+    described = jax.tree.map(leaf, about["shapes"], is_leaf=lambda node: isinstance(node, list))
+    abstract = _with_values(described)
     checkpoint.check_size(directory, abstract)
     try:
-        arrays = ocp.load_checkpointables(directory, abstract)
+        loaded = ocp.load_checkpointables(directory, abstract)
     except Exception as error:  # orbax raises many kinds, down to bare ones of its storage library
         raise CheckpointError(f"the arrays in {directory} are damaged; train again, or restore a copy") from error
+    arrays = {
+        name: jax.tree.map(
+            lambda each, value: value if each.size else jnp.zeros(each.shape, each.dtype),
+            tree,
+            loaded.get(name, jax.tree.map(lambda _: None, tree)),
+        )
+        for name, tree in described.items()
+    }
     return {_ARRAYS_OF_VERSION_1.get(name, name): value for name, value in arrays.items()}
 
 
-def _model_of(about: dict[str, Any], arrays: dict[str, Any]) -> Model:
-    """The model that a predictor's description and arrays are of."""
+def _with_values(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Leave out arrays that hold no value, which orbax refuses."""
+    kept = {name: jax.tree.map(lambda leaf: leaf if leaf.size else None, tree) for name, tree in arrays.items()}
+    return {name: tree for name, tree in kept.items() if jax.tree.leaves(tree)}
+
+
+def _as_version_4(about: dict[str, Any], arrays: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arrays and description of a model of any version, as `to_disk` gives them."""
+    if "model" in about:
+        return arrays, about["model"]
+    pressure = (
+        {}
+        if about["pressure"] is None
+        else {"pressure": {"config": "PressureModelConfig", "values": about["pressure"]}}
+    )
     if about.get("baseline"):
-        kind = about["baseline"]["kind"]
-        if kind not in BASELINES:
-            raise CheckpointError(f"the predictor holds a baseline of unknown kind {kind!r}; train again")
-        nested = {} if kind == MeanReading.__name__ else {"features": TouchFeatures}
-        baseline = jax.tree.map(np.asarray, _as(BASELINES[kind], arrays["baseline"], **nested))
-        return BaselineModel(baseline, tuple(about["baseline"]["conditions"]))
-    pressure = None if about["pressure"] is None else PressureModelConfig(**about["pressure"])
+        kind, settings = about["baseline"]["kind"], {}
+        if kind != "MeanReading":
+            settings = {"conditions": about["baseline"]["conditions"]}
+        return arrays["baseline"], {"class": f"i2t.prediction.baselines:{kind}", "settings": settings}
     if about["network"] is None:
-        if pressure is None:
+        if not pressure:
             raise CheckpointError("the predictor says of no model what it is; train again")
-        return GPModel(_as(GP, arrays["gp"], hyper=GPHyperparameters, touches=ContactPressure), pressure)
-    cfg = checkpoint.config_from(ModelConfig, about["network"])
-    norm = _as(Normalisation, arrays["normalisation"], reading=model.Standard, conditions=model.Standard)
-    network = TrainedNetwork(arrays["params"], cfg, norm)
-    return PatchNetwork(network) if pressure is None else PressureNetwork(network, pressure)
-
-
-def _pressure(cfg: PressureModelConfig, touches: TouchBatch) -> ContactPressure:
-    """The contact pressures of touches, predicted where they were not before."""
-    if touches.pressure is not None:
-        return touches.pressure
-    return predict_pressures(replace(cfg, pitch=touches.pitch), touches.view, touches.force, touches.depth)
-
-
-def _network_readings(trained: TrainedNetwork, images: np.ndarray, touches: TouchBatch) -> Reading:
-    """Readings that a network predicts from images (n, p, p): patches (m), or contact pressures (N)."""
-    params, cfg, norm = trained
-    if images.shape[1] != cfg.pixels:
-        raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {cfg.pixels}")
-    inputs = model.Inputs(jnp.float32(images), jnp.float32(_conditions(cfg.conditions, touches)))
-    mean, std = _network(cfg, params, norm, inputs)
-    return Reading(np.asarray(mean), np.asarray(std))
-
-
-def _conditions(names: Sequence[str], touches: TouchBatch) -> np.ndarray:
-    """What was measured at contact (n, k), which must be known of every touch."""
-    missing = [name for name in names if not np.isfinite(getattr(touches, name)).all()]
-    if missing:
-        raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
-    values = [getattr(touches, name) for name in names]
-    return np.stack(values, -1) if values else np.zeros((len(touches.patch), 0))
-
-
-@partial(jax.jit, static_argnums=0)
-def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, depth: Array) -> ContactPressure:
-    return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, depth)
-
-
-@jax.jit
-def _gp_readings(fitted: GP, pressure: ContactPressure) -> tuple[Array, Array]:
-    return gp.predict(fitted, pressure)
-
-
-@partial(jax.jit, static_argnums=0)
-def _network(cfg: ModelConfig, params: Params, norm: Normalisation, inputs: model.Inputs) -> tuple[Array, Array]:
-    return jax.vmap(partial(model.predict, params, cfg, norm))(inputs)
+        return arrays, {"class": "i2t.prediction.gp_method:GPModel", "settings": pressure}
+    cfg = checkpoint.network_config(about["network"])
+    settings = {"cfg": {"config": type(cfg).__name__, "values": asdict(cfg)}, **pressure}
+    return arrays, {
+        "class": f"i2t.prediction.networks:{'Pressure' if pressure else 'Patch'}Network",
+        "settings": settings,
+    }
 
 
 @partial(jax.jit, static_argnums=(2, 3))
-def _render(surface: Surface, T_w_t: Array, window: float, reach: float) -> WideView:
-    return render_view(surface, T_w_t, window=window, reach=reach)
+def _render(surface: Surface, T_o_t: Array, window: float, reach: float) -> WideView:
+    return render_view(surface, T_o_t, window=window, reach=reach)
 
 
 def _surface_of(mesh: Any, unit: str | None) -> Surface:
-    """A surface to render, from whatever a user has."""
+    """A surface to render, from any form of a mesh."""
     if isinstance(mesh, Surface):
         return mesh
     if isinstance(mesh, str | Path):
@@ -659,18 +473,3 @@ def _surface_of(mesh: Any, unit: str | None) -> Surface:
     mesh = getattr(mesh, "mesh", mesh)
     user_input.check_size(mesh)
     return prepare_surface(mesh)
-
-
-def _plain(node: Any) -> Any:
-    """Named tuples as dicts, all the way down, so that what is on disk names its fields; orbax refuses empty arrays."""
-    if isinstance(node, tuple) and hasattr(node, "_asdict"):
-        node = node._asdict()
-    if isinstance(node, dict):
-        return {name: _plain(value) for name, value in node.items()}
-    return jnp.asarray(node, jnp.float32) if np.size(node) else None
-
-
-def _as(kind: Any, values: dict[str, Any], **nested: Any) -> Any:
-    """A named tuple from its dict, in which empty arrays are missing."""
-    fields: dict[str, Any] = {name: jnp.zeros(0) if value is None else value for name, value in values.items()}
-    return kind(**{name: _as(nested[name], value) if name in nested else value for name, value in fields.items()})

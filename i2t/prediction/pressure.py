@@ -1,4 +1,4 @@
-"""From what is seen and measured at a contact to the pressure on the skin: the geometry half of predicting a touch.
+"""Pressure on the skin from the view and measurements at a contact: the geometry half of predicting a touch.
 
 The camera's view is smoothed to robust local planes (`i2t.prediction.smoothing`), resampled to cells over the skin, and
 pressed with the measured force into a layer of nominal stiffness (`i2t.skin.contact`). What the camera cannot tell, the
@@ -13,6 +13,7 @@ configuration, so that a predictor takes the numbers that its recording has.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import jax
@@ -20,9 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from i2t.prediction import smoothing
+from i2t.prediction import smoothing, user_input
 from i2t.prediction.gp import CELL_MM, ContactPressure
 from i2t.skin.contact import Grid, solve, solve_force
+from i2t.skin.pad import nominal_pad
 from i2t.types import PAD_WINDOW, Pad
 
 SOLVER_TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
@@ -36,7 +38,7 @@ _WEIGHTS = np.array(
 
 @dataclass(frozen=True)
 class PressureModelConfig:
-    """How contact pressure is predicted. Metres, radians, newtons."""
+    """Options of the pressure model. Metres, radians, newtons."""
 
     pitch: float  # m, edge of a pixel of the view
     window: float = PAD_WINDOW  # m, edge of the square that can carry load
@@ -67,7 +69,7 @@ class PressureModelConfig:
 
 
 def heights(cfg: PressureModelConfig, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
-    """Heights of what is seen over the cells of the skin.
+    """Heights of the view over the cells of the skin.
 
     Args:
         cfg: How pressure is predicted.
@@ -91,7 +93,7 @@ def predict_pressure(
     force: Float[Array, ""],
     depth: Float[Array, ""],
 ) -> ContactPressure:
-    """The contact pressure of a press on what the view shows.
+    """Contact pressure of a press on the surface in the view.
 
     Of `force` and `depth` only the one named by `cfg.control` is used. A press known by its depth alone gets the load
     that the nominal layer gives.
@@ -134,3 +136,28 @@ def predict_pressure(
     cells = pressure.shape[0] // coarse
     newtons = pressure.reshape(cells, coarse, cells, coarse).sum((1, 3)) * grid.spacing**2
     return ContactPressure(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))
+
+
+def predict_pressures(
+    cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, depth: np.ndarray, pad: Pad | None = None
+) -> ContactPressure:
+    """The contact pressures of many touches, in batches of few sizes, so that a new number of them compiles nothing.
+
+    Args:
+        cfg: How pressure is predicted.
+        views: (n, w, w) m, depth views; NaN where the recording was cropped.
+        force: (n,) N along tool z.
+        depth: (n,) m past first contact.
+        pad: Whose layer is pressed; left out, one of nominal stiffness.
+
+    Returns:
+        Pressures and loads, n on axis 0.
+    """
+    columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or nominal_pad()
+    parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows, _ in user_input.size_classes(len(views))]
+    return jax.tree.map(lambda *found: jnp.concatenate(found)[: len(views)], *parts)  # only the last part is filled up
+
+
+@partial(jax.jit, static_argnums=0)
+def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, depth: Array) -> ContactPressure:
+    return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, depth)

@@ -1,4 +1,4 @@
-"""What a user gives to a predictor, judged before it is believed.
+"""Checks of the data that a user gives to a predictor.
 
 A model answers whatever numbers it is given: a patch in millimetres, a pose inside the object, a million newtons. Each
 is refused here in one sentence, or warned of where it may be meant. Pixels that nobody saw are filled in two ways, as
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from i2t import given
+from i2t import validation
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
 from i2t.types import STANDOFF, Surface
@@ -74,7 +74,7 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
     Raises:
         ValueError: Shape or values are no depth patch's.
     """
-    image = given.numbers("patch", patch, "metres behind the nearest point").astype(np.float32)
+    image = validation.numbers("patch", patch, "metres behind the nearest point").astype(np.float32)
     patches = image[None] if image.ndim == 2 else image
     if patches.ndim != 3 or patches.shape[1] != patches.shape[2] or not patches.size:
         raise ValueError(f"patch has shape {image.shape}; give (n, n) or (touches, n, n)")
@@ -123,7 +123,7 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
         ValueError: Shape or values do not fit the patches.
     """
     n, pixels = patches.shape[:2]
-    views = given.numbers("wide", wide, "metres behind the patch's nearest point").astype(np.float32)
+    views = validation.numbers("wide", wide, "metres behind the patch's nearest point").astype(np.float32)
     views = views[None] if views.ndim == 2 else views
     if views.ndim != 3 or len(views) != n or views.shape[1] != views.shape[2] or views.shape[1] < pixels:
         raise ValueError(
@@ -163,7 +163,7 @@ def checked_column(name: str, values: Any, n: int, default: float | None) -> Flo
     """
     if values is None:
         return np.full(n, np.nan if default is None else default, np.float32)
-    numbers = given.numbers(name, values, "one number for all touches or one for each").astype(np.float32)
+    numbers = validation.numbers(name, values, "one number for all touches or one for each").astype(np.float32)
     column = np.full(n, numbers) if numbers.ndim == 0 else numbers
     if column.shape != (n,) or not np.isfinite(column).all():
         raise ValueError(
@@ -213,7 +213,7 @@ def check_press(
 def fill_unseen(
     patches: Float[np.ndarray, "n p p"], valid: Any, reach: float
 ) -> tuple[Float[np.ndarray, "n p p"], Float[np.ndarray, "n p p"]]:
-    """Patches whose unseen pixels are empty, and whose unseen pixels go on as the nearest seen one.
+    """Patches with unseen pixels empty, and patches with unseen pixels as the nearest seen one.
 
     Args:
         patches: m.
@@ -257,11 +257,11 @@ def in_middle(views: Float[np.ndarray, "n w w"], patches: Float[np.ndarray, "n p
     return changed
 
 
-def checked_poses(T_w_t: Any) -> Float[np.ndarray, "n 4 4"]:
+def checked_poses(T_o_t: Any) -> Float[np.ndarray, "n 4 4"]:
     """The tool poses that a user gave.
 
     Args:
-        T_w_t: (4, 4) or (n, 4, 4).
+        T_o_t: (4, 4) or (n, 4, 4).
 
     Returns:
         The poses, on axis 0.
@@ -269,12 +269,12 @@ def checked_poses(T_w_t: Any) -> Float[np.ndarray, "n 4 4"]:
     Raises:
         ValueError: They are no rigid transforms.
     """
-    matrix = given.numbers("T_w_t", T_w_t, "a (4, 4) transform, or (n, 4, 4)").astype(np.float32)
+    matrix = validation.numbers("T_o_t", T_o_t, "a (4, 4) transform, or (n, 4, 4)").astype(np.float32)
     poses = matrix[None] if matrix.ndim == 2 else matrix
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses) or not np.isfinite(poses).all():
-        raise ValueError(f"T_w_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {matrix.shape}")
+        raise ValueError(f"T_o_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {matrix.shape}")
     if not all(bool(is_rigid(pose)) for pose in poses):
-        raise ValueError("T_w_t is no rigid transform: its rotation is scaled, mirrored or bent; make it orthonormal")
+        raise ValueError("T_o_t is no rigid transform: its rotation is scaled, mirrored or bent; make it orthonormal")
     return poses
 
 
@@ -296,12 +296,12 @@ def check_size(mesh: Any) -> None:
         )
 
 
-def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], view: WideView, window: float) -> None:
+def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: WideView, window: float) -> None:
     """Refuse a pose at which the skin does not lie on the surface, and warn of one where something else is met first.
 
     Args:
         surface: That is touched, in W.
-        T_w_t: Pose of the tool.
+        T_o_t: Pose of the tool.
         view: What lies in front of it.
         window: m, edge of the patch.
 
@@ -311,13 +311,13 @@ def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], view: Wide
     """
     nearest = float(view.patch.nearest)
     if not math.isfinite(nearest):
-        raise ValueError("nothing lies in front of the skin's middle at this pose; move T_w_t towards the surface")
+        raise ValueError("nothing lies in front of the skin's middle at this pose; move T_o_t towards the surface")
     on_skin = min(pixels_on_skin(window / len(view.patch.depth)), len(view.wide))
     stands_out = max(-float(np.min(centre(np.asarray(view.wide), on_skin))), 0.0)
     met = nearest - stands_out
     if met > MAX_GAP_M:
         raise ValueError(
-            f"the surface begins {1e3 * met:.3g} mm in front of the skin at this pose; move T_w_t onto it "
+            f"the surface begins {1e3 * met:.3g} mm in front of the skin at this pose; move T_o_t onto it "
             "(i2t.contact_pose)"
         )
     if met > MAX_CLOSE_GAP_M:
@@ -340,18 +340,18 @@ def check_in_front(surface: Surface, T_w_t: Float[np.ndarray, "4 4"], view: Wide
     depth = np.asarray(view.patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
     x, y = ((np.array([column, row]) + BESIDE_CENTRE) / len(depth) - 0.5) * window
-    if _starts_inside(np.asarray(surface.triangles, np.float64), T_w_t, float(x), float(y)):
+    if _starts_inside(np.asarray(surface.triangles, np.float64), T_o_t, float(x), float(y)):
         raise ValueError(
             "the skin would meet the surface from inside the object at this pose: it lies in the object, or tool z "
-            "points out of it; make T_w_t by i2t.contact_pose"
+            "points out of it; make T_o_t by i2t.contact_pose"
         )
 
 
-def _starts_inside(triangles: np.ndarray, T_w_t: np.ndarray, x: float, y: float) -> bool:
-    """Whether a ray along tool z starts inside a surface that is closed and faces outward along the whole line; never
-    for other surfaces, of which nobody knows.
+def _starts_inside(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float) -> bool:
+    """Test whether a ray along tool z starts inside a surface that is closed and faces outward along the whole line;
+    false for other surfaces, where it is unknown.
     """
-    rotation, origin = T_w_t[:3, :3].astype(np.float64), T_w_t[:3, 3].astype(np.float64)
+    rotation, origin = T_o_t[:3, :3].astype(np.float64), T_o_t[:3, 3].astype(np.float64)
     a, b, c = np.moveaxis((triangles - origin) @ rotation - np.array([x, y, 0.0]), 1, 0)
 
     def twice_area(p: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -369,5 +369,5 @@ def _starts_inside(triangles: np.ndarray, T_w_t: np.ndarray, x: float, y: float)
 
 
 def _which(touches: Bool[np.ndarray, " n"]) -> str:
-    """Which of several touches a message is about."""
+    """Touch that a message is about."""
     return "" if len(touches) == 1 else f" (touch {int(np.flatnonzero(touches)[0])})"

@@ -1,1 +1,1 @@
-"""Which object is touched: predicted touches, the belief over objects and poses, and the next touch."""
+"""Recognition of objects: predicted touches, the belief over objects and poses, and the next touch."""

@@ -1,4 +1,4 @@
-"""Which object is there, and where: a posterior over objects and their poses from touches.
+"""Belief over objects and their poses: a posterior from touches.
 
 Each possible object has a number of pose particles: poses drawn from what is known of its placement, the same through
 an episode. How far the placement may be off is taken as stated. It may also be inferred: then the stated placement
@@ -59,7 +59,7 @@ ARM_STIFFNESS_N_PER_M = PressLimits.stiffness  # of arm and mount in series
 
 @in_one_line
 class TouchObservation(NamedTuple):
-    """What was measured at a touch of a site."""
+    """Measurements at a touch of a site."""
 
     reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
@@ -88,7 +88,7 @@ class ScaleMixture(NamedTuple):
 
 @in_one_line
 class Likelihood(NamedTuple):
-    """How far a touch may be from the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""
+    """Likelihood of a touch given the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""
 
     whiten: Float[Array, "c c"]  # W, with W S W' = 1 and W diag(scale^2) W' = diag(growth), S the errors' covariance
     growth: Float[Array, " c"]  # of the whitened variance with the GP's own variance
@@ -132,7 +132,7 @@ class ScalePrior(NamedTuple):
         return self.drawn * np.exp(self.log_std * truncnorm.ppf(uniform, low, high))
 
     def log_weight(self, scale: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """How much more probable scales are than they are drawn.
+        """Log importance weights of drawn scales.
 
         Args:
             scale: As of `draw`.
@@ -157,7 +157,7 @@ class Particles(NamedTuple):
 
 @in_one_line
 class Belief(NamedTuple):
-    """What is believed after some touches of an episode."""
+    """Belief after some touches of an episode."""
 
     log_weight: Float[Array, "objects k"]  # log probability of object, particle and all touches so far
     mean: Float[Array, "objects k 6"]  # m, of the twist about the particle
@@ -457,7 +457,7 @@ def posterior(belief: Belief) -> Float[Array, " objects"]:
 
 
 def scale_posterior(belief: Belief, particles: Particles) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """How far the placement's error is from the stated one, all objects taken together.
+    """Ratio of the placement's error to the stated one, all objects taken together.
 
     Args:
         belief: After some touches.
@@ -494,7 +494,7 @@ def apply_temperature(
 def twist_estimate(
     belief: Belief, particles: Particles
 ) -> tuple[Float[Array, "objects 6"], Float[Array, "objects 6 6"]]:
-    """Where each object lies, if it is the one that is there.
+    """Pose of each object, if it is the one that is there.
 
     Args:
         belief: After some touches.
@@ -514,7 +514,7 @@ def twist_estimate(
 def _end_log_densities(
     error: Float[Array, ""], variance: Float[Array, " s"], predicted: PredictedTouch, likelihood: Likelihood
 ) -> tuple[Float[Array, " s"], Float[Array, ""]]:
-    """Log densities of where a press ended: as predicted, with each component's variance (m^2), and as an outlier
+    """Log densities of the end of a press: as predicted, with each component's variance (m^2), and as an outlier
     (uniform over its range); shares included.
     """
     normal = -0.5 * (error**2 / variance + jnp.log(2 * jnp.pi * variance))

@@ -26,7 +26,7 @@ from i2t.types import Array
 
 
 def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> TemperatureScaling:
-    """The temperature with which these beliefs would have had the least log loss over all touches.
+    """Temperature of the least log loss of these beliefs over all touches.
 
     Args:
         p: Beliefs of validation episodes.
@@ -130,7 +130,7 @@ def apply_platt(
 
 
 def _log_odds(p: Array) -> np.ndarray:
-    """Log odds, clipped to what single precision can tell."""
+    """Log odds, clipped to the range of single precision."""
     return logit(np.clip(np.asarray(p, np.float64), PROBABILITY_FLOOR, 1 - PROBABILITY_FLOOR))
 
 

@@ -42,7 +42,7 @@ BELIEVED_EPISODES = 8  # whose posteriors are formed at a time
 
 
 class EvidenceWeights(NamedTuple):
-    """Which kinds of evidence count."""
+    """Weights of the kinds of evidence."""
 
     tactile: float  # readings
     spatial: float  # positions at which presses ended
@@ -87,7 +87,7 @@ class EpisodeConfig:
 
 
 class Episodes(NamedTuple):
-    """Episodes as they went: e of them, t touches each."""
+    """Record of e episodes of t touches each."""
 
     truth: Int[np.ndarray, " e"]  # the object that was there
     site: Int[np.ndarray, "e t"]  # of the pool
@@ -96,7 +96,7 @@ class Episodes(NamedTuple):
 
 
 class MeasuredTouches(NamedTuple):
-    """What was measured at n touches, and where."""
+    """Measurements and poses of n touches."""
 
     T_w_t: Float[np.ndarray, "n 4 4"]  # where the presses ended, as the arm reports
     reading: Float[np.ndarray, "n c"]  # uT
@@ -104,7 +104,7 @@ class MeasuredTouches(NamedTuple):
 
 
 class EpisodeSimulator:
-    """Simulated episodes that go on touch by touch, so that sites may be chosen by what was measured."""
+    """Simulated episodes that go on touch by touch, so that sites may be chosen by measurements."""
 
     def __init__(
         self,
@@ -204,7 +204,7 @@ class EpisodeSimulator:
     def _call(
         self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray
     ) -> tuple[np.ndarray, Surface, np.ndarray, SessionErrors]:
-        """What touches of one object are simulated from, filled up to a batch so that one compilation serves all."""
+        """Arguments for simulated touches of one object, filled up to a batch so that one compilation serves all."""
         full, which = np.resize(rows, OBSERVED_BATCH), int(self.truth[episode[rows[0]]])
         return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
 
@@ -241,7 +241,7 @@ class EpisodeSimulator:
         return MeasuredTouches(T, np.asarray(made.reading)[:, -1], np.asarray(made.force)[:, -1])
 
     def episodes(self) -> Episodes:
-        """What happened.
+        """Episodes so far.
 
         Returns:
             The episodes so far.
@@ -289,7 +289,7 @@ def run_episodes(
 
 
 def session_errors(key: Key[Array, ""], count: int, errors: SimulationErrors) -> SessionErrors:
-    """What is wrong throughout each of the episodes that an `EpisodeSimulator` of this key has.
+    """Errors throughout each of the episodes that an `EpisodeSimulator` of this key has.
 
     Args:
         key: Of the simulator.
@@ -475,7 +475,7 @@ def weigh_evidence(likelihood: Likelihood, weights: EvidenceWeights) -> Likeliho
 
 
 class BeliefModel(NamedTuple):
-    """What a belief knows of a pad, and from which kinds of evidence it is formed."""
+    """A belief's model of a pad, and the kinds of evidence that form it."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood

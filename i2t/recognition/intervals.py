@@ -204,7 +204,7 @@ def _factors(clusters: Clusters, count: int) -> list[Int[np.ndarray, " n"]]:
 
 
 def _cells(factors: Sequence[Int[np.ndarray, " n"]]) -> Int[np.ndarray, " n"]:
-    """Labels of what the factors have in common."""
+    """Labels of combined clusters of all factors."""
     return np.unique(np.stack(factors), axis=1, return_inverse=True)[1].reshape(-1)
 
 

@@ -1,4 +1,4 @@
-"""Large meshes, cut down to what the skin can meet at a site.
+"""Parts of large meshes that the skin can meet at a site.
 
 A touch of a site meets an object within the skin's square only, wherever the object may stand. Of a scanned mesh that
 is a small part, so each site gets a surface of the clusters of faces (`i2t.rendering.bvh`) whose boxes reach into that
@@ -30,7 +30,7 @@ class ReachedBoxes(NamedTuple):
 
 
 def is_large(surfaces: Sequence[Surface]) -> bool:
-    """Whether surfaces of one size class have so many faces that cutting them down saves time.
+    """Test for surfaces of one size class with so many faces that cutting them down saves time.
 
     Args:
         surfaces: Prepared together.
@@ -68,7 +68,7 @@ def reached_boxes(surfaces: Sequence[Surface], twist: Float[Array | np.ndarray, 
 def reached_clusters(
     boxes: ReachedBoxes, T_w_site: Float[np.ndarray, "sites 4 4"], overtravel: float
 ) -> Bool[np.ndarray, "objects sites clusters"]:
-    """Which clusters a touch of each site may meet or press.
+    """Clusters that a touch of each site may meet or press.
 
     Args:
         boxes: Of the objects.

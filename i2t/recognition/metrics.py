@@ -85,7 +85,7 @@ def decision_shares(p: Float[Array, "*shape c"]) -> Float[Array, "*shape c"]:
 
 
 def hits(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Whether each decision is right.
+    """Correctness of each decision.
 
     Args:
         p: Beliefs.
@@ -130,7 +130,7 @@ def mean_accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters
 
 
 def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "c c"]:
-    """How often each class was taken for each.
+    """Confusion matrix of the decisions.
 
     Args:
         p: Beliefs at the decision.
@@ -249,7 +249,7 @@ def reliability(
 
 
 class CalibrationError(NamedTuple):
-    """Expected calibration error, next to what the same confidences give by chance if they are calibrated."""
+    """Expected calibration error, next to that of the same confidences by chance if they are calibrated."""
 
     error: float
     chance: float  # mean
@@ -405,7 +405,7 @@ class TouchesToConfidence(NamedTuple):
 
 
 def touches_to_confidence(first: Shaped[Array, " e"], touches: int, *, clusters: Clusters = ()) -> TouchesToConfidence:
-    """Summarise how many touches it takes to be confident.
+    """Summarise the numbers of touches until confident.
 
     Args:
         first: Of each episode, as `confident_at`.
@@ -428,7 +428,7 @@ def touches_to_confidence(first: Shaped[Array, " e"], touches: int, *, clusters:
 def touches_saved(
     first: Shaped[Array, " e"], other: Shaped[Array, " e"], touches: int, *, clusters: Clusters = (), seed: int = 0
 ) -> Estimate:
-    """By what share the restricted mean number of touches until confident is less than that of another policy.
+    """Share by which the restricted mean number of touches until confident is less than that of another policy.
 
     Paired bootstrap. Episodes in which neither becomes confident count as equal, so a limit on
     touches hides part of what is saved.
@@ -452,7 +452,7 @@ def touches_saved(
 
 
 def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Array, "e t"]:
-    """The values of the classes that were there.
+    """Values of the true classes.
 
     Args:
         values: (episodes, touches, classes).

@@ -1,4 +1,4 @@
-"""Scores where the object may be an unknown one: the unknown class, its prior, and how well it is recognised.
+"""Scores with unknown objects: the unknown class, its prior, and its recognition.
 
 Beliefs and truths are as in `i2t.recognition.metrics`, intervals as in `i2t.recognition.intervals`.
 """

@@ -1,4 +1,4 @@
-"""What a touch would be like on a possible object: where the skin meets it, how far it sinks, what it reads.
+"""Predicted outcome of a touch on a possible object: the contact, the indentation and the reading.
 
 An object that may lie anywhere near its believed pose is met by the flat skin at some distance along the approach
 (`i2t.simulation.sites.press_along`); there its heights over the skin are pressed with a few loads into a layer of
@@ -55,7 +55,7 @@ class LinearReadingModel(NamedTuple):
 
 
 class PredictedContact(NamedTuple):
-    """How the skin would meet an object; the same for every pad."""
+    """Predicted contact with an object; the same for every pad."""
 
     hit: Bool[Array, ""]  # whether the skin meets anything before it gives up
     approach_distance: Float[Array, ""]  # m, from the site to first contact; where nothing is met, the overtravel
@@ -65,7 +65,7 @@ class PredictedContact(NamedTuple):
 
 
 class PredictedTouch(NamedTuple):
-    """A touch that was not made; loads (l) are those of the `LinearReadingModel`."""
+    """A predicted touch; loads (l) are those of the `LinearReadingModel`."""
 
     hit: Bool[Array, ""]  # as in `PredictedContact`
     approach_distance: Float[Array, ""]  # m
@@ -122,7 +122,7 @@ def predict_contact(
     overtravel: float,
     start_distance: float = STANDOFF,
 ) -> PredictedContact:
-    """Predict where the skin meets an object and how a few loads are distributed over it.
+    """Predict the contact of the skin with an object and the distribution of a few loads over it.
 
     Args:
         surface: Of the object, in its own frame.
@@ -152,7 +152,7 @@ def predict_contact(
 
 
 def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> PredictedTouch:
-    """Predict what a pad reads at a contact.
+    """Predict the reading of a pad at a contact.
 
     Args:
         contact: Pressed with the loads of the model.
@@ -256,7 +256,7 @@ def interpolate_load(
 
 
 def _interpolate(i: Array, step: Array, values: Array) -> Array:
-    """On the straight line through values i and i + 1, a number of steps from the first."""
+    """Linear interpolation between values i and i + 1, a number of steps from the first."""
     low, high = (
         jax.lax.dynamic_index_in_dim(values, i, keepdims=False),
         jax.lax.dynamic_index_in_dim(values, i + 1, keepdims=False),

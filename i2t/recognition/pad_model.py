@@ -1,4 +1,4 @@
-"""What one pad reads at a contact, and how far its predictions are off: a pad model fitted to recorded touches.
+"""Pad models: readings of one pad at a contact and the errors of their prediction, fitted to recorded touches.
 
 Each recorded session's object is registered by its own contacts first (`i2t.registration.touch`): the contact is then
 known ten times better than from the camera's view. The contact's pressure on the nominal layer, at the measured force,
@@ -26,8 +26,7 @@ from i2t.dataset import Dataset
 from i2t.geometry import inverse
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure
-from i2t.prediction.predictor import predict_pressures
-from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, LinearReadingModel, PredictedContact
@@ -47,7 +46,7 @@ REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: 
 
 @in_one_line
 class PadModel(NamedTuple):
-    """A pad as its touches of known objects show it."""
+    """Model of a pad from its touches of known objects."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood
@@ -57,14 +56,14 @@ class PadModel(NamedTuple):
 
 
 class _Mechanics(NamedTuple):
-    """What touches say of the pad's layer and of where presses end."""
+    """Softness of the pad's layer, and errors of press ends."""
 
     softness: float  # indentation over that of the nominal layer
     position: ScaleMixture  # errors of where presses end, m
 
 
 class _Positions(NamedTuple):
-    """Where left-out touches ended, of a registration from others."""
+    """Ends of left-out touches, by a registration from others."""
 
     indentation: Float[np.ndarray, " n"]  # m past the predicted contact, less what the arm yields
     nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer there
@@ -226,7 +225,7 @@ def _register_session(
 def _left_out_positions(
     key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, limits: PressLimits
 ) -> _Positions:
-    """Where the touches of one session that met something ended, each predicted from those of the other folds."""
+    """Ends of the touches of one session that met something, each predicted from those of the other folds."""
     fold = np.arange(len(contacts.met)) % POSITION_FOLDS
     parts = []
     for which in range(POSITION_FOLDS):

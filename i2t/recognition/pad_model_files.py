@@ -1,4 +1,4 @@
-"""Pad models with the skin that they are of: on disk, and refused for touches of another skin.
+"""Pad models with their skin: on disk, and refused for touches of another skin.
 
 origin = PadOrigin("skin A", "real", ("hexagon", "parallelogram"), touches=300, made_from="DATA")
 save_pad_model("pad_model.npz", KnownPad(pad_model, dataset.board, origin))
@@ -29,7 +29,7 @@ PAD_MODEL_KIND = "i2t pad model"
 
 @dataclass(frozen=True)
 class PadOrigin:
-    """Where a pad model comes from."""
+    """Origin of a pad model."""
 
     pad: str  # name of the skin in the data set
     source: str  # of the touches: real, simulated or mixed
@@ -40,7 +40,7 @@ class PadOrigin:
 
 @in_one_line
 class SkinIdentity(NamedTuple):
-    """Which skin something is of."""
+    """Identity of a skin."""
 
     pad: str  # its name in data sets
     board: Board
@@ -49,7 +49,7 @@ class SkinIdentity(NamedTuple):
 
 @in_one_line
 class KnownPad(NamedTuple):
-    """A pad model and the skin that it is of."""
+    """A pad model and its skin."""
 
     model: PadModel
     board: Board
@@ -57,12 +57,12 @@ class KnownPad(NamedTuple):
 
     @property
     def skin(self) -> SkinIdentity:
-        """The skin that it is of."""
+        """Skin of the model."""
         return SkinIdentity(self.origin.pad, self.board, self.origin.made_from)
 
 
 class _Record(NamedTuple):
-    """What is on disk."""
+    """Pad model on disk."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood
@@ -118,7 +118,7 @@ def load_pad_model(path: Path | str) -> KnownPad:
 
 
 def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> KnownPad:
-    """A pad model from what is on disk, if its parts fit."""
+    """A pad model from its record on disk, if its parts fit."""
     channels = 3 * len(record.board.chips)
     loads, cells = record.reading_model.mean.shape[:2]
     shapes = {

@@ -1,13 +1,13 @@
-"""The paper's way to recognise an object: its rules (`i2t.recognition.ensemble`) over whole episodes, and its loop.
+"""The paper's recognition (`i2t.paper`) on this package's episodes, pools of sites and predictors.
 
 At each touch every possible object, taken to stand at the world's origin, is rendered where the press ended; a
 predictor says what the skin would read there, pressed with the measured force. The distance of that from the measured
 reading, in standard deviations of the training readings, is the object's. Proprioception, the paper's baseline, takes
 the distance of the contact from the object's surface, in millimetres.
 
-`paper_rules` applies the rules to episodes as they went. `run_loop` is the paper's whole procedure: a hypothesis is
-sampled from what the method itself believes so far, the next touch is drawn on it by the paper's heuristic, and the
-method's own distances score it. A method is called Imagine2touch only if its predictor is the paper's network.
+`paper_rules` applies the rules to episodes as they went. `run_loop` is the paper's whole procedure (`i2t.paper.loop`),
+in which every method is scored by its own distances. A method is called Imagine2touch only if its predictor is the
+paper's network.
 
 Source: Ayad et al., "Imagine2touch", section II. Metres, newtons, microtesla; a reading has c = 3 * chips channels.
 """
@@ -15,7 +15,7 @@ Source: Ayad et al., "Imagine2touch", section II. Metres, newtons, microtesla; a
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -23,8 +23,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from i2t.batching import map_batches
+from i2t.paper import loop, rules
+from i2t.paper.loop import LoopResult
 from i2t.prediction.predictor import Predictor, Reading
-from i2t.recognition import ensemble
 from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
@@ -33,14 +34,13 @@ from i2t.types import PATCH_PIXELS, Surface
 from i2t.views import SAME_SURFACE_M, centre, view_of_heights
 
 BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)
-RULES = {"votes": ensemble.votes, "average": ensemble.average, "product": ensemble.product}
 PROPRIOCEPTION = "proprioception"
 VIEWS = 64  # rendered and predicted at a time: one compilation serves all
 
 
 @runtime_checkable
 class ReadingPredictor(Protocol):
-    """What says what the skin would read; `i2t.prediction.predictor.Predictor` is one."""
+    """Predictor of the skin's readings; `i2t.prediction.predictor.Predictor` is one."""
 
     def predict_views(
         self,
@@ -57,7 +57,7 @@ class ReadingPredictor(Protocol):
 
 @dataclass(frozen=True)
 class ConstantPredictor:
-    """Says the same whatever is touched: what the paper's rules make of whether an object is there at all."""
+    """Predicts one reading for every touch: the paper's rules then judge by contact or none alone."""
 
     reading: Float[np.ndarray, " c"]  # uT, say the mean of the training readings
 
@@ -156,7 +156,7 @@ def reading_distances(
                 ).mean
                 predicted[name][rows, i] = np.where(seen[:, None], reading, 0.0)[: len(rows)]
     measured, std = jnp.float32(touches.reading), jnp.float32(reading_std)
-    return {name: np.asarray(ensemble.distances(measured, jnp.asarray(p), std)) for name, p in predicted.items()}
+    return {name: np.asarray(rules.distances(measured, jnp.asarray(p), std)) for name, p in predicted.items()}
 
 
 def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
@@ -191,7 +191,7 @@ def contact_scorer(surfaces: Sequence[Surface]) -> Scorer:
 
 
 def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """What each of the paper's rules makes of distances.
+    """Beliefs by each of the paper's rules from distances.
 
     Args:
         distance: Of each touch from each object.
@@ -199,7 +199,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     Returns:
         Beliefs after each touch, by rule.
     """
-    return {name: np.asarray(_believe(rule, jnp.asarray(distance))) for name, rule in RULES.items()}
+    return {rule: loop.beliefs(distance, rule) for rule in rules.RULES}
 
 
 def paper_rules(
@@ -242,7 +242,7 @@ def paper_rules(
 
 @runtime_checkable
 class TouchMaker(Protocol):
-    """What makes the touches of some episodes; `i2t.recognition.episodes.EpisodeSimulator` is one."""
+    """Maker of the touches of some episodes; `i2t.recognition.episodes.EpisodeSimulator` is one."""
 
     def touch(self, site: Int[np.ndarray, "e n"]) -> None:
         """Make the next touches.
@@ -257,14 +257,6 @@ class TouchMaker(Protocol):
         ...
 
 
-class LoopResult(NamedTuple):
-    """Episodes of the paper's loop: e of them, t touches each."""
-
-    distance: Float[np.ndarray, "e t objects"]  # of each touch from each object
-    hypothesis: Int[np.ndarray, "e t"]  # the object on which each touch was drawn
-    site: Int[np.ndarray, "e t"]  # of the pools that were joined
-
-
 def run_loop(
     key: Key[Array, ""],
     score: Scorer,
@@ -274,12 +266,9 @@ def run_loop(
     *,
     count: int,
     rule: str = "votes",
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[int], object] = lambda touches: None,
 ) -> LoopResult:
-    """The paper's loop in many episodes side by side.
-
-    Before each touch an object is sampled from the belief, which is uniform at first, and a site of that object is
-    drawn by the heuristic; equal keys draw alike for all methods as far as they believe alike.
+    """The paper's loop on pools of sites.
 
     Args:
         key: Of hypotheses and sites.
@@ -288,55 +277,32 @@ def run_loop(
         pools: Of sites.
         pool: Number of each episode's pool.
         count: Touches of each episode.
-        rule: Which of `RULES` makes the belief that hypotheses are sampled from; the paper's is that of votes.
+        rule: Which of the paper's rules makes the belief that hypotheses are sampled from.
         progress: Called with how many touches were made.
 
     Returns:
-        What happened.
+        What happened; sites are those of the pools that were joined.
     """
-    weight = jnp.asarray(pool_informativeness(pools)[pool])
-    episodes, objects, each = weight.shape
-    distance = np.zeros((episodes, count, objects), np.float32)
-    hypotheses, sites = np.zeros((2, episodes, count), int)
-    for step in range(count):
-        if step:
-            belief = np.asarray(_believe(RULES[rule], jnp.asarray(distance)))[:, step - 1]
-        else:
-            belief = np.full((episodes, objects), 1 / objects, np.float32)
-        keys = jax.random.split(jax.random.fold_in(key, step), episodes)
-        hypotheses[:, step], drawn = (np.asarray(x) for x in _draw(keys, jnp.asarray(belief), weight))
-        sites[:, step] = (pool * objects + hypotheses[:, step]) * each + drawn
-        touches.touch(sites[:, step : step + 1])
-        distance[:, step] = score(touches.last_touches())
-        if progress is not None:
-            progress(episodes)
-    return LoopResult(distance, hypotheses, sites)
+    objects, each = pools.T_w_t.shape[1:3]
 
+    def row(hypothesis: np.ndarray, site: np.ndarray) -> np.ndarray:
+        return (pool * objects + hypothesis) * each + site
 
-@jax.jit
-def _draw(keys: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
-    """The hypothesis (e,) and the number (e,) of the site on it, from beliefs (e, objects) and the sites' probabilities
-    (e, objects, each).
-    """
+    def touch(hypothesis: np.ndarray, site: np.ndarray) -> MeasuredTouches:
+        touches.touch(row(hypothesis, site)[:, None])
+        return touches.last_touches()
 
-    def one(key: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
-        key_object, key_site = jax.random.split(key)
-        which = ensemble.sample_hypothesis(key_object, belief)
-        return which, jax.random.categorical(key_site, jnp.log(weight[which]))
-
-    return jax.vmap(one)(keys, belief, weight)
-
-
-@partial(jax.jit, static_argnums=0)
-def _believe(rule: Callable[[Array], Array], distance: Array) -> Array:
-    return jax.vmap(rule)(distance)
+    weight = pool_informativeness(pools)[pool]
+    made = loop.run(key, touch, score, weight, count=count, rule=rule, progress=progress)
+    rows = [row(*one) for one in zip(made.hypothesis.T, made.site.T, strict=True)]
+    return made._replace(site=np.stack(rows, axis=1))
 
 
 # --- views ---
 
 
 def _on_rendered_views(predictor: ReadingPredictor, smooth: bool) -> ReadingPredictor:
-    """The predictor as it sees views without a camera's noise, or with it."""
+    """Predictor set for views without a camera's noise, or with it."""
     if isinstance(predictor, Predictor):
         return predictor.with_pressure(smooth=smooth, cell=PRESSURE_GRID.spacing)
     return predictor
@@ -354,7 +320,7 @@ def _behind(z: Array) -> Array:
 
 @jax.jit
 def _nearest_distances(points: Array, surface: Surface) -> Array:
-    return map_batches(lambda point: ensemble.nearest_distance(point, surface), points, batch_size=VIEWS)
+    return map_batches(lambda point: loop.nearest_distance(point, surface), points, batch_size=VIEWS)
 
 
 @jax.jit

@@ -27,7 +27,7 @@ from i2t.types import TWIST_LEVER_M
 
 @dataclass(frozen=True)
 class PlanarGrid:
-    """Where objects may stand and presses go, and the resolution of both."""
+    """Ranges of objects' poses and presses, and the resolution of both."""
 
     half: float = 20e-3  # m: objects stand within a square of +-half about the origin
     reach: float = 25e-3  # m: presses go to points at most so far from the origin
@@ -38,7 +38,7 @@ class PlanarGrid:
 
     @property
     def extent(self) -> float:
-        """How far (m) from an object's origin a press may be."""
+        """Largest distance (m) of a press from an object's origin."""
         return float(self.reach + np.sqrt(2) * self.half)
 
     @property
@@ -48,7 +48,7 @@ class PlanarGrid:
 
 
 class PlanarPose(NamedTuple):
-    """Where an object stands, if it is the one that is there."""
+    """Pose of an object, if it is the one that is there."""
 
     pose: Float[Array, "*objects 3"]  # x, y, turn: mean over the most probable cell and those near it
     share: Float[Array, "*objects"]  # probability of those cells
@@ -206,7 +206,7 @@ def most_probable_poses(state: Belief, cells: Float[Array, "k 3"], grid: PlanarG
 def condition_on_pose(
     state: Belief, cells: Float[Array, "k 3"], known: Float[Array, "3"], std: Float[Array, "3"]
 ) -> Belief:
-    """The belief if the pose were known: what not knowing it costs.
+    """The belief if the pose were known: the cost of not knowing it.
 
     Args:
         state: The belief.

@@ -1,4 +1,4 @@
-"""The next touch of many episodes at once: by what it is expected to tell, at random, or by the paper's heuristic.
+"""The next touch of many episodes at once: by expected information, at random, or by the paper's heuristic.
 
 A site is chosen only among those that are safe and were not touched yet. `choose_informative_sites` and
 `choose_random_sites` ask that a site be safe on what may be there, all objects weighted by their probability;
@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import map_batches
-from i2t.recognition import belief, ensemble, policy
+from i2t.paper import loop
+from i2t.recognition import belief, policy
 from i2t.recognition.belief import Belief, Likelihood, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.policy import NO_SITE
@@ -64,7 +65,7 @@ def choose_informative_sites(
     safe: Bool[Array, "sites objects"],
     skin_change: float | Float[Array, ""],
 ) -> Int[Array, " e"]:
-    """For each episode the site that is expected to tell most, of candidates drawn anew.
+    """Site of most expected information for each episode, of candidates drawn anew.
 
     Args:
         keys: Of the candidates and of their imagined outcomes.
@@ -163,7 +164,7 @@ def choose_heuristic_sites(
 
     def one(key: Array, state: Belief, done: Array) -> Array:
         key_object, key_site = jax.random.split(key)
-        which = ensemble.choose_hypothesis(key_object, belief.posterior(state), step)
+        which = loop.choose_hypothesis(key_object, belief.posterior(state), step)
         allowed = safe[:, which] & ~done
         weight = jnp.where(allowed, weights[which], 0.0)
         weight = jnp.where(jnp.sum(weight) > 0, weight, allowed.astype(weight.dtype))

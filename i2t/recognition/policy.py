@@ -1,4 +1,4 @@
-"""Where to touch next, and when to stop.
+"""Choice of the next touch, and stopping.
 
 A touch is worth what it is expected to tell: the mutual information between its outcome and the object (Lindley, Annals
 of Mathematical Statistics 27, 1956), and, for a part, between its outcome and where the object lies. It is estimated
@@ -10,7 +10,7 @@ between sites are less noisy than the values.
 
 Only allowed sites are chosen among: within reach, not touched yet, and safe on the objects that are still possible
 (`safe_sites_mask`). Where no site is allowed none is chosen, and the caller draws other sites or stops. The paper's
-heuristic is `i2t.recognition.ensemble.site_informativeness`.
+heuristic is `i2t.paper.loop.site_informativeness`.
 
 Pure functions on one episode; information in nats.
 """
@@ -42,7 +42,7 @@ NO_SITE = -1  # what is chosen where no site is allowed
 
 
 class InformationGain(NamedTuple):
-    """What a touch is expected to tell (nats)."""
+    """Expected information of a touch (nats)."""
 
     object: Float[Array, "..."]  # which object it is
     both: Float[Array, "..."]  # which object and where it lies, as far as the compared particles differ
@@ -76,7 +76,7 @@ def expected_information_gain(
     num_draws: int = NUM_DRAWS,
     num_particles: int = NUM_COMPARED_PARTICLES,
 ) -> InformationGain:
-    """Estimate what a touch at each site is expected to tell.
+    """Estimate the expected information of a touch at each site.
 
     Args:
         key: Of the imagined outcomes.
@@ -122,7 +122,7 @@ def imagine_observation(
     skin_change: float | Float[Array, ""],
     force: float | Float[Array, ""],
 ) -> TouchObservation:
-    """What would be measured at a touch.
+    """Imagined measurement at a touch.
 
     Args:
         predicted: The touch as predicted for a particle.
@@ -175,7 +175,7 @@ def stop_load(
 def safe_sites_mask(
     belief: Belief, safe: Bool[Array, "sites objects"], max_unsafe_probability: float = MAX_UNSAFE_PROBABILITY
 ) -> Bool[Array, " sites"]:
-    """Which sites are safe on what may be there.
+    """Mask of sites safe on the possible objects.
 
     Args:
         belief: After the touches so far.
@@ -190,7 +190,7 @@ def safe_sites_mask(
 
 
 def choose_site(gain: InformationGain, allowed: Bool[Array, " sites"], pose_weight: float = 0.1) -> Int[Array, ""]:
-    """The allowed site that is expected to tell most; `NO_SITE` (-1) where none is allowed.
+    """The allowed site of most expected information; `NO_SITE` (-1) where none is allowed.
 
     Args:
         gain: What a touch at each site is expected to tell.
@@ -206,7 +206,7 @@ def choose_site(gain: InformationGain, allowed: Bool[Array, " sites"], pose_weig
 
 
 def should_stop(probability: Float[Array, " objects"], max_error_probability: float) -> Bool[Array, ""]:
-    """Whether the most probable object is probable enough.
+    """Test whether the most probable object is probable enough.
 
     Args:
         probability: Of the objects, calibrated (`i2t.recognition.belief.apply_temperature`).
@@ -230,7 +230,7 @@ def _resample_particles(key: Array, belief: Belief, count: int) -> _Compared:
 
 
 def _systematic_draw(key: Array, probability: Array, count: int) -> Array:
-    """Draws of a category, each as often as its probability says, to one."""
+    """Draws of a category, each in proportion to its probability, to within one."""
     comb = (jnp.arange(count) + jax.random.uniform(key)) / count
     return jnp.minimum(jnp.searchsorted(jnp.cumsum(probability), comb), len(probability) - 1)
 
@@ -267,7 +267,7 @@ def _compare(
 def _mutual_information(
     density: Float[Array, "n objects p"], log_prior: Float[Array, " objects"], draws: _Draws
 ) -> InformationGain:
-    """Entropy of the object before less that after; and the log likelihood ratio of the truth to all hypotheses."""
+    """Entropy of the object before minus that after; and the log likelihood ratio of the truth to all hypotheses."""
     of_object = logsumexp(density, axis=2) - jnp.log(density.shape[2])
     total = logsumexp(of_object + log_prior[None], axis=1)
     after = jnp.exp(of_object + log_prior[None] - total[:, None])

@@ -1,4 +1,4 @@
-"""Recognise an object by touches that the belief itself chooses; for one robot, whatever it is.
+"""Recognise an object by touches that the belief itself chooses; for any one robot.
 
     recognizer = ObjectRecognizer(jax.random.key(0), pad_model, meshes)
     state = recognizer.init()
@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t import given
+from i2t import validation
 from i2t.geometry import from_twist, inverse, is_rigid, nearest_rigid
 from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, open_set, outcomes, policy
@@ -52,7 +52,7 @@ POSE_STD_M, POSE_STD_RAD = 1e-3, float(np.radians(1.0))  # of an object's pose u
 
 @dataclass(frozen=True)
 class RecognizerConfig:
-    """How a recogniser chooses and when it stops. Raises ValueError for numbers that make no sense."""
+    """Settings of a recogniser's choices and stopping. Raises ValueError for numbers that make no sense."""
 
     num_sites: int = 24  # of each object, to choose among
     num_particles: int = 64  # poses of each object
@@ -85,7 +85,7 @@ class ChosenSite(NamedTuple):
 
 @in_one_line
 class SiteObservation(NamedTuple):
-    """What a touch of a site measured."""
+    """Measurement at a touch of a site."""
 
     number: int  # of the site
     touch: TouchObservation
@@ -93,7 +93,7 @@ class SiteObservation(NamedTuple):
 
 @in_one_line
 class RecognizerState(NamedTuple):
-    """What is believed, and which sites were touched."""
+    """Belief, and the sites that were touched."""
 
     belief: Belief
     touched: Bool[np.ndarray, " sites"]  # or excluded
@@ -103,7 +103,7 @@ class RecognizerState(NamedTuple):
 
 @in_one_line
 class RecognitionInfo(NamedTuple):
-    """What is believed after a touch, calibrated."""
+    """Calibrated belief after a touch."""
 
     probability: Float[np.ndarray, " objects"]  # of the known objects, in the order of `ObjectRecognizer.names`
     unknown: float  # probability that it is none of them
@@ -154,7 +154,7 @@ class ObjectRecognizer:
             ValueError: Fewer than two objects, an object has too few safe sites, or `T_w_o` is not rigid.
             TypeError: The key is none, or `meshes` no mapping.
         """
-        given.random_key("key", key)
+        validation.random_key("key", key)
         if not isinstance(pad_model, PadModel):
             kind = type(pad_model).__name__
             raise TypeError(f"pad_model: is a {kind}; give a pad model, such as i2t.load_pad_model('nominal').model")
@@ -164,7 +164,7 @@ class ObjectRecognizer:
             raise ValueError("a recogniser needs at least two objects to tell apart")
         self.names, self.config, self.likelihood = tuple(meshes), config, pad_model.likelihood
         hint = "a (4, 4) transform"
-        self.T_w_o = np.eye(4) if T_w_o is None else given.numbers("T_w_o", T_w_o, hint).astype(np.float64)
+        self.T_w_o = np.eye(4) if T_w_o is None else validation.numbers("T_w_o", T_w_o, hint).astype(np.float64)
         if self.T_w_o.shape != (4, 4) or not is_rigid(self.T_w_o):
             raise ValueError("T_w_o: is not a rigid motion; correct it")
         known = list(meshes.values())
@@ -188,7 +188,7 @@ class ObjectRecognizer:
         self._objects = len(surfaces)
 
     def __repr__(self) -> str:
-        """One line: among what it chooses."""
+        """One line with the objects."""
         return (
             f"ObjectRecognizer({len(self.names)} objects: {', '.join(self.names[:5])}{', ...' * (len(self.names) > 5)})"
         )
@@ -217,7 +217,7 @@ class ObjectRecognizer:
         return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability)
 
     def choose_touch(self, state: RecognizerState, *, key: Key[Array, ""] | None = None) -> ChosenSite | None:
-        """The site that is expected to tell most, among those that are safe on what may be there.
+        """The site of most expected information, among those that are safe on the possible objects.
 
         Args:
             state: After the touches so far.
@@ -239,7 +239,7 @@ class ObjectRecognizer:
         return None
 
     def stop_reason(self, state: RecognizerState) -> str | None:
-        """Why no more touch is wanted.
+        """Reason to stop touching.
 
         Args:
             state: After the touches so far.
@@ -270,7 +270,7 @@ class ObjectRecognizer:
         T_w_t: Float[Array | np.ndarray, "4 4"],
         contact: bool,
     ) -> SiteObservation:
-        """Put what a robot measured into the form of `update`.
+        """Bring a robot's measurements into the form of `update`.
 
         Args:
             site: That was touched.
@@ -331,7 +331,7 @@ class ObjectRecognizer:
         return state._replace(touched=touched)
 
     def info(self, state: RecognizerState) -> RecognitionInfo:
-        """What is believed.
+        """Current belief.
 
         Args:
             state: After the touches so far.
@@ -347,7 +347,7 @@ class ObjectRecognizer:
         return RecognitionInfo(p, unknown, self.names[best], float(p[best]), scale)
 
     def object_pose(self, state: RecognizerState, name: str) -> Float[np.ndarray, "4 4"]:
-        """Where an object stands, if it is the one that is there.
+        """Pose of an object, if it is the one that is there.
 
         Args:
             state: After the touches so far.
@@ -371,7 +371,7 @@ class ObjectRecognizer:
         return nearest_rigid(self.T_w_o @ np.asarray(self.sites.T_w_t[number], float))
 
     def contact_probability(self, state: RecognizerState, number: int) -> Float[np.ndarray, " objects"]:
-        """How surely a touch of a site would meet each of the known objects, if it is the one that is there.
+        """Probability that a touch of a site meets each of the known objects, if it is the one that is there.
 
         Args:
             state: Before the touch.
@@ -386,7 +386,7 @@ class ObjectRecognizer:
         return met[: len(self.names)]
 
     def warm_up(self) -> None:
-        """Choose and learn once for nothing, so that nothing is compiled while an arm waits."""
+        """Choose and update once in advance, so that nothing is compiled while an arm waits."""
         state = self.init()
         blank = TouchObservation(jnp.zeros(self.channels), jnp.float32(1.0), jnp.float32(0.0), jnp.asarray(False))
         for step in range(2):  # after a first touch the belief has other types

@@ -1,4 +1,4 @@
-"""Sites of several objects: which may be touched, which are, and what a touch of each would be like on every object.
+"""Sites of several objects: the safe ones, the chosen ones, and the predicted touch of each on every object.
 
 A pool of sites serves a recogniser that chooses among them, so that touches are predicted once for every object in each
 of its possible poses (`precompute_outcomes`). Episodes that are to be judged need sites of their own, because those
@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from i2t.paper import loop
 from i2t.progress import Progress, progress
-from i2t.recognition import belief, ensemble, outcomes
+from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import Particles
 from i2t.recognition.local_surfaces import (
     ReachedBoxes,
@@ -78,7 +79,7 @@ class SitePools(NamedTuple):
 
 
 class TouchPlan(NamedTuple):
-    """Where some episodes touch, decided beforehand."""
+    """Touch sites of some episodes, decided beforehand."""
 
     sites: SitePool
     chosen: Int[np.ndarray, "e t"]  # sites of the touches
@@ -161,7 +162,7 @@ def sample_sites(
 def safe_sites(
     surfaces: Sequence[Surface], sites: SitePool, limits: touch_sites.SiteLimits
 ) -> Bool[np.ndarray, "sites objects"]:
-    """Whether each site of a pool would be safe on each object; on its own object each is that was drawn there.
+    """Test each site of a pool for safety on each object; on its own object a drawn site is safe.
 
     Args:
         surfaces: Of the objects, in the world: at its origin, or placed by `place_surfaces`.
@@ -208,8 +209,8 @@ def predict_outcomes(
     boxes: ReachedBoxes | None = None,
     bar: Progress | None = None,
 ) -> list[PredictedTouch]:
-    """Predict a touch of every object in every pose at every site; of large meshes only what a site reaches is looked
-    at (`i2t.recognition.local_surfaces`).
+    """Predict a touch of every object in every pose at every site; of large meshes only the part in a site's reach is
+    used (`i2t.recognition.local_surfaces`).
 
     Args:
         surfaces: Of the objects.
@@ -246,7 +247,7 @@ def predict_outcomes(
 def _batches(
     objects: int, sites: int, each: int, reached: Bool[np.ndarray, "objects sites clusters"] | None
 ) -> dict[int, list[tuple[int, np.ndarray]]]:
-    """Which sites are predicted together, `each` at a time: numbers of the object and rows of the sites, by the size
+    """Sites that are predicted together, `each` at a time: numbers of the object and rows of the sites, by the size
     class of what they reach, or 0 where surfaces are taken whole. Rows that fill up a batch are repeated.
     """
     found: dict[int, list[tuple[int, np.ndarray]]] = {}
@@ -260,7 +261,7 @@ def _batches(
 
 
 def _part(surface: Surface, reached: np.ndarray | None, number: int, rows: np.ndarray, groups: int) -> Surface:
-    """The surface, or what each of some sites reaches of it, stacked."""
+    """The surface, or the parts of it that some sites reach, stacked."""
     return surface if reached is None else cut_surfaces(surface, reached[number, rows], groups)
 
 
@@ -353,7 +354,7 @@ def plan_informative_touches(
     key: Key[Array, ""], pools: SitePools, pool: Int[np.ndarray, " e"], touches: int
 ) -> TouchPlan:
     """Draw for each touch the site of a random object by the paper's heuristic
-    (`i2t.recognition.ensemble.site_informativeness`).
+    (`i2t.paper.loop.site_informativeness`).
 
     Args:
         key: Of the draws.
@@ -408,7 +409,7 @@ def _informativeness(T_w_t: Array) -> Array:
     """The heuristic's probabilities (objects, each) of the sites (objects, each, 4, 4) of one pool."""
     safe = jnp.ones(T_w_t.shape[:2], bool)
     points, normals = T_w_t[..., :3, 3], -T_w_t[..., :3, 2]
-    return jax.vmap(lambda o: ensemble.site_informativeness(points, normals, safe, o))(jnp.arange(len(T_w_t)))
+    return jax.vmap(lambda o: loop.site_informativeness(points, normals, safe, o))(jnp.arange(len(T_w_t)))
 
 
 def _draw_sites(

@@ -1,4 +1,4 @@
-"""From touches to shape: what the skin met at one press, as a posterior over local surfaces.
+"""Shape from touches: the surface met at one press, as a posterior over local surfaces.
 
 Names are imported when they are first used.
 """

@@ -1,4 +1,4 @@
-"""Where to touch an unknown object next.
+"""Next touch of an unknown object.
 
 Sites are proposed on the surface as it is estimated now, each with the tool along the estimated normal; those that the
 limits of `i2t.simulation.site_limits` forbid are struck out, judged on the estimate and its uncertainty, since nothing
@@ -44,7 +44,7 @@ AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
 @dataclass(frozen=True)
 class ExplorationConfig:
-    """How sites are proposed and approached."""
+    """Options of sites and approaches."""
 
     policy: PolicyName = "reduction"
     limits: SiteLimits = field(default_factory=SiteLimits)  # of what is safe; the paper's collection on a table
@@ -65,7 +65,7 @@ class SiteProposals(NamedTuple):
 
 
 class TouchChoice(NamedTuple):
-    """Where to touch next, and among what it was chosen."""
+    """Next touch, and the sites it was chosen among."""
 
     T_o_t: Float[np.ndarray, "4 4"] | None  # None: nothing is safe
     score: float  # of the policy; NaN where nothing was chosen
@@ -80,7 +80,7 @@ def choose_touch(
     seed: int = 0,
     estimate: SurfaceEstimate | None = None,
 ) -> TouchChoice:
-    """Where to touch next.
+    """Choose the next touch.
 
     Args:
         model: What was known before.
@@ -149,8 +149,8 @@ def surface_points(
 def safe_sites(
     estimate: SurfaceEstimate, T_o_t: Float[np.ndarray, "n 4 4"], *, config: ExplorationConfig
 ) -> Bool[np.ndarray, " n"]:
-    """Which sites the limits allow, as far as the estimate knows: tilt, room for mount and flange down to the end of
-    the overtravel, and nothing of the estimated surface above the contact plane in the sensor's square.
+    """Sites that the limits allow, as far as the estimate knows: tilt, room for mount and flange down to the end of the
+    overtravel, and nothing of the estimated surface above the contact plane in the sensor's square.
 
     Args:
         estimate: Of the surface.
@@ -172,7 +172,7 @@ def safe_sites(
 
 @partial(jax.jit, static_argnums=2)
 def _stand_clear(here: jax.Array, end: jax.Array, limits: SiteLimits) -> jax.Array:
-    """Whether tilt, mount and flange are within the limits at contact and at the end of the overtravel."""
+    """Test tilt, mount and flange against the limits at contact and at the end of the overtravel."""
 
     def one(here: jax.Array, end: jax.Array) -> jax.Array:
         return is_upward(here, limits) & is_above_table(here, limits) & is_above_table(end, limits)
@@ -181,7 +181,7 @@ def _stand_clear(here: jax.Array, end: jax.Array, limits: SiteLimits) -> jax.Arr
 
 
 def _unoccluded(estimate: SurfaceEstimate, T_o_t: np.ndarray, limits: SiteLimits) -> np.ndarray:
-    """Whether the estimated object leaves the room above the contact plane free, `max_rise` aside."""
+    """Test that the estimated object leaves the room above the contact plane free, `max_rise` aside."""
     edge = np.linspace(-limits.half, limits.half, 5)
     x, y, z = (e.ravel() for e in np.meshgrid(edge, edge, -(limits.max_rise + np.linspace(0, 60e-3, 13))))
     local = np.stack([x, y, z], -1)
@@ -230,8 +230,8 @@ def expected_reduction(
     rng: np.random.Generator,
     config: ExplorationConfig,
 ) -> Float[np.ndarray, " n"]:
-    """How much a measurement at each place is expected to take off the surface's variance, summed over where the
-    surface may be.
+    """Expected reduction of the surface's variance by a measurement at each place, summed over where the surface may
+    be.
 
     Args:
         model: What was known before.

@@ -1,4 +1,4 @@
-"""A library of patches: what a skin meets on many shapes, rendered once, and how a nominal pad is pressed into it.
+"""A library of patches: surfaces met on many shapes, rendered once, and the press of a nominal pad into each.
 
 Sites are drawn on every shape, safe ones (`i2t.simulation.sites`) or any, and the approach is tilted against the
 surface's normal by an angle between two bounds, about a random axis: how an unknown surface lies is not known either.
@@ -62,14 +62,14 @@ STRAIGHT_EDGE_COHERENCE = 0.6  # coherence of an edge above which it counts as o
 
 @dataclass(frozen=True)
 class ContactSampling:
-    """Where and how patches are met."""
+    """Sampling of contacts."""
 
     tilt: tuple[float, float] = TILT_RANGE_RAD  # rad, between these the approach is tilted against the normal
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS  # of safe sites; None takes any point of the surface
 
 
 class Contacts(NamedTuple):
-    """Where a skin first met one shape, and what it met there."""
+    """First contacts with one shape, and the patches met."""
 
     T_o_t: Float[Array, "n 4 4"]  # tool pose at first contact
     patch: Float[Array, "n p p"]  # m beyond the plane of contact, clipped to the reach
@@ -309,7 +309,7 @@ def _edges(patches: Array) -> tuple[Array, Array]:
 
 
 def describe_edge(patch: Float[Array, "p p"]) -> tuple[Float[Array, "4"], Array]:
-    """Along which line a surface steps down, and what kind of contact that makes it.
+    """Line along which a surface steps down, and the class of contact.
 
     Args:
         patch: m beyond the plane of first contact.

@@ -1,4 +1,4 @@
-"""What the skin met, from one press: a posterior over local surfaces, by imagination.
+"""Local shape from one press: a posterior over patches of a library.
 
 A library holds patches of many shapes (`i2t.reconstruction.library`), a `PressModel` what one pad would read at each
 of them under a few loads. A press is one or more stops, each with a reading (uT), a force (N) and a travel past first
@@ -43,7 +43,7 @@ CONTACT_NEWTONS = 1e-3  # on a cell of 1 mm (1 kPa), above which it counts as co
 
 
 class PatchLibrary(NamedTuple):
-    """Patches of many shapes, and how a pad of nominal stiffness meets them; the same for every pad."""
+    """Patches of many shapes, and their presses by a pad of nominal stiffness; the same for every pad."""
 
     patch: Float[Any, "n p p"]  # m beyond the plane of first contact, clipped to the reach
     height: Float[Any, "n g g"]  # m, the same over the cells of the pad, uncut (nothing there is infinite)
@@ -57,7 +57,7 @@ class PatchLibrary(NamedTuple):
 
 
 class PatchLikelihood(NamedTuple):
-    """How far a press may differ from what is imagined of it; chosen on validation objects."""
+    """Errors of a press about the predicted one; chosen on validation objects."""
 
     slant_std: Float[Array, ""] | float = 0.01745  # m/m, of the press's motion along x and y (1 degree)
     force_std: Float[Array, ""] | float = 0.1  # N, of each stop
@@ -71,7 +71,7 @@ class PatchLikelihood(NamedTuple):
 
 
 class PressModel(NamedTuple):
-    """What one pad reads at each patch of a library under each of its loads.
+    """Readings of one pad at each patch of a library under each of its loads.
 
     Readings are turned to the axes in which the sensor's noise is independent; those axes come first in memory, and
     patches last, as every touch needs all of them.
@@ -87,7 +87,7 @@ class PressModel(NamedTuple):
 
 
 class PatchPosterior(NamedTuple):
-    """What the skin may have met. Samples (k) are alike in weight; `weight` is of every patch of the library."""
+    """Posterior over patches. Samples (k) are alike in weight; `weight` is of every patch of the library."""
 
     weight: Float[Array, " n"]  # of the library's patches; sums to 1
     rows: Int[Array, " k"]  # of the samples in the library
@@ -158,7 +158,7 @@ def infer_patch(
 def log_likelihood(
     reading: Float[Array, "s c"], force: Float[Array, " s"], travel: Float[Array, " s"], *, model: PressModel
 ) -> Float[Array, " n"]:
-    """How well each patch of the library explains a press, up to a constant.
+    """Log likelihood of a press under each patch of the library, up to a constant.
 
     Args:
         reading: uT, at each stop; one with a NaN counts as not made.
@@ -217,7 +217,7 @@ def summarize(
     blur: Float[Array, ""] | float = 0.0,
     samples: int = SAMPLES,
 ) -> PatchPosterior:
-    """What weights of the library's patches say of the surface.
+    """Posterior of the surface by weights of the patches.
 
     Args:
         weight: Of the patches; sums to 1.
@@ -276,7 +276,7 @@ def systematic_samples(weight: Float[Array, " n"], samples: int) -> Int[Array, "
 
 
 class _Differences(NamedTuple):
-    """A press less what is imagined of each patch, and what nuisances add, all in standard deviations."""
+    """Differences of a press from each predicted one, and effects of nuisances, all in standard deviations."""
 
     reading: Float[Array, "s c n"]
     travel: Float[Array, "s n"]
@@ -289,8 +289,8 @@ class _Differences(NamedTuple):
 def _at_force(
     curves: Array, loads: Array, force: Array, *, proportional: bool = True
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Curves over loads (l, ...) at a force, and their derivative by it: linear in the logarithm of the load, what is
-    proportional to it as its value per newton; at most one step beyond the outer loads.
+    """Curves over loads (l, ...) at a force, and their derivative by it: linear in the logarithm of the load,
+    proportional ones as values per newton; at most one step beyond the outer loads.
     """
     knots = jnp.log(loads)
     low = jnp.clip(jnp.searchsorted(knots, jnp.log(force)) - 1, 0, len(loads) - 2)
@@ -369,7 +369,7 @@ def _edge(edge: Float[Array, "k 4"], kind: Int[Array, " k"]) -> tuple[Array, Arr
 
 
 def _blurred(image: Float[Array, "m m"], std: Float[Array, ""] | float) -> Float[Array, "m m"]:
-    """Smoothed by a Gaussian of a standard deviation in pixels, as if the outermost ones went on."""
+    """Smooth by a Gaussian of a standard deviation in pixels, the outermost ones continued."""
     at = np.arange(image.shape[0])
     distance = (at[:, None] - at[None, :]) ** 2
     kernel = jnp.exp(-0.5 * distance / jnp.maximum(std, 1e-3) ** 2)

@@ -1,4 +1,4 @@
-"""Simulated presses with several stops, by the full physics: what an inference of the local shape is tried on.
+"""Simulated presses with several stops, by the full physics: test data for inference of the local shape.
 
 One press runs past a first change of the reading (25 uT) to a second one (100 uT), or to the greatest force; it slants
 by the same slope all the way, and each stop is measured with the errors of `SimulationErrors`.
@@ -30,7 +30,7 @@ SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four 
 
 
 class PressCurve(NamedTuple):
-    """Stops of one press: what was measured, and what only a simulation knows."""
+    """Stops of one press: measurements, and truth of the simulation."""
 
     reading: Float[Array, "*batch s c"]  # uT
     force: Float[Array, "*batch s"]  # N

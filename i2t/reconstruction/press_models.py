@@ -1,4 +1,4 @@
-"""What one pad would read at every patch of a library, by its physics or by a model fitted to its touches.
+"""Readings of one pad at every patch of a library, by its physics or by a model fitted to its touches.
 
 By physics (`imagine_presses`): the pad's own layer is pressed onto each patch with the library's loads in turn,
 friction follows the path of the press (`i2t.skin.friction`), and the field of the moved magnets is what chips read.
@@ -39,15 +39,15 @@ SLIDING_RIDGE = 0.1  # of the mean square of the pressures
 
 @runtime_checkable
 class ReadingModel(Protocol):
-    """What `model_presses` needs to know of a pad."""
+    """Pad model that `model_presses` needs."""
 
     @property
     def loads(self) -> Float[Array, " l"]:
-        """N, ascending."""
+        """Loads (N), ascending."""
 
     @property
     def mean(self) -> Float[Array, "l cells c"]:
-        """uT per N on each cell of 1 mm."""
+        """Mean reading (uT) per N on each cell of 1 mm."""
 
     @property
     def softness(self) -> Float[Array, ""]:
@@ -62,7 +62,7 @@ def imagine_presses(
     noise: Noise | None = None,
     stiffness: float = STIFFNESS_N_PER_M,
 ) -> PressModel:
-    """What a pad of known physics reads at a library's patches: simulated, nominal, or fitted to its presses.
+    """Readings of a pad of known physics at a library's patches: simulated, nominal, or fitted to its presses.
 
     Args:
         pad: The skin.
@@ -95,7 +95,7 @@ def model_presses(
     noise: Noise | None = None,
     stiffness: float = STIFFNESS_N_PER_M,
 ) -> PressModel:
-    """What a pad reads at a library's patches by a model that was fitted to its touches.
+    """Readings of a pad at a library's patches by a model that was fitted to its touches.
 
     Args:
         reading_model: From pressures to readings at a few loads.
@@ -151,7 +151,7 @@ def _press_model(
     likelihood: PatchLikelihood | None,
     noise: Noise | None,
 ) -> PressModel:
-    """Readings (n, l, c) and what slides (n, l, 2, c), turned to the axes of the noise, patches last."""
+    """Readings (n, l, c) and sliding terms (n, l, 2, c), turned to the axes of the noise, patches last."""
     variance, vectors = np.linalg.eigh(noise_covariance(board, Noise() if noise is None else noise))
     axes = jnp.asarray(vectors.T, jnp.float32)
     return PressModel(
@@ -180,7 +180,7 @@ def _press_all(pad: Pad, heights: Array, loads: Array) -> tuple[Array, Array, Ar
 
 @jax.jit
 def _slide_all(pad: Pad, heights: Array, loads: Array) -> Array:
-    """What a slant of 1 m/m along x and along y adds to the readings, (n, l, 2, c)."""
+    """Change of the readings by a slant of 1 m/m along x and along y, (n, l, 2, c)."""
 
     def one(height: Array) -> Array:
         pressure, indentation = pressure_chain(pad, height, loads)

@@ -190,7 +190,7 @@ def marching_cubes() -> Any:
 
 
 def _inside(triangles: NDArray, grid: VoxelGrid) -> NDArray[np.bool_]:
-    """Whether each point of a grid is inside, by the winding number along its column of the grid."""
+    """Mask of grid points inside a mesh, by the winding number along their column of the grid."""
     xy = grid.points().reshape(*grid.shape, 3)[:, :, 0, :2].reshape(-1, 2).astype(np.float64) + COLUMN_SHIFT
     levels = grid.low[2] + grid.spacing * np.arange(grid.shape[2])
     winding = np.zeros((len(xy), grid.shape[2]), np.int32)

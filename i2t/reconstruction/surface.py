@@ -58,7 +58,7 @@ FREE_STRIDE = 2  # of the grid on which the mean is compared with free space
 
 @dataclass(frozen=True)
 class SurfaceConfig:
-    """What is assumed of shapes and touches."""
+    """Assumptions on shapes and touches."""
 
     across: int = 36  # points of the grid along x and along y
     margin: float = 8e-3  # m, of the grid around the shapes
@@ -85,7 +85,7 @@ class SurfaceConfig:
 
 
 class SurfaceModel(NamedTuple):
-    """What is known before the first touch."""
+    """Prior knowledge of the surface."""
 
     grid: VoxelGrid
     points: Float[np.ndarray, "g 3"]  # m, of the grid
@@ -94,7 +94,7 @@ class SurfaceModel(NamedTuple):
 
 
 class TouchEvidence(NamedTuple):
-    """What one touch says of the surface, in the frame of the pad that made it."""
+    """Evidence of one touch on the surface, in the frame of the pad that made it."""
 
     T_o_t: Float[np.ndarray, "4 4"]  # pose of the tool at first contact, or where the way through air ended
     hit: bool  # whether there was a contact
@@ -105,7 +105,7 @@ class TouchEvidence(NamedTuple):
 
 
 class SurfaceState(NamedTuple):
-    """What the touches so far say."""
+    """Evidence of all touches."""
 
     log_weights: Float[np.ndarray, " k"]  # of the library's shapes, not normalised, not tempered
     touches: tuple[TouchEvidence, ...]
@@ -115,7 +115,7 @@ class SurfaceState(NamedTuple):
 
 
 class SurfaceInfo(NamedTuple):
-    """What an update did."""
+    """Result of an update."""
 
     log_likelihood: Float[np.ndarray, " k"]  # of the touch under each shape of the library
     effective_shapes: float  # as many equal weights would be as spread
@@ -135,7 +135,7 @@ class SurfaceEstimate(NamedTuple):
 
 
 class SurfacePosterior(NamedTuple):
-    """The regression on a state's points, ready to be asked anywhere."""
+    """The regression on a state's points, to be evaluated anywhere."""
 
     weights: Float[np.ndarray, " m"]  # of the shapes that count
     shapes: Int[np.ndarray, " m"]  # which of the library
@@ -186,7 +186,7 @@ def surface_model(
 
 
 def init(model: SurfaceModel) -> tuple[SurfaceState, SurfaceInfo]:
-    """Before the first touch.
+    """State before the first touch.
 
     Args:
         model: What is known.
@@ -201,7 +201,7 @@ def init(model: SurfaceModel) -> tuple[SurfaceState, SurfaceInfo]:
 
 
 def update(model: SurfaceModel, state: SurfaceState, evidence: TouchEvidence) -> tuple[SurfaceState, SurfaceInfo]:
-    """One more touch.
+    """Add one more touch.
 
     Args:
         model: What was known before.
@@ -264,7 +264,7 @@ def contact_evidence(
     std: Float[Array, "h w"] | None = None,
     free: Float[Array, "h w"] | None = None,
 ) -> TouchEvidence:
-    """Evidence of a touch, with or without an image of what lay before the pad.
+    """Evidence of a touch, with or without an image of the surface before the pad.
 
     Args:
         T_o_t: Pose of the tool at first contact, or where the way through air ended.
@@ -297,7 +297,7 @@ def contact_evidence(
 def posterior_evidence(
     T_o_t: Float[Array, "4 4"], patches: Float[Array, "k p p"], *, swept: float = STANDOFF
 ) -> TouchEvidence:
-    """Evidence of a touch whose reading left a posterior over what lay before the pad.
+    """Evidence of a touch whose reading left a posterior over the surface before the pad.
 
     Args:
         T_o_t: Pose of the tool at first contact.
@@ -317,7 +317,7 @@ def posterior_evidence(
 
 
 def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
-    """Weigh the library, and regress what it leaves over on the points of all touches.
+    """Weigh the library, and regress the remainder on the points of all touches.
 
     Args:
         model: What was known before.
@@ -375,7 +375,8 @@ def predict(
 def posterior_covariance(
     model: SurfaceModel, posterior: SurfacePosterior, a: Float[np.ndarray, "p 3"], b: Float[np.ndarray, "q 3"]
 ) -> Float[np.ndarray, "p q"]:
-    """Covariance of the signed distance between two sets of points, without what no touch takes away (`band_floor`).
+    """Covariance of the signed distance between two sets of points, without the part that no touch reduces
+    (`band_floor`).
 
     Args:
         model: Of the posterior.
@@ -397,7 +398,7 @@ def posterior_covariance(
 def estimate_surface(
     model: SurfaceModel, state: SurfaceState, *, stride: int = 1, posterior: SurfacePosterior | None = None
 ) -> SurfaceEstimate:
-    """The signed distance on the grid, carved by what was swept.
+    """The signed distance on the grid, carved by the swept volume.
 
     Args:
         model: What was known before.
@@ -415,7 +416,7 @@ def estimate_surface(
 
 
 def coarse_grid(model: SurfaceModel, stride: int) -> tuple[VoxelGrid, Int[np.ndarray, " q"]]:
-    """Every so many points of the model's grid along each axis.
+    """Every `stride`-th point of the model's grid along each axis.
 
     Args:
         model: With its grid.
@@ -429,7 +430,7 @@ def coarse_grid(model: SurfaceModel, stride: int) -> tuple[VoxelGrid, Int[np.nda
 
 
 def swept_distance(state: SurfaceState, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
-    """How deep each point lies in what the pads swept: no surface is nearer to it.
+    """Depth of each point in the pads' swept volume: no surface is nearer to it.
 
     Args:
         state: With its touches.
@@ -448,7 +449,7 @@ def swept_distance(state: SurfaceState, points: Float[np.ndarray, "q 3"]) -> Flo
 
 
 def free_points(state: SurfaceState) -> tuple[Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
-    """Points that are free, and the least that their signed distance is, touch after touch, then the view's.
+    """Free points, and lower bounds of their signed distance, touch after touch, then the view's.
 
     Args:
         state: With its touches.
@@ -507,7 +508,7 @@ def _square(touch: TouchEvidence) -> np.ndarray:
 
 
 def _felt(touch: TouchEvidence) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the surface that a touch's image knows, in the object's frame, and their standard deviations."""
+    """Points of the surface in a touch's image, in the object's frame, and their standard deviations."""
     x, y = _lattice()
     known = np.isfinite(touch.std.ravel())
     local = np.stack([x, y, touch.height.ravel()], -1)[known]
@@ -515,7 +516,7 @@ def _felt(touch: TouchEvidence) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _library_at(model: SurfaceModel, points: np.ndarray, shapes: np.ndarray | None = None) -> np.ndarray:
-    """(points, shapes) signed distances of the library."""
+    """Signed distances (points, shapes) of the library."""
     index, weight = corners_of(model.grid, points)
     found = np.zeros((len(points), model.library.shape[1] if shapes is None else len(shapes)), np.float32)
     for corner in range(index.shape[1]):
@@ -530,7 +531,7 @@ def _student(x: np.ndarray, dof: float) -> np.ndarray:
 
 
 def _log_likelihood(model: SurfaceModel, touch: TouchEvidence) -> np.ndarray:
-    """How well each shape of the library agrees with a touch."""
+    """Log likelihood of a touch under each shape of the library."""
     config = model.config
     if not model.library.shape[1]:
         return np.zeros(0)
@@ -622,7 +623,7 @@ def _prior_variance(model: SurfaceModel, deviations: np.ndarray) -> np.ndarray:
 
 
 def _whitened(posterior: SurfacePosterior, cross: np.ndarray) -> np.ndarray:
-    """(n, q) covariances with the points regressed on, in units of what those tell apart."""
+    """Covariances (n, q) with the points regressed on, whitened by theirs."""
     return solve_triangular(posterior.factor[0], cross.T, lower=True, check_finite=False)
 
 
@@ -676,7 +677,7 @@ def _surface_points(
 
 
 def _worst(excess: np.ndarray, touches: int, config: SurfaceConfig) -> np.ndarray:
-    """The free points that the mean breaks into most: a few of each touch, and of the view."""
+    """The free points that the mean violates most: a few of each touch, and of the view."""
     each = 25 * len(SWEPT_DEPTHS_M) + LATTICE**2
     chosen: list[np.ndarray] = []
     for start in [i * each for i in range(touches)] + [touches * each]:

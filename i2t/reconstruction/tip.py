@@ -1,4 +1,4 @@
-"""Where the tip that calibrated a skin pressed it, and how deep, from one reading: a posterior, by imagination.
+"""Posterior of the position and depth of a press by a skin's calibration tip, from one reading.
 
 This is `i2t.reconstruction.local_shape` for a skin of which nothing is known but presses of one tip, as of most real
 ones. The shapes of the library are that tip at many places and depths, and the forward model is the skin's own
@@ -28,7 +28,7 @@ CANDIDATES_AT_ONCE = 4096  # that a calibration predicts: its memory grows with 
 
 
 class TipModel(NamedTuple):
-    """What a calibrated skin reads of its tip at every candidate: places, each at every load."""
+    """Readings of a calibrated skin for its tip at every candidate: places, each at every load."""
 
     places: Float[Array, "p 2"]  # m
     loads: Float[Array, " l"]  # m or N, as those of the calibration
@@ -38,7 +38,7 @@ class TipModel(NamedTuple):
 
 
 class TipPosterior(NamedTuple):
-    """Where a tip may have pressed, and how hard."""
+    """Posterior of a tip's position and load."""
 
     weight: Float[Array, "p l"]  # of each place and load; sums to 1
     position: Float[Array, "2"]  # m, mean
@@ -54,7 +54,7 @@ def imagine_tip(
     spacing: float = 0.6e-3,
     load_levels: int = 10,
 ) -> TipModel:
-    """Predict what every candidate would read.
+    """Predict the reading of every candidate.
 
     Args:
         calibration: Of one skin, by positions and one kind of load.
@@ -94,7 +94,7 @@ def infer_tip(
     head: tuple[Float[Array, "2"], Float[Array, "2"]] | None = None,
     head_weight: Float[Array, ""] | float = 0.25,
 ) -> TipPosterior:
-    """Where one press was, from its reading. Compile it at the edge: `jax.jit(jax.vmap(...))` for many.
+    """Locate one press from its reading. Compile it at the edge: `jax.jit(jax.vmap(...))` for many.
 
     Args:
         reading: uT.
@@ -130,8 +130,8 @@ def infer_tip(
 def credible_level(
     posterior: TipPosterior, model: TipModel, position: Float[Array | np.ndarray, "2"]
 ) -> Float[Array, ""]:
-    """How much of the posterior lies at places more probable than that of a position: at most 0.9 if the position is
-    in the smallest region that holds 90 %.
+    """Share of the posterior at places more probable than that of a position: at most 0.9 if the position is in the
+    smallest region that holds 90 %.
 
     Args:
         posterior: Of one press.

@@ -1,4 +1,4 @@
-"""Where an object or a tool is, from one depth patch, from touches or from a depth image."""
+"""Pose of an object or a tool, from one depth patch, from touches or from a depth image."""
 
 from i2t.registration.depth import DepthRegistrationConfig, camera_covariance, register_by_depth
 from i2t.registration.estimate import PoseEstimate

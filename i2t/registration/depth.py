@@ -1,4 +1,4 @@
-"""An object's pose from a depth image, and how well it tells it. NumPy, for the host.
+"""An object's pose from a depth image, with its covariance. NumPy, for the host.
 
 Points of the image that lie near the believed object, and not on the table, are drawn to the planes of the surface's
 nearest samples, over and over (iterative closest points; Besl and McKay, "A method for registration of 3-D shapes",
@@ -19,7 +19,7 @@ import trimesh
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import cKDTree
 
-from i2t import given
+from i2t import validation
 from i2t.depth.camera import Camera, check_depth, check_pose
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import apply, compose, from_twist, inverse, to_twist
@@ -34,7 +34,7 @@ STD_PER_MAD = 1.4826  # of a normal distribution: standard deviation over median
 
 @dataclass(frozen=True)
 class DepthRegistrationConfig:
-    """How a pose is sought from a depth image."""
+    """Options of pose search by depth image."""
 
     initial_reach: float = 15e-3  # m from the believed object within which a point counts, at first
     final_reach: float = 3e-3  # m, and at the end
@@ -50,7 +50,7 @@ class DepthRegistrationConfig:
 
 
 class _Scene(NamedTuple):
-    """What is matched with what."""
+    """Data to be matched."""
 
     points: Float[np.ndarray, "n 3"]  # m, in W, from the image
     samples: Float[np.ndarray, "s 3"]  # m, in O, of the surface
@@ -112,11 +112,11 @@ def register_by_depth(
         estimate = i2t.register_by_depth(mesh, T_w_o, image, camera, T_w_c)
         estimate.T_w_o
     """
-    given.number("translation_std", translation_std, "metres above 0", above=0)
-    given.number("rotation_std", rotation_std, "radians above 0", above=0)
-    depth = given.numbers("depth", depth, "an image of metres")
+    validation.number("translation_std", translation_std, "metres above 0", above=0)
+    validation.number("rotation_std", rotation_std, "radians above 0", above=0)
+    depth = validation.numbers("depth", depth, "an image of metres")
     T_w_c, start = (
-        given.numbers(name, pose, "a (4, 4) transform").astype(np.float64)
+        validation.numbers(name, pose, "a (4, 4) transform").astype(np.float64)
         for name, pose in (("T_w_c", T_w_c), ("T_w_o", T_w_o))
     )
     check_depth(depth, camera)
@@ -179,7 +179,7 @@ def camera_covariance(
 def _points(
     depth: np.ndarray, camera: Camera, T_w_c: np.ndarray, table_height: float | None, config: DepthRegistrationConfig
 ) -> np.ndarray:
-    """What the camera measured above the table, in W (n, 3)."""
+    """Points measured above the table, in W (n, 3)."""
     x, y = np.asarray(pixel_rays(camera), float)
     points = np.stack([x, y, np.ones_like(x)], axis=-1) * np.where(depth > 0, depth, np.nan)[..., None]
     points = apply(T_w_c, points[np.isfinite(points).all(axis=-1)])
@@ -225,12 +225,12 @@ def _pairs(scene: _Scene, T_w_o: np.ndarray, reach: float, config: DepthRegistra
 
 
 def _information(pairs: _Pairs, prior_information: np.ndarray) -> np.ndarray:
-    """The inverse covariance (1/m^2) of the twist: what the points tell and what was believed before."""
+    """The inverse covariance (1/m^2) of the twist: that of the points plus that of the prior."""
     return pairs.jacobian.T @ (pairs.weight[:, None] * pairs.jacobian) / pairs.variance + prior_information
 
 
 def _residual_scale(residual: np.ndarray, config: DepthRegistrationConfig) -> float:
-    """Their standard deviation (m), were they normal."""
+    """Standard deviation (m) of the residuals, were they normal."""
     if not len(residual):
         return config.final_reach
     return max(STD_PER_MAD * float(np.median(np.abs(residual))), config.min_residual_scale)

@@ -1,4 +1,4 @@
-"""What registration finds: an object's pose with its covariance."""
+"""Result of registration: an object's pose with its covariance."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from i2t.types import in_one_line
 
 @in_one_line
 class PoseEstimate(NamedTuple):
-    """An object's pose, how well it is known, and how well it explains what was measured.
+    """An object's pose, its uncertainty, and its fit to the measurements.
 
     Example:
         estimate = i2t.register_by_depth(mesh, T_w_o, depth, camera, T_w_c)

@@ -27,7 +27,7 @@ DAMPING_CUT, DAMPING_RAISE = 1 / 3, 4.0  # factors after a step that was kept an
 
 
 class LeastSquares(NamedTuple):
-    """A problem: what depends on the parameters x (an array or a tree of them), in plain functions.
+    """A problem: plain functions of the parameters x (an array or a tree of them).
 
     What `residual_and_jacobian` returns is up to the problem; it goes to the two functions that weigh it.
     """
@@ -40,7 +40,7 @@ class LeastSquares(NamedTuple):
 
 
 class SolverState(NamedTuple):
-    """What the next step needs."""
+    """State for the next step."""
 
     x: Any  # the best so far
     linearised: Any  # there
@@ -52,7 +52,7 @@ class SolverState(NamedTuple):
 
 
 class Info(NamedTuple):
-    """What a person looks at after a step."""
+    """Diagnostics of a step."""
 
     cost: Float[Array, ""]  # of what was kept, at the scale of this step
     accepted: Bool[Array, ""]
@@ -138,7 +138,7 @@ def levenberg_marquardt(
     scale_free: bool = False,
     tolerance: float | None = None,
 ) -> SolverState:
-    """Make a robust sum of squares small.
+    """Minimise a robust sum of squares.
 
     Args:
         problem: What is sought.

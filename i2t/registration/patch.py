@@ -38,7 +38,7 @@ UNSEEN_RESIDUAL_M = 1.0  # of a pose that was not looked at yet: worse than any
 
 @dataclass(frozen=True)
 class PatchRegistrationConfig:
-    """How a pose is sought from a patch. Lengths in metres."""
+    """Options of pose search by a patch. Lengths in metres."""
 
     max_steps: int = 40
     initial_scale: float = 2e-3  # c of the robust loss in the first step
@@ -50,16 +50,16 @@ class PatchRegistrationConfig:
 
 
 class LinearisedPatch(NamedTuple):
-    """Residuals of a pose and how they change with a twist."""
+    """Residuals of a pose and their derivatives by a twist."""
 
     residual: Float[Array, "n n"]  # m
     jacobian: Float[Array, "n n 6"]
 
 
 class RefinedPose(NamedTuple):
-    """A pose, how well it explains the patch, and what the patch says about it."""
+    """A pose, its fit to the patch, and the patch's information about it."""
 
-    T_w_t: Float[Array, "4 4"]
+    T_o_t: Float[Array, "4 4"]
     cost: Float[Array, ""]  # m^2, mean robust loss at the final scale
     steps: Int[Array, ""]
     eigenvalues: Float[Array, "6"]  # of the Gauss-Newton matrix at this pose, smallest first
@@ -69,7 +69,7 @@ class RefinedPose(NamedTuple):
 def refine_pose(
     surface: Surface,
     observed: Patch,
-    T_w_t: Float[Array, "4 4"],
+    T_o_t: Float[Array, "4 4"],
     config: PatchRegistrationConfig = PatchRegistrationConfig(),
 ) -> RefinedPose:
     """Find the pose near another at which a surface looks as observed.
@@ -77,7 +77,7 @@ def refine_pose(
     Args:
         surface: What was seen.
         observed: The patch; one that shows nothing (`nearest` infinite) leaves the pose where it is.
-        T_w_t: Where the search starts; a start that is not finite stays so.
+        T_o_t: Where the search starts; a start that is not finite stays so.
         config: How to search; static.
 
     Returns:
@@ -86,7 +86,7 @@ def refine_pose(
     scales = scale_schedule(config)
     problem = patch_problem(surface, observed, config)
     end = levenberg_marquardt(
-        problem, T_w_t, scales[:-1], scales[1:], damping=INITIAL_DAMPING, tolerance=config.tolerance
+        problem, T_o_t, scales[:-1], scales[1:], damping=INITIAL_DAMPING, tolerance=config.tolerance
     )
     eigenvalues, directions = jnp.linalg.eigh(_gauss_newton(end.linearised.jacobian))
     cost = robust_cost(end.linearised.residual, config.final_scale)
@@ -98,7 +98,7 @@ def refine_pose_multistart(
     key: Key[Array, ""],
     surface: Surface,
     observed: Patch,
-    T_w_t: Float[Array, "4 4"],
+    T_o_t: Float[Array, "4 4"],
     *,
     translation_std: float,
     rotation_std: float,
@@ -106,7 +106,7 @@ def refine_pose_multistart(
     num_starts: int = 4,
     config: PatchRegistrationConfig = PatchRegistrationConfig(),
 ) -> RefinedPose:
-    """`refine_pose` from the best of several poses around a start, and the best of what they became.
+    """The best result of `refine_pose` from the most promising of several poses around a start.
 
     For objects with edges, where the heights of a pose two millimetres off have little to do with the right one's.
     Best is the smallest robust cost, at the initial scale before and at the final scale after.
@@ -115,7 +115,7 @@ def refine_pose_multistart(
         key: A JAX key, for the draws.
         surface: What was seen.
         observed: The patch.
-        T_w_t: The middle of the draws, and the first of them.
+        T_o_t: The middle of the draws, and the first of them.
         translation_std: Standard deviation (m) of the draws along each axis.
         rotation_std: Standard deviation (rad) of the draws about each axis.
         num_draws: Poses that are looked at; static.
@@ -127,12 +127,12 @@ def refine_pose_multistart(
     """
     keys = jax.random.split(key, num_draws - 1)
     motions = jax.vmap(random_motion, (0, None, None))(keys, translation_std, rotation_std)
-    poses = jnp.concatenate([T_w_t[None], T_w_t @ motions])
+    poses = jnp.concatenate([T_o_t[None], T_o_t @ motions])
     pixels = observed.depth.shape[-1]
     reference, floor = reference_heights(observed, config.reach)
 
-    def first_cost(T_w_t: Float[Array, "4 4"]) -> Float[Array, ""]:
-        heights = visible_heights(surface, T_w_t, floor, pixels=pixels, window=config.window, reach=config.reach)
+    def first_cost(T_o_t: Float[Array, "4 4"]) -> Float[Array, ""]:
+        heights = visible_heights(surface, T_o_t, floor, pixels=pixels, window=config.window, reach=config.reach)
         return robust_cost(heights - reference, config.initial_scale)
 
     _, best = jax.lax.top_k(-jax.vmap(first_cost)(poses), num_starts)
@@ -142,7 +142,7 @@ def refine_pose_multistart(
 
 
 def patch_problem(surface: Surface, observed: Patch, config: PatchRegistrationConfig) -> LeastSquares:
-    """State the search for `levenberg_marquardt`, whose parameters are the pose T_w_t.
+    """State the search for `levenberg_marquardt`, whose parameters are the pose T_o_t.
 
     Args:
         surface: What was seen.
@@ -156,10 +156,10 @@ def patch_problem(surface: Surface, observed: Patch, config: PatchRegistrationCo
         jnp.full_like(observed.depth, UNSEEN_RESIDUAL_M), jnp.zeros((*observed.depth.shape, 6), observed.depth.dtype)
     )
     return LeastSquares(
-        residual_and_jacobian=lambda T_w_t: linearise(surface, observed, T_w_t, config),
-        cost=lambda T_w_t, linearised, scale: robust_cost(linearised.residual, scale),
-        normal_equations=lambda T_w_t, linearised, scale: _normal_equations(linearised, scale),
-        retract=full_precision(lambda T_w_t, twist: T_w_t @ from_twist(twist)),
+        residual_and_jacobian=lambda T_o_t: linearise(surface, observed, T_o_t, config),
+        cost=lambda T_o_t, linearised, scale: robust_cost(linearised.residual, scale),
+        normal_equations=lambda T_o_t, linearised, scale: _normal_equations(linearised, scale),
+        retract=full_precision(lambda T_o_t, twist: T_o_t @ from_twist(twist)),
         unseen=blind,
     )
 
@@ -180,14 +180,14 @@ def scale_schedule(config: PatchRegistrationConfig) -> Float[Array, " steps_and_
 
 
 def linearise(
-    surface: Surface, observed: Patch, T_w_t: Float[Array, "4 4"], config: PatchRegistrationConfig
+    surface: Surface, observed: Patch, T_o_t: Float[Array, "4 4"], config: PatchRegistrationConfig
 ) -> LinearisedPatch:
-    """Compare a pose with what was observed.
+    """Compare a pose with the observed patch.
 
     Args:
         surface: What was seen.
         observed: The patch.
-        T_w_t: The pose.
+        T_o_t: The pose.
         config: Its window and reach.
 
     Returns:
@@ -196,19 +196,19 @@ def linearise(
     reference, floor = reference_heights(observed, config.reach)
     pixels = reference.shape[-1]
     heights, jacobian = heights_and_jacobian(
-        surface, T_w_t, floor, pixels=pixels, window=config.window, reach=config.reach
+        surface, T_o_t, floor, pixels=pixels, window=config.window, reach=config.reach
     )
     return LinearisedPatch(heights - reference, jacobian)
 
 
 def pose_information(
-    surface: Surface, T_w_t: Float[Array, "4 4"], pixels: int, *, window: float = PATCH_WINDOW, reach: float = REACH
+    surface: Surface, T_o_t: Float[Array, "4 4"], pixels: int, *, window: float = PATCH_WINDOW, reach: float = REACH
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """What a patch seen at a pose tells about the pose.
+    """Information about the pose in a patch seen there.
 
     Args:
         surface: What is seen.
-        T_w_t: The pose.
+        T_o_t: The pose.
         pixels: Along the patch's edge.
         window: The patch's edge (m).
         reach: Depth (m) behind the nearest point that counts.
@@ -216,14 +216,14 @@ def pose_information(
     Returns:
         Eigenvalues of the Gauss-Newton matrix, smallest first, and its eigenvectors (unit twists) in columns.
     """
-    patch = render_patch(surface, T_w_t, window=window, pixels=pixels, reach=reach)
+    patch = render_patch(surface, T_o_t, window=window, pixels=pixels, reach=reach)
     _, floor = reference_heights(patch, reach)
-    _, jacobian = heights_and_jacobian(surface, T_w_t, floor, pixels=pixels, window=window, reach=reach)
+    _, jacobian = heights_and_jacobian(surface, T_o_t, floor, pixels=pixels, window=window, reach=reach)
     return jnp.linalg.eigh(_gauss_newton(jacobian))
 
 
 def observable_directions(eigenvalues: Float[Any, "*n"], bound: float) -> Bool[Any, "*n"]:
-    """Tell which directions a patch determines.
+    """Find the directions that a patch determines.
 
     Args:
         eigenvalues: Of the Gauss-Newton matrix.
@@ -282,7 +282,7 @@ def reference_heights(observed: Patch, reach: float) -> tuple[Float[Array, "n n"
 
 def visible_heights(
     surface: Surface,
-    T_w_t: Float[Array, "4 4"],
+    T_o_t: Float[Array, "4 4"],
     floor: Float[Array, ""],
     *,
     pixels: int,
@@ -293,7 +293,7 @@ def visible_heights(
 
     Args:
         surface: What is seen.
-        T_w_t: The pose.
+        T_o_t: The pose.
         floor: To which heights are clipped (m).
         pixels: Along the patch's edge.
         window: The patch's edge (m).
@@ -303,14 +303,14 @@ def visible_heights(
         Heights (m) along tool z.
     """
     far = 2 * reach  # so that a pose up to one reach nearer than the right one still shows all that it should
-    patch = render_patch(surface, T_w_t, window=window, pixels=pixels, reach=far)
+    patch = render_patch(surface, T_o_t, window=window, pixels=pixels, reach=far)
     return jnp.where(patch.depth < far, jnp.minimum(patch.depth + patch.nearest, floor), floor)
 
 
 @full_precision
 def heights_and_jacobian(
     surface: Surface,
-    T_w_t: Float[Array, "4 4"],
+    T_o_t: Float[Array, "4 4"],
     floor: Float[Array, ""],
     *,
     pixels: int,
@@ -324,7 +324,7 @@ def heights_and_jacobian(
 
     Args:
         surface: What is seen.
-        T_w_t: The pose.
+        T_o_t: The pose.
         floor: To which heights are clipped (m).
         pixels: Along the patch's edge.
         window: The patch's edge (m).
@@ -335,11 +335,11 @@ def heights_and_jacobian(
     """
 
     def look(twist: Float[Array, "6"]) -> Float[Array, "n n"]:
-        pose = T_w_t @ from_twist(twist)
+        pose = T_o_t @ from_twist(twist)
         return visible_heights(surface, pose, floor, pixels=pixels, window=window, reach=reach)
 
-    heights, push = jax.linearize(look, jnp.zeros(6, T_w_t.dtype))
-    slopes = jax.vmap(push, out_axes=-1)(jnp.eye(6, dtype=T_w_t.dtype))
+    heights, push = jax.linearize(look, jnp.zeros(6, T_o_t.dtype))
+    slopes = jax.vmap(push, out_axes=-1)(jnp.eye(6, dtype=T_o_t.dtype))
     steep = jnp.hypot(slopes[..., 0], slopes[..., 1]) > reach * pixels / window
     return heights, jnp.where((steep | (heights >= floor))[..., None], 0, slopes)
 

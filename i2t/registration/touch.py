@@ -1,4 +1,4 @@
-"""An object's pose from touches, and how well they tell it.
+"""An object's pose from touches, with its covariance.
 
 The object is believed at `T_w_o` and stands at `T_w_o from_twist(x)`, where x (6,) is a twist in its own frame
 (`i2t.geometry.from_twist`): three translations (m), then three rotations times `TWIST_LEVER_M`, all in metres.
@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t import given
+from i2t import validation
 from i2t.geometry import from_twist, full_precision, inverse
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
@@ -44,7 +44,7 @@ CANDIDATE_STDS = 3.0  # of the prior: how far the object may move before other f
 
 @dataclass(frozen=True)
 class TouchRegistrationConfig:
-    """How a pose is sought from touches."""
+    """Options of pose search by touches."""
 
     num_starts: int = 12  # draws of the prior; the first is its mean
     annealing_steps: int = 10  # while the noise shrinks
@@ -65,7 +65,7 @@ class _Contacts(NamedTuple):
 
 
 class _Linearised(NamedTuple):
-    """What a motion leaves, with derivatives by z."""
+    """Residuals after a motion, with derivatives by z."""
 
     residual: Float[Array, " n"]  # m, along the surface's normal
     jacobian: Float[Array, "n 6"]  # m
@@ -129,10 +129,10 @@ def register_by_touch(
             key, surface, T_w_o, T_w_contact, in_contact, translation_std=2e-3, rotation_std=0.03
         )
     """
-    given.random_key("key", key)
+    validation.random_key("key", key)
     for name, std in (("translation_std", translation_std), ("rotation_std", rotation_std)):
-        given.number(name, std, "a standard deviation, 0 where it is known", least=0)
-    given.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
+        validation.number(name, std, "a standard deviation, 0 where it is known", least=0)
+    validation.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
     _check_contacts(T_w_contact, weight)
     noise = jnp.asarray(contact_std, jnp.float32)
@@ -153,7 +153,7 @@ def register_by_touch(
 
 
 def _check_contacts(T_w_contact: Array, weight: Array) -> None:
-    """Refuse what is no list of poses with a weight for each."""
+    """Check for a list of poses with a weight for each."""
     n = len(T_w_contact) if T_w_contact.ndim else 0
     if n == 0 or T_w_contact.shape != (n, 4, 4) or weight.shape != (n,):
         raise ValueError(
@@ -188,8 +188,8 @@ def _most_probable(
     noise: Float[Array, ""],
     config: TouchRegistrationConfig,
 ) -> tuple[Float[Array, "6"], _Linearised, Float[Array, ""]]:
-    """The best of several searches, the first from the prior's mean and the others from draws of it: z, what is left
-    there, and its cost.
+    """The best of several searches, the first from the prior's mean and the others from draws of it: z, its residuals,
+    and its cost.
     """
     scales = _annealed(noise, jnp.hypot(prior_std[0], prior_std[3]), config)  # how far the prior may be off at the face
 
@@ -229,8 +229,8 @@ def importance_covariance(
     covariance: Float[Array, "6 6"],
     draws: Float[Array, "rounds draws numbers"],
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """Correct the mean and covariance of a posterior by rounds of importance sampling, each from what the one before
-    found (population Monte Carlo; Cappé, Guillin, Marin and Robert, J. Comput. Graph. Stat. 13, 2004).
+    """Correct the mean and covariance of a posterior by rounds of importance sampling, each from the result of the one
+    before (population Monte Carlo; Cappé, Guillin, Marin and Robert, J. Comput. Graph. Stat. 13, 2004).
 
     Each round draws Student's t about the mean and weighs the draws as the posterior's and, to take off the noise of
     drawing, as those of the normal distribution that was believed; a few effective draws change little.
@@ -268,7 +268,7 @@ def importance_covariance(
 
 
 def _touch_problem(contacts: _Contacts, half_edge: float) -> LeastSquares:
-    """The most probable z."""
+    """Problem of the most probable z."""
     n = len(contacts.weight)
     return LeastSquares(
         residual_and_jacobian=lambda z: _linearise(z, contacts, half_edge),
@@ -280,7 +280,7 @@ def _touch_problem(contacts: _Contacts, half_edge: float) -> LeastSquares:
 
 
 def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float) -> _Linearised:
-    """Residuals of all contacts and their derivatives; those of no weight say nothing."""
+    """Residuals of all contacts and their derivatives; those of no weight have no effect."""
     one = jax.vmap(_linearise_one, (None, 0, 0, None))
     seen = one(contacts.prior_std * z, contacts.T_t_o, contacts.triangles, half_edge)
     observed = (contacts.weight > 0) & jnp.isfinite(seen.jacobian).all(axis=1)

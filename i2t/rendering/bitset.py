@@ -1,4 +1,4 @@
-"""Sets as machine words of 32 bits: how a renderer keeps lists of things without sorting or growing them."""
+"""Sets as machine words of 32 bits: lists of a renderer without sorting or growing."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ def as_uint32(value: int) -> np.uint32:
 
 
 def popcount(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """How many bits are set.
+    """Number of set bits.
 
     Args:
         words: Of bits.
@@ -60,7 +60,7 @@ def bitwise_or_reduce(words: list[Array]) -> Array:
 
 
 def pack_bits(flags: list[Array]) -> Array:
-    """Words of flags.
+    """Pack flags into words.
 
     Args:
         flags: Arrays of booleans, one for each bit.
@@ -72,7 +72,7 @@ def pack_bits(flags: list[Array]) -> Array:
 
 
 def cumulative_popcounts(words: UInt[Array, "p n"]) -> Int[Array, "p n"]:
-    """How many bits are set up to and including each word of a row.
+    """Number of set bits up to and including each word of a row.
 
     Args:
         words: Of bits, in rows.

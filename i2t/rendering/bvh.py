@@ -1,5 +1,5 @@
-"""How a triangle soup is laid out for rendering: a k-d tree orders the faces into small clusters, 32 clusters make a
-group, and both have boxes.
+"""Layout of a triangle soup for rendering: a k-d tree orders the faces into small clusters, 32 clusters make a group,
+and both have boxes.
 
 The clusters have few faces each and the boxes let a renderer skip what a window cannot see: first whole groups, then
 clusters. Everything is padded with faces that shrink to a point (their boxes can never be met), so that meshes of one

@@ -1,4 +1,4 @@
-"""First hits on meshes of many small faces: what `i2t.rendering.raycast` does for large size classes.
+"""First hits on meshes of many small faces: the part of `i2t.rendering.raycast` for large size classes.
 
 A pose of such a mesh has thousands of faces in its window, each met by a pixel or two. To keep them in a table costs
 more than to draw them, so nothing is kept but bits: a box says which columns and rows of tiles a cluster can touch, and
@@ -50,7 +50,7 @@ DENSE_FRONT_SLAB_REACHES = 1.25  # reaches behind where the first group should b
 
 
 class _Scene(NamedTuple):
-    """What does not change while a batch of poses is drawn: meshes, poses and pixels."""
+    """Constants of a batch of poses to draw: meshes, poses and pixels."""
 
     boxes: Float[Array, "groups 6 clusters"]  # m, centres and half extents of clusters
     clusters: FaceClusters
@@ -71,7 +71,7 @@ class _Slab(NamedTuple):
 
 
 class _Listed(NamedTuple):
-    """The groups that a pass looks into, and in which columns and rows of tiles their clusters lie (bits)."""
+    """The groups that a pass looks into, and the columns and rows of tiles of their clusters (bits)."""
 
     ids: Int[Array, "p groups"]
     columns: UInt[Array, "p groups side"]
@@ -79,7 +79,7 @@ class _Listed(NamedTuple):
 
 
 class _Lanes(NamedTuple):
-    """The tiles of a share, side by side: whose they are, how their poses see the mesh, and their pixels."""
+    """The tiles of a share, side by side: their poses, the poses' views of the mesh, and their pixels."""
 
     pose: Int[Array, "blocks lanes"]
     tile: Int[Array, "blocks lanes"]
@@ -136,7 +136,7 @@ def cast_dense(
     row = groups.shape[2] // WORD_BITS
 
     def layer(i: Array, best: Hits) -> Hits:
-        """First what lies near the front, then what may still be in reach behind the nearest hit."""
+        """Draw first clusters near the front, then those still in reach behind the nearest hit."""
         low = jnp.where(i == 0, -jnp.inf, slab)[:, None]
         high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None]
         wanted = (fronts <= high) & (fronts < jnp.inf) & (low < high)
@@ -156,7 +156,7 @@ def cast_dense(
 
 
 def _look(ids: Int[Array, "p listed"], left: Int[Array, " p"], slab: _Slab, scene: _Scene) -> _Listed:
-    """Where the clusters of the first `left` groups of each list lie whose boxes begin in the slab.
+    """Tiles of the clusters of the first `left` groups of each list whose boxes begin in the slab.
 
     Groups are looked into in chunks, so that their boxes stay in the caches; chunks behind the longest list are not
     looked into.
@@ -186,7 +186,7 @@ def _look(ids: Int[Array, "p listed"], left: Int[Array, " p"], slab: _Slab, scen
 def _tiles_of_boxes(
     boxes: Float[Array, "p chunk 6 clusters"], of_list: Bool[Array, "p chunk 1"], slab: _Slab, scene: _Scene
 ) -> tuple[UInt[Array, "p chunk clusters"], UInt[Array, "p chunk clusters"]]:
-    """Which columns and which rows of tiles (bits) each box can touch; no column if it is not to be drawn now."""
+    """Columns and rows of tiles (bits) that each box can touch; no column if it is not to be drawn now."""
     shift, stretch = place_boxes(jnp.moveaxis(boxes, 2, 0), broadcast_view(scene.view, 2))
     front, back = jnp.maximum(shift[2] - stretch[2], -STANDOFF), shift[2] + stretch[2]
     wanted = (back >= -STANDOFF) & (front > slab.low[..., None]) & (front <= slab.high[..., None])
@@ -204,7 +204,7 @@ def _clusters_of_tiles(words: UInt[Array, "p chunk clusters"], side: int) -> UIn
 
 
 def _draw(found: _Listed, scene: _Scene, best: Hits) -> Hits:
-    """Draw what was found, the tiles that have most to draw first."""
+    """Draw the found clusters, the tiles that have most to draw first."""
     grid = scene.grid
     poses, listed = found.ids.shape
     lanes = poses * grid.tiles
@@ -297,7 +297,7 @@ def _pop(
     column: Int[Array, "blocks lanes"],
     row: Int[Array, "blocks lanes"],
 ) -> tuple[_Queue, Int[Array, "blocks lanes"]]:
-    """Take a cluster from each queue: what is left, and its index in the mesh (-1 from an empty queue)."""
+    """Take a cluster from each queue: the rest, and the cluster's index in the mesh (-1 from an empty queue)."""
     listed, side = found.columns.shape[1:]
     some: Array = queue.full[0]
     place, left = lowest_set_bit(some), [jnp.where(queue.current == 0, some & (some - as_uint32(1)), some)]

@@ -42,7 +42,7 @@ def dynamic_slice(array: Array, start: Sequence[Any], shape: Sequence[int]) -> A
 
 
 def dynamic_update(array: Array, block: Array, start: Sequence[Any]) -> Array:
-    """An array with a block in place of what was there; its indices stay 32 bits wide.
+    """An array with one block replaced; its indices stay 32 bits wide.
 
     Args:
         array: Any.

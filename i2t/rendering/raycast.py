@@ -237,7 +237,7 @@ def _draw_layers(
     slots: int,
     carry: tuple[Hits, Scratch],
 ) -> tuple[Hits, Scratch]:
-    """Draw the clusters near the front, and then what may still be in reach behind the nearest hit."""
+    """Draw the clusters near the front, and then those that may still be in reach behind the nearest hit."""
     slab = jnp.min(fronts, (1, 2)) + FRONT_SLAB_REACHES * reach
 
     def layer(i: Array, carry: tuple[Hits, Scratch]) -> tuple[Hits, Scratch]:
@@ -254,7 +254,7 @@ def _draw_layers(
 
 
 def _in_view(box: Array, view: ToolView, half: float) -> tuple[Bool[Array, "..."], Float[Array, "..."]]:
-    """Which boxes (centre and half extents, six arrays) the rays can meet, and the z (m) where each begins."""
+    """Boxes (centre and half extents, six arrays) that the rays can meet, and the z (m) where each begins."""
     centre, extent = place_boxes(box, view)
     front, back = centre[2] - extent[2], centre[2] + extent[2]
     inside = (jnp.abs(centre[0]) - extent[0] <= half) & (jnp.abs(centre[1]) - extent[1] <= half)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from i2t import given
+from i2t import validation
 from i2t.geometry import is_rigid
 from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
@@ -101,17 +101,17 @@ def stack_surfaces(surfaces: Sequence[Surface]) -> Surface:
 
 def render_patch(
     surface: Surface,
-    T_w_t: Float[Array | np.ndarray, "4 4"],
+    T_o_t: Float[Array | np.ndarray, "4 4"],
     *,
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
 ) -> Patch:
-    """What the tool at the rigid pose `T_w_t` has in front of it.
+    """Depth patch in front of the tool at the rigid pose `T_o_t`.
 
     Args:
         surface: A prepared surface.
-        T_w_t: The tool's pose in the surface's frame. One that is not rigid (scaled, mirrored, not finite, transposed)
+        T_o_t: The tool's pose in the surface's frame. One that is not rigid (scaled, mirrored, not finite, transposed)
             gives NaN.
         window: Edge (m) of the patch; static.
         pixels: Along the edge; static.
@@ -125,22 +125,22 @@ def render_patch(
         ValueError: A shape or size means nothing.
 
     Example:
-        patch = i2t.render_patch(surface, T_w_t)
-        patches = jax.jit(jax.vmap(functools.partial(i2t.render_patch, surface)))(T_w_ts)
+        patch = i2t.render_patch(surface, T_o_t)
+        patches = jax.jit(jax.vmap(functools.partial(i2t.render_patch, surface)))(T_o_ts)
     """
-    _check(T_w_t, window, pixels)
-    T_w_t = jnp.asarray(T_w_t)
+    _check(T_o_t, window, pixels)
+    T_o_t = jnp.asarray(T_o_t)
     hint = "a length (m) above 0, or infinity for no end"
-    if not (given.is_traced(reach) or given.numbers("reach", reach, hint) > 0):
+    if not (validation.is_traced(reach) or validation.numbers("reach", reach, hint) > 0):
         raise ValueError(f"reach: is {reach}; give {hint}")
-    return _render(_prepared(surface), T_w_t, float(window), int(pixels), float(reach))
+    return _render(_prepared(surface), T_o_t, float(window), int(pixels), float(reach))
 
 
 @partial(jax.jit, static_argnames=("window", "pixels", "reach"))
-def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: float) -> Patch:
-    view = ToolView(T_w_t[:3, :3].T, T_w_t[:3, 3], jnp.zeros_like(T_w_t[:3, 3]))
+def _render(surface: Surface, T_o_t: Array, window: float, pixels: int, reach: float) -> Patch:
+    view = ToolView(T_o_t[:3, :3].T, T_o_t[:3, 3], jnp.zeros_like(T_o_t[:3, 3]))
     heights = first_hit(surface, view, window, pixels, reach)
-    nearest, rigid = jnp.min(heights), is_rigid(T_w_t)
+    nearest, rigid = jnp.min(heights), is_rigid(T_o_t)
     missed = heights == jnp.inf
     behind = jnp.where(missed, 0, heights) - jnp.where(nearest == jnp.inf, 0, nearest)
     depth = jnp.where(missed, reach, jnp.minimum(behind, reach))
@@ -150,16 +150,16 @@ def _render(surface: Surface, T_w_t: Array, window: float, pixels: int, reach: f
 
 def render_view(
     surface: Surface,
-    T_w_t: Float[Array, "4 4"],
+    T_o_t: Float[Array, "4 4"],
     *,
     window: float = PATCH_WINDOW,
     reach: float = REACH,
 ) -> WideView:
-    """What the tool has in front of it, with its surroundings, exactly.
+    """Exact view in front of the tool, with its surroundings.
 
     Args:
         surface: A prepared surface.
-        T_w_t: The tool's rigid pose in the surface's frame; another one gives NaN.
+        T_o_t: The tool's rigid pose in the surface's frame; another one gives NaN.
         window: m, edge of the patch; static.
         reach: m, at which depths are clipped; static.
 
@@ -167,7 +167,7 @@ def render_view(
         The view. `patch` is that of `i2t.render_patch` at the same pose.
     """
     # Unbounded: what stands out must not end what is seen behind it.
-    seen = render_patch(surface, T_w_t, window=window * WIDE_PIXELS / PATCH_PIXELS, pixels=WIDE_PIXELS, reach=math.inf)
+    seen = render_patch(surface, T_o_t, window=window * WIDE_PIXELS / PATCH_PIXELS, pixels=WIDE_PIXELS, reach=math.inf)
     z = jnp.where(jnp.isfinite(seen.nearest), seen.nearest, 0) + seen.depth
     return view_of_heights(z, reach=reach)
 
@@ -215,9 +215,9 @@ def _prepared(surface: Surface) -> Surface:
 
 
 def _check(pose: Any, window: Any, pixels: Any) -> None:
-    if not given.is_traced(pose):
-        given.numbers("T_w_t", pose, "a (4, 4) transform")
-    given.number("window", window, "a length (m) above 0", above=0)
-    given.count("pixels", pixels)
+    if not validation.is_traced(pose):
+        validation.numbers("T_o_t", pose, "a (4, 4) transform")
+    validation.number("window", window, "a length (m) above 0", above=0)
+    validation.count("pixels", pixels)
     if np.shape(pose) != (4, 4):
         raise ValueError(f"the pose has shape {np.shape(pose)} instead of (4, 4); use vmap for several")

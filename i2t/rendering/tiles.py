@@ -40,7 +40,7 @@ Hits: TypeAlias = tuple[Array, ...]  # nearest so far (p, tiles, pixels): height
 
 
 class ToolView(NamedTuple):
-    """How points come to the tool frame: `linear (p - origin) + offset`. Of many poses, the last axes count them."""
+    """Map of points to the tool frame: `linear (p - origin) + offset`. Of many poses, the last axes count them."""
 
     linear: Float[Array, "3 3"]
     origin: Float[Array, "3"]
@@ -86,7 +86,7 @@ class PixelGrid:
         return whole.reshape(len(tiles), self.side * self.edge, -1)[:, : self.pixels, : self.pixels]
 
     def columns(self, low: Float[Array, "*n"], high: Float[Array, "*n"]) -> UInt[Array, "*n"]:
-        """Which columns of tiles an interval along x touches.
+        """Columns of tiles that an interval along x touches.
 
         Args:
             low: m, lower ends of the intervals.
@@ -147,7 +147,7 @@ class Scratch(NamedTuple):
 
 
 class _Share(NamedTuple):
-    """Which part of every pose's list a pass takes: its clusters lie next to each other in the scratch table."""
+    """Part of every pose's list that a pass takes: its clusters lie next to each other in the scratch table."""
 
     first: Int[Array, ""]  # number of its first cluster in a pose's list
     counts: Int[Array, " p"]  # clusters of each pose
@@ -284,8 +284,8 @@ def _merge_faces(
 def _clusters_of_tiles(
     rows: UInt[Array, "side rows"], share: _Share, grid: PixelGrid, slots: int
 ) -> UInt[Array, "words tiles"]:
-    """For each tile of all poses, which of its pose's clusters cross it: bit b of word w is the cluster of number
-    `w * WORD_BITS + b`. A transposition of bits, a word of clusters at a time.
+    """Clusters that cross each tile, of the tile's pose: bit b of word w is the cluster of number `w * WORD_BITS + b`.
+    A transposition of bits, a word of clusters at a time.
     """
     poses = len(share.counts)
     column = jnp.arange(grid.side, dtype=jnp.uint32)[None, :, None]
@@ -304,7 +304,7 @@ def _clusters_of_tiles(
 def _draw_all(
     tile_words: UInt[Array, "words tiles"], share: _Share, size: int, grid: PixelGrid, scratch: Scratch, best: Hits
 ) -> Hits:
-    """Draw what the tiles have to draw: all tiles together while many are at work, then the busiest few."""
+    """Draw the queues of the tiles: all tiles together while many are at work, then the busiest few."""
     words, lanes = tile_words.shape
     todo = sum((popcount(tile_words[w]) for w in range(words)), jnp.zeros(lanes, jnp.int32))
     full = bitwise_or_reduce([jnp.where(tile_words[w] != 0, as_uint32(1 << w), as_uint32(0)) for w in range(words)])
@@ -328,7 +328,7 @@ def _draw_busiest(
     best: Hits,
     pixels: tuple[Array, Array],
 ) -> Hits:
-    """Draw what is left of the tiles, the busiest first, in shares that are each run to their end."""
+    """Draw the rest of the queues, the busiest tiles first, in shares that are each run to their end."""
     poses, tiles = best[0].shape[:2]
     lanes = poses * tiles
     shares = NUM_SHARES if poses >= NUM_SHARES else 1

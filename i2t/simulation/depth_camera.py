@@ -1,4 +1,4 @@
-"""A simulated depth camera: a perspective view of triangles, its colours, and what a real camera makes of it.
+"""A simulated depth camera: a perspective view of triangles, its colours, and the errors of a real camera.
 
 `render_view` rasterises triangles as a pinhole camera sees them (inverse depth is linear over a triangle's image),
 `shade_view` colours the view, and `add_depth_noise` displaces pixels near edges, adds noise and rounds to steps (Handa
@@ -32,17 +32,17 @@ class DepthErrors(Protocol):
 
     @property
     def depth_noise(self) -> float:
-        """m, standard deviation of a pixel."""
+        """Standard deviation (m) of a pixel."""
 
     @property
     def depth_quantum(self) -> float:
-        """m, of the steps of depth; 0 for none."""
+        """Size (m) of the steps of depth; 0 for none."""
 
 
 def render_view(
     triangles: Float[Array, "n 3 3"], T_b_c: Float[Array, "4 4"], camera: Camera
 ) -> tuple[Float[Array, "h w"], Int[Array, "h w"]]:
-    """What a pinhole camera sees of triangles.
+    """View of triangles by a pinhole camera.
 
     Args:
         triangles: (n, 3 corners, 3) m, in the base.
@@ -109,7 +109,7 @@ def shade_view(
 def add_depth_noise(
     depth: Float[Array, "h w"], errors: DepthErrors, random: np.random.Generator
 ) -> Float[Array, "h w"]:
-    """What a depth camera makes of a view: bled sideways, noisy and in steps.
+    """Add a depth camera's errors to a view: bled sideways, noisy and in steps.
 
     Args:
         depth: m, +inf where there is nothing.

@@ -1,4 +1,4 @@
-"""Where a press ends: at the indentation where the skin change or the force first crosses its limit.
+"""End of a press: the indentation at which the skin change or the force first crosses its limit.
 
 The stop is found by root-finding on the indentation delta: f(delta) = log max(|dB|/limit, F/limit) is scanned on a
 geometric grid for its first crossing and refined by regula falsi (Anderson and Bjorck, BIT 13, 1973) in log-log
@@ -28,7 +28,7 @@ SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begi
 
 @dataclass(frozen=True)
 class PressLimits:
-    """When a press ends (the paper's values)."""
+    """Limits of a press (the paper's values)."""
 
     skin_change: float = 25.0  # uT, norm of the reading
     force: float = 8.0  # N
@@ -89,7 +89,7 @@ def press_to_stop(
 
 
 class _Bracket(NamedTuple):
-    """What is known of the crossing: two trials around it, of which the upper one is a guess until it is found."""
+    """Bracket of the crossing: two trials around it, of which the upper one is a guess until it is found."""
 
     low: Array  # log indentation below the crossing
     f_low: Array
@@ -101,8 +101,8 @@ class _Bracket(NamedTuple):
 
 
 def _unbracketed(deepest: Array, stride: float, scan: int, channels: int) -> _Bracket:
-    """Before the first trial: a crossing in the first stride is sought as if the excess grew in proportion to the
-    indentation below it.
+    """Bracket before the first trial: a crossing in the first stride is sought as if the excess grew in proportion to
+    the indentation below it.
     """
     no = jnp.asarray(False)
     nothing = PressResult(jnp.zeros(()), jnp.zeros(()), jnp.zeros(channels), jnp.asarray(ReturnCode.UNDEFINED))

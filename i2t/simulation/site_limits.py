@@ -1,4 +1,4 @@
-"""What makes a touch site safe, without JAX, so that command lines can offer it."""
+"""Safety limits of touch sites, without JAX, so that command lines can offer them."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ SITE_RANGES = {  # the least and the greatest of each that make sense, and the u
 
 @dataclass(frozen=True)
 class SiteLimits:
-    """What makes a site safe; by default as in the paper's collection, with a fair guess of a UR flange and mount."""
+    """Limits of a safe site; by default as in the paper's collection, with a fair guess of a UR flange and mount."""
 
     min_cos: float = 0.25  # of the angle between normal and up; the paper's recognition uses 0.5
     max_rise: float = 3e-3  # m, of any surface above the contact plane inside the square

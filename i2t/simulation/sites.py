@@ -1,11 +1,11 @@
-"""Where an object can be touched, and where a touch happens.
+"""Touch sites of an object, and the contact of a touch.
 
 Sites are drawn uniformly over a surface's area and given contact frames; three checks of the paper's collection
 procedure say which are safe: the normal is not too far from up, nothing rises above the contact plane inside the
 sensor's square, and the flange stays above the table. `press_along` moves the flat face of the skin along a straight
 line until it meets the surface.
 
-Both questions are about the lowest point of the surface inside a square, and are answered exactly instead of on a
+Both depend on the lowest point of the surface inside a square, which is found exactly instead of on a
 pixel grid: a triangle clipped to a square prism is a convex polygon whose corners are either on the triangle's edges
 (each edge clipped as in Liang and Barsky, "A new concept and method for line clipping", 1984) or where a corner line
 of the prism pierces the triangle, and height is linear on it, so its extremes lie at those corners.
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t import given
+from i2t import validation
 from i2t.batching import map_batches
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
@@ -147,7 +147,7 @@ def _nearest_jvp(at: tuple[Array, ...], along: tuple[Array, ...]) -> tuple[Array
 def _change_of_lowest(
     corners: Float[Array, "3 3"], moved: Float[Array, "3 3"], half: Array, d_half: Array
 ) -> Float[Array, ""]:
-    """How fast the smallest z of a triangle inside the square changes, where its corners move.
+    """Rate of change of the smallest z of a triangle inside the square, where its corners move.
 
     A lowest point is a corner of the triangle, which takes it along; or it lies where an edge crosses a side of the
     square, or under a corner of the square, and slides on the edge or on the triangle. Several lowest points of one
@@ -373,7 +373,7 @@ def collect_sites(
 def sample_touch_sites(
     mesh: Mesh | Surface, n: int, *, seed: int = 0, limits: SiteLimits = COLLECTION_LIMITS, name: str = "the object"
 ) -> TouchSites:
-    """Where an object can be touched: n random safe sites with the tool's contact poses.
+    """Touch sites of an object: n random safe ones with the tool's contact poses.
 
     Sites are uniform over the safe part of the surface, each turned about its normal by a random angle; the object
     stands as it was made, with z up on a table at `limits.table`.
@@ -398,7 +398,7 @@ def sample_touch_sites(
         sites = sample_touch_sites(make_object("star").mesh, 20)
         patch = render_patch(surface, sites.T_o_t[0])
     """
-    n, seed = given.count("n", n), given.count("seed", seed, least=0)
+    n, seed = validation.count("n", n), validation.count("seed", seed, least=0)
     surface = mesh if isinstance(mesh, Surface) else prepare_surface(mesh)
     T_o_t = np.asarray(collect_sites(jax.random.key(seed), surface, n, limits, name))
     return TouchSites(T_o_t, T_o_t[:, :3, 3], -T_o_t[:, :3, 2])

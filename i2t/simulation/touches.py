@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t import geometry, given
+from i2t import geometry, validation
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.sharding import spread
 from i2t.simulation import sites as touch_sites
@@ -61,7 +61,7 @@ CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (th
 
 @dataclass(frozen=True)
 class SimulationErrors:
-    """Standard deviations of all that separates what the lab believes from what is (metres, radians, newtons)."""
+    """Standard deviations of the lab's errors about the true world (metres, radians, newtons)."""
 
     placement: float = 1e-3  # of the object, per axis and session
     placement_angle: float = math.radians(1.0)
@@ -79,7 +79,7 @@ class SimulationErrors:
 
     @classmethod
     def none(cls) -> "SimulationErrors":
-        """A world in which the lab knows everything; the sensor's own noise and faults are off too."""
+        """No errors of the lab; the sensor's own noise and faults are off too."""
         return cls(
             placement=0.0,
             placement_angle=0.0,
@@ -118,7 +118,7 @@ class SimulationErrors:
 
 
 class SessionErrors(NamedTuple):
-    """What stays wrong during one session."""
+    """Constant errors of one session."""
 
     T_o_placed: Float[Array, "4 4"]  # where the object is, seen from where the lab believes it
     T_t_camera: Float[Array, "4 4"]  # where the camera really looks from, seen from where the lab believes
@@ -142,7 +142,7 @@ def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> Sess
 
 
 def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: SimulationErrors) -> WideView:
-    """What the depth camera makes of heights.
+    """View of heights by the depth camera.
 
     Args:
         key: Random key.
@@ -352,7 +352,7 @@ def touch_simulator(
     limits: PressLimits | None = None,
     T_w_o: Float[Array | np.ndarray, "4 4"] | None = None,
 ) -> Callable[[Float[Array | np.ndarray, "4 4"]], Touches]:
-    """A simulated robot before one object, which is put down once and touched wherever one likes.
+    """A simulated robot before one object, which is put down once and touched at any sites.
 
     Args:
         key: random key of the session and of all its touches.
@@ -466,9 +466,9 @@ def simulate_touches(
         surface = prepare_surface(load_mesh("cup.stl", "mm"))
         touches = simulate_touches(jax.random.key(0), [surface], sample_pad(jax.random.key(1)), SimulationErrors(), 36)
     """
-    given.random_key("key", key)
+    validation.random_key("key", key)
     limits, sites = limits or PressLimits(), sites or touch_sites.SiteLimits()
-    touches_per_session = given.count("touches_per_session", touches_per_session)
+    touches_per_session = validation.count("touches_per_session", touches_per_session)
     counts = _counts(objects, n)
     surfaces = stack_surfaces(objects)  # one size class for all, and so one compilation
     sessions = [
@@ -505,12 +505,12 @@ def _counts(objects: Sequence[Surface], n: int | Sequence[int]) -> list[int]:
     if not objects:
         raise ValueError("objects: there is none; give one surface or more")
     if isinstance(n, Sequence | np.ndarray) and not isinstance(n, str):
-        counts = [given.count(f"n[{i}]", each, least=0) for i, each in enumerate(n)]
+        counts = [validation.count(f"n[{i}]", each, least=0) for i, each in enumerate(n)]
         if len(counts) != len(objects):
             raise ValueError(f"n: has {len(counts)} numbers for {len(objects)} objects; give one for each")
-        given.count("n, of all objects,", sum(counts))
+        validation.count("n, of all objects,", sum(counts))
         return counts
-    return [given.count("n", n)] * len(objects)
+    return [validation.count("n", n)] * len(objects)
 
 
 @partial(jax.jit, static_argnames=("errors", "limits", "sites", "n"))

@@ -63,7 +63,7 @@ class FreePoses(NamedTuple):
 
     @property
     def reading(self) -> Float[np.ndarray, "p c"]:
-        """(p, c) uT, mean at each pose of the samples that a channel has."""
+        """Mean (p, c) uT at each pose of the samples that a channel has."""
         return mean_known(np.asarray(self.samples, float), axis=1)
 
 
@@ -93,7 +93,7 @@ class AmbientField(NamedTuple):
 
     @property
     def model(self) -> AmbientModel:
-        """Which terms were kept."""
+        """Model by its kept terms."""
         gradient, response = (
             bool(self.terms[_gradient_slice(self)].any()),
             bool(self.terms[_response_start(self) :].any()),
@@ -102,12 +102,12 @@ class AmbientField(NamedTuple):
 
     @property
     def earth_std(self) -> Float[np.ndarray, "3"]:
-        """(3,) uT, standard errors of `earth`."""
+        """Standard errors (3,) uT of `earth`."""
         return np.sqrt(np.diag(self.covariance)[:3])
 
 
 class AmbientChange(NamedTuple):
-    """Whether new free readings contradict a fitted field."""
+    """Test of new free readings against a fitted field."""
 
     changed: bool
     field_p: float  # how often chance alone makes what all chips share as large
@@ -118,7 +118,7 @@ class AmbientChange(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What has changed."""
+        """Change in words."""
         if not self.changed:
             return f"the ambient field is the fitted one ({self.residual:.1f} uT off)"
         if self.field_p <= self.chips_p:
@@ -164,7 +164,7 @@ def fit_ambient(
 def predict_ambient(
     field: AmbientField, board: Board, T_b_t: Float[Array, "4 4"]
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c c"]]:
-    """What a skin reads that touches nothing.
+    """Reading of a skin that touches nothing.
 
     Args:
         field: Fitted.
@@ -205,7 +205,8 @@ def subtract_ambient(
 def subtract_offsets(
     field: AmbientField, board: Board, reading: Float[Array, " c"]
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "3"]]:
-    """A reading without the chips' offsets and without what all chips share, where the arm's pose is not known.
+    """A reading without the chips' offsets and without the field that all chips share, where the arm's pose is not
+    known.
 
     Args:
         field: Fitted.
@@ -221,7 +222,7 @@ def subtract_offsets(
 
 
 def ambient_changed(field: AmbientField, board: Board, poses: FreePoses, *, false_alarm: float = 0.01) -> AmbientChange:
-    """Whether new free readings contradict a fitted field.
+    """Test new free readings against a fitted field.
 
     Args:
         field: Fitted.
@@ -312,7 +313,7 @@ def load_ambient(path: Path | str, board: Board | None = None) -> tuple[AmbientF
 
 
 def mean_known(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, "*m"]:
-    """The mean of what is not NaN.
+    """Mean of the values that are not NaN.
 
     Args:
         values: Any numbers, some of them missing.
@@ -328,7 +329,7 @@ def mean_known(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, 
 
 
 def fitted_turn(T_b_t: Float[Array, "p 4 4"]) -> float:
-    """How well poses turn the field: the root mean square by which its weakest direction moves in the tool.
+    """Turn of the field by poses: the root mean square by which its weakest direction moves in the tool.
 
     Args:
         T_b_t: Tool in base.
@@ -401,12 +402,12 @@ def _problem(poses: FreePoses, board: Board) -> _Problem:
 
 
 def _places(T_b_t: np.ndarray, chips: np.ndarray) -> np.ndarray:
-    """(p, n, 3) m, where chips are in the base."""
+    """Chip positions (p, n, 3) m in the base."""
     return np.einsum("pij,nj->pni", T_b_t[:, :3, :3], chips) + T_b_t[:, None, :3, 3]
 
 
 def _spread(poses: FreePoses) -> float:
-    """m, root mean square distance of the poses' places from their middle."""
+    """Root mean square distance (m) of the poses' places from their middle."""
     places = np.asarray(poses.T_b_t, float)[:, :3, 3]
     return float(np.sqrt(np.mean(np.sum((places - places.mean(0)) ** 2, axis=1))))
 
@@ -420,7 +421,7 @@ def _response_start(field: AmbientField) -> int:
 
 
 def _model_terms(chips: int, model: AmbientModel) -> np.ndarray:
-    """Which of all parameters a model has."""
+    """Mask of the parameters of a model."""
     gradient, response = model in ("gradient", "both"), model in ("response", "both")
     return np.concatenate([np.ones(3 + 3 * chips), np.full(5, gradient), np.full(9 * chips, response)]).astype(bool)
 
@@ -453,7 +454,7 @@ def _fit(problem: _Problem, model: AmbientModel, burst: int) -> AmbientField:
 
 
 def _left_out(problem: _Problem, model: AmbientModel) -> np.ndarray:
-    """(p,) uT^2, mean square error at each pose of the fit to the others."""
+    """Mean square error (p,) uT^2 at each pose of the fit to the others."""
     poses, chips = len(problem.T_b_t), len(problem.chips)
     terms, errors = _model_terms(chips, model), np.empty(poses)
     weights = _Weights(1.0, 1.0, 1.0, 1.0)
@@ -528,7 +529,7 @@ def _weights(
 
 def _within(problem: _Problem, burst: int) -> tuple[float, float]:
     """Variances, relative to the scale, by which means of bursts scatter about the mean of their pose: of chips by
-    themselves, and of what they share.
+    themselves, and of their shared part.
     """
     poses, samples = problem.samples.shape[:2]
     count = samples // burst
@@ -556,7 +557,7 @@ def _noise(problem: _Problem, weights: _Weights, chip: float, common: float, sam
 
 @lru_cache
 def _split(chips: int) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal bases over chips (Helmert): of what they share (1, n), and of what differs (n - 1, n)."""
+    """Orthonormal bases over chips (Helmert): of their shared part (1, n), and of their differences (n - 1, n)."""
     if chips == 0:
         return np.zeros((0, 0)), np.zeros((0, 0))
     own = np.zeros((chips - 1, chips))
@@ -594,7 +595,7 @@ def _model(
 
 
 def _lever(away: np.ndarray) -> np.ndarray:
-    """(..., 3, 5): the field (uT) at a distance (..., 3) m from the centre, by the gradient's five numbers."""
+    """Field (uT), (..., 3, 5), at a distance (..., 3) m from the centre, by the gradient's five numbers."""
     x, y, z = away[..., 0], away[..., 1], away[..., 2]
     none = np.zeros_like(x)
     rows = [[x, none, y, z, none], [none, y, x, none, z], [-z, -z, none, x, y]]

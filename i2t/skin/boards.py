@@ -1,4 +1,4 @@
-"""Sensor boards: where magnetometers sit below the skin, in which order a board sends them, and how they are turned.
+"""Sensor boards: positions of magnetometers below the skin, their order in a reading, and their turns.
 
 A board has any number n of chips and sends readings of 3 n values. `make_board` knows the boards of the field and
 square grids by name, and reads any other from a file of its chips' positions and turns. Where nothing else is said the
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from i2t import given
+from i2t import validation
 from i2t.files import read_toml
 from i2t.types import ORTHOGONALITY_TOLERANCE, PAD_WINDOW, Board
 
@@ -199,7 +199,7 @@ def read_board(path: str | Path) -> Board:
 
 
 def board_note(name: str) -> str:
-    """What a user of a named board should know of where its chips' order and turns are from.
+    """Note on the source of chip order and turns of a named board.
 
     Args:
         name: As `make_board` has it.
@@ -230,7 +230,7 @@ def name_of_board(board: Board) -> str:
 
 
 def same_board(one: Board, other: Board) -> bool:
-    """Whether two boards have the same chips, in the same order and turned alike.
+    """Test two boards for the same chips, in the same order and turned alike.
 
     Args:
         one: A board.
@@ -247,7 +247,7 @@ def same_board(one: Board, other: Board) -> bool:
 
 
 def _board(positions: np.ndarray, rotations: np.ndarray, depth: float) -> Board:
-    given.number("depth", depth, "metres below the surface, 0 or more", least=0)
+    validation.number("depth", depth, "metres below the surface, 0 or more", least=0)
     chips = np.column_stack([positions, np.full(len(positions), -depth)])
     return Board(chips.astype(np.float32), rotations.astype(np.float32))
 
@@ -265,7 +265,7 @@ def _turned(path: Path, turns: np.ndarray, n: int) -> np.ndarray:
 
 
 def _array(path: Path, table: Mapping[str, Any], key: str, dimensions: int) -> np.ndarray:
-    """The numbers of a key, or a sentence that says what is wrong with them."""
+    """The numbers of a key, or a sentence on their error."""
     if key not in table:
         raise ValueError(f"{path}: {key} is missing; add it")
     try:

@@ -227,7 +227,7 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
 
 
 class ContactState(NamedTuple):
-    """Where a descent has come to."""
+    """State of a descent."""
 
     point: Array  # within the allowed set
     gap: Array  # the gradient there, K x + offset
@@ -336,7 +336,7 @@ def _contact(
 
 
 def positive(x: Array) -> Array:
-    """A number by which dividing is safe.
+    """A number that is safe to divide by.
 
     Args:
         x: Any number.

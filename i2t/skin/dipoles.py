@@ -1,4 +1,4 @@
-"""What the chips below a magnetised layer measure when it is deformed.
+"""Magnetic field at the chips below a deformed magnetised layer.
 
 The layer is a sum of magnetic dipoles: one under the centre of every cell of the contact grid at each node of a
 Gauss-Legendre rule across the thickness. A touch moves the dipole at P to P + u and turns its moment m by the local
@@ -176,7 +176,7 @@ def turn(rotation: Float[Array, "3 ..."], moments: Float[Array, "3 ..."]) -> Flo
 
 
 def _cross(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
-    """a x b of components: what `jnp.cross` puts together again and again, this leaves to be fused."""
+    """Cross product a x b of components, left to be fused, unlike `jnp.cross`."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 

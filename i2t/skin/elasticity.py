@@ -1,4 +1,4 @@
-"""How an elastic layer bonded to a rigid base moves under loads on its surface.
+"""Motion of an elastic layer bonded to a rigid base under loads on its surface.
 
 The layer (thickness h, Young's modulus E, Poisson's ratio nu, small strain) fills -h <= z <= 0 of the tool frame. Loads
 act on its surface z = 0 and on the cells of the pad only: a pressure p pushes it down, a traction t drags it along x
@@ -69,12 +69,14 @@ class Grid:
 
     @property
     def centres(self) -> np.ndarray:
-        """(cells,) m: coordinates of the cell centres along either edge."""
+        """Coordinates (cells,) m of the cell centres along either edge."""
         return ((np.arange(self.cells) + 0.5) / self.cells - 0.5) * self.window
 
     @property
     def wavenumbers(self) -> np.ndarray:
-        """(modes,) 1/m: of the cosines 0 ... modes/2 - 1, then of the sines 1 ... modes/2, about the pad's centre."""
+        """Wavenumbers (modes,) 1/m of the cosines 0 ... modes/2 - 1, then of the sines 1 ... modes/2, about the pad's
+        centre.
+        """
         half = self.modes // 2
         return 2 * np.pi / (self.modes * self.spacing) * np.r_[0:half, 1 : half + 1]
 
@@ -84,7 +86,7 @@ FINE_GRID = Grid(80, 128)  # where sharp edges matter more than speed: see `docs
 
 
 class Load(NamedTuple):
-    """What acts on the surface, as coefficients of the series (rows y, columns x), ready for `interior`."""
+    """Loads on the surface, as coefficients of the series (rows y, columns x), ready for `interior`."""
 
     slopes: Float[Array, "2 k k"]  # Pa/m: of the pressure along x and y
     pressure: Float[Array, "k k"]  # Pa
@@ -93,7 +95,7 @@ class Load(NamedTuple):
 
 
 class TractionWaves(NamedTuple):
-    """A traction's series, and what its waves are made of."""
+    """A traction's series, and the parts of its waves."""
 
     traction: Float[Array, "2 k k"]  # Pa
     lengthwise: Float[Array, "2 k k"]  # Pa: the part of each wave along its wave vector

@@ -1,4 +1,4 @@
-"""What goes wrong with a real skin besides noise: each fault a small function whose size, at zero, switches it off.
+"""Faults of a real skin besides noise: each a small function whose size, at zero, switches it off.
 
 `apply` takes the readings of one session in the order in which they were made, and `record` what the board then sends;
 together they compose the faults as physics does:
@@ -83,7 +83,7 @@ class Faults:
 
 
 def board_key(gains: Float[Array, " c"]) -> Key[Array, ""]:
-    """The random key of all that stays with a board over its sessions.
+    """The random key of the faults that stay with a board over its sessions.
 
     The gains of its chips tell one board from another, and boards of equal gains are one board.
 
@@ -109,7 +109,7 @@ def apply(
     rest: Float[Array, " c"] | None = None,
     presses_before: Int[Array, ""] | int = 0,
 ) -> Float[Array, "n c"]:
-    """The readings of one session as a faulty sensor would feel them (see the module's head).
+    """The readings of one session by a faulty sensor (see the module's head).
 
     Args:
         key: random key of the session.
@@ -170,7 +170,7 @@ def _warmed(
 def record(
     key: Key[Array, ""], readings: Float[Array, "n c"], faults: Faults, *, key_board: Key[Array, ""]
 ) -> Float[Array, "n c"]:
-    """What is written down of a session's readings: nothing new from dead axes, and some rows twice.
+    """Recorded readings of a session: nothing new from dead axes, and some rows twice.
 
     Args:
         key: Random key of the session.
@@ -225,7 +225,7 @@ def creep(
     size: float = 0.05,
     yielding: float = 0.2,
 ) -> Float[Array, " c"]:
-    """What a reading grows to while the touch is held and the stress in the layer relaxes.
+    """Growth of a reading while the touch is held and the stress in the layer relaxes.
 
     A held depth keeps the layer's shape, and so its field. But the arm yields: with s = layer / (layer + arm), the part
     of the press that the arm takes up, the indentation grows by 1 / (1 - s (1 - g)) where g of the stress is left, and
@@ -344,7 +344,7 @@ def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) 
 
 
 def subtract_ambient(values: Float[Array, "n c"], before: Float[Array, "n c"], every: int) -> Float[Array, "n c"]:
-    """Slow additive terms less what they were when the ambient was last measured.
+    """Slow additive terms minus their values when the ambient was last measured.
 
     Measured at each touch, in the pose of the touch, it takes all away that did not change until the reading.
 
@@ -393,7 +393,7 @@ def apply_warming(
     gain: float = -1.2e-3,
     drift: float = 0.2,
 ) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
-    """A reading in a warmer skin, and what its zero has drifted by.
+    """A reading in a warmer skin, and the drift of its zero.
 
     The magnets weaken by 0.12 % per kelvin (remanence of neodymium magnets, makers' tables): the reading by that
     factor, and the zero by that part of the pad's own field at rest (6 uT/K at 5 mT, enough for the drifts of up to

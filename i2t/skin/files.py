@@ -26,7 +26,7 @@ PAD_FIELDS_OF_BEFORE = {
 
 
 class PadAbout(NamedTuple):
-    """What a pad's file says of it."""
+    """Description in a pad's file."""
 
     name: str  # of the skin, as data sets call it
     made_from: str  # a phrase such as ", fitted to 100 real presses"; empty where nothing is known
@@ -71,7 +71,7 @@ def load_pad(path: Path | str) -> Pad:
 
 
 def _checked(path: Path | str, pad: Pad) -> Pad:
-    """The pad in float32, if its parts can be."""
+    """The pad in float32, if its parts are valid."""
     side = pad.magnetization.shape[0] if pad.magnetization.ndim else 0
     chips = pad.board.chips.shape[0] if pad.board.chips.ndim else 0
     shapes = {
@@ -88,7 +88,7 @@ def _checked(path: Path | str, pad: Pad) -> Pad:
 
 
 def load_pad_about(path: Path | str) -> PadAbout:
-    """What a pad's file says of it.
+    """Description in a pad's file.
 
     Args:
         path: of the file.

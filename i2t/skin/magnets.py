@@ -1,4 +1,4 @@
-"""Discrete magnets: what the chips measure when solid magnets inside a soft lattice are moved and turned (eFlesh).
+"""Discrete magnets: readings of the chips when solid magnets inside a soft lattice are moved and turned (eFlesh).
 
 A magnet is a cylinder of radius a and height 2b, magnetised by M along its axis, the same as a sheet of current M round
 its side (Jackson, Classical Electrodynamics, section 5.8). Along the axis Biot and Savart's integral is elementary;

@@ -1,4 +1,4 @@
-"""What the sensor adds to the field: white noise, a slow ambient field, steps of the converter, drift.
+"""Sensor errors added to the field: white noise, a slow ambient field, steps of the converter, drift.
 
 A chip's sample is `quantise(field + ambient + white)`; a reading is the mean of the samples in contact minus the mean
 of the samples before it. Sizes come from recordings of real ReSkin boards at rest with the paper's settings (MLX90393,

@@ -1,4 +1,4 @@
-"""What a pad is, pads as different as real ones are, and the press of a pad on a surface.
+"""Pads, random pads as different as real ones, and the press of a pad on a surface.
 
 Sizes are those of ReSkin (Bhirangi et al., CoRL 2021): 20 x 20 mm of magnetic silicone, 2-3 mm thick, on a board of
 five magnetometers (`i2t.skin.boards`). Frames and units as in `i2t.types`.
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t import given
+from i2t import validation
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import pressed_field, response, rest_field
@@ -36,7 +36,7 @@ MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and whole 
 
 @in_one_line
 class Press(NamedTuple):
-    """What a press of the pad gives."""
+    """Result of a press of the pad."""
 
     reading: Float[Array, " c"]  # uT, without noise, in the board's order and axes
     force: Float[Array, ""]  # N
@@ -75,12 +75,12 @@ def press(
         pressed = i2t.press(i2t.nominal_pad(), height, 0.4e-3)
         pressed.reading, pressed.force
     """
-    if not given.is_traced(height, indentation):
+    if not validation.is_traced(height, indentation):
         hint = f"({grid.cells}, {grid.cells}) metres behind the nearest point, one for each cell of the grid"
-        heights = given.numbers("height", height, hint)
+        heights = validation.numbers("height", height, hint)
         if heights.shape != (grid.cells, grid.cells) or not np.isfinite(heights.min()):
             raise ValueError(f"height: has the shape {heights.shape}, or is NaN or nowhere finite; give {hint}")
-        given.number("indentation", indentation, "metres past first touch")
+        validation.number("indentation", indentation, "metres past first touch")
     return _press(pad, solve(pad, jnp.asarray(height), indentation, grid, start=start), grid, dipoles)
 
 
@@ -119,7 +119,7 @@ def friction_response(
     grid: Grid = GRID,
     increments: int = 3,
 ) -> Float[Array, " c"]:
-    """What friction adds to the reading of a press whose surface slides evenly on its way; see `i2t.skin.friction`.
+    """Friction's part in the reading of a press whose surface slides evenly on its way; see `i2t.skin.friction`.
 
     Not zero without a slide: friction also holds what pressure would spread.
 
@@ -169,7 +169,7 @@ def nominal_pad(
     Example:
         pad = i2t.nominal_pad("uniform", board=make_board("grid-4x4"))
     """
-    given.number("strength", strength, "A/m")
+    validation.number("strength", strength, "A/m")
     board = reskin_board() if board is None else board
     return Pad(
         thickness=jnp.asarray(THICKNESS_M),
@@ -214,8 +214,10 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
     Example:
         pad = i2t.sample_pad(jax.random.key(0))
     """
-    given.random_key("key", key)
-    given.number("spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", least=0)
+    validation.random_key("key", key)
+    validation.number(
+        "spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", least=0
+    )
     board = reskin_board() if board is None else board
     names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))

@@ -1,4 +1,4 @@
-"""What a recording of a skin does not say, or says wrongly: estimated, with evidence and a sentence each.
+"""Unknowns and wrong statements of a recording of a skin: estimated, with evidence and a sentence each.
 
     from i2t import unknowns
 

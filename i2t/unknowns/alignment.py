@@ -36,7 +36,7 @@ MAP_NOISES = (1e-3, 1e-2, 0.1)
 
 
 class SessionMap(NamedTuple):
-    """What an earlier session says of every press."""
+    """Map of an earlier session, which predicts every press."""
 
     position: Float[np.ndarray, "m 2"]  # m
     load: Float[np.ndarray, " m"]  # m of depth, or N
@@ -49,7 +49,7 @@ class SessionMap(NamedTuple):
 
 
 class Alignment(NamedTuple):
-    """How a later session lies on an earlier one: its press (x, d) is the earlier's (x + shift, d + load)."""
+    """Alignment of a later session on an earlier one: its press (x, d) is the earlier's (x + shift, d + load)."""
 
     shift: Float[np.ndarray, " 2"]  # m
     load: float  # m or N
@@ -102,7 +102,7 @@ def fit_session_map(
 def predict_session(
     session: SessionMap, position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n c"]:
-    """What the earlier session would have read.
+    """Predict the readings of the earlier session.
 
     Args:
         session: Its map.
@@ -179,7 +179,7 @@ def align_session(
 def aligned_prediction(
     session: SessionMap, alignment: Alignment, position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n c"]:
-    """What the earlier session, aligned, says of later presses.
+    """Predict readings of later presses by the earlier session, aligned.
 
     Args:
         session: The earlier session.
@@ -280,7 +280,7 @@ def alignment_findings(
 
 
 def _chips_since(expected: np.ndarray, readings: np.ndarray) -> Finding:
-    """Whether chips were swapped or axes flipped since the earlier session."""
+    """Test whether chips were swapped or axes flipped since the earlier session."""
     n, channels = readings.shape
     chips = channels // _AXES
     if n < MIN_CHIPS_SINCE or chips < 2:

@@ -1,5 +1,5 @@
-"""How the board lies under the skin, from what its chips read together: turned or mirrored, two chips swapped, an axis
-flipped, shifted.
+"""Placement of the board under the skin, from what its chips read together: turned or mirrored, two chips swapped, an
+axis flipped, shifted.
 
 All chips feel one skin. Let the skin be magnetized any way, dipoles m_i on a grid at a height over the chips. A press
 at x sinks them, moves them aside and tilts them by smooth functions of their distance from x, and the readings of all
@@ -55,7 +55,7 @@ STAGES: dict[str, np.ndarray] = {
 
 
 class FieldShape(NamedTuple):
-    """How a press moves the dipoles."""
+    """Motion of the dipoles in a press."""
 
     gap: float  # m, height of the dipoles over the chips
     reach: float  # m, over which a press is felt

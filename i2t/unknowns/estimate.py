@@ -121,7 +121,7 @@ def corrected_presses(presses: RecordedPresses, findings: list[Finding]) -> Reco
 
 
 def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which rows belong together where labels are shifted.
+    """Rows that belong together where labels are shifted.
 
     Args:
         n: Rows of the recording.
@@ -135,7 +135,7 @@ def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def growth_of(presses: RecordedPresses, findings: list[Finding]) -> np.ndarray | None:
-    """How much each press moves the skin, relative to the others, as well as is known.
+    """Motion of the skin by each press, relative to the others, as well as is known.
 
     Args:
         presses: With heights or forces, or neither.
@@ -156,7 +156,7 @@ def growth_of(presses: RecordedPresses, findings: list[Finding]) -> np.ndarray |
 
 
 def sentences(findings: list[Finding]) -> list[str]:
-    """What to tell a person: first what is wrong, then what was found, then what cannot be told.
+    """Sentences for a person: first what is wrong, then what was found, then what cannot be told.
 
     Args:
         findings: Of a recording.

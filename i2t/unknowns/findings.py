@@ -1,4 +1,4 @@
-"""What is said about one unknown of a recording, and how it travels with a data set."""
+"""Findings on the unknowns of a recording, and their way into a data set and back."""
 
 import json
 import math
@@ -36,7 +36,7 @@ class RecordedPresses(NamedTuple):
 
 @dataclass(frozen=True)
 class Finding:
-    """What a recording says about one of its unknowns.
+    """Finding of a recording on one of its unknowns.
 
     Attributes:
         name: Of the unknown.
@@ -72,7 +72,7 @@ class Finding:
 
 
 def findings_to_meta(session: str, findings: Iterable[Finding]) -> dict[str, str]:
-    """What travels with a data set.
+    """Entry of findings in the meta of a data set.
 
     Args:
         session: Name of the session that was looked at.

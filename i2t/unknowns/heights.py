@@ -56,7 +56,7 @@ class _Fit(NamedTuple):
 
 
 class _Shape(NamedTuple):
-    """What is not asked for but must be chosen."""
+    """Parameters that are not asked for but must be chosen."""
 
     length: float  # m, of the map
     free: float  # share of the variance that does not grow by the power
@@ -227,7 +227,7 @@ _MOVES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
 def _left_open(presses: RecordedPresses, best: _Fit, shape: _Shape, step: float) -> dict[str, Any]:
-    """What each half of the presses alone, another power and the usual powers say of the zero."""
+    """Zeros by each half of the presses alone, by another power and by the usual powers."""
     order = np.random.default_rng(1).permutation(len(presses.readings))
     halves = [_zero_of(presses.rows(np.sort(order[i::2])), best.zero, best.power, shape, step) for i in (0, 1)]
     less, more = (_zero_of(presses, best.zero, best.power + sign * POWER_LEFT_OPEN, shape, step) for sign in (-1, 1))
@@ -259,7 +259,7 @@ def _best_shape(presses: RecordedPresses, zero: float, power: float) -> _Fit:
 
 
 def _try(presses: RecordedPresses, zero: float, power: float, shape: _Shape) -> _Fit:
-    """How well presses are predicted from each other with this zero and power."""
+    """Fit of presses that are predicted from each other with this zero and power."""
     assert presses.height is not None
     depth = np.maximum(zero - np.asarray(presses.height, np.float64), 0)
     unit = max(float(np.quantile(depth, 0.9)), 1e-6)

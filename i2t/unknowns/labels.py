@@ -1,5 +1,4 @@
-"""What labels and readings say of each other: a lag between them, the direction of the height, the sign of the force,
-the units.
+"""Relations of labels and readings: a lag between them, the direction of the height, the sign of the force, the units.
 
 NumPy only. Each function judges recorded presses by one property that any sound skin has; none needs a model of one.
 """
@@ -222,7 +221,7 @@ def _labels(presses: RecordedPresses) -> np.ndarray:
 
 
 def _depends(position: np.ndarray, readings: np.ndarray) -> bool:
-    """Whether readings depend on where was pressed."""
+    """Test whether readings depend on the place of the press."""
     finite = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(readings).all(1))
     rows = finite[thinned(len(finite), LAG_ROWS)]
     return smooth_r2(position[rows], readings[rows]) > PLACED_R2
@@ -237,7 +236,7 @@ def _largest(values: np.ndarray | None) -> float:
 def _sign_of(
     name: str, depth: np.ndarray, norm: np.ndarray, correction: Mapping[str, float], said: tuple[str, str]
 ) -> Finding:
-    """Whether readings grow with the depth, by their rank correlation."""
+    """Test whether readings grow with the depth, by their rank correlation."""
     n = len(norm)
     if n < MIN_LAG_ROWS or np.ptp(depth) == 0 or np.ptp(norm) == 0:
         return Finding(name, f"The {name} is not identifiable: too few presses, or all alike.", False)

@@ -32,7 +32,7 @@ NOISE_BLOCKS = 20  # of rows, whose differences are compared to find those at re
 
 @dataclass(frozen=True, kw_only=True)
 class PressCriteria:
-    """What is a press.
+    """Criteria of a press.
 
     Args:
         begin_at: Distance from rest, in standard deviations of a smoothed channel, that a press exceeds.
@@ -114,7 +114,7 @@ class SegmentationRules(NamedTuple):
 
 
 class OpenRecording(NamedTuple):
-    """What is kept of a recording of which more rows may come."""
+    """State of a recording of which more rows may come."""
 
     rules: SegmentationRules
     first: int  # row of the recording that is the first of those kept
@@ -164,7 +164,7 @@ def segment_presses(time: ArrayLike, readings: ArrayLike, *, criteria: PressCrit
 def segmentation_rules(
     time: ArrayLike, readings: ArrayLike, *, criteria: PressCriteria | None = None
 ) -> SegmentationRules:
-    """What is a press in a recording, by the rate and the noise of some of its rows.
+    """Rules that define a press in a recording, by the rate and the noise of some of its rows.
 
     Args:
         time: (n,) when each row was read (s), increasing.
@@ -383,7 +383,7 @@ def _release(distance: np.ndarray, rules: SegmentationRules) -> tuple[int, bool,
 
 
 def _distance(difference: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Of rows from rest: the larger of the worst channel and of what all channels show together."""
+    """Distance of rows from rest: the larger of the worst channel and of what all channels show together."""
     z = np.abs(difference) / unit
     together = np.sqrt(np.maximum(np.mean(z**2, axis=1) - 1, 0)) * (z.shape[1] / 2) ** 0.25
     return np.maximum(0.8 * z.max(axis=1), together)

@@ -1,4 +1,4 @@
-"""How well a smooth model explains readings: leave-one-out errors of a Gaussian process, in closed form.
+"""Fit of a smooth model to readings: leave-one-out errors of a Gaussian process, in closed form.
 
     y ~ N(0, s^2 K),  error of row i = [K^-1 y]_i / [K^-1]_ii  (Rasmussen and Williams, equations 5.10 to 5.12)
 

@@ -1,4 +1,4 @@
-"""What a folder holds to be looked at: recorded touches with images and time series, or rows of a data set."""
+"""Contents of a folder to look at: recorded touches with images and time series, or rows of a data set."""
 
 import json
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ TOUCH_FILES = "touch-*.h5"
 
 
 class BeliefHistory(NamedTuple):
-    """What was believed after each touch."""
+    """Belief after each touch."""
 
     names: tuple[str, ...]  # of the candidates
     p: Float[np.ndarray, "touches candidates"]
@@ -40,7 +40,7 @@ class Contents:
 
     @property
     def simulated(self) -> bool:
-        """Whether any of it was simulated."""
+        """Tell whether any of it was simulated."""
         return self.dataset.source != "real"
 
     def records(self) -> Iterator[Record]:
@@ -62,7 +62,7 @@ def read_contents(
     most: int | None = None,
     skin: str | None = None,
 ) -> Contents:
-    """What a folder or file holds.
+    """Read the contents of a folder or file.
 
     Args:
         path: Of recorded touches, or of a data set.
@@ -99,7 +99,7 @@ def _mesh(name: str | None, unit: str | None, dataset: Dataset) -> Mesh | None:
 
 
 def read_belief(path: Path, touches: int) -> BeliefHistory:
-    """What was believed after each touch.
+    """Read the belief after each touch.
 
     Args:
         path: A JSON file with `names` and `p`, or the `result.json` of `experiments.recognize live`, which calls them

@@ -68,7 +68,7 @@ def _shown(touches: int) -> np.ndarray:
 
 
 def _courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:
-    """How touches went in time, where that was recorded."""
+    """Time courses of touches, where these were recorded."""
     wanted = set(shown.tolist())
     return [
         (row, _course(record, contents.simulated, row))

@@ -34,7 +34,7 @@ SECONDS_A_TOUCH = 1.0  # of touches without times of their own
 
 
 def why_no_recording() -> str:
-    """Why no recording can be written here.
+    """Reason why no recording can be written here.
 
     Returns:
         One sentence with the remedy; empty where it can.
@@ -80,7 +80,7 @@ class _Writer:
         self._rays: np.ndarray | None = None
 
     def once(self) -> None:
-        """What holds for all touches."""
+        """Write what holds for all touches."""
         rr, dataset = self._rr, self._contents.dataset
         lines = [f"{self._contents.path}: {len(dataset)} touches, {dataset.source.upper()}"]
         self._put(
@@ -216,7 +216,7 @@ def _names(chips: int) -> tuple[str, ...]:
 
 
 def begun(number: int, record: Record) -> float:
-    """When a touch began.
+    """Start time of a touch.
 
     Args:
         number: Of the touch.

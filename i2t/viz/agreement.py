@@ -1,4 +1,4 @@
-"""How far what was seen of a set of touches agrees with what was measured, and whether that is more than chance.
+"""Agreement of what was seen of a set of touches with what was measured, and whether that is more than chance.
 
 `agreement` puts a number on the paper's remark that a mapping from patches to readings "should be possible": were two
 modalities unrelated, pairing them anew would not change how far their neighbourhoods and their geometry agree, which
@@ -17,7 +17,7 @@ NUM_NEIGHBOURS = 10
 
 
 class Agreement(NamedTuple):
-    """How far two modalities of the same touches agree; each lies between 0 and 1, or a little below for nothing."""
+    """Agreement of two modalities of the same touches; each lies between 0 and 1, or a little below for nothing."""
 
     overlap: float  # mean share of k nearest neighbours that a touch has in both
     mutual: float  # share of all pairs that are mutual neighbours in either that are so in both
@@ -60,7 +60,7 @@ def neighbours(x: Float[np.ndarray, "n d"], k: int = NUM_NEIGHBOURS) -> Int[np.n
 
 
 def agreement(x: Float[np.ndarray, "n a"], y: Float[np.ndarray, "n b"], k: int = NUM_NEIGHBOURS) -> Agreement:
-    """How far two modalities of the same touches agree.
+    """Agreement of two modalities of the same touches.
 
     Args:
         x: Features of the one.
@@ -82,7 +82,7 @@ def permutation_test(
     seed: int = 0,
     groups: Int[np.ndarray, " n"] | None = None,
 ) -> PermutationTest:
-    """Whether two modalities agree more than by chance.
+    """Test whether two modalities agree more than by chance.
 
     Args:
         x: Features of the one.
@@ -119,7 +119,7 @@ class _Pair:
         self.scale = max(float(np.linalg.norm(self.a.T @ self.a) * np.linalg.norm(self.b.T @ self.b)), 1e-300)
 
     def agree(self, order: np.ndarray) -> Agreement:
-        """With touch i of the first paired with touch order[i] of the second."""
+        """Agreement with touch i of the first paired with touch order[i] of the second."""
         both = self.adjacent_y[order[:, None], order[self.neighbours_x]].mean()
         shared = int(self.mutual_y[order[self.mutual_x[0]], order[self.mutual_x[1]]].sum())
         either = len(self.mutual_x[0]) + int(self.mutual_y.sum()) // 2 - shared
@@ -128,7 +128,7 @@ class _Pair:
 
 
 def _adjacency(nearest: np.ndarray) -> Bool[np.ndarray, "n n"]:
-    """Whether touch j is among the nearest of touch i."""
+    """Mask (n, n): touch j is among the nearest of touch i."""
     found = np.zeros((len(nearest), len(nearest)), bool)
     found[np.arange(len(nearest))[:, None], nearest] = True
     return found

@@ -17,7 +17,7 @@ EXAMPLE_LETTERS = "abcdefgh"
 
 
 class TouchViews(NamedTuple):
-    """What was seen of some touches."""
+    """Views of some touches."""
 
     values: Array  # (n, rows, columns) in [0, 1]
     window: float  # m, edge of a view

@@ -181,7 +181,7 @@ def rand_index(a: Int[np.ndarray, " n"], b: Int[np.ndarray, " n"]) -> float:
 def stability(
     x: Float[np.ndarray, "n d"], clusters: int = NUM_CLUSTERS, seeds: int = 10, share: float = 0.8
 ) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
-    """How far clusterings agree between seeds and between random parts of the touches.
+    """Agreement of clusterings between seeds and between random parts of the touches.
 
     Args:
         x: Features of the touches.
@@ -203,7 +203,7 @@ def stability(
 
 
 def _pairwise_rand_indices(labels: list[np.ndarray]) -> np.ndarray:
-    """Of all pairs of clusterings, on the touches that both have (label 0 or more)."""
+    """Rand indices of all pairs of clusterings, on the touches that both have (label 0 or more)."""
     found = []
     for i, a in enumerate(labels):
         for b in labels[:i]:

@@ -56,7 +56,7 @@ class EpisodeRecord(NamedTuple):
 
     @property
     def headline(self) -> str:
-        """What was there, and whether it was simulated."""
+        """Headline: the object that was there, and whether it was simulated."""
         if self.truth >= 0:
             there = self.names[self.truth]
         else:
@@ -195,7 +195,7 @@ def _draw_measured(axes: Axes, record: EpisodeRecord, touch: int, scale: float, 
 
 
 def _draw_candidate(axes: Axes, depth: np.ndarray, nearest: float) -> AxesImage:
-    """What a candidate shows at a touch, and how far its surface is from the tool's end."""
+    """Draw a candidate's patch at a touch, with the distance of its surface from the tool's end."""
     image = draw_patch(axes, depth, PATCH_WINDOW, REACH)
     axes.set(xticks=[], yticks=[])
     if np.isfinite(nearest):

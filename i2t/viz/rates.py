@@ -1,4 +1,4 @@
-"""What methods reach: rates and scores with their 95 % intervals, and confusion matrices."""
+"""Results of methods: rates and scores with their 95 % intervals, and confusion matrices."""
 
 from collections.abc import Mapping, Sequence
 

@@ -22,7 +22,7 @@ EDGES_OF_A_BOX = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b
 
 
 class RigScene(NamedTuple):
-    """What is drawn."""
+    """Objects and frames that are drawn."""
 
     vertices: Float[Array, "v 3"]  # m, of the object in W
     faces: Int[Array, "f 3"]
@@ -54,7 +54,7 @@ def plot_rig(scene: RigScene, title: str) -> Picture:
 
 
 def look_pose(scene: RigScene) -> np.ndarray:
-    """Where the tool is when its camera looks at the site.
+    """Pose of the tool when its camera looks at the site.
 
     Args:
         scene: What is drawn.

@@ -54,7 +54,7 @@ class InteractiveScene:
 
 @cache
 def why_no_scene() -> str:
-    """Why no scene can be drawn here, in one sentence; empty where it can. Another process tries, once."""
+    """Reason why no scene can be drawn here, in one sentence; empty where it can. Another process tries, once."""
     if find_spec("pyvista") is None:
         return NO_PYVISTA
     try:
@@ -309,7 +309,7 @@ def _still(plotter: Any, title: str) -> Picture:
 
 
 def _image(plotter: Any) -> Array:
-    """What a plotter shows, without margins; it is closed."""
+    """Image of a plotter, without margins; the plotter is closed."""
     picture = trimmed(np.asarray(plotter.screenshot(return_img=True)))
     plotter.close()
     return picture

@@ -1,4 +1,4 @@
-"""What all figures share: colours, markers, titles, and how a figure is shown and written.
+"""Style of all figures: colours, markers, titles, and how a figure is shown and written.
 
 Colours are the colour-blind safe set of Okabe and Ito (2008); maps are drawn in cividis.
 """

@@ -12,7 +12,8 @@ import pytest
 
 from i2t import dataset
 from i2t.collect import command, recorder, session
-from i2t.collect.arguments import CollectArgs
+from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs, WorldArgs
+from i2t.collect.device_configs import device_config
 from i2t.collect.devices import make_devices
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
@@ -140,7 +141,7 @@ def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
 
 @pytest.mark.full
 def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
-    args = CollectArgs(out=tmp_path / "stopped", rig=rig, touches=5, skip_first_touch=True)
+    args = CollectArgs(out=tmp_path / "stopped", lab=LabArgs(rig), touches=5, skip_first_touch=True)
     before = signal.signal(signal.SIGTERM, command.end_by_signal)
     try:
         with pytest.raises(SystemExit) as ended:
@@ -173,24 +174,24 @@ def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong
 
 
 def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_path, four_chips):
-    args = CollectArgs(arm="ur", host="10.0.0.2", skin="reskin", port="/dev/skin", board="grid-4x4", camera="folder",
-                       views=tmp_path, watchdog_rate=5.0)  # fmt: skip
-    config = session.device_config(args)
+    arm, skin = ArmArgs("ur", "10.0.0.2", watchdog_rate=5.0), SkinArgs("reskin", "/dev/skin", board="grid-4x4")
+    camera, world = CameraArgs("folder", tmp_path), WorldArgs()
+    config = device_config(arm, skin, camera, world)
     assert config.arm == UrConfig("10.0.0.2", watchdog_rate=5.0)
     assert config.skin == ReSkinConfig("/dev/skin", "grid-4x4")
-    for wrong, said in (
-        ({"host": None}, "pass --host"),
-        ({"skin": "emulated", "port": None}, "feels nothing"),
-        ({"arm": "emulated", "skin": "emulated", "port": None}, "pass both, or neither"),
-        ({"arm": "simulated", "skin": "emulated"}, "leave out --port"),
-        ({"skin": "somewhere:Skin"}, "--board grid-4x4 means nothing to --skin somewhere:Skin"),
+    for wrong_arm, wrong_skin, said in (
+        ({"host": None}, {}, "pass --host"),
+        ({}, {"kind": "emulated", "port": None}, "feels nothing"),
+        ({"kind": "emulated"}, {"kind": "emulated", "port": None}, "pass both, or neither"),
+        ({"kind": "simulated"}, {"kind": "emulated"}, "leave out --port"),
+        ({}, {"kind": "somewhere:Skin"}, "--board grid-4x4 means nothing to --skin somewhere:Skin"),
     ):
         with pytest.raises(ValueError, match=said):
-            session.device_config(replace(args, **wrong))
-    of_four_chips = CollectArgs(arm="emulated", skin="emulated", pad=four_chips)
+            device_config(replace(arm, **wrong_arm), replace(skin, **wrong_skin), camera, world)
+    of_four_chips = device_config(ArmArgs("emulated"), SkinArgs("emulated"), CameraArgs(), WorldArgs(pad=four_chips))
     said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
     with ExitStack() as stack, pytest.raises(ValueError, match=said):
-        make_devices(session.device_config(of_four_chips), Rig(), stack)
+        make_devices(of_four_chips, Rig(), stack)
 
 
 @pytest.mark.full

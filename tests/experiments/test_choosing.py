@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.train import causes
-from experiments.train.causes import AXES, HEIGHT, LAG, SIGN, SOFTNESS, UNITS
-from experiments.train.choosing import choose
+from experiments.fidelity import causes
+from experiments.fidelity.causes import AXES, HEIGHT, LAG, SIGN, SOFTNESS, UNITS
+from experiments.train.evaluation import choose
 from experiments.train.loads import press_load, with_known_load
 from i2t.dataset import Dataset, missing_context
-from i2t.prediction.baselines import MEAN, NEAREST
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin import boards
 from i2t.types import ReturnCode, Touches
 
 FORCED = PressureModelConfig(pitch=1e-3)
+MEAN, NEAREST = "mean reading", "k nearest patches"
 DEEP = replace(FORCED, control="depth")
 
 
@@ -205,7 +205,7 @@ def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch
     def explained(seen, cfg):
         return 0.5 if np.allclose(seen.force, 4 * made.touches.force) else 0.3
 
-    monkeypatch.setattr(causes, "_explained", explained)
+    monkeypatch.setattr(causes, "explained", explained)
     found = {one.cause: one for one in causes.tried_changes(made, every, groups, FORCED)}
     assert [cause for cause, one in found.items() if one.found] == [SOFTNESS]
     assert "with a layer 4 times as soft (--softness 4) predicted pressures explain 0.50" in found[SOFTNESS].evidence

@@ -10,7 +10,7 @@ import trimesh
 
 from experiments import notebooks
 
-NAMES = ("first_touches", "skin_physics", "recognition", "reconstruction", "data_tsne", "real_press")
+NAMES = ("paper", "first_touches", "skin_physics", "recognition", "reconstruction", "data_tsne", "real_press")
 
 
 def run(name: str) -> list[object]:

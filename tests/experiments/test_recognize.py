@@ -23,8 +23,7 @@ from experiments.train import __main__ as train
 from i2t import dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
-from i2t.prediction import model
-from i2t.prediction.predictor import PatchNetwork
+from i2t.paper import network
 from i2t.recognition import metrics, site_pool
 from i2t.recognition.episodes import episodes_from_dataset
 from i2t.recognition.paper_rules import ConstantPredictor, _nearest_distances, reading_scorers
@@ -117,10 +116,9 @@ def test_a_network_trained_on_nothing_does_not_beat_a_constant_reading(trained_r
     cfg = replace(PRESETS["debug"], paper_episodes=30, touches=5)
     found = paper.load_paper_networks(trained_run)
     (depth,) = found.networks.values()
-    network = depth.model.network
-    drawn = model.init(jax.random.key(3), network.cfg)
+    drawn = network.init(jax.random.key(3), depth.model.cfg)
     params = jax.tree.map(lambda x: x[None], drawn)
-    untrained = replace(depth, model=PatchNetwork(network._replace(params=params)))
+    untrained = replace(depth, model=replace(depth.model, params=params))
     surfaces = site_pool.prepare_surfaces([catalogue.make_object(name).mesh for name in cfg.tools])
     predictors = {"untrained": untrained, "constant": ConstantPredictor(found.mean)}
     results = paper.play_set(

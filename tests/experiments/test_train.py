@@ -8,7 +8,8 @@ import shutil
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,22 +18,27 @@ import pytest
 
 import i2t
 from experiments.train import __main__ as command
-from experiments.train import run as train
 from experiments.train import simulate
-from experiments.train.reports import print_table, summarise
-from experiments.train.splitting import Split
+from experiments.train.evaluation import evaluate
+from experiments.train.prepare import Prepared
+from experiments.train.reports import ON_PRESSURE, print_table, summarise
+from experiments.train.run import CEILING
 from i2t import dataset
-from i2t.prediction.baselines import MEAN, NEAREST, RIDGE, WITH_MEASURED
+from i2t.dataset import Split
 from i2t.prediction.gp import ContactPressure
+from i2t.prediction.gp_method import GaussianProcess
+from i2t.prediction.methods import METHODS, TrainingTouches, find_method
 from i2t.prediction.metrics import Score, score
-from i2t.prediction.predictor import BaselineModel, Predictor, PressureNetwork, Reading, TouchBatch
+from i2t.prediction.predictor import Predictor
 from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 from i2t.types import Board, ReturnCode, Touches
+from tests.helpers.baselines import bare_dataset
 
-BASELINES = (MEAN, NEAREST, NEAREST + WITH_MEASURED, RIDGE, RIDGE + WITH_MEASURED)
+BASELINES = [method.title for method in map(find_method, METHODS) if method.baseline]
 
 
 def numbers(out):
@@ -62,13 +68,13 @@ def test_the_kept_predictor_is_the_best_of_all_on_validation_touches_and_scored_
     metrics = json.loads((trained_run / "metrics.json").read_text())
     methods, r2 = metrics["methods"], metrics["validation_r2"]
     # The ceiling knows the contact; a camera with noise cannot beat it by more than the scatter of 16 touches.
-    assert methods[train.CEILING]["r2"] > max(methods[name]["r2"] for name in ("mean reading", train.GP_METHOD))
-    assert set(r2) == set(methods) - {train.CEILING}
+    assert methods[CEILING]["r2"] > max(methods[name]["r2"] for name in ("mean reading", GaussianProcess.title))
+    assert set(r2) == set(methods) - {CEILING}
     assert r2[metrics["best"]] == max(r2.values())
     predictor = i2t.load_predictor(trained_run)
     assert predictor.metadata["method"] == metrics["best"]
-    on_pressure = i2t.load_predictor(trained_run / "checkpoint" / train.ON_PRESSURE)
-    assert on_pressure.metadata["method"] == metrics["choice"]["best_on_pressure"] == train.GP_METHOD
+    on_pressure = i2t.load_predictor(trained_run / "checkpoint" / ON_PRESSURE)
+    assert on_pressure.metadata["method"] == metrics["choice"]["best_on_pressure"] == GaussianProcess.title
     # The range of every method was scaled on the validation touches, and what it holds of them is stated.
     assert all(0.5 < methods[name]["validation_coverage_90"] <= 1 for name in r2)
     touches = dataset.load_dataset(trained_run / "data.h5")
@@ -107,24 +113,29 @@ def test_killed_and_resumed_equals_uninterrupted(trained_run, tmp_path, capsys):
     assert numbers(out) == numbers(trained_run)
 
 
-class Foretold(PressureNetwork):
+@dataclass(frozen=True)
+class Foretold(TouchModel):
     """A model that gives the readings it is told to, whatever it is asked."""
 
+    told: Reading
+    pressure: PressureModelConfig | None
+
+    @property
+    def channels(self) -> int:
+        return self.told.mean.shape[-1]
+
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        return self.network
+        return self.told
 
 
-class ForetoldBaseline(BaselineModel):
-    """The same of a baseline."""
-
-    def predict_batch(self, touches: TouchBatch) -> Reading:
-        return self.baseline
+class NamedMethod(NamedTuple):
+    title: str
+    baseline: bool
 
 
 def foretold(mean: np.ndarray, baseline: bool = False) -> Predictor:
-    told = Reading(mean, np.ones_like(mean))
-    model = ForetoldBaseline(told) if baseline else Foretold(told, PressureModelConfig(pitch=1e-3))
-    return Predictor(model, 17e-3, 4e-3, 1.0, 3e-4)
+    pressure = None if baseline else PressureModelConfig(pitch=1e-3)
+    return Predictor(Foretold(Reading(mean, np.ones_like(mean)), pressure), 17e-3, 4e-3, 1.0, 3e-4)
 
 
 @pytest.mark.parametrize("validated_is_baseline", [True, False])
@@ -135,16 +146,11 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
     rng = np.random.default_rng(0)
     readings = rng.normal(size=(12, 6))
     blank, nothing = np.zeros((12, 4, 4)), np.zeros(12)
-    touches = SimpleNamespace(
-        reading=readings, patch=blank, wide=blank, force=nothing, nearest=nothing, depth=nothing, truth=None
-    )
+    dataset = bare_dataset(blank, readings, force=nothing, nearest=nothing, depth=nothing)
     part = np.repeat([0, 1, 2], 4)
     split = Split(part == 0, part == 1, part == 2, part, "object")
     pressure = ContactPressure(blank, nothing)
-    prepared = train.PreparedData(
-        SimpleNamespace(touches=touches, window=17e-3), split, (), None, PressureModelConfig(pitch=1e-3),
-        pressure=pressure,
-    )  # fmt: skip
+    prepared = Prepared(TrainingTouches(dataset, pressure=pressure), split, ())
     held_out, error = readings[4:], rng.normal(size=(4, 6))
     validated, tested = held_out.copy(), held_out.copy()
     validated[:4] += 0.1 * error
@@ -155,8 +161,9 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
         "tested": foretold(tested, baseline=not validated_is_baseline),
         "validated": foretold(validated, baseline=validated_is_baseline),
     }
-    evaluation = train.evaluate(prepared, train.FittedMethods(both, {}))
-    assert evaluation.best == "validated"
+    methods = [NamedMethod(name, name == ("validated" if validated_is_baseline else "tested")) for name in both]
+    evaluation = evaluate(prepared, methods, both)
+    assert evaluation.choice.best == "validated"
     assert evaluation.choice.r2["validated"] == pytest.approx(score(readings[4:8], validated[:4]).r2)
     assert evaluation.choice.pressure_loses == validated_is_baseline
     inside = np.mean(np.abs(error) < 1.645 * np.sqrt(np.mean(error**2)))

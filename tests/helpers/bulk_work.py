@@ -17,15 +17,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from i2t import training
 from i2t.objects import catalogue
-from i2t.prediction import training
-from i2t.prediction.model import Inputs, ModelConfig
-from i2t.prediction.training import Batch, TrainConfig
+from i2t.prediction.model import Inputs, ModelConfig, learner, normalisation, prepared
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.episodes import Episodes, run_belief
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
 from i2t.simulation.touches import SimulationErrors, simulate_touches
 from i2t.skin.pad import nominal_pad
+from i2t.training import Batch, TrainConfig
 
 ERRORS = SimulationErrors()
 NETWORK = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24, auxiliary_width=12, members=3)
@@ -53,10 +53,13 @@ def compute() -> dict[str, np.ndarray]:
 def _trained(rng: np.random.Generator) -> training.TrainState:
     images, targets = jnp.float32(rng.normal(size=(40, 8, 8))), jnp.float32(rng.normal(size=(40, 15)))
     raw = Batch(Inputs(images, jnp.zeros((40, 0))), targets)
-    ready = training.prepare(NETWORK, training.normalisation(raw), raw)
+    ready = prepared(NETWORK, normalisation(raw), raw)
     cfg = TrainConfig(epochs=5, batch_size=16)
-    state = training.fit(training.start(NETWORK, cfg, 40), NETWORK, cfg, ready, ready, chunk=3)
-    return state._replace(key=jax.random.key_data(state.key))
+    state = training.init(jax.random.key(0), learner(NETWORK), cfg, 40)
+    epoch = training.compiled(learner(NETWORK), cfg)
+    for _ in range(cfg.epochs):
+        state, _ = epoch(state, ready, ready)
+    return state
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from i2t import training
 from i2t.errors import CheckpointError
-from i2t.prediction import checkpoint, training
-from i2t.prediction.loss import LossConfig
-from i2t.prediction.model import Inputs, ModelConfig, Normalisation, Standard
-from i2t.prediction.training import Batch, TrainConfig, TrainState
+from i2t.prediction import checkpoint
+from i2t.prediction.model import Inputs, ModelConfig, Normalisation, learner
+from i2t.training import Batch, Standard, TrainConfig, TrainState
 
 MODEL = ModelConfig(
     pixels=6, encoder_width=8, bottleneck=3, decoder_width=8, auxiliary_width=4, conditions=("force", "depth"),
-    heteroscedastic=True, members=2,
+    heteroscedastic=True, beta=0.25, members=2,
 )  # fmt: skip
-TRAIN = TrainConfig(epochs=4, batch_size=8, loss=LossConfig(beta=0.25), seed=7)
+TRAIN = TrainConfig(epochs=4, batch_size=8)
 N = 12
 
 
@@ -46,12 +45,12 @@ def saved(norm: Normalisation, batch: Batch, tmp_path_factory: pytest.TempPathFa
     directory = tmp_path_factory.mktemp("run") / "checkpoint"
     states: list[TrainState] = []
 
-    def save(state: TrainState) -> None:
+    state, epoch = training.init(jax.random.key(7), learner(MODEL), TRAIN, N), training.compiled(learner(MODEL), TRAIN)
+    for _ in range(TRAIN.epochs):
+        state, _ = epoch(state, batch, None)
         states.append(state)
         extra = {"objects": ["hexagon", "star"], "pad": None}
         checkpoint.save(directory, state, MODEL, TRAIN, norm, touches=N, extra=extra)
-
-    training.fit(jax.jit(partial(training.start, MODEL, TRAIN, N))(), MODEL, TRAIN, batch, None, chunk=1, save=save)
     return directory, states
 
 
@@ -104,11 +103,11 @@ def edited(saved: Path, folder: Path, change: dict[str, Any]) -> Path:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"train.seeds": 3, "model.readings": None}, "does not know .unknown seeds"),
+        ({"train.seeds": 3, "model.readings": None}, "does not know .several seeds"),
         ({"format": "something else"}, "not written by i2t"),
         ({"version": 99}, "checkpoint version 99, but this i2t reads version 1; use the i2t that wrote it"),
         ({"model.attention": 8}, "does not know .unknown attention"),
-        ({"model.bottleneck": 0}, "does not know .model.bottleneck is 0"),
+        ({"model.bottleneck": 0}, "does not know .paper.bottleneck is 0"),
         ({"model.members": 3}, "damaged or do not fit their configuration"),
     ],
 )

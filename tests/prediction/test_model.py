@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.prediction.model import Inputs, ModelConfig, Normalisation, Prediction, Standard, apply, init, predict, prepare
+from i2t.prediction.model import Inputs, MemberPrediction, ModelConfig, Normalisation, apply, init, predict, prepare
+from i2t.training import Standard
 
 SMALL = ModelConfig(pixels=12, encoder_width=16, decoder_width=24, auxiliary_width=20)
 EPS = float(np.finfo(np.float32).eps)
@@ -60,7 +61,8 @@ def test_forward_pass_is_the_one_written_out_by_hand() -> None:
     latent = layer("bottleneck", np.maximum(layer("encoder", features), 0))
     decoded = np.maximum(layer("decoder", np.concatenate([latent, force])), 0)
     image = layer("image", np.maximum(layer("auxiliary", latent), 0)).reshape(12, 12)
-    expected = Prediction(layer("reading", decoded), 10 * np.tanh(layer("log_variance", decoded) / 10), image, latent)
+    log_variance = 10 * np.tanh(layer("log_variance", decoded) / 10)
+    expected = MemberPrediction(layer("reading", decoded), log_variance, image, latent)
     # Each of at most three products in a row sums at most 145 terms of order one: rounding below 3 * 145 * eps.
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=3 * 145 * EPS, rtol=3 * 145 * EPS), got, expected)
 
@@ -103,7 +105,7 @@ def test_prepared_inputs() -> None:
     np.testing.assert_allclose(prepare(cfg, norm, inputs).image, [[0, 0.25], [0.5, 1]], rtol=2 * EPS)
     np.testing.assert_array_equal(prepare(cfg, norm, inputs).conditions, [0.5])
     np.testing.assert_array_equal(prepare(replace(cfg, input="mask"), norm, inputs).image, [[1, 1], [0, 0]])
-    np.testing.assert_array_equal(prepare(replace(cfg, input="image"), norm, inputs).image, depth)
+    np.testing.assert_array_equal(prepare(replace(cfg, input="pressure"), norm, inputs).image, depth)
 
 
 @pytest.mark.full
@@ -117,7 +119,7 @@ def test_mixture_has_the_moments_worked_out_by_hand() -> None:
     params["log_variance"]["bias"] = jnp.array([0.0, raw])[:, None] * jnp.ones((1, 15))
     norm = plain(0)._replace(reading=Standard(jnp.arange(15.0), jnp.full(15, 10.0)))
     mean, std = jax.jit(partial(predict, cfg=cfg))(
-        params, normalisation=norm, inputs=jax.tree.map(lambda leaf: leaf[0], examples(cfg, 1))
+        params, norm=norm, inputs=jax.tree.map(lambda leaf: leaf[0], examples(cfg, 1))
     )
     # Mixture: mean (1 + 3)/2; variance (1 + 3)/2 + ((1 - 2)^2 + (3 - 2)^2)/2 = 3.
     np.testing.assert_allclose(mean, 20 + np.arange(15.0), rtol=4 * EPS)
@@ -127,11 +129,11 @@ def test_mixture_has_the_moments_worked_out_by_hand() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("input", "rgb", "choose one of depth, mask, image"),
+        ("input", "rgb", "choose one of depth, mask, pressure"),
         ("encoder", "vit", "choose one of mlp, cnn"),
         ("conditions", ("force", "colour"), "name each of force, nearest, depth"),
         ("conditions", ("force", "force"), "at most once"),
-        ("bottleneck", 0, "model.bottleneck is 0"),
+        ("bottleneck", 0, "paper.bottleneck is 0"),
     ],
 )
 def test_impossible_networks_are_refused(field: str, value: object, words: str) -> None:

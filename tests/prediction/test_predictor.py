@@ -15,11 +15,15 @@ from orbax.checkpoint import v1 as ocp
 from i2t import geometry
 from i2t.errors import CheckpointError
 from i2t.objects import catalogue
-from i2t.prediction import baselines, gp, model, predictor
-from i2t.prediction.predictor import BaselineModel, GPModel, PatchNetwork, Predictor, PressureNetwork, TrainedNetwork
-from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction import gp, model, predictor
+from i2t.prediction.gp_method import GPModel
+from i2t.prediction.networks import PatchNetwork, PressureNetwork
+from i2t.prediction.predictor import Predictor
+from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.rendering.render import prepare_surface, render_view
+from i2t.training import Standard
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH
+from tests.helpers.baselines import fit_baselines
 
 PRESSURE = PressureModelConfig(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)
 
@@ -34,7 +38,7 @@ def patches():
 
 def fitted_gp(patches: np.ndarray, channels: int) -> tuple[Predictor, jax.Array]:
     """A Gaussian process conditioned on six round tips, with any readings at all, and these readings."""
-    pressure = predictor.predict_pressures(PRESSURE, patches, np.full(6, 0.8), np.full(6, np.nan))
+    pressure = predict_pressures(PRESSURE, patches, np.full(6, 0.8), np.full(6, np.nan))
     lengths = len(gp.LENGTHS_MM)
     hyper = gp.GPHyperparameters(jnp.full(lengths, 1 / lengths), jnp.float32(0.2), jnp.float32(1.0), jnp.float32(0.01))
     readings = 20 * jax.random.normal(jax.random.key(1), (6, channels))
@@ -42,19 +46,19 @@ def fitted_gp(patches: np.ndarray, channels: int) -> tuple[Predictor, jax.Array]
     return Predictor(fitted, PATCH_WINDOW, REACH, 0.8, 0.3e-3, 1.3, {"method": "test", "source": "simulated"}), readings
 
 
-def trained(channels: int, **changes: Any) -> TrainedNetwork:
-    """A small network with random weights."""
+def network_fields(channels: int, **changes: Any) -> tuple[Any, ...]:
+    """Parameters, configuration and normalisation of a small network with random weights."""
     cfg = model.ModelConfig(
         readings=channels, encoder_width=8, decoder_width=8, auxiliary=False, heteroscedastic=True, members=2, **changes
     )
     params = jax.vmap(lambda key: model.init(key, cfg))(jax.random.split(jax.random.key(2), 2))
     k = len(cfg.conditions)
     norm = model.Normalisation(
-        model.Standard(jnp.arange(1.0 * channels), jnp.full(channels, 2.0)),
-        model.Standard(jnp.zeros(k), jnp.ones(k)),
+        Standard(jnp.arange(1.0 * channels), jnp.full(channels, 2.0)),
+        Standard(jnp.zeros(k), jnp.ones(k)),
         jnp.zeros(channels),
     )
-    return TrainedNetwork(params, cfg, norm)
+    return params, cfg, norm
 
 
 @pytest.fixture(scope="module")
@@ -64,13 +68,14 @@ def process(patches):
 
 @pytest.fixture(scope="module")
 def network():
-    return Predictor(PatchNetwork(trained(15, conditions=("force", "nearest"))), PATCH_WINDOW, REACH, 1.0, 0.3e-3)
+    fields = network_fields(15, conditions=("force", "nearest"))
+    return Predictor(PatchNetwork(*fields), PATCH_WINDOW, REACH, 1.0, 0.3e-3)
 
 
 @pytest.fixture(scope="module")
 def on_pressure():
-    seen = trained(15, conditions=("force", "depth"), input="image", pixels=20)
-    return Predictor(PressureNetwork(seen, PRESSURE), PATCH_WINDOW, REACH, 1.0, 0.3e-3, 0.5)
+    fields = network_fields(15, conditions=("force", "depth"), input="pressure", pixels=20)
+    return Predictor(PressureNetwork(*fields, PRESSURE), PATCH_WINDOW, REACH, 1.0, 0.3e-3, 0.5)
 
 
 def test_one_touch_is_a_row_of_many(process, patches):
@@ -95,14 +100,8 @@ def baseline_predictors():
     """Every baseline, fitted to small patches with a force and a nearest point."""
     rng = np.random.default_rng(3)
     patches, measured = rng.uniform(0, REACH, (30, 8, 8)), rng.uniform(0.5, 1.5, (30, 2))
-    fitted = baselines.fit_baselines(patches, measured, rng.normal(size=(30, 6)), np.arange(30) // 3)
-    given = {True: ("force", "nearest"), False: ()}
-    return {
-        name: Predictor(
-            BaselineModel(one, given[baselines.measured_count(one) > 0]), PATCH_WINDOW, REACH, 1.1, 0.3e-3, 1.4
-        )
-        for name, one in fitted.items()
-    }
+    fitted = fit_baselines(patches, measured, rng.normal(size=(30, 6)), np.arange(30) // 3)
+    return {name: Predictor(each, PATCH_WINDOW, REACH, 1.1, 0.3e-3, 1.4) for name, each in fitted.items()}
 
 
 def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path):
@@ -112,7 +111,7 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
     for i, made in enumerate(baseline_predictors.values()):
         predictor.save(tmp_path / str(i), made)
         loaded = predictor.load_predictor(tmp_path / str(i))
-        assert type(loaded.model.baseline) is type(made.model.baseline)
+        assert type(loaded.model) is type(made.model)
         assert_same_predictions(loaded, made, patches, force=0.9, nearest=1.2e-3)
         many = loaded.predict(patches, nearest=1.2e-3)
         np.testing.assert_array_equal(many.mean, loaded.predict(patches, force=1.1, nearest=1.2e-3).mean)
@@ -121,30 +120,42 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
         assert (many.std > 0).all()
 
 
-def save_as_version_1(folder: Path, made: Predictor) -> None:
-    """A predictor on disk as earlier versions wrote it, which had other words for its parts."""
+def save_as_before(folder: Path, made: Predictor) -> None:
+    """A predictor on disk as version 1 wrote it, which had other words for its parts; a baseline as version 3 did."""
     predictor.save(folder, made)
-    here = json.loads((folder / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
-    arrays = predictor._load_arrays(folder, here)
-    words = {
-        "pressure": "imagination", "default_force": "load", "default_depth": "depth", "std_scale": "spread",
-        "metadata": "about",
-    }  # fmt: skip
-    about = {words.get(name, name): value for name, value in here.items()} | {"version": 1}
-    if "gp" in arrays:
-        arrays["process"] = arrays.pop("gp")
-        about["shapes"] = {"process": about["shapes"]["gp"]}
+    about = json.loads((folder / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
+    arrays = predictor._load_arrays(folder, about)
+    described = about.pop("model")
+    settings, kind = described["settings"], described["class"].partition(":")[2]
+    pressure = settings.get("pressure")
+    about |= {"version": 3, "pressure": pressure and pressure["values"]}
+    about |= {"network": None, "baseline": None}
+    if "conditions" in settings:
+        about["baseline"] = {"kind": kind, "conditions": settings["conditions"]}
+        arrays, about["shapes"] = {"baseline": arrays}, {"baseline": about["shapes"]}
+    elif "gp" in arrays:
+        arrays, about["shapes"] = {"process": arrays["gp"]}, {"process": about["shapes"]["gp"]}
     else:
-        del about["network"]["readings"]
+        about["network"] = {name: value for name, value in settings["cfg"]["values"].items() if name != "readings"}
+    if not about["baseline"]:
+        words = {
+            "pressure": "imagination", "default_force": "load", "default_depth": "depth", "std_scale": "spread",
+            "metadata": "about",
+        }  # fmt: skip
+        about = {words.get(name, name): value for name, value in about.items()} | {"version": 1}
     ocp.save_checkpointables(folder, arrays, custom_metadata=about, overwrite=True)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("save", [predictor.save, save_as_version_1], ids=["today", "before"])
-@pytest.mark.parametrize("which", ["process", "network", "on_pressure"])
+@pytest.mark.parametrize("save", [predictor.save, save_as_before], ids=["today", "before"])
+@pytest.mark.parametrize("which", ["process", "network", "on_pressure", "ridge"])
 def test_what_is_saved_is_what_is_loaded(which, save, patches, request, tmp_path):
-    made = request.getfixturevalue(which)
-    made = made[0] if which == "process" else made
+    if which == "ridge":
+        made, small = request.getfixturevalue("baseline_predictors")["ridge-measured"], patches[:, ::6, ::6]
+        patches = small - small.min((1, 2), keepdims=True)
+    else:
+        made = request.getfixturevalue(which)
+        made = made[0] if which == "process" else made
     save(tmp_path / "p", made)
     loaded = predictor.load_predictor(tmp_path / "p")
     assert type(loaded.model) is type(made.model)
@@ -179,8 +190,8 @@ def test_predictors_that_cannot_be_read_are_refused_in_one_sentence(network, tmp
 @pytest.mark.full
 def test_any_board_is_predicted(patches):
     fitted, readings = fitted_gp(patches, 12)
-    seen = trained(12, conditions=("force",), input="image", pixels=20)
-    for made in (fitted, replace(fitted, model=PressureNetwork(seen, PRESSURE))):
+    fields = network_fields(12, conditions=("force",), input="pressure", pixels=20)
+    for made in (fitted, replace(fitted, model=PressureNetwork(*fields, PRESSURE))):
         assert "4 chips" in repr(made)
         assert made.predict(patches[0]).mean.shape == (12,)
     # With little noise a process comes back to the readings that it was conditioned on.
@@ -189,7 +200,7 @@ def test_any_board_is_predicted(patches):
 
 def test_a_network_predicts_what_the_model_says(network, patches):
     """Through the user's door or straight from i2t.prediction.model: the same numbers."""
-    params, cfg, norm = network.model.network
+    params, cfg, norm = network.model.params, network.model.cfg, network.model.normalisation
     inputs = model.Inputs(jnp.asarray(patches[0]), jnp.array([1.2, -2e-4]))
     mean, std = model.predict(params, cfg, norm, inputs)
     seen = network.predict(patches[0], force=1.2, nearest=-2e-4)
@@ -240,5 +251,5 @@ AWAY = np.eye(4) + np.diag([0.0, 0, 1], 1)  # a metre above, looking up
 )
 def test_what_does_not_fit_is_refused_in_one_sentence(process, network, baseline_predictors, call, words):
     with pytest.raises(ValueError, match=words) as error:
-        call(process[0], network, baseline_predictors["ridge on PCA + measured"])
+        call(process[0], network, baseline_predictors["ridge-measured"])
     assert "\n" not in str(error.value)

@@ -100,7 +100,7 @@ def test_pose_is_found_again_on_waves():
     ends = refine_all(WAVES, repeated(look(WAVES, true)), off(0, 1e-3, 2.0))
     least = np.asarray(ends.eigenvalues).min()
     assert least > 1e-3
-    assert np.abs(twist_between(true, ends.T_w_t)).max() <= 1e-7 / least**0.5
+    assert np.abs(twist_between(true, ends.T_o_t)).max() <= 1e-7 / least**0.5
     assert (np.asarray(ends.steps) < HOW.max_steps).all()
 
 
@@ -116,7 +116,7 @@ def test_outliers_do_not_pull():
     # A residual of a millimetre and more weighs at most (1 + (1 mm / fine)^2)^-2 = 1e-4, so the pull of 5 % of them
     # with 1.5 mm moves the heights by 0.05 * 1e-4 * 1.5 mm = 8 nm, the few below a millimetre by up to 0.3 fine * 1 %.
     least = np.asarray(ends.eigenvalues).min()
-    assert np.abs(twist_between(true, ends.T_w_t)).max() <= 0.003 * HOW.final_scale / least**0.5
+    assert np.abs(twist_between(true, ends.T_o_t)).max() <= 0.003 * HOW.final_scale / least**0.5
 
 
 @pytest.mark.full
@@ -124,8 +124,8 @@ def test_what_cannot_be_told_is_left_alone():
     """On a plane height and tilts come back; slides and spin keep what they were, for nothing pushes them."""
     start = off(2)
     ends = refine_all(PLANE, repeated(look(PLANE, np.eye(4, dtype=np.float32))), start)
-    np.testing.assert_allclose(np.asarray(ends.T_w_t)[:, 2], [[0, 0, 1, 0]] * 4, rtol=0, atol=2e-6)
-    left, before = twist_between(np.eye(4), ends.T_w_t), twist_between(np.eye(4), start)
+    np.testing.assert_allclose(np.asarray(ends.T_o_t)[:, 2], [[0, 0, 1, 0]] * 4, rtol=0, atol=2e-6)
+    left, before = twist_between(np.eye(4), ends.T_o_t), twist_between(np.eye(4), start)
     # Turned tilts slide by their angle times the height that they correct: 4 degrees of 2 mm.
     np.testing.assert_allclose(left[:, :2], before[:, :2], rtol=0, atol=2 * np.radians(4) * 2e-3)
     np.testing.assert_allclose(left[:, 5], before[:, 5], rtol=0, atol=np.radians(4) ** 2 * TWIST_LEVER_M)
@@ -139,11 +139,11 @@ def test_nothing_to_see_and_nowhere_to_start():
     start = off(4, 1e-4, 0.1)
     start[1, 0, 3] = np.nan
     ends = refine_all(WAVES, observed, start)
-    assert np.isnan(ends.T_w_t[1]).any()
-    assert np.isfinite(ends.T_w_t[2]).all()
-    assert (np.abs(twist_between(np.eye(4), ends.T_w_t[2:3])) < 1e-5).all()
-    np.testing.assert_array_equal(ends.T_w_t[0], start[0])
-    np.testing.assert_array_equal(ends.T_w_t[3], start[3])
+    assert np.isnan(ends.T_o_t[1]).any()
+    assert np.isfinite(ends.T_o_t[2]).all()
+    assert (np.abs(twist_between(np.eye(4), ends.T_o_t[2:3])) < 1e-5).all()
+    np.testing.assert_array_equal(ends.T_o_t[0], start[0])
+    np.testing.assert_array_equal(ends.T_o_t[3], start[3])
 
 
 @pytest.mark.full
@@ -157,7 +157,7 @@ def test_several_starts_find_what_one_may_miss():
             key, WAVES, observed, start, translation_std=2.5e-3, rotation_std=np.radians(3.5)
         )
     )(jax.random.key(0))
-    assert np.abs(twist_between(true, best.T_w_t[None])).max() < 1e-5
+    assert np.abs(twist_between(true, best.T_o_t[None])).max() < 1e-5
 
 
 @pytest.mark.full

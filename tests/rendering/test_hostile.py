@@ -107,8 +107,8 @@ def test_hostile_meshes_get_a_sentence(thing, says):
         ({"pixels": 0}, "pixels: is 0"),
         ({"pixels": 2.5}, "pixels: is 2.5"),
         ({"reach": -1.0}, "reach: is -1.0"),
-        ({"T_w_t": LOOK[:3]}, r"shape \(3, 4\) instead of \(4, 4\)"),
-        ({"T_w_t": np.stack([LOOK, LOOK])}, "use vmap for several"),
+        ({"T_o_t": LOOK[:3]}, r"shape \(3, 4\) instead of \(4, 4\)"),
+        ({"T_o_t": np.stack([LOOK, LOOK])}, "use vmap for several"),
         ({"surface": stack_surfaces([PYRAMID, PYRAMID])}, "use vmap for a stack"),
         ({"surface": Surface(PYRAMID.triangles)}, "prepare"),
         (
@@ -120,7 +120,7 @@ def test_hostile_meshes_get_a_sentence(thing, says):
 def test_sizes_and_shapes_that_mean_nothing_get_a_sentence(given, says):
     for render in (render_patch, *([render_heights] if given.keys() <= {"window", "pixels", "surface"} else [])):
         unchecked = getattr(render, "__wrapped__", render)  # without the tests' own check of shapes
-        place = {"T_w_t" if render is render_patch else "A_t_w": jnp.asarray(LOOK)}
+        place = {"T_o_t" if render is render_patch else "A_t_w": jnp.asarray(LOOK)}
         with pytest.raises((ValueError, TypeError), match=says) as caught:
             unchecked(**{"surface": PYRAMID, **place, **given})
         assert "\n" not in str(caught.value)

@@ -8,7 +8,7 @@ the choice, spread and file.
 
 from i2t.calibration.heads.corrected import corrected_recording
 from i2t.calibration.heads.head import Head, HeadPrediction, fit_head, load_head
-from i2t.calibration.heads.recording import TARGETS, SkinRecording, from_dataset, read_recordings
+from i2t.calibration.heads.recording import TARGETS, SkinRecording, from_dataset, is_dataset, read_recordings
 from i2t.calibration.heads.regression import BASELINE_HEADS, HEAD_METHODS, HeadBudget
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "corrected_recording",
     "fit_head",
     "from_dataset",
+    "is_dataset",
     "load_head",
     "read_recordings",
 ]

@@ -1,4 +1,4 @@
-"""A recording with what `i2t.unknowns` found wrong in it put right, so that what is fitted to it is worth something."""
+"""Correction of a recording by the findings of `i2t.unknowns`, so that fits to it are sound."""
 
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,5 +1,5 @@
-"""Heads: what users want of a skin, from its readings. Position, depth, normal force and shear with their spread;
-contact and slip as probabilities.
+"""Heads: contact estimates from a skin's readings. Position, depth, normal force and shear with their spread; contact
+and slip as probabilities.
 
     from i2t.calibration.heads import fit_head, read_recordings
 
@@ -79,7 +79,7 @@ STREAM_HISTORY = 3  # rows: what a skin remembers, and how it moves
 
 
 class HeadPrediction(NamedTuple):
-    """What a head says of readings."""
+    """Predictions of a head."""
 
     mean: Float[np.ndarray, "n d"]  # in the library's unit, or a probability; NaN where a reading is not finite
     std: Float[np.ndarray, "n d"]  # likewise; of a probability p the square root of p (1 - p)
@@ -87,7 +87,7 @@ class HeadPrediction(NamedTuple):
 
 
 class SpreadRecord(NamedTuple):
-    """Errors on rows that were held out in one way and another, and what the readings were like."""
+    """Errors on rows that were held out in several ways, and features of their readings."""
 
     features: FeatureMap
     known: Float[np.ndarray, "m k"]  # features of known readings
@@ -120,7 +120,7 @@ class StackRecord(NamedTuple):
 
 
 class HeadRecord(NamedTuple):
-    """What is on disk."""
+    """Head on disk."""
 
     stack: StackRecord
     spread: SpreadRecord
@@ -133,7 +133,7 @@ class HeadRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class Head:
-    """Tells one target from readings; make one with `fit_head` or `load_head`.
+    """Predicts one target from readings; make one with `fit_head` or `load_head`.
 
     Attributes:
         target: its name in `TARGETS`.
@@ -150,20 +150,20 @@ class Head:
 
     @property
     def method(self) -> str:
-        """The method that it is, or that it is a weighted sum of several; both where it has one near known readings."""
+        """Name of the method, or of a weighted sum of several; two names where another is used near known readings."""
         near, far = self.record.near_stack, _name_of(self.record.stack.parts)
         return far if near is None else f"{_name_of(near.parts)} near, {far} far"
 
     @property
     def weights(self) -> dict[str, float]:
-        """Weight of each of its methods, far from known readings where it has others near them."""
+        """Weight of each method; far from known readings where others are used near them."""
         weights = dict(zip(HEAD_METHODS, map(float, self.record.stack.weights), strict=True))
         return {name: weights[name] for name in self.record.stack.parts}
 
     def predict(
         self, readings: Float[np.ndarray, "n c"], session: Int[np.ndarray, " n"] | None = None
     ) -> HeadPrediction:
-        """Tell the target of readings.
+        """Predict the target of readings.
 
         Args:
             readings: uT, all channels of the skin, in the order of time if the head looks back.
@@ -300,7 +300,7 @@ def fit_head(
 
 
 def histories(recording: SkinRecording) -> tuple[int, ...]:
-    """How many rows before a reading a head may look at: none, and in a stream a few.
+    """Numbers of rows before a reading that a head may use: none, and in a stream a few.
 
     Args:
         recording: of one skin.
@@ -312,7 +312,7 @@ def histories(recording: SkinRecording) -> tuple[int, ...]:
 
 
 def is_stream(recording: SkinRecording) -> bool:
-    """Whether rows follow each other quickly, as samples of one contact do.
+    """Test for rows in quick sequence, as samples of one contact are.
 
     Args:
         recording: of one skin.
@@ -373,7 +373,7 @@ def used_channels(readings: Float[np.ndarray, "n c"]) -> np.ndarray:
 def with_history(
     readings: Float[np.ndarray, "n c"], session: Int[np.ndarray, " n"], history: int
 ) -> Float[np.ndarray, "n k"]:
-    """Readings and what they were less each of the rows before, which is zero where a session begins.
+    """Readings, and their differences from each of the rows before, zero where a session begins.
 
     Args:
         readings: uT, in the order of time.
@@ -393,7 +393,7 @@ def with_history(
 
 
 def hold_out_groups(recording: SkinRecording, block_m: float = BLOCK_M) -> np.ndarray:
-    """What is held out whole: objects where there are several, blocks of the skin where presses lie in several, else
+    """Groups held out whole: objects where there are several, blocks of the skin where presses lie in several, else
     strokes, else stretches of time.
 
     Args:
@@ -447,8 +447,8 @@ def root_mean_square(errors: Float[np.ndarray, "*n d"]) -> float:
 
 
 def _ways_of_grouping(recording: SkinRecording) -> np.ndarray:
-    """(ways, n) groups that are held out whole: for what lies between known places blocks or strokes, and for what lies
-    among them single presses; rows of a stroke are no presses of their own.
+    """Groups (ways, n) that are held out whole: blocks or strokes for places between known ones, and single presses for
+    places among them; rows of a stroke are no presses of their own.
     """
     groups = hold_out_groups(recording)
     if is_stream(recording) or not recording.varies("position"):
@@ -467,7 +467,7 @@ class _Trial(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """What may be kept: weights of methods, and perhaps another such sum near known readings."""
+    """Candidate: weights of methods, and perhaps other weights near known readings."""
 
     trial: _Trial
     methods: dict[str, _Trial]
@@ -478,7 +478,7 @@ class _Candidate(NamedTuple):
 
 @dataclass(frozen=True)
 class _Trials:
-    """What methods are tried on."""
+    """Data for trials of methods."""
 
     recording: SkinRecording
     channels: np.ndarray
@@ -489,7 +489,7 @@ class _Trials:
     yes_no: bool
 
     def readings(self, history: int) -> np.ndarray:
-        """Of the rows, with what came before."""
+        """Readings of the rows, with their history."""
         looked = with_history(self.recording.readings[:, self.channels], self.recording.session, history)
         return looked[self.rows]
 
@@ -528,7 +528,9 @@ def _one(name: str, trial: _Trial) -> _Candidate:
 def _weighted(
     found: dict[str, _Trial], values: np.ndarray, folds: np.ndarray, ways: slice, *, yes_no: bool
 ) -> _Candidate:
-    """The weighted sum of methods with the least error in some ways. Weights of a fold come from the others."""
+    """The weighted sum of methods with the least error in some ways of holding out. Weights of a fold come from the
+    others.
+    """
     predicted = np.stack([trial.predicted for trial in found.values()])
     fold, chosen = folds[ways][0], predicted[:, ways]
     summed = np.empty(predicted.shape[1:])
@@ -545,7 +547,7 @@ def _weighted(
 
 
 def _choose(sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, distance: np.ndarray) -> _Candidate:
-    """What has the least error of single methods, weighted sums, and one of these for each of two ways."""
+    """Candidate of least error: single methods, weighted sums, or one of these for each of two ways."""
     values, folds, yes_no = trials.values, trials.folds, trials.yes_no
     singles = [[_one(name, found[name]) for name in found] for found in sets]
     candidates = [
@@ -568,7 +570,7 @@ def _choose(sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, d
 
 
 def _gated(gate: np.ndarray, distance: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """What is said near known readings, going over into what is said far from them."""
+    """Prediction near known readings, blended into the prediction far from them."""
     share = np.clip((distance - gate[0]) / max(gate[1] - gate[0], 1e-12), 0, 1)[..., None]
     return (1 - share) * near + share * far
 
@@ -600,7 +602,7 @@ def _fit_stack(
 
 
 def _predict_stack(stack: StackRecord, readings: np.ndarray, history: int) -> np.ndarray:
-    """What a sum says of readings that hold so many rows of history."""
+    """Predict by a weighted sum from readings with rows of history."""
     deviation = np.zeros((len(readings), len(stack.centre)))
     for name, part in stack.parts.items():
         i = HEAD_METHODS.index(name)
@@ -610,7 +612,7 @@ def _predict_stack(stack: StackRecord, readings: np.ndarray, history: int) -> np
 
 
 def _fold_distances(readings: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """(ways, n) distance of each reading from the nearest of other folds, in features."""
+    """Distance (ways, n) of each reading from the nearest of other folds, in features."""
     x = make_feature_map(FEATURES_OF_SPREAD, readings)(readings)
     distance = np.empty(folds.shape)
     for way, of in enumerate(folds):
@@ -623,7 +625,7 @@ def _fold_distances(readings: np.ndarray, folds: np.ndarray) -> np.ndarray:
 def _fit_spread(
     readings: np.ndarray, errors: np.ndarray, groups: np.ndarray, distance: np.ndarray, platt: np.ndarray
 ) -> SpreadRecord:
-    """What errors on held-out folds of whole groups (ways, n) say of a reading's spread."""
+    """Fit a reading's spread to errors on held-out folds of whole groups (ways, n)."""
     features = make_feature_map(FEATURES_OF_SPREAD, readings)
     x = features(readings)
     raw = np.concatenate([_likeness(readings, way) for way in distance])
@@ -647,7 +649,7 @@ def _fit_spread(
 
 
 def _factor_of_groups(ratio: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """(d,) what holds nine in ten of the ratios (n, d) in nine of ten groups, with one more group to come."""
+    """Factor (d,) over nine in ten of the ratios (n, d) in nine of ten groups, with one more group to come."""
     each = np.array([np.quantile(ratio[group == one], RANGE_SHARE, axis=0) for one in np.unique(group)])
     return np.quantile(each, min(RANGE_SHARE * (1 + 1 / len(each)), 1.0), axis=0)
 

@@ -1,4 +1,4 @@
-"""What a skin read and what was known of each reading, in whatever form a lab has it.
+"""Recordings of a skin: readings and their known targets, from several file formats.
 
     from i2t.calibration.heads import read_recordings
 
@@ -42,7 +42,7 @@ MIN_CHANGE = {"position": 0.2e-3, "depth": 0.1e-3, "force": 0.05, "shear": 0.05}
 
 
 class TargetKind(NamedTuple):
-    """What is asked of a reading."""
+    """Kind of target of a head."""
 
     unit: str
     scale: float  # from the library's unit to the unit
@@ -70,7 +70,7 @@ TABLE_COLUMNS: Mapping[str, tuple[tuple[str, float], ...]] = {
 
 @dataclass(frozen=True)
 class SkinRecording:
-    """Readings of one skin in the order of time, with what was known of each; NaN where it was not.
+    """Readings of one skin in the order of time, with their known targets; NaN where one is unknown.
 
     Attributes:
         name: of the recording.
@@ -116,7 +116,7 @@ class SkinRecording:
         return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
 
     def varies(self, target: str) -> bool:
-        """Whether a target has a range, so that a head can be fitted to it.
+        """Test that a target varies, so that a head can be fitted to it.
 
         Args:
             target: its name.
@@ -160,7 +160,7 @@ class SkinRecording:
 
 
 def read_recordings(path: Path | str) -> list[SkinRecording]:
-    """Read what a path holds: a data set, sessions of eFlesh, or a table.
+    """Read the recordings of a path: a data set, sessions of eFlesh, or a table.
 
     Args:
         path: a file or a folder.
@@ -172,13 +172,30 @@ def read_recordings(path: Path | str) -> list[SkinRecording]:
         DataError: there is nothing that can be read, in one sentence.
     """
     path = Path(path)
-    if path.is_file() and path.name.removesuffix(".gz").endswith(TABLE_SUFFIXES):
+    if is_dataset(path):
+        return from_dataset(load_dataset(path), path.name)
+    if path.is_file():
         return read_tables(path)
-    if path.is_dir() and (folders := sorted({file.parent for file in path.rglob("states.csv*")})):
+    if folders := sorted({file.parent for file in path.rglob("states.csv*")}):
         return [read_eflesh_session(folder) for folder in folders]
-    if path.is_dir() and not any(path.rglob("*.h5")) and (tables := sorted(path.glob("*.csv*"))):
-        return [recording for table in tables for recording in read_tables(table)]
-    return from_dataset(load_dataset(path), path.name)
+    return [recording for table in sorted(path.glob("*.csv*")) for recording in read_tables(table)]
+
+
+def is_dataset(path: Path) -> bool:
+    """Test whether a path is read as a data set of i2t.
+
+    Args:
+        path: a file or a folder.
+
+    Returns:
+        False for tables, and folders of tables or sessions of eFlesh.
+    """
+    if path.is_file() and path.name.removesuffix(".gz").endswith(TABLE_SUFFIXES):
+        return False
+    if not path.is_dir():
+        return True
+    tables = any(path.glob("*.csv*")) and not any(path.rglob("*.h5"))
+    return not (tables or any(path.rglob("states.csv*")))
 
 
 def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording]:
@@ -306,11 +323,11 @@ class _LooseTable(NamedTuple):
         return self.values[:, self.columns[name]] if name in self.columns else np.full(len(self.values), np.nan)
 
     def some(self, names: list[str]) -> np.ndarray:
-        """The numbers of columns that are there."""
+        """Numbers of existing columns."""
         return self.values[:, [self.columns[name] for name in names]]
 
     def named(self, name: str) -> tuple[np.ndarray, list[str]]:
-        """Which of its names each row has in a column, and the names; one name where there is no column."""
+        """Number of each row's name in a column, and the names; one name where there is no column."""
         if name not in self.columns:
             return np.zeros(len(self.text.rows), int), [""]
         at = self.columns[name]
@@ -400,7 +417,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
 
 
 def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
-    """A recording without the rows that are damaged; values that no sensor sends are damage too."""
+    """A recording without damaged rows; values that no sensor sends are damage too."""
     readings, notes = recording.readings, recording.notes
     with np.errstate(invalid="ignore"):
         sent = np.abs(readings) < MAX_VALUE
@@ -433,7 +450,7 @@ def _recording(
     labels: np.ndarray | None = None,
     label_names: tuple[str, ...] = (),
 ) -> SkinRecording:
-    """A recording with what is known somewhere, and contact where the force tells it."""
+    """A recording of the known targets, with contact where the force tells it."""
     clean = {key: np.where(np.abs(values) < MAX_VALUE, values, np.nan) for key, values in targets.items()}
     if "contact" not in clean or not np.isfinite(clean["contact"]).any():
         loads = [np.abs(clean[key]).max(1) for key in ("force", "shear") if key in clean]
@@ -466,7 +483,7 @@ def _lines(path: Path) -> list[list[str]]:
 
 
 def _numbers(cells: list[str], count: int) -> list[float]:
-    """The numbers of a line; NaN for what is none."""
+    """Numbers of a line; NaN for other text."""
 
     def number(cell: str) -> float:
         try:
@@ -504,7 +521,7 @@ def _together(states: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _baseline(folder: Path, values: np.ndarray) -> np.ndarray | None:
-    """What was subtracted from each row, from the raw values in the same folder; None without."""
+    """Values subtracted from each row, from the raw values in the same folder; None without."""
     try:
         raw = _loose_table(folder, "sensor")
     except DataError:

@@ -1,4 +1,4 @@
-"""Regressions from a reading to what is asked of it: the baselines, a Gaussian process (GP) and a small network.
+"""Regressions from a reading to a target: the baselines, a Gaussian process (GP) and a small network.
 
 Every method is a function of features of a reading. What the features should be depends on the skin: a press twice as
 deep reads several times as much in much the same direction, so that position is written in a reading's direction and
@@ -46,7 +46,7 @@ Settings: TypeAlias = tuple[float, ...]
 
 
 class HeadBudget(NamedTuple):
-    """How much is tried."""
+    """Limits of a fit."""
 
     selection_rows: int = 700  # on which settings are chosen: the cost grows with the cube
     known_rows: int = 2500  # of a GP and of a network
@@ -55,7 +55,7 @@ class HeadBudget(NamedTuple):
 
 
 class FeatureMap(NamedTuple):
-    """How a reading becomes features, as arrays that a file can hold."""
+    """Map from readings to features, as arrays that a file can hold."""
 
     kind: Int[np.ndarray, ""]  # index into FEATURE_KINDS
     channel: Float[np.ndarray, " c"]  # uT, root mean square of each
@@ -100,7 +100,7 @@ class Regression(NamedTuple):
 
 
 def make_feature_map(kind: int, readings: Float[np.ndarray, "n c"]) -> FeatureMap:
-    """Features of a kind, scaled by the rows at hand.
+    """Feature map of a kind, scaled by the rows at hand.
 
     Args:
         kind: index into FEATURE_KINDS.
@@ -199,7 +199,7 @@ def fit_regression(
 
 
 def predict_regression(fitted: Regression, readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n d"]:
-    """What a fitted method says of readings.
+    """Predict targets by a fitted method.
 
     Args:
         fitted: the method.
@@ -319,7 +319,7 @@ def _fold_error(method: str, readings: np.ndarray, targets: np.ndarray, folds: n
 
 
 def _choose_gp(readings: np.ndarray, targets: np.ndarray, folds: np.ndarray) -> Settings:
-    """One setting after the other, the others as they are; the error of whole folds in closed form."""
+    """Choose one setting after the other, by the error of whole folds in closed form."""
     y = (targets - targets.mean(0)) / np.maximum(targets.std(0), 1e-12)
     features = [make_feature_map(kind, readings)(readings) for kind in range(len(FEATURE_KINDS))]
     blocks = [np.flatnonzero(of == fold) for of in folds for fold in np.unique(of)]
@@ -382,7 +382,7 @@ def _train(x: np.ndarray, y: np.ndarray, steps: int, seed: int) -> NetworkLayers
     import jax.numpy as jnp
     import optax
 
-    from i2t.prediction import mlp
+    from i2t import mlp, training
 
     known, wanted = jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32)
 
@@ -395,7 +395,7 @@ def _train(x: np.ndarray, y: np.ndarray, steps: int, seed: int) -> NetworkLayers
         key_start, key_steps = jax.random.split(key)
         start = mlp.init(key_start, (x.shape[1], HIDDEN_UNITS, HIDDEN_UNITS, y.shape[1]))
         optimizer = optax.adam(optax.cosine_decay_schedule(HEAD_LEARNING_RATE, steps))
-        return mlp.fit(start, loss, optimizer, jax.random.split(key_steps, steps))[0]
+        return training.descend(start, loss, optimizer, jax.random.split(key_steps, steps))[0]
 
     layers = jax.jit(jax.vmap(member))(jax.random.split(jax.random.key(seed), MEMBERS))
     return NetworkLayers(*(np.asarray(layer[part]) for layer in layers for part in ("kernel", "bias")))

@@ -155,7 +155,7 @@ def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], 
 
 
 def _edge_moments(grid: Grid) -> Float[np.ndarray, "n m"]:
-    """What a cosine of the map gives to each cell of the grid along an edge, times the cell's width (`sheets`)."""
+    """Weights of the map's cosines in each cell of the grid along an edge, times the cell's width (`sheets`)."""
     cell = (2 * np.arange(grid.cells) + 1) * MAP_CELLS // (2 * grid.cells)
     return (cell_means(grid.cells).T @ cosine_basis()[cell] * grid.spacing).astype(np.float32)
 

@@ -31,7 +31,7 @@ GAIN_ROUNDS = 3
 
 
 class PadFit(NamedTuple):
-    """A fitted pad, and how sure it is."""
+    """A fitted pad, and its uncertainty."""
 
     pad: Pad
     layer: LayerParameters

@@ -1,4 +1,4 @@
-"""What presses and what is pressed: tips, and the few parameters of a layer with their prior.
+"""Tips that press, and the few parameters of the pressed layer with their prior.
 
 Metres, newtons, pascals, microtesla.
 """
@@ -34,7 +34,7 @@ NORMAL_PARAMETERS = ("contact_offset", "tip_offset")
 
 @runtime_checkable
 class Tip(Protocol):
-    """What presses: anything whose surface over the skin is known."""
+    """Any tip whose surface over the skin is known."""
 
     def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
         """Distance of the tip's surface behind its lowest point over each cell.
@@ -80,7 +80,7 @@ class RoundTip:
 
 
 class LayerParameters(NamedTuple):
-    """What the readings are not linear in; also their standard deviations, and their coordinates in the prior."""
+    """Parameters that readings are nonlinear in; also their standard deviations, and coordinates in the prior."""
 
     thickness: Float[Array, ""]  # m
     gap: Float[Array, ""]  # m, from the layer's base to the chips

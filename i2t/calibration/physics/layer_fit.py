@@ -42,7 +42,7 @@ _Objective: TypeAlias = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 class LayerPresses(NamedTuple):
-    """What a layer is fitted to."""
+    """Data of a layer fit."""
 
     presses: Presses
     readings: Array  # (n, c) uT

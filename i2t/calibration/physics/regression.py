@@ -24,7 +24,7 @@ class LinearRegression(NamedTuple):
 def bayesian_linear_regression(
     features: Float[Array, "n c k"], readings: Float[Array, "n c"], noise_std: Float[Array, ""]
 ) -> LinearRegression:
-    """Weights of prior variance 1, and what leaving out each press (all its values) gives, in closed form.
+    """Weights of prior variance 1, and predictions of left-out presses (all values), in closed form.
 
     Args:
         features: Readings of each weight.

@@ -47,7 +47,7 @@ class SkinKernels(NamedTuple):
 
 
 class PressGeometry(NamedTuple):
-    """Where and how hard, as kernels see it."""
+    """Positions and loads as kernels use them."""
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # typical loads
@@ -84,7 +84,7 @@ def geometry(
     load: Float[np.ndarray, " n"],
     chip_positions: Float[np.ndarray, "chips 2"] | None,
 ) -> PressGeometry:
-    """What kernels need of presses.
+    """Geometry of presses for kernels.
 
     Args:
         position: Positions (m).
@@ -112,7 +112,7 @@ def squared_distance(a: Float[np.ndarray, "a 2"], b: Float[np.ndarray, "b 2"]) -
 
 
 def responses(kernels: SkinKernels, load: Float[np.ndarray, " n"]) -> Float[np.ndarray, "s n"]:
-    """How the signal grows with the load: f, 1 at the typical load.
+    """Growth of the signal with the load: f, 1 at the typical load.
 
     Args:
         kernels: Power and offset.

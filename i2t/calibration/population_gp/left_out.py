@@ -232,7 +232,7 @@ def _left_out_together(given: Conditioned, observed: Observed, part: np.ndarray)
 
 
 def _inverses(system: np.ndarray) -> np.ndarray:
-    """Of symmetric positive definite matrices (groups, n, n)."""
+    """Inverses of symmetric positive definite matrices (groups, n, n)."""
     n = system.shape[1]
     if n <= SMALL_SYSTEM:
         with contextlib.suppress(np.linalg.LinAlgError):

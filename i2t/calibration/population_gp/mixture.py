@@ -1,4 +1,4 @@
-"""A mixture of Gaussian processes over the population of kernels, weighted by what presses left out say.
+"""A mixture of Gaussian processes over the population of kernels, weighted by presses left out.
 
 Marginal likelihood misled on real presses, so a kernel's weight is its share of the population times what it is worth
 in predicting presses left out: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian
@@ -81,7 +81,7 @@ PREDICT_ROWS = 500  # presses that are predicted at once
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What a fit takes part in; each can be switched off to see what it is worth."""
+    """Options of a fit; each part can be switched off to measure its benefit."""
 
     robust: bool = True  # heavy tails
     heights: bool = True  # local heights of the skin
@@ -90,7 +90,7 @@ class FitOptions:
 
 @in_one_line
 class PressTable(NamedTuple):
-    """Presses with everything that is known of them before they are read."""
+    """Presses with all that is known before their readings."""
 
     position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros where no position is known
     loads: Float[np.ndarray, "n kinds"]  # m of depth, N of force: a column for each kind of load that is known
@@ -112,7 +112,7 @@ class Components(NamedTuple):
 
 @in_one_line
 class Heights(NamedTuple):
-    """Local heights of the skin, in typical loads of the first kind, averaged over j ideas of how rough it is."""
+    """Local heights of the skin, in typical loads of the first kind, averaged over j hypotheses of its roughness."""
 
     std: Float[np.ndarray, " j"]
     length: Float[np.ndarray, " j"]  # m
@@ -176,7 +176,7 @@ def fit_population(
 
 
 def condition(gp: PopulationGP) -> list[Conditioned]:
-    """The systems of a mixture's members, which follow from what is saved.
+    """The systems of a mixture's members, computed from saved values.
 
     Args:
         gp: The mixture.
@@ -215,7 +215,7 @@ def predict_population(
 
 
 def board_shares(gp: PopulationGP) -> Float[np.ndarray, " boards"]:
-    """How much each board weighs in a mixture.
+    """Weight of each board in a mixture.
 
     Args:
         gp: The mixture.
@@ -229,7 +229,7 @@ def board_shares(gp: PopulationGP) -> Float[np.ndarray, " boards"]:
 
 
 def of_any_version(gp: PopulationGP) -> PopulationGP:
-    """A mixture as this version has it.
+    """Convert a mixture to this version.
 
     Args:
         gp: From a file, perhaps of a version that knew one board at most.
@@ -318,7 +318,7 @@ def _start(
 
 
 def _on_boards(kernels: SkinKernels, log_share: np.ndarray, column: int, boards: int) -> Components:
-    """Members that know nothing of chips, and those that do, once for each board."""
+    """Members without chips, and those with chips once for each board."""
 
     def on(board: int, which: np.ndarray, share: float) -> Components:
         of, some = kernel.take(kernels, which), log_share[which]
@@ -341,7 +341,7 @@ def _shared(components: Components, share: float, **changed: Any) -> Components:
 
 
 def _of_previous(components: Components) -> Iterator[Components]:
-    """Members for what a previous session leaves of the readings, which is noise for the most part."""
+    """Members for the remainder of the readings after a previous session, mostly noise."""
     yes = np.ones(len(components.log_share), bool)
     for factor in PREVIOUS_NOISE_FACTORS:
         noisier = components.kernels._replace(noise_variance=factor * components.kernels.noise_variance)
@@ -361,7 +361,7 @@ def _taken(components: Components, which: np.ndarray) -> Components:
 
 
 def _weigh_in_stages(gp: PopulationGP, options: FitOptions) -> PopulationGP:
-    """Weights by ever more presses for ever fewer members; what hardly counts in the end is dropped."""
+    """Weigh ever fewer members by ever more presses; those of little weight in the end are dropped."""
     n = len(gp.readings)
     for presses, members in STAGES:
         if len(gp.weights) > members:
@@ -378,7 +378,7 @@ def _weigh_in_stages(gp: PopulationGP, options: FitOptions) -> PopulationGP:
 
 
 def _shares(gp: PopulationGP) -> np.ndarray:
-    """(k,) mean weight of each member, over channels, near the presses and far from them."""
+    """Mean weight (k,) of each member, over channels, near the presses and far from them."""
     far = gp.weights if gp.far_weights is None else gp.far_weights
     return (gp.weights + far).mean(1) / 2
 
@@ -465,7 +465,7 @@ def _parts(gp: PopulationGP) -> np.ndarray | None:
 
 
 def _alike(gp: PopulationGP, components: Components) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
-    """Numbers of the members that see the presses alike, and what they see."""
+    """Numbers of members that see the same inputs, and these inputs."""
     assert components.board is not None
     which = np.column_stack(
         [components.load_column, components.uses_linear, components.uses_previous, components.board]
@@ -507,7 +507,7 @@ def _mixed(gp: PopulationGP, found: LeftOutPresses) -> LeftOutMixture:
 
 
 def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
-    """More noise for the chips of presses that lie far outside their stated errors; weights are found again."""
+    """Mixture with more noise for chips of presses far outside their stated errors, and new weights."""
     n, c = gp.readings.shape
     groups = gp.extra_noise.shape[1]
     each = c // groups
@@ -558,7 +558,7 @@ def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _height_shares(gp: PopulationGP, tried: Heights, error: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Shares (j,) of belief by what is left of the errors of presses left out, heights left out too."""
+    """Weights (j,) of the hypotheses by errors of left-out presses, their heights left out too."""
     n, square = len(error), squared_distance(gp.presses.position, gp.presses.position)
     without = _own_heights(gp)
     missed = [np.sum((error + slope * without[:, None]) ** 2)]
@@ -573,7 +573,7 @@ def _height_shares(gp: PopulationGP, tried: Heights, error: np.ndarray, slope: n
 
 
 def _height_inverses(gp: PopulationGP) -> list[np.ndarray]:
-    """Of the covariances of what was measured of heights."""
+    """Inverse covariances of the measured heights."""
     if not len(gp.heights.std):
         return []
     square = squared_distance(gp.presses.position, gp.presses.position)
@@ -583,7 +583,7 @@ def _height_inverses(gp: PopulationGP) -> list[np.ndarray]:
 
 
 def _own_heights(gp: PopulationGP) -> np.ndarray:
-    """At the presses of the mixture (typical loads)."""
+    """Heights at the mixture's presses (typical loads)."""
     return _heights_at(gp, gp.presses.position, _height_inverses(gp))[0]
 
 
@@ -625,8 +625,8 @@ def _predict_rows(
 
 
 def _farness(gp: PopulationGP, position: np.ndarray) -> np.ndarray:
-    """(m,) from 0 for positions as near to a press as presses are to each other, to 1 for those as far as presses are
-    from all that are not of their part.
+    """Farness (m,): 0 for positions as near to a press as presses are to each other, to 1 for those as far as presses
+    are from all that are not of their part.
     """
     known, part = gp.presses.position, _parts(gp)
     if part is None:

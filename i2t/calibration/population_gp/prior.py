@@ -60,7 +60,7 @@ def load_prior() -> KernelPrior:
 
 
 def prior_about() -> dict[str, Any]:
-    """How the prior that comes with the package was made.
+    """Origin of the prior that comes with the package.
 
     Returns:
         Seeds, kinds of skins and the command.

@@ -1,4 +1,4 @@
-"""Where a ReSkin's bytes come from, without its driver."""
+"""Sources of a ReSkin's bytes, without its driver."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -219,7 +219,7 @@ class Replay(Stream):
 
 
 def _source(port: str | None) -> str:
-    """Boards are not on pseudo-terminals."""
+    """Source of the readings: boards are not on pseudo-terminals."""
     return "emulated" if port and os.path.realpath(port).startswith(("/dev/pts/", "/dev/ttys0")) else "real"
 
 

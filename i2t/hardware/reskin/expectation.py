@@ -1,4 +1,4 @@
-"""What the next frame of a board should hold, from its own statistics.
+"""Expectation of the next frame of a board, from its own statistics.
 
 Each value is predicted from the last few of its channel, x[t] = m + sum_k w_k (x[t - k] - m), with weights fitted by
 least squares to what came of late (a linear predictor; Makhoul, "Linear prediction: a tutorial review", 1975). A field
@@ -32,7 +32,7 @@ STD_PER_MEDIAN = 1.4826  # of the size of Gaussian errors
 
 
 class Expectation(NamedTuple):
-    """What is known of a board's values. Missing values are carried on as they were last known."""
+    """Statistics of a board's values. Missing values are carried on as they were last known."""
 
     history: Float[np.ndarray, "frames chips 4"]  # t, x, y, z, the newest last
     came: Bool[np.ndarray, " frames"]  # which of them were received; the others are filled in
@@ -45,7 +45,7 @@ class Expectation(NamedTuple):
 
     @property
     def fitted(self) -> bool:
-        """Whether the weights are from what came."""
+        """Tell whether the weights are fitted to received frames."""
         return self.frames >= MIN_FITTED_FRAMES
 
     @property
@@ -56,7 +56,7 @@ class Expectation(NamedTuple):
 
 
 def begin(table: Float[np.ndarray, "chips 4"]) -> Expectation:
-    """What one frame tells.
+    """Begin with one frame.
 
     Args:
         table: t, x, y, z of each chip; NaN is missing.
@@ -79,7 +79,7 @@ def begin(table: Float[np.ndarray, "chips 4"]) -> Expectation:
 
 
 class Doubt(NamedTuple):
-    """What is unusual in a frame."""
+    """Unusual values of a frame."""
 
     left: Float[np.ndarray, "chips 4"]  # K, uT, what neither the past nor the other channels explain
     values: Bool[np.ndarray, "chips 4"]  # those of which that is more than usual
@@ -89,7 +89,7 @@ class Doubt(NamedTuple):
 
 
 def doubt(expected: Expectation, table: Float[np.ndarray, "chips 4"], gap: int) -> Doubt:
-    """Which values differ much more from what was expected than they usually do.
+    """Find the values that differ much more from what was expected than they usually do.
 
     Args:
         expected: Before the frame.
@@ -104,7 +104,7 @@ def doubt(expected: Expectation, table: Float[np.ndarray, "chips 4"], gap: int) 
 
 
 def is_borne_out(expected: Expectation, found: Doubt, after: Float[np.ndarray, "chips 4"], gap: int) -> bool:
-    """Whether what is unusual in a frame lasts: a later one is off to the same side.
+    """Test whether unusual values of a frame last: a later frame is off to the same side.
 
     Args:
         expected: Before the doubtful frame.
@@ -121,7 +121,7 @@ def is_borne_out(expected: Expectation, found: Doubt, after: Float[np.ndarray, "
 
 
 def learn(expected: Expectation, table: Float[np.ndarray, "chips 4"], gap: int) -> Expectation:
-    """What is known after one more frame.
+    """Learn from one more frame.
 
     Args:
         expected: Before the frame.
@@ -150,13 +150,13 @@ def _most(expected: Expectation) -> Float[np.ndarray, "chips 4"]:
 def _left(
     precision: Float[np.ndarray, "c c"], error: Float[np.ndarray, "*n chips 4"]
 ) -> Float[np.ndarray, "*n chips 4"]:
-    """What the other channels' errors do not explain of each."""
+    """Part of each channel's error that the other channels' errors do not explain."""
     flat = error.reshape(*error.shape[:-2], -1)
     return (flat @ precision / np.diagonal(precision)).reshape(error.shape)
 
 
 def _filled(expected: Expectation, gap: int) -> Expectation:
-    """With what lost frames may have held."""
+    """Expectation with lost frames filled in by their forecasts."""
     if gap > MAX_GAP_FRAMES:
         weights = np.zeros_like(expected.weights)
         weights[..., 0] = 1.0
@@ -169,7 +169,7 @@ def _filled(expected: Expectation, gap: int) -> Expectation:
 
 
 def _fit(expected: Expectation) -> Expectation:
-    """With weights, precision and spread of the frames that are kept; outliers count little."""
+    """Expectation with weights, precision and spread fitted to the kept frames; outliers count little."""
     history, came = expected.history[-KEPT_FRAMES:], expected.came[-KEPT_FRAMES:]
     middle = np.median(history[came], 0)
     centred = history - middle
@@ -197,7 +197,7 @@ def _fit(expected: Expectation) -> Expectation:
 
 
 def _precision(errors: Float[np.ndarray, "n c"], chips: int) -> Float[np.ndarray, "c c"]:
-    """Q of errors that have few things in common."""
+    """Precision Q of errors that have few directions in common."""
     covariance = errors.T @ errors / len(errors)
     sizes, directions = np.linalg.eigh(covariance)
     shared = (directions[:, -COMMON_DIRECTIONS:] * sizes[-COMMON_DIRECTIONS:]) @ directions[:, -COMMON_DIRECTIONS:].T

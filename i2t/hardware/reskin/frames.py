@@ -59,7 +59,7 @@ NEXT_FRAMES = 6  # in which the next candidate must lie to bear out the one befo
 
 @dataclass(frozen=True)
 class FrameLimits:
-    """What can be true of a frame. `full_scale` is the range of the chip (MLX90393); a board of known gain has a
+    """Limits of a plausible frame. `full_scale` is the range of the chip (MLX90393); a board of known gain has a
     smaller one, 2^15 of its steps.
     """
 
@@ -81,7 +81,7 @@ class Frame(NamedTuple):
 
 
 class Decoder(NamedTuple):
-    """Where decoding stands. `bytes == taken + skipped + len(rest)` at all times."""
+    """State of decoding. `bytes == taken + skipped + len(rest)` at all times."""
 
     layout: FrameLayout = FrameLayout()
     limits: FrameLimits = FrameLimits()
@@ -105,7 +105,7 @@ class Decoder(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """All that came."""
+        """Number of all bytes that came."""
         return self.taken + self.skipped + len(self.rest)
 
 
@@ -174,7 +174,7 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
 
 
 def diagnose(data: bytes, limits: FrameLimits | None = None, chips: int = DEFAULT_CHIPS) -> str:
-    """Why these bytes, which gave no frame, gave none.
+    """Explain why these bytes gave no frame.
 
     Args:
         data: What a board has sent.
@@ -189,7 +189,7 @@ def diagnose(data: bytes, limits: FrameLimits | None = None, chips: int = DEFAUL
 
 
 def known_trouble(data: bytes, limits: FrameLimits, chips: int) -> str | None:
-    """Why these bytes, which gave no frame, gave none, if they say so themselves.
+    """Explain why these bytes gave no frame, if they say so themselves.
 
     Args:
         data: What a board has sent.
@@ -239,8 +239,8 @@ def _why_implausible(values: FrameValues | None, limits: FrameLimits) -> str:
 
 
 def _candidate(decoder: Decoder, stretch: bytes) -> tuple[Decoder, FrameValues | None]:
-    """The values of a stretch, None if it is no candidate, and the decoder, which counts what only the converter's
-    steps exclude and forgets them after too many.
+    """Values of a stretch, None if it is no candidate, and the decoder, which counts candidates that only the
+    converter's steps exclude and forgets the steps after too many.
     """
     values = _values(decoder.layout, stretch, decoder.limits)
     if values is None or decoder.steps is None or decoder.steps.fit(values.table):
@@ -252,7 +252,7 @@ def _candidate(decoder: Decoder, stretch: bytes) -> tuple[Decoder, FrameValues |
 
 
 def _is_frame(decoder: Decoder, values: FrameValues | None, data: bytes, begin: int, end: int) -> bool | None:
-    """Whether a candidate is a frame; None if more bytes must come."""
+    """Test whether a candidate is a frame; None if more bytes must come."""
     if values is None:
         return False
     if decoder.last is None:
@@ -267,7 +267,7 @@ def _is_frame(decoder: Decoder, values: FrameValues | None, data: bytes, begin: 
 
 
 def _counts_on(decoder: Decoder, values: FrameValues) -> bool:
-    """Whether the counter goes on from the last frame's by as many frames as there are bytes between the two."""
+    """Test whether the counter rose since the last frame by as many frames as there are bytes between the two."""
     if values.sequence is None or decoder.sequence is None:
         return False
     ahead = (values.sequence - decoder.sequence - 1 - round(decoder.gap / decoder.layout.size)) % COUNTS
@@ -275,7 +275,7 @@ def _counts_on(decoder: Decoder, values: FrameValues) -> bool:
 
 
 def _is_expected(decoder: Decoder, table: np.ndarray, data: bytes, end: int) -> bool | None:
-    """Whether values are as usual, or the next candidate bears out what is unusual; None if more bytes must come."""
+    """Test whether values are as usual, or the next candidate confirms them; None if more bytes must come."""
     expected, limits = decoder.expected, decoder.limits
     assert expected is not None
     found = doubt(expected, _carried(decoder, table), _gap_frames(decoder, decoder.gap))
@@ -299,7 +299,7 @@ def _is_expected(decoder: Decoder, table: np.ndarray, data: bytes, end: int) -> 
 
 
 def _carried(decoder: Decoder, table: np.ndarray) -> np.ndarray:
-    """A frame's values, beyond the converter's end where it follows the last frame there."""
+    """Values of a frame, carried on beyond the converter's end where they follow the last frame there."""
     assert decoder.last is not None
     wrapped = np.zeros((len(table), 3)) if decoder.wrapped is None else decoder.wrapped
     onwards = table.copy()
@@ -308,7 +308,7 @@ def _carried(decoder: Decoder, table: np.ndarray) -> np.ndarray:
 
 
 def _gap_frames(decoder: Decoder, gap: int) -> int:
-    """Frames in so many bytes."""
+    """Number of frames in so many bytes."""
     whole = decoder.frames + decoder.empty
     usual = decoder.taken / whole if whole else decoder.layout.size
     return max(1, round(gap / usual)) if gap > 0 else 0
@@ -319,7 +319,7 @@ def _longest(layout: FrameLayout) -> int:
 
 
 def _is_no_spike(decoder: Decoder, table: np.ndarray, data: bytes, end: int) -> bool | None:
-    """Whether the stretch behind a far-off candidate does not contradict it; None if more bytes must come. It does
+    """Test whether the stretch behind a far-off candidate does not contradict it; None if more bytes must come. It does
     where it lies near the last frame and few values are far off: then changed bytes have cancelled in the checksum.
     """
     assert decoder.last is not None
@@ -333,8 +333,8 @@ def _is_no_spike(decoder: Decoder, table: np.ndarray, data: bytes, end: int) -> 
 
 
 def _with_frame(decoder: Decoder, values: FrameValues, end: int, size: int) -> tuple[Decoder, Frame | None]:
-    """The decoder after a frame of `size` bytes, and the frame, None if it is empty; what the counter or the bytes in
-    the gap before it tell becomes lost frames.
+    """Decoder after a frame of `size` bytes, and the frame, None if it is empty; frames lost before it follow from the
+    counter or from the bytes in the gap.
     """
     table = values.table
     gone = np.isnan(table[:, 1:]).all(1)
@@ -367,7 +367,7 @@ def _with_frame(decoder: Decoder, values: FrameValues, end: int, size: int) -> t
 
 
 def _learned(decoder: Decoder, table: np.ndarray, offsets: np.ndarray) -> Expectation | None:
-    """What is expected after one more frame, of a format without a checksum."""
+    """Expectation after one more frame, of a format without a checksum."""
     if decoder.layout.checked:
         return None
     carried = table.copy()
@@ -380,7 +380,7 @@ def _learned(decoder: Decoder, table: np.ndarray, offsets: np.ndarray) -> Expect
 
 
 def _lost(decoder: Decoder, count: int | None, size: int) -> int:
-    """Frames that are missing before one: by the counter, of which the bytes say how often it went round."""
+    """Number of frames missing before one: by the counter, whose full turns follow from the bytes."""
     by_bytes = max(1, round(decoder.gap / size)) if decoder.gap else 0
     if count is None or decoder.sequence is None or count == decoder.sequence:
         return by_bytes
@@ -400,7 +400,7 @@ def _with_steps(decoder: Decoder, table: np.ndarray) -> Decoder:
 
 
 def _begins_run(decoder: Decoder, data: bytes, begin: int, end: int) -> bool | None:
-    """Whether a run of candidates begins here that no other overlaps; None if more bytes must come."""
+    """Test whether a run of candidates begins here that no other overlaps; None if more bytes must come."""
     layout, limits = decoder.layout, decoder.limits
     values, stop = _values(layout, data[begin:end], limits), end
     for _ in range(limits.run_length - 1):
@@ -415,7 +415,7 @@ def _begins_run(decoder: Decoder, data: bytes, begin: int, end: int) -> bool | N
 
 
 def _follows(decoder: Decoder, before: FrameValues, after: FrameValues) -> bool:
-    """Whether one candidate goes on from another that ends where it begins: few values that jump are damage."""
+    """Test whether a candidate goes on from another that ends where it begins: few values that jump are damage."""
     if before.sequence is not None and after.sequence is not None and (after.sequence - before.sequence) % COUNTS == 1:
         return True
     if _near(before.table, after.table, decoder.limits, None if decoder.layout.checked else decoder.steps):
@@ -428,7 +428,7 @@ def _follows(decoder: Decoder, before: FrameValues, after: FrameValues) -> bool:
 
 
 def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int, limits: FrameLimits) -> bool:
-    """Whether a candidate in another alignment lies within a run, but for its first bytes."""
+    """Test whether a candidate in another alignment lies within a run, but for its first bytes."""
     size = layout.binary.size
     end = begin
     while (end := data.find(LINE_END, end + 1, stop)) >= 0:
@@ -452,7 +452,7 @@ def _values(layout: FrameLayout, stretch: bytes, limits: FrameLimits) -> FrameVa
 
 
 def _plausible(table: Float[np.ndarray, "chips 4"], limits: FrameLimits) -> bool:
-    """Whether temperatures and fields lie within the limits; NaN does not."""
+    """Test whether temperatures and fields lie within the limits; NaN does not."""
     celsius, field = table[:, 0], np.abs(table[:, 1:])
     size = np.abs(celsius)
     return bool(
@@ -463,7 +463,7 @@ def _plausible(table: Float[np.ndarray, "chips 4"], limits: FrameLimits) -> bool
 
 
 def _near(last: np.ndarray | None, table: np.ndarray, limits: FrameLimits, steps: ConverterSteps | None) -> bool:
-    """Whether a frame may follow another, in the channels that both have."""
+    """Test whether a frame may follow another, in the channels that both have."""
     if last is None:
         return False
     change = np.abs(table - last)

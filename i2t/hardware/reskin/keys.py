@@ -31,7 +31,7 @@ def pressed_keys() -> Iterator["Keys"]:
 
 
 class Keys:
-    """Hears nothing."""
+    """Keys where there is no terminal: none is ever pressed."""
 
     def newest(self) -> str:
         """The keys pressed since the last call, in order; "" where none was."""

@@ -1,4 +1,4 @@
-"""How the frames of boards look, byte by byte: five formats, read and written.
+"""Frame layouts of boards, byte by byte: five formats, read and written.
 
 The public firmware of ReSkin and AnySkin sends temperature t (degrees Celsius) and field x, y, z (uT) of n chips, five
 by default, in one of three ways, without header, counter or checksum:
@@ -41,7 +41,7 @@ _LINE_BEGIN = rb"(?:\n|\r[^\r\n0-9.\-]?)?"  # the end of the line before, of whi
 
 
 class Format(StrEnum):
-    """What a board sends."""
+    """Formats of boards' frames."""
 
     BINARY = "binary"
     TEXT = "text"
@@ -51,14 +51,14 @@ class Format(StrEnum):
 
 
 class FrameValues(NamedTuple):
-    """What a stretch of bytes says."""
+    """Values of a stretch of bytes."""
 
     table: Float[np.ndarray, "chips 4"]  # t, x, y, z: degrees Celsius and uT; 0 where there is none
     sequence: int | None = None  # of the frame's counter
 
 
 class FrameLayout(NamedTuple):
-    """How the frames of a board look."""
+    """Layout of a board's frames."""
 
     form: Format = Format.BINARY
     chips: int = DEFAULT_CHIPS
@@ -75,22 +75,22 @@ class FrameLayout(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of a frame, about so where it is text."""
+        """Bytes of a frame, approximately where it is text."""
         return (self.framed if self.checked else self.binary).size
 
     @property
     def checked(self) -> bool:
-        """Whether a frame has a counter and a checksum."""
+        """Tell whether a frame has a counter and a checksum."""
         return self.form == Format.FRAMED
 
     @property
     def is_text(self) -> bool:
-        """Whether a frame is a line."""
+        """Tell whether a frame is a line."""
         return self.form not in (Format.BINARY, Format.FRAMED)
 
     @property
     def has_temperature(self) -> bool:
-        """Whether the board tells its chips' temperatures."""
+        """Tell whether the board sends its chips' temperatures."""
         return self.form not in (Format.FRAMED, Format.FRAMED_TEXT)
 
     @property
@@ -100,7 +100,7 @@ class FrameLayout(NamedTuple):
 
     @property
     def max_line_bytes(self) -> int:
-        """No line is longer."""
+        """Greatest length of a line (bytes)."""
         return VALUE_TEXT_BYTES * 4 * self.chips
 
 
@@ -139,7 +139,7 @@ def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | No
 
 
 def adjoining(layout: FrameLayout, data: bytes, end: int) -> int | None:
-    """Where the stretch that begins at `end` ends.
+    """End of the stretch that begins at `end`.
 
     Args:
         layout: How frames look.
@@ -159,7 +159,7 @@ def adjoining(layout: FrameLayout, data: bytes, end: int) -> int | None:
 
 
 def parse(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
-    """What a stretch says, whether or not it can be true.
+    """Parse a stretch, whether or not its values are plausible.
 
     Args:
         layout: How frames look.
@@ -236,7 +236,7 @@ def encode(
 
 
 def numbers_in(line: bytes) -> int:
-    """How many numbers of two decimals a line holds.
+    """Count the numbers of two decimals in a line.
 
     Args:
         line: Of text.

@@ -152,7 +152,7 @@ def picture(
 
 
 def _chips_lost(counters: SkinCounters) -> str:
-    """What chips did that did not answer or went over their converter's end, where any did."""
+    """Counts of chips that did not answer or went over their converter's end, where any did."""
     said = {"missing chips": counters.missing, "empty frames": counters.empty, "wraps": counters.wraps}
     return "".join(f"  {what} {count}" for what, count in said.items() if count)
 
@@ -228,7 +228,7 @@ class _AmbientRest:
         self._field, self._board, self._pose = load_ambient(path, board)[0], board, pose
 
     def again(self) -> None:
-        """A fitted field needs no zero."""
+        """Do nothing: a fitted field needs no zero."""
 
     def __call__(self, samples: Samples) -> tuple[np.ndarray, str]:
         """(c,) uT to subtract from samples, and what there is to say of it."""
@@ -242,7 +242,7 @@ class _AmbientRest:
 
 
 class _ToolPose:
-    """How the tool of a UR arm stands, asked for now and then."""
+    """Pose of the tool of a UR arm, asked for now and then."""
 
     def __init__(self, host: str) -> None:
         from i2t.hardware.ur.access import tool_pose
@@ -271,7 +271,7 @@ def _boards(asked: Options) -> tuple[str, ...]:
 
 
 def _rest(asked: Options, board: Board) -> "_EarlyRest | _AmbientRest":
-    """What is subtracted from samples."""
+    """Baseline that is subtracted from samples."""
     if asked.ambient is None:
         return _EarlyRest()
     if asked.turn is not None:
@@ -299,7 +299,7 @@ class _View:
 
     @property
     def bytes_file(self) -> Path | None:
-        """Where the bytes go."""
+        """File for the bytes."""
         table = self.record is not None and is_table(self.record)
         return self.record.with_name(f"{self.record.name}.bytes") if self.record and table else self.record
 
@@ -333,7 +333,7 @@ class _View:
             self.health = "; ".join(f"UNHEALTHY: {each.sentence}" for each in found) or HEALTHY_TEXT
 
     def picture(self, scale: float, as_map: bool) -> list[str]:
-        """Its lines; the second is its head, the last but one its sum."""
+        """Lines of the board's picture; the second is the head, the last but one the sum."""
         if self.shown is None or self.rest is None:
             return ["", "", "", self.trouble]
         skin = self.skin
@@ -344,7 +344,7 @@ class _View:
         return [*lines[:-1], lines[-1] + self.said, self.trouble or self.health]
 
     def finish(self) -> str:
-        """Let the board go, and make the table; returns what to say of it."""
+        """Close the board, and write the table; returns a sentence about it."""
         self.skin.close()
         file = self.bytes_file
         if self.record is None or file is None or file == self.record or not file.exists():
@@ -378,7 +378,7 @@ def _numbered(path: Path | None, number: int) -> Path | None:
 
 
 def _check_recording(asked: Options) -> None:
-    """Refuse what would be found out at the end only."""
+    """Refuse options that would fail only at the end."""
     if asked.replay and len(asked.port) > 0:
         raise ValueError("--replay and --port both say what to show; pass one of them")
     if len(set(asked.port)) < len(asked.port):

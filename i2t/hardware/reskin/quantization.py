@@ -38,7 +38,7 @@ class ConverterSteps(NamedTuple):
     rounding: float = 0.0  # degrees, uT, of the board's own, besides that of its numbers
 
     def fit(self, table: Float[np.ndarray, "chips 4"]) -> bool:
-        """Whether every value is a whole number of its steps.
+        """Test whether every value is a whole number of its steps.
 
         Args:
             table: t, x, y, z of each chip, degrees Celsius and uT.
@@ -104,7 +104,7 @@ def _lattice(
 def wrap_offsets(
     before: Float[np.ndarray, "chips 3"], after: Float[np.ndarray, "chips 3"], steps: ConverterSteps | None
 ) -> Float[np.ndarray, "chips 3"]:
-    """What to add to a frame's channels that went over the converter's end since the frame before.
+    """Offsets of a frame's channels that went over the converter's end since the frame before.
 
     A jump is taken for one where both values lie near the two ends: half of the way at least where the steps are
     known, four fifths for steps of the chip's data sheet. Any other jump is the field's.

@@ -114,7 +114,7 @@ class PlayedPort:
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that have come by now."""
+        """Number of bytes that have come by now."""
         now = time.monotonic()
         self._start = now if self._start is None else self._start
         while self._next < len(self._chunks) and self._due() <= now:
@@ -143,7 +143,7 @@ class PlayedPort:
         return chunk
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: there is no port to give back."""
 
     def _due(self) -> float:
         return (self._start or 0.0) + self._chunks[self._next][0] / self._speed

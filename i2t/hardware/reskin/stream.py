@@ -46,7 +46,7 @@ class StreamRow(NamedTuple):
 
 
 class BoardInfo(NamedTuple):
-    """What is known of a connected board."""
+    """Properties of a connected board."""
 
     port: str
     baud: int | None
@@ -94,7 +94,7 @@ class Stream(ABC):
 
     @property
     def features(self) -> SkinFeatures:
-        """Known before `connect`."""
+        """Features, known before `connect`."""
         return self._features
 
     @property
@@ -106,7 +106,7 @@ class Stream(ABC):
 
     @property
     def counters(self) -> SkinCounters:
-        """So far."""
+        """Counts so far."""
         with self._changed:
             return self._total()._replace(
                 overflowed=self._overflowed, stalls=self._stalls, connects=self._connects, rate=self._rate()
@@ -269,7 +269,7 @@ class Stream(ABC):
 
     @abstractmethod
     def _lost(self, error: Exception) -> DeviceError:
-        """What the end of a port means."""
+        """Error that the end of a port means."""
 
     def _read_loop(self, port: Port, stop: threading.Event) -> None:
         try:

@@ -22,7 +22,7 @@ TABLE_DECIMALS = 6  # of times and values in a CSV file: more than the converter
 
 
 def is_table(path: Path) -> bool:
-    """Whether a file of this name is a table, and not a recording of bytes.
+    """Test whether a file of this name is a table, and not a recording of bytes.
 
     Args:
         path: Of the file.
@@ -34,7 +34,7 @@ def is_table(path: Path) -> bool:
 
 
 def samples_of(path: str | Path, chips: int, rate: float) -> Samples:
-    """What a recording of bytes says.
+    """Samples of a recording of bytes.
 
     Args:
         path: Of the recording.

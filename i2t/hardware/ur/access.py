@@ -1,4 +1,4 @@
-"""Who may have a UR arm: its dashboard, and what must be true before the client library is let near it.
+"""Access to a UR arm: its dashboard, its lock, and the conditions under which the client library may connect.
 
 A second client replaces the first without a word. So it is asked before whether somebody has the arm: other programs of
 this user by a lock, anybody else by whether a program runs on the controller already.
@@ -158,7 +158,7 @@ def release_protective_stop(host: str) -> None:
 
 @contextlib.contextmanager
 def _no_answer(host: str) -> Iterator[None]:
-    """A connection that fails is an error of one sentence."""
+    """Turn a failed connection into an error of one sentence."""
     try:
         yield
     except OSError as error:
@@ -166,7 +166,7 @@ def _no_answer(host: str) -> Iterator[None]:
 
 
 def tool_pose(host: str) -> Array:
-    """Where the tool of a UR arm is now, without controlling it.
+    """Pose of a UR arm's tool now, without controlling it.
 
     Args:
         host: Address of the controller.

@@ -1,4 +1,4 @@
-"""How a UR arm is reached and watched, without its client library."""
+"""Configuration of a UR arm and its watch, without its client library."""
 
 from dataclasses import dataclass
 

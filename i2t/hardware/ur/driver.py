@@ -87,7 +87,7 @@ class UrArm:
 
     @property
     def features(self) -> ArmFeatures:
-        """Known before `connect`."""
+        """Features, known before `connect`."""
         limits = self.limits
         return ArmFeatures(
             name=f"UR at {self.host}",

@@ -1,4 +1,4 @@
-"""How a UR arm moves: straight, asynchronously, watched, and only where and as fast as it may.
+"""Motions of a UR arm: straight, asynchronous, watched, and only where and as fast as it may.
 
 A motion is refused before anything is sent if its goal is outside the box or it is too fast. Once it runs, the process
 of `i2t.hardware.ur.rtde_worker` stops it at its force or torque, and `i2t.hardware.ur.rtde_link` where nobody attends.
@@ -39,7 +39,7 @@ class MotionController:
         self._connection, self._limits = connection, limits
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion and return at once, as in `Arm.move`; by default as fast as it can be stopped in.
+        """Start a straight motion and return at once, as in `Arm.move`; by default at the limits' free speed.
 
         A force above a third of the limit (`MotionLimits.trip_force`) or a torque above its own stops the motion, and
         the next `state` says so; a motion that begins above them, as one that backs out of a contact, is stopped where

@@ -38,7 +38,7 @@ GOODBYE_S = 1.0  # in which the process must have ended by itself
 
 
 class ControllerState(NamedTuple):
-    """What the controller said last."""
+    """Last state that the controller sent."""
 
     arm: ArmState
     clock: float  # s, the controller's own
@@ -47,7 +47,7 @@ class ControllerState(NamedTuple):
 
 
 class MotionGuard(NamedTuple):
-    """What ends a motion early."""
+    """Limits that end a motion early."""
 
     force: float  # N
     torque: float  # Nm
@@ -55,7 +55,7 @@ class MotionGuard(NamedTuple):
 
 
 class Trip(NamedTuple):
-    """Why the newest motion was stopped by its limits."""
+    """Reason why the newest motion was stopped by its limits."""
 
     reason: StopReason  # force or torque
     arm: ArmState  # the state that was above the limit
@@ -95,17 +95,17 @@ class RtdeConnection:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a connection, be it a broken one that has not been closed."""
+        """Tell whether there is a connection, be it a broken one that has not been closed."""
         return self._thread is not None
 
     @property
     def stops(self) -> int:
-        """How often the arm has been stopped by request."""
+        """Number of stops by request."""
         return self._stops
 
     @property
     def trip(self) -> Trip | None:
-        """Why the newest motion was stopped, if its limits stopped it."""
+        """Reason why the newest motion was stopped, if its limits stopped it."""
         return self._trip
 
     def open(self, tool: Array | None, payload: tuple[float, tuple[float, float, float]] | None) -> None:
@@ -150,7 +150,7 @@ class RtdeConnection:
     # What is known
 
     def newest(self, timeout: float) -> ControllerState:
-        """The newest state, whatever it says.
+        """The newest state, whatever its content.
 
         Args:
             timeout: s that the state may be old, and that the first one is waited for.
@@ -442,7 +442,7 @@ class RtdeConnection:
         return {"error": f"it did not answer within {CONNECT_S:g} s"}
 
     def _last_words(self) -> str:
-        """How the process ended."""
+        """Reason for the end of the process."""
         process = self._process
         code = None
         if process is not None:

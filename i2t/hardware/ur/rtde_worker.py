@@ -101,7 +101,7 @@ class Channel:
         return [json.loads(line) for line in lines]
 
     def close(self) -> None:
-        """Let the other side see the end."""
+        """Close both directions, so that the other side sees it."""
         with contextlib.suppress(OSError):
             self._out.shutdown(socket.SHUT_RDWR)
         self._out.close()
@@ -190,7 +190,7 @@ class Worker:
             self.limits = None
 
     def read_state(self, clock: float) -> Message:
-        """What ur_rtde knows, as one message.
+        """State as ur_rtde knows it, as one message.
 
         Args:
             clock: s, the controller's own time of this state.

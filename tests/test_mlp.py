@@ -6,7 +6,7 @@ import numpy as np
 import optax
 import pytest
 
-from i2t.prediction import mlp
+from i2t import mlp, training
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -33,7 +33,7 @@ def test_full_batch_descent_finds_least_squares_and_reports_the_loss_before_each
         return jnp.mean((jax.vmap(lambda one: mlp.apply(layers, one))(x) - y) ** 2)
 
     keys = jax.random.split(jax.random.key(3), 300)
-    fitted, path = jax.jit(lambda start: mlp.fit(start, loss, optax.sgd(0.3), keys))(layers)
+    fitted, path = jax.jit(lambda start: training.descend(start, loss, optax.sgd(0.3), keys))(layers)
     tall = np.c_[np.asarray(x, np.float64), np.ones(40)]
     best = np.linalg.lstsq(tall, np.asarray(y, np.float64))[0]
     np.testing.assert_allclose(fitted[0]["kernel"], best[:3], atol=1e-5)

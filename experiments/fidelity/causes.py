@@ -1,32 +1,45 @@
-"""Why a method on predicted contact pressure may lose to a baseline: each likely cause is tested on training touches.
+"""Causes of a poor predictor trained on a recording: each likely one is tested on its training touches.
 
 Some causes show in the numbers themselves: loads that are nil, forces that pull, values that no press has, chips that
 answer on the other side. The others are tried: the recording is changed as if it had the fault the other way round
-(another tip, depths from another height, the view upside down, units, labels of another row), contact pressures are
-predicted anew, and a Gaussian process on them is scored on held-out groups of touches. A cause is found where the
-change explains clearly more than the recording as it is.
+(another tip, depths from another height, forces of the other sign, the view upside down, units, a softer skin), contact
+pressures are predicted anew, and a Gaussian process on them is scored on held-out groups of touches; for labels of
+another row it is the nearest patches. A cause is found where the change explains clearly more than the recording as it
+is.
 
-A flip of the patch along x or y, or a turn of it, changes nothing that these methods could notice, because their
-covariance is the same for mirrored pressures; it shows where chips near the contact answer less than those far from it.
+A flip of the patch along x or y, or a turn of it, changes nothing that methods on predicted pressure could notice,
+because their covariance is the same for mirrored pressures; it shows where chips near the contact answer less than
+those far from it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from experiments.train.loads import LEAST_DEPTH_M
-from experiments.train.methods import views_of
+from experiments.fidelity.config import FidelityPreset
+from experiments.fidelity.sections import CannotTellError, Section
+from experiments.train.configs import PRESETS
+from experiments.train.loads import (
+    HEIGHTS_M,
+    LEAST_DEPTH_M,
+    MIN_GAIN,
+    TRIED_TOUCHES,
+    Tried,
+    explained,
+    some_groups,
+    tried_touches,
+)
+from experiments.train.prepare import prepare
 from i2t.convert.presses import sphere, tip_patches
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, load_dataset
+from i2t.errors import DataError
 from i2t.geometry import inverse
-from i2t.prediction import gp
 from i2t.prediction.baselines import features_of, touch_features
 from i2t.prediction.gp import CELL_MM, ContactPressure
 from i2t.prediction.metrics import nearest_neighbours
-from i2t.prediction.predictor import predict_pressures
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.types import Board
 
@@ -34,14 +47,10 @@ HEIGHT, SIGN, TIP, AXES, UNITS, LAG = "height zero", "force sign", "tip radius",
 SOFTNESS = "softness"
 CAUSES = (HEIGHT, SIGN, TIP, AXES, UNITS, LAG, SOFTNESS)
 
-TRIED_TOUCHES = 200  # on which changes are tried
-TRIED_STEPS = 20  # of the choice of hyperparameters
 LAG_TOUCHES = 1500  # in the order of their rows
 MAX_LAG = 3  # rows
-MIN_GAIN = 0.05  # of R2, from which on a change is a cause
 MIN_NIL_SHARE = 0.2  # of touches without pressure, from which on they are a cause
 MIN_PULLING_SHARE = 0.5  # of forces that do not push
-HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
 TIP_FACTORS = (0.5, 2.0)
 SCALES = (0.1, 10.0)
 SOFTNESSES = (4.0, 16.0)  # of a skin, in units of the nominal one's
@@ -53,22 +62,36 @@ MIN_ALIGNMENT = 0.2  # correlation of chips' answers with their nearness, and ho
 
 
 class CauseFound(NamedTuple):
-    """What was tested and what came of it."""
+    """A cause that was tested and the result."""
 
     cause: str  # one of CAUSES
     found: bool
-    evidence: str  # a clause
-    matters: bool = True  # to methods on predicted pressure
+    evidence: str  # a sentence
 
 
-class Tried(NamedTuple):
-    """What a method on predicted pressure sees of n touches."""
-
-    views: np.ndarray  # (n, w, w) m
-    force: np.ndarray  # (n,) N
-    depth: np.ndarray  # (n,) m
-    readings: np.ndarray  # (n, 3 chips) uT
-    groups: np.ndarray  # (n,)
+def cause_section(path: Path, preset: FidelityPreset, seed: int, section: Section) -> None:
+    """Causes in a data set that may keep a predictor from learning: found, not found, and not testable."""
+    dataset = load_dataset(path)
+    if dataset.source == "simulated":
+        raise CannotTellError("The touches are simulated, and the simulation makes none of these mistakes.")
+    try:
+        prepared = prepare(dataset, PRESETS["paper"], "auto", seed)
+    except DataError as error:
+        raise CannotTellError(f"Nothing can be held out: {error}") from error
+    touches, split, cfg = prepared.touches, prepared.split, prepared.touches.pressure_model
+    section.sentences += prepared.notes
+    found = seen_in_numbers(touches.dataset, split.train, cfg, touches.pressure)
+    load_known = cfg is not None and np.isfinite(getattr(touches.dataset.touches, cfg.control)[split.train]).all()
+    if cfg is not None and load_known and preset.try_causes:
+        found += tried_changes(touches.dataset, split.train, split.groups, cfg)
+    section.sentences += [each.evidence for each in found if each.found]
+    guilty, tested = {each.cause for each in found if each.found}, {each.cause for each in found}
+    for said, causes in (
+        ("Tested and not found: ", [cause for cause in CAUSES if cause in tested - guilty]),
+        ("Could not be tested: ", [cause for cause in CAUSES if cause not in tested]),
+    ):
+        section.sentences += [said + ", ".join(causes)] if causes else []
+    section.numbers["causes"] = [each._asdict() for each in found]
 
 
 def seen_in_numbers(
@@ -98,33 +121,6 @@ def seen_in_numbers(
     return [*found, *late_rows(dataset, rows)]
 
 
-def loss_sentence(method: str, r2: float, baseline: str, baseline_r2: float, found: Sequence[CauseFound]) -> str:
-    """What a person is told of a method on predicted pressure that loses.
-
-    Args:
-        method: On predicted pressure.
-        r2: Of it, on validation touches.
-        baseline: That is better.
-        baseline_r2: Of it.
-        found: What was tested.
-
-    Returns:
-        One sentence.
-    """
-    causes = [finding.evidence for finding in found if finding.found and finding.matters]
-    tested = {finding.cause for finding in found if finding.matters}
-    guilty = {finding.cause for finding in found if finding.found and finding.matters}
-    sound = [cause for cause in CAUSES if cause in tested - guilty]
-    untested = [cause for cause in CAUSES if cause not in tested]
-    likely = f"likely because {'; '.join(causes)}" if causes else "and no cause that was tested explains it"
-    parts = [f"{method} loses to {baseline} on validation touches (R2 {r2:.2f} and {baseline_r2:.2f}), {likely}"]
-    if sound:
-        parts.append(f"tested and not found: {', '.join(sound)}")
-    if untested:
-        parts.append(f"could not be tested here: {', '.join(untested)}")
-    return "; ".join(parts)
-
-
 def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray, depth: np.ndarray) -> CauseFound:
     """Height zero: whether predicted pressures are nil or as good as nil.
 
@@ -139,7 +135,7 @@ def nil_pressures(total: np.ndarray, cfg: PressureModelConfig, force: np.ndarray
     """
     if cfg.control == "force":
         nil = float(np.mean(~(cfg.force_sign * force > cfg.floor)))
-        said = f"{100 * nil:.0f} % of the forces do not push, so that predicted pressures are next to nil"
+        said = f"{100 * nil:.0f} % of the forces do not push, so that predicted pressures are almost nil"
         return CauseFound(SIGN, nil >= MIN_NIL_SHARE, said)
     nil = float(np.mean(~(total > cfg.floor / 10)))
     same = float(np.ptp(depth)) < LEAST_DEPTH_M
@@ -215,14 +211,13 @@ def flipped_board(pressure: np.ndarray, readings: np.ndarray, board: Board) -> I
     flipped = found[best] > max(as_is, 0.0) + MIN_ALIGNMENT and found[best] > MIN_ALIGNMENT
     said = (
         f"chips near the contact answer most with the patch {best} (correlation {found[best]:.2f}, {as_is:.2f} as "
-        "recorded): its axes are not the board's, which matters where chips' places do, and not to predictors of "
-        "this command"
+        "recorded): its axes are not the board's, which matters where chips' places do, and not to a predictor"
     )
-    yield CauseFound(AXES, flipped, said, matters=False)
+    yield CauseFound(AXES, flipped, said)
 
 
 def alignments(pressure: np.ndarray, readings: np.ndarray, board: Board) -> dict[str, float] | None:
-    """How much chips' answers go with their nearness to the contact, for each flip and turn of the patch.
+    """Correlation of chips' answers with their nearness to the contact, for each flip and turn of the patch.
 
     Args:
         pressure: (n, m, m) N on each cell.
@@ -296,12 +291,12 @@ def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: P
     Returns:
         A finding for each cause that was tried.
     """
-    which = _some_groups(np.flatnonzero(rows), groups, TRIED_TOUCHES)
-    seen = _tried(dataset, which, groups)
-    as_is = _explained(seen, cfg)
+    which = some_groups(np.flatnonzero(rows), groups, TRIED_TOUCHES)
+    seen = tried_touches(dataset, which, groups)
+    as_is = explained(seen, cfg)
     best: dict[str, tuple[float, str]] = {}
     for cause, said, changed in _changes(dataset, which, seen, cfg):
-        r2 = _explained(changed, cfg)
+        r2 = explained(changed, cfg)
         if r2 > best.get(cause, (-np.inf, ""))[0]:
             best[cause] = r2, said
     return [
@@ -318,7 +313,7 @@ def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: P
 def _changes(
     dataset: Dataset, which: np.ndarray, seen: Tried, cfg: PressureModelConfig
 ) -> Iterator[tuple[str, str, Tried]]:
-    """What is tried: the cause, how it is changed, and what the method then sees."""
+    """Changes to try: the cause, how it is changed, and the touches that the method then sees."""
     known = np.nan_to_num(seen.views, nan=dataset.reach)
     yield (
         AXES,
@@ -348,32 +343,6 @@ def _changes(
             yield TIP, f"a tip of radius {1e3 * factor * radius:g} mm", seen._replace(views=views)
 
 
-def likely_height(
-    dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig
-) -> tuple[float, str | None]:
-    """The height by which depths should count from elsewhere, so that predicted pressures explain the most.
-
-    Args:
-        dataset: Of n touches.
-        rows: (n,) bool, those that methods learn from.
-        groups: (n,) which cross-validation leaves whole.
-        cfg: How contact pressure is predicted, from depths.
-
-    Returns:
-        m to add to depths, 0 where none explains clearly more, and a sentence where it is not.
-    """
-    seen = _tried(dataset, _some_groups(np.flatnonzero(rows), groups, TRIED_TOUCHES), groups)
-    as_is = _explained(seen, cfg)
-    r2 = {h: _explained(seen._replace(depth=seen.depth + np.float32(h)), cfg) for h in HEIGHTS_M if h > 0}
-    best = max(r2, key=lambda height: r2[height])
-    if r2[best] <= max(as_is, 0.0) + MIN_GAIN:
-        return 0.0, None
-    return best, (
-        f"depths are taken to count from {1e3 * best:g} mm too low: with it predicted pressures explain {r2[best]:.2f} "
-        f"of held-out training touches instead of {max(as_is, 0.0):.2f}"
-    )
-
-
 def tip_radius(dataset: Dataset) -> float | None:
     """The radius (m) of the spherical tip that a converter made patches of.
 
@@ -391,32 +360,6 @@ def tip_radius(dataset: Dataset) -> float | None:
         return None
     poses = dataset.touches.T_w_o
     return radius if radius and np.isfinite(poses).all() else None
-
-
-def _tried(dataset: Dataset, which: np.ndarray, groups: np.ndarray) -> Tried:
-    """What a method on predicted pressure sees of some touches."""
-    touches, views = dataset.touches, np.asarray(views_of(dataset)[which])
-    return Tried(views, touches.force[which], touches.depth[which], touches.reading[which], groups[which])
-
-
-def _explained(seen: Tried, cfg: PressureModelConfig) -> float:
-    """R2 of the Gaussian process on held-out groups; minus infinity where it cannot be fitted."""
-    pressure = predict_pressures(cfg, seen.views, seen.force, seen.depth)
-    try:
-        _, r2 = gp.choose_hyperparameters(
-            pressure, jnp.asarray(seen.readings), seen.groups, steps=TRIED_STEPS, limit=TRIED_TOUCHES
-        )
-    except ValueError:
-        return float("-inf")
-    return float(np.nanmax(np.asarray(r2)))
-
-
-def _some_groups(which: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
-    """Rows of whole groups, in random order of the groups, up to a number of rows."""
-    rng = np.random.default_rng(0)
-    names, of = np.unique(groups[which], return_inverse=True)
-    rank = rng.permutation(len(names))[of.ravel()]
-    return np.sort(which[np.argsort(rank, kind="stable")[:count]])
 
 
 def _lagged_r2(points: np.ndarray, readings: np.ndarray, session: np.ndarray, row: np.ndarray, lag: int) -> float:

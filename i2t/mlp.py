@@ -1,26 +1,23 @@
-"""One small fully connected network: layers as a plain tree, and a compiled descent of any loss.
+"""One small fully connected network: layers as a plain tree.
 
     layers = mlp.init(key, (15, 500, 10, 5))
     logits = mlp.apply(layers, x)                                            # one example; lift it with vmap
-    layers, path = mlp.fit(layers, loss, optax.adam(1e-3), jax.random.split(key, 1000))
+    layers, path = training.descend(layers, loss, optax.adam(1e-3), jax.random.split(key, 1000))
 
 Layer i computes `x W_i + b_i`; an activation follows every layer but the last. Parameters are a list of
-`{"kernel", "bias"}`, so that optax, vmap over ensembles and `jax.tree` treat them as they treat any tree. `fit` knows
-nothing of data: a loss closes over all of it (full batch) or draws its minibatch with the key of the step.
+`{"kernel", "bias"}`, so that optax, vmap over ensembles and `jax.tree` treat them as they treat any tree.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
-import optax
 from jaxtyping import Array, Float, Key
 
 Layer: TypeAlias = dict[str, Array]  # {"kernel": (inputs, outputs), "bias": (outputs,)}
 Layers: TypeAlias = list[Layer]
 Activation: TypeAlias = Callable[[Array], Array]
-Params = TypeVar("Params")
 
 
 def init(key: Key[Array, ""], sizes: Sequence[int], *, gain: float = 2.0) -> Layers:
@@ -78,33 +75,3 @@ def apply(
     for layer, active in zip(hidden, activations, strict=True):
         x = active(dense(layer, x))
     return dense(last, x)
-
-
-def fit(
-    params: Params,
-    loss: Callable[[Params, Key[Array, ""]], Float[Array, ""]],
-    optimizer: optax.GradientTransformation,
-    keys: Key[Array, " steps"],
-) -> tuple[Params, Float[Array, " steps"]]:
-    """Descend a loss, one step for each key; pure, to be jitted by the caller.
-
-    Args:
-        params: Where to start: layers, or any tree of arrays that the loss takes.
-        loss: `loss(params, key)`; a full-batch loss ignores the key, another draws its minibatch with it.
-        optimizer: Optax's rule of a step.
-        keys: A key for each step, for instance `jax.random.split(key, steps)`.
-
-    Returns:
-        The parameters after the last step, and the loss before each step.
-    """
-
-    def step(
-        carry: tuple[Params, optax.OptState], key: Key[Array, ""]
-    ) -> tuple[tuple[Params, optax.OptState], Float[Array, ""]]:
-        now, moments = carry
-        value, gradient = jax.value_and_grad(loss)(now, key)
-        updates, moments = optimizer.update(gradient, moments, now)
-        return (optax.apply_updates(now, updates), moments), value
-
-    (params, _), path = jax.lax.scan(step, (params, optimizer.init(params)), keys)
-    return params, path

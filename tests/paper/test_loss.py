@@ -1,5 +1,7 @@
 """Losses against closed forms and finite differences."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +9,12 @@ import pytest
 from jax.test_util import check_grads
 from scipy import stats
 
-from i2t.prediction.loss import LossConfig, gaussian, image_error, losses, squared_error
-from i2t.prediction.model import Inputs, ModelConfig, Prediction
+from i2t.paper import loss, network
+from i2t.paper.config import PaperConfig
+from i2t.paper.loss import image_error, squared_error
+from i2t.prediction import model
+from i2t.prediction.model import Inputs, ModelConfig, gaussian
+from i2t.training import Batch
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -59,19 +65,33 @@ def test_gradients_agree_with_finite_differences(values) -> None:
     check_grads(lambda x: image_error("depth", jnp.asarray(x), seen), (image,), **check)
 
 
+def test_the_mean_over_touches_is_weighted_and_its_total_the_weighted_sum_of_the_parts(values) -> None:
+    cfg = PaperConfig(pixels=4, encoder_width=6, auxiliary_width=8, auxiliary_weight=0.5)
+    params, readings = network.init(jax.random.key(0), cfg), jnp.stack(values)
+    patches = jax.random.uniform(jax.random.key(1), (3, 4, 4))
+    weights = jnp.array([1.0, 0.0, 3.0])
+    total, parts = loss.losses(params, cfg, Batch(patches, readings), weights)
+    said = [network.apply(params, cfg, patch) for patch in patches]
+    squared = [squared_error(each.reading, reading) for each, reading in zip(said, readings, strict=True)]
+    image = [image_error("depth", each.image, patch) for each, patch in zip(said, patches, strict=True)]
+    near = partial(pytest.approx, rel=16 * EPS)
+    assert parts.squared == parts.reading == near(float((squared[0] + 3 * squared[2]) / 4))
+    assert parts.image == near(float((image[0] + 3 * image[2]) / 4))
+    assert total == parts.total == near(float(parts.reading + 0.5 * parts.image))
+
+
 @pytest.mark.parametrize("whole", [False, True])
-def test_total_is_the_weighted_sum_of_what_the_model_has(values, whole: bool) -> None:
-    mean, log_variance, target = values
-    image, seen = jnp.full((4, 4), 3.0), jnp.ones((4, 4))
-    model = ModelConfig(pixels=4, heteroscedastic=whole, auxiliary=whole)
-    prediction = Prediction(mean, log_variance if whole else None, image if whole else None, jnp.zeros(5))
-    got = losses(LossConfig(auxiliary=0.5, beta=0.25), model, prediction, Inputs(seen, jnp.zeros(0)), target)
-    reading = gaussian(mean, log_variance, target, 0.25) if whole else squared_error(mean, target)
-    assert (got.squared, got.reading) == (squared_error(mean, target), reading)
-    assert (got.image, got.total) == ((4.0, reading + 2.0) if whole else (0.0, reading))
-
-
-@pytest.mark.parametrize("change", [{"auxiliary": -1.0}, {"beta": 2.0}])
-def test_meaningless_weights_are_refused(change: dict) -> None:
-    with pytest.raises(ValueError, match=f"loss.{next(iter(change))}"):
-        LossConfig(**change)
+def test_of_other_networks_the_best_epoch_is_that_of_the_likelihood_itself(values, whole: bool) -> None:
+    cfg = ModelConfig(pixels=4, encoder_width=6, heteroscedastic=whole, auxiliary=whole, beta=0.25)
+    params, inputs, reading = model.init(jax.random.key(0), cfg), Inputs(jnp.ones((4, 4)), jnp.zeros(0)), values[2]
+    params = jax.tree.map(lambda leaf: leaf + 0.01, params)  # log variances that are not nil
+    one = jax.tree.map(lambda leaf: leaf[None], Batch(inputs, reading))
+    got, said = model.losses(params, cfg, one, jnp.ones(1))[1], model.apply(params, cfg, inputs)
+    near = partial(pytest.approx, rel=16 * EPS)
+    assert got.squared == near(float(squared_error(said.reading, reading)))
+    if not whole:
+        assert (got.total, got.reading, got.image) == (got.squared, got.squared, 0.0)
+        return
+    assert got.reading == near(float(gaussian(said.reading, said.log_variance, reading, 0.0)))
+    assert got.total == near(float(gaussian(said.reading, said.log_variance, reading, 0.25) + got.image))
+    assert got.image == near(float(image_error("depth", said.image, inputs.image)))

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from i2t.objects import catalogue
-from i2t.recognition import ensemble
+from i2t.paper import loop, rules
 from i2t.rendering.render import prepare_surface
 
 # Three touches, three objects; exp(-d) are simple fractions.
@@ -17,10 +17,10 @@ DISTANCE = jnp.log(jnp.asarray([[2.0, 4.0, 4.0], [8.0, 2.0, 8.0], [2.0, 4.0, 2.0
 def test_votes_averages_and_products():
     first, second, third = np.array([[2, 1, 1], [1, 4, 1], [2, 1, 2]]) / np.array([[4], [6], [5]])
     expected = {
-        ensemble.votes: [[1, 0, 0], [1 / 2, 1 / 2, 0], [1 / 2, 1 / 3, 1 / 6]],
-        ensemble.average: [first, (first + second) / 2, (first + second + third) / 3],
+        rules.votes: [[1, 0, 0], [1 / 2, 1 / 2, 0], [1 / 2, 1 / 3, 1 / 6]],
+        rules.average: [first, (first + second) / 2, (first + second + third) / 3],
         # 1/2 1/4 1/4; 1/16 1/8 1/32; 1/32 1/32 1/64
-        ensemble.product: [[2 / 4, 1 / 4, 1 / 4], [2 / 7, 4 / 7, 1 / 7], [2 / 5, 2 / 5, 1 / 5]],
+        rules.product: [[2 / 4, 1 / 4, 1 / 4], [2 / 7, 4 / 7, 1 / 7], [2 / 5, 2 / 5, 1 / 5]],
     }
     for rule, wanted in expected.items():
         np.testing.assert_allclose(rule(DISTANCE), wanted, rtol=1e-5, atol=1e-6)
@@ -28,7 +28,7 @@ def test_votes_averages_and_products():
 
 def test_many_touches_leave_a_belief_finite():
     far = 1e3 * jax.random.uniform(jax.random.key(0), (1000, 4))
-    for rule in (ensemble.votes, ensemble.average, ensemble.product):
+    for rule in (rules.votes, rules.average, rules.product):
         belief = np.asarray(jax.jit(rule)(far))
         assert np.all(np.isfinite(belief))
         np.testing.assert_allclose(belief.sum(axis=1), 1, rtol=1e-5)
@@ -42,7 +42,7 @@ def informativeness(angles_deg: np.ndarray, safe: object = True, step: float = 5
     points[1, 1, 0] += moved
     normals = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=-1)
     safe = np.broadcast_to(np.array(safe, bool), angle.shape)
-    return ensemble.site_informativeness(*(jnp.asarray(part) for part in (points, normals, safe)), 0)
+    return loop.site_informativeness(*(jnp.asarray(part) for part in (points, normals, safe)), 0)
 
 
 UP = [0, 0, 0, 0]
@@ -78,6 +78,6 @@ def test_distances_from_an_object_are_those_of_trimesh():
     low, high = whole.bounds
     points = np.random.default_rng(0).uniform(low - 0.02, high + 0.02, (300, 3))
     surface = prepare_surface(mesh)
-    found = jax.jit(jax.vmap(ensemble.nearest_distance, (0, None)))(jnp.asarray(points, jnp.float32), surface)
+    found = jax.jit(jax.vmap(loop.nearest_distance, (0, None)))(jnp.asarray(points, jnp.float32), surface)
     _, expected, _ = trimesh.proximity.closest_point_naive(whole, points)
     np.testing.assert_allclose(found, expected, atol=1e-6)

@@ -1,4 +1,4 @@
-"""What a user gave to a public function, judged before it is believed: numbers, counts and random keys.
+"""Checks of a user's arguments to a public function: numbers, counts and random keys.
 
 Wrong types are a TypeError and wrong values a ValueError, in one sentence that names the argument. Values that `jit`,
 `vmap` or a derivative traces are not known yet and pass.
@@ -14,7 +14,7 @@ REAL_KINDS = "iuf"  # of NumPy: integers and floats; no booleans, text or object
 
 
 def is_traced(*values: Any) -> bool:
-    """Whether a value is one that JAX traces, so that it has no number yet.
+    """Test whether a value is traced by JAX, so that it has no number yet.
 
     Args:
         values: Any.
@@ -49,7 +49,7 @@ def numbers(name: str, value: Any, hint: str) -> np.ndarray:
 
 
 def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, above: int | float = -math.inf) -> None:
-    """Refuse what is no single finite number within its range; a traced one passes.
+    """Refuse anything but a single finite number within its range; a traced one passes.
 
     Args:
         name: Of the argument, for the message.
@@ -98,7 +98,7 @@ def count(name: str, value: Any, *, least: int = 1) -> int:
 
 
 def random_key(name: str, value: Any) -> None:
-    """Refuse what is no random key of JAX.
+    """Refuse anything but a random key of JAX.
 
     Args:
         name: Of the argument, for the message.
@@ -114,6 +114,6 @@ def random_key(name: str, value: Any) -> None:
 
 
 def _short(value: Any) -> str:
-    """A value as a message can hold it."""
+    """A value in short form for a message."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 40 else f"a {type(value).__name__}"

@@ -1,89 +1,92 @@
-"""Recognition as in the paper: every touch is a weak model of which object is there, and touches vote.
+"""The paper's recognition loop: imagine, touch, believe.
 
-For touch i and possible object o the distance d_io = ||tau_i - tau~_io|| separates the standardised reading from the
-one predicted at the same pose on o (or, for the proprioception baseline, the contact position from the nearest point of
-o's model: `nearest_distance`). exp(-d_io) is the paper's likelihood. Three rules make one belief of all touches so far:
-the share of touches that each object wins (the paper's), the mean of the touches' normalised likelihoods, and their
-product (in the published code).
-
-The position of the next touch is drawn on a hypothesis, which in the paper is sampled from the belief
-(`sample_hypothesis`) and in the published code (github.com/ayadabdalla/imagine2touch) is the most probable object
-(`choose_hypothesis`). The heuristic is the one that the paper leaves out and that code shows: where the other objects'
-nearest points face elsewhere, but not too far elsewhere.
-
-Arrays hold touches in rows and objects in columns; beliefs come after each touch and sum to 1.
+Before each touch a hypothesis is sampled from the belief so far (`sample_hypothesis`), and the heuristic draws the next
+touch on it: where the other objects' nearest points face elsewhere, but not too far elsewhere (`site_informativeness`,
+which the paper leaves out and its published code shows). The touch is made, its distances from what each object would
+feel like there are taken, and the rule of the ensemble (`i2t.paper.rules`) makes the next belief. Ten touches are made.
+The baseline is proprioception: the distance of the contact from each object's surface (`nearest_distance`).
 """
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from i2t.paper.rules import RULES
 from i2t.types import Surface
 
+TOUCHES = 10  # of an episode, as in the paper
 MIN_NORMAL_COSINE = 0.2  # between a point's normal and those of its nearest points on other objects
 MAX_MEAN_NORMAL_COSINE = 0.65  # of those cosines: a sum of 1.3 for the paper's two other objects
 
 
-def distances(
-    readings: Float[Array, "n c"], predicted: Float[Array, "n objects c"], std: Float[Array, " c"]
-) -> Float[Array, "n objects"]:
-    """Distances between measured and predicted readings.
+class LoopResult(NamedTuple):
+    """Episodes of the paper's loop: e of them, t touches each."""
+
+    distance: Float[np.ndarray, "e t objects"]  # of each touch from each object
+    hypothesis: Int[np.ndarray, "e t"]  # the object on which each touch was drawn
+    site: Int[np.ndarray, "e t"]  # of that object's sites
+
+
+def run(
+    key: Key[Array, ""],
+    touch: Callable[[Int[np.ndarray, " e"], Int[np.ndarray, " e"]], Any],
+    score: Callable[[Any], Float[np.ndarray, "e objects"]],
+    informativeness: Float[np.ndarray, "e objects sites"],
+    *,
+    count: int = TOUCHES,
+    rule: str = "votes",
+    progress: Callable[[int], object] = lambda touches: None,
+) -> LoopResult:
+    """The paper's loop in many episodes side by side.
+
+    Equal keys draw alike for all methods as far as they believe alike.
 
     Args:
-        readings: Measured (uT).
-        predicted: The readings of each touch on each object (uT).
-        std: Standard deviation (uT) of each channel in the training data.
+        key: Of hypotheses and sites.
+        touch: `touch(hypothesis, site)` makes the next touch of every episode and gives what was measured.
+        score: Distances d_io of what was measured from every object: the method.
+        informativeness: With which probability the heuristic takes each site of each object (`site_informativeness`).
+        count: Touches of each episode.
+        rule: Which of `RULES` makes the belief that hypotheses are sampled from; the paper's is that of votes.
+        progress: Called with how many touches were made.
 
     Returns:
-        Euclidean distances in standard deviations.
+        What happened.
     """
-    return jnp.linalg.norm((readings[:, None] - predicted) / std[None, None], axis=-1)
+    weight = jnp.asarray(informativeness)
+    episodes, objects, _ = weight.shape
+    distance = np.zeros((episodes, count, objects), np.float32)
+    hypotheses, sites = np.zeros((2, episodes, count), int)
+    belief = np.full((episodes, objects), 1 / objects, np.float32)  # the paper does not say; every object alike
+    for i in range(count):
+        keys = jax.random.split(jax.random.fold_in(key, i), episodes)
+        hypotheses[:, i], sites[:, i] = (np.asarray(x) for x in _draw(keys, jnp.asarray(belief), weight))
+        distance[:, i] = score(touch(hypotheses[:, i], sites[:, i]))
+        belief = beliefs(distance, rule)[:, i]
+        progress(episodes)
+    return LoopResult(distance, hypotheses, sites)
 
 
-def votes(distance: Float[Array, "n objects"]) -> Float[Array, "n objects"]:
-    """The paper's rule: each touch votes for its nearest object; equally near ones share a vote.
+def beliefs(distance: Float[np.ndarray, "e t objects"], rule: str) -> Float[np.ndarray, "e t objects"]:
+    """Beliefs of a rule from the distances of many episodes.
 
     Args:
-        distance: Of each touch from each object.
-
-    Returns:
-        Share of the votes after each touch.
-    """
-    nearest = distance == jnp.min(distance, axis=1, keepdims=True)
-    return _mean_so_far(nearest / jnp.sum(nearest, axis=1, keepdims=True))
-
-
-def average(distance: Float[Array, "n objects"]) -> Float[Array, "n objects"]:
-    """Mean of the normalised likelihoods of the touches so far.
-
-    Args:
-        distance: Of each touch from each object.
+        distance: d_io of each episode.
+        rule: Which of `RULES`.
 
     Returns:
         Beliefs after each touch.
     """
-    return _mean_so_far(jax.nn.softmax(-distance, axis=1))
-
-
-def product(distance: Float[Array, "n objects"]) -> Float[Array, "n objects"]:
-    """Normalised product of the likelihoods of the touches so far.
-
-    Args:
-        distance: Of each touch from each object.
-
-    Returns:
-        Beliefs after each touch.
-    """
-    return jax.nn.softmax(-jnp.cumsum(distance, axis=0), axis=1)
-
-
-def _mean_so_far(each: Float[Array, "n objects"]) -> Float[Array, "n objects"]:
-    touch = jnp.arange(1, len(each) + 1)
-    return jnp.cumsum(each, axis=0) / touch[:, None]
+    return np.asarray(_believe(RULES[rule], jnp.asarray(distance)))
 
 
 def sample_hypothesis(key: Key[Array, ""], belief: Float[Array, " objects"]) -> Int[Array, ""]:
-    """The object to be distinguished from the others next, as in the paper: sampled from what is believed.
+    """The object to be distinguished from the others next, as in the paper: sampled from the belief.
 
     Args:
         key: Of the draw.
@@ -119,7 +122,7 @@ def site_informativeness(
     safe: Bool[Array, "objects m"],
     believed: Int[Array, ""] | int,
 ) -> Float[Array, " m"]:
-    """The paper's heuristic: with which probability each point of the object believed in is touched next.
+    """The paper's heuristic: the probability that each point of the believed object is touched next.
 
     A point with normal n competes with the nearest safe point of every other object, with normal n_j. It qualifies if
     it is safe, every n.n_j > MIN_NORMAL_COSINE, and the sum of -n.n_j lies between -MAX_MEAN_NORMAL_COSINE times the
@@ -181,3 +184,22 @@ def _to_segment(p: Float[Array, "3"], a: Float[Array, "3"], b: Float[Array, "3"]
     along, square = b - a, jnp.sum((b - a) ** 2)
     part = jnp.clip(jnp.dot(p - a, along) / jnp.where(square > 0, square, 1), 0, 1)
     return jnp.sum((p - a - part * along) ** 2)
+
+
+@jax.jit
+def _draw(keys: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
+    """The hypothesis (e,) and the number (e,) of the site on it, from beliefs (e, objects) and the sites' probabilities
+    (e, objects, sites).
+    """
+
+    def one(key: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
+        key_object, key_site = jax.random.split(key)
+        which = sample_hypothesis(key_object, belief)
+        return which, jax.random.categorical(key_site, jnp.log(weight[which]))
+
+    return jax.vmap(one)(keys, belief, weight)
+
+
+@partial(jax.jit, static_argnums=0)
+def _believe(rule: Callable[[Array], Array], distance: Array) -> Array:
+    return jax.vmap(rule)(distance)

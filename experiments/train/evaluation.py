@@ -1,0 +1,186 @@
+"""Scores of methods on touches that none was fitted to, and the choice of the predictor: the best on validation
+touches, baselines included.
+
+Validation touches are held out as test touches are, by whole objects, sessions, blocks of places or times, and how sure
+the choice is comes from resampling whole groups of them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.train.prepare import Prepared
+from i2t.prediction.baselines import MIN_SPREAD_UT
+from i2t.prediction.methods import Method
+from i2t.prediction.metrics import grouped_interval, score
+from i2t.prediction.predictor import Predictor, coverage, std_scale
+from i2t.prediction.touch_model import Reading
+
+LEVEL_R2 = 0.01  # a loss of less than this is none
+
+
+class Lead(NamedTuple):
+    """Lead in R2 of one method over another on the same touches."""
+
+    r2: float  # difference of R2
+    low: float  # 95 % interval over groups
+    high: float
+
+
+class Choice(NamedTuple):
+    """The method that is kept, and how sure that is."""
+
+    best: str
+    r2: dict[str, float]  # on validation touches, of every method; NaN where a prediction is not finite
+    best_baseline: str
+    over_baseline: Lead  # of the best over the best baseline
+    best_on_pressure: str | None
+    pressure_over_baseline: Lead | None
+
+    @property
+    def pressure_loses(self) -> bool:
+        """Tell whether the best method on predicted pressure explains less than the best baseline, beyond chance or by
+        so much that chance is no excuse.
+        """
+        lead = self.pressure_over_baseline
+        return lead is not None and lead.r2 < -LEVEL_R2 and (lead.high < 0 or lead.r2 < -5 * LEVEL_R2)
+
+    def to_json(self) -> dict[str, Any]:
+        """The choice as numbers for metrics.json.
+
+        Returns:
+            Names and differences of R2 with their intervals.
+        """
+        return {
+            "best": self.best,
+            "best_baseline": self.best_baseline,
+            "over_best_baseline": self.over_baseline._asdict(),
+            "best_on_pressure": self.best_on_pressure,
+            "pressure_over_best_baseline": self.pressure_over_baseline and self.pressure_over_baseline._asdict(),
+        }
+
+
+class Evaluation(NamedTuple):
+    """Results of the methods on touches that none was fitted to."""
+
+    predicted: dict[str, np.ndarray]  # (test touches, 3 chips) uT, by method
+    std: dict[str, np.ndarray]  # likewise
+    choice: Choice  # on validation touches
+    coverage: dict[str, float]  # share of validation values in the 90 % range, by method
+    predictors: dict[str, Predictor]  # their standard deviations scaled on the validation touches
+
+
+def evaluate(prepared: Prepared, methods: Sequence[Method], fitted: Mapping[str, Predictor]) -> Evaluation:
+    """Scale the standard deviations and choose a predictor on the validation touches; predict the test touches."""
+    split, readings = prepared.split, prepared.touches.dataset.touches.reading
+    held_out = split.validation | split.test
+    tuning, truth = split.validation[held_out], readings[split.validation]
+    asked = prepared.touches.batch(held_out)
+    predicted, std, validated, covered, predictors = {}, {}, {}, {}, {}
+    for name, predictor in fitted.items():
+        reading = predictor.predict_batch(asked)
+        if {np.shape(reading.mean), np.shape(reading.std)} != {readings[held_out].shape}:
+            raise ValueError(
+                f"{name} predicts means and standard deviations of shapes {np.shape(reading.mean)} and "
+                f"{np.shape(reading.std)} where readings are {readings[held_out].shape}"
+            )
+        if np.isfinite(reading.mean).all() and not (np.isfinite(reading.std).all() and (reading.std >= 0).all()):
+            raise ValueError(f"{name} predicts standard deviations that are negative or not finite")
+        reading = Reading(reading.mean, np.maximum(reading.std, MIN_SPREAD_UT))
+        seen = Reading(reading.mean[tuning], reading.std[tuning])
+        scale = std_scale(truth, seen)
+        validated[name] = seen.mean
+        covered[name] = coverage(truth, Reading(seen.mean, scale * seen.std))
+        predicted[name], std[name] = reading.mean[~tuning], scale * reading.std[~tuning]
+        predictors[name] = replace(predictor, std_scale=scale)
+    choice = choose(
+        truth,
+        validated,
+        split.groups[split.validation],
+        baselines=[method.title for method in methods if method.baseline],
+        on_pressure=[name for name, each in predictors.items() if each.pressure is not None],
+    )
+    return Evaluation(predicted, std, choice, covered, predictors)
+
+
+def choose(
+    truth: np.ndarray,
+    predicted: Mapping[str, np.ndarray],
+    groups: np.ndarray,
+    *,
+    baselines: Sequence[str],
+    on_pressure: Sequence[str],
+) -> Choice:
+    """Choose by the squared error on validation touches.
+
+    Args:
+        truth: (n, 3 chips) uT, of the validation touches.
+        predicted: Readings (n, 3 chips) uT by method.
+        groups: (n,) session, spatial block or stretch of time of each touch.
+        baselines: Names of the methods that are baselines.
+        on_pressure: Names of the methods on predicted contact pressure.
+
+    Returns:
+        The method with the least error of all whose predictions are finite; of equal ones, the first.
+    """
+    finite = {name: mean for name, mean in predicted.items() if np.isfinite(mean).all()}
+    errors = {name: ((mean - truth) ** 2).sum(1) for name, mean in finite.items()}
+    r2 = {name: score(truth, mean).r2 if name in finite else float("nan") for name, mean in predicted.items()}
+
+    def least(names: Sequence[str]) -> str | None:
+        usable = [name for name in names if name in errors]
+        return min(usable, key=lambda name: float(errors[name].sum())) if usable else None
+
+    best, baseline, pressed = least(list(predicted)), least(baselines), least(on_pressure)
+    if best is None or baseline is None:
+        raise ValueError("no method predicts finite readings; look for readings or patches that are not finite")
+    return Choice(
+        best,
+        r2,
+        baseline,
+        lead_of(truth, errors[best], errors[baseline], groups),
+        best_on_pressure=pressed,
+        pressure_over_baseline=None if pressed is None else lead_of(truth, errors[pressed], errors[baseline], groups),
+    )
+
+
+def lead_of(truth: np.ndarray, error: np.ndarray, other: np.ndarray, groups: np.ndarray) -> Lead:
+    """Lead in R2 of one method's errors over another's.
+
+    Args:
+        truth: (n, 3 chips) uT.
+        error: (n,) uT^2, squared errors of the method.
+        other: (n,) uT^2, of the other.
+        groups: (n,) of touches that are not independent.
+
+    Returns:
+        The difference with its 95 % interval over groups.
+    """
+    spread = ((truth - truth.mean(0)) ** 2).sum(1)
+
+    def difference(rows: np.ndarray) -> float:
+        return float((other[rows] - error[rows]).sum() / max(spread[rows].sum(), 1e-12))
+
+    return Lead(difference(np.arange(len(truth))), *grouped_interval(difference, groups))
+
+
+def loss_note(choice: Choice, recorded: Path | None) -> list[str]:
+    """A sentence where a method on predicted pressure loses to a baseline, and what tells why.
+
+    Args:
+        choice: On validation touches.
+        recorded: Where the touches are from; None where they are simulated.
+
+    Returns:
+        The sentence, if there is one.
+    """
+    method, baseline = choice.best_on_pressure, choice.best_baseline
+    if method is None or not choice.pressure_loses:
+        return []
+    said = f"{method} loses to {baseline} on validation touches"
+    if recorded is None:
+        return [said]
+    return [f"{said}; python -m experiments.fidelity --dataset {recorded} tests likely causes"]

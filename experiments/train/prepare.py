@@ -1,0 +1,100 @@
+"""Input of every method: touches, what of them was measured, and their predicted contact pressures."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.train.configs import TrainExperiment
+from experiments.train.loads import (
+    NIL_SHARE_TO_SHIFT,
+    PressLoad,
+    likely_height,
+    press_load,
+    several_skins,
+    with_known_load,
+)
+from experiments.train.splitting import conditions_of, split_dataset
+from i2t.dataset import Dataset, Split
+from i2t.prediction.methods import ALIKE_FORCE_N, TrainingTouches, views_of
+from i2t.prediction.pressure import PressureModelConfig, predict_pressures
+
+NOISY_CURVATURE_M = 20e-6  # median second difference of pixels that a surface without noise stays below
+LARGE_WINDOW_M = 25e-3  # from here on the skin is taken to be as large as the window, and cells are coarser
+LEAST_PRESSED_SHARE = 0.1  # of training touches that must have a predicted pressure
+
+
+class Prepared(NamedTuple):
+    """Touches to learn from, and what is held out of them."""
+
+    touches: TrainingTouches
+    split: Split
+    notes: tuple[str, ...]  # what is odd about the recording, a sentence each
+
+
+def prepare(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int, softness: float = 1.0) -> Prepared:
+    """Split touches, and predict the contact pressure of each.
+
+    Args:
+        dataset: Recorded or simulated.
+        cfg: Of the experiment.
+        how: To split: object, session, block, time, or auto.
+        seed: Of the split.
+        softness: Of the skin, in units of the nominal one's.
+
+    Returns:
+        What methods are given; a person should be told its notes.
+
+    Raises:
+        DataError: A part of the split would hold too few touches.
+    """
+    dataset, left_out = with_known_load(dataset)
+    split = split_dataset(dataset, cfg, how, seed)
+    load = press_load(dataset.select(split.train | split.validation | split.test).touches)
+    notes = (*([left_out] if left_out else []), *several_skins(dataset), *load.notes)
+    touches = TrainingTouches(dataset, conditions_of(dataset.touches, split))
+    model = pressure_model_of(dataset, load, cfg, softness)
+    if model is None:
+        return Prepared(touches, split, notes)
+    return with_pressure(Prepared(touches, split, notes), model, load)
+
+
+def pressure_model_of(
+    dataset: Dataset, load: PressLoad, cfg: TrainExperiment, softness: float
+) -> PressureModelConfig | None:
+    """Model of contact pressure on this set: from its load, and from views that are smoothed where they are noisy; None
+    where nothing says how hard touches were pressed.
+    """
+    if load.control is None:
+        return None
+    patches = dataset.touches.patch
+    curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
+    noisy = float(np.median(np.abs(curvature))) > NOISY_CURVATURE_M
+    large = dataset.window > LARGE_WINDOW_M
+    return PressureModelConfig(
+        pitch=dataset.window / patches.shape[1],
+        window=round(dataset.window * 500) / 500 if large else PressureModelConfig.window,
+        smooth=noisy,
+        tilt=cfg.hidden_tilt if noisy else 0.0,
+        control=load.control,
+        force_sign=load.force_sign,
+        softness=softness,
+        cell=1e-3 if large else PressureModelConfig.cell,
+    )
+
+
+def with_pressure(prepared: Prepared, model: PressureModelConfig, load: PressLoad) -> Prepared:
+    """Predict the contact pressure of each touch; none where almost all predicted pressures are nil."""
+    split, dataset, notes = prepared.split, prepared.touches.dataset, prepared.notes
+    print("predicting contact pressures")
+    if load.control == "depth" and load.nil_share > NIL_SHARE_TO_SHIFT:
+        height, said = likely_height(dataset, split.train, split.groups, model)
+        model, notes = replace(model, depth_offset=height), (*notes, *([said] if said else []))
+    force = np.full(len(dataset), ALIKE_FORCE_N, np.float32) if load.constant else dataset.touches.force
+    pressure = predict_pressures(model, views_of(dataset), force, dataset.touches.depth)
+    total = np.asarray(pressure.pressure)[split.train].sum((1, 2))
+    pressed = float(np.mean(total > model.floor / 10))
+    if np.isfinite(total).all() and pressed >= LEAST_PRESSED_SHARE:
+        return Prepared(replace(prepared.touches, pressure_model=model, pressure=pressure), split, notes)
+    said = f"{100 * (1 - pressed):.0f} % of the predicted contact pressures are nil or not finite"
+    return prepared._replace(notes=(*notes, f"{said}: methods on them are left out"))

@@ -1,0 +1,49 @@
+"""Sizes of the paper's network and weights of its loss, without JAX, so that command lines can name them."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+from i2t.windows import CONTACT_TOLERANCE_M, PATCH_PIXELS, REACH
+
+ImageKind: TypeAlias = Literal["depth", "mask", "pressure"]
+
+
+@dataclass(frozen=True)
+class PaperOptions:
+    """Options of the paper's network and loss; the defaults are the paper's, where it gives any."""
+
+    encoder_width: int = 200
+    bottleneck: int = 5
+    decoder_width: int = 500
+    auxiliary_width: int = 2000
+    auxiliary_weight: float = 1.0  # of the decoded patch in the loss; the paper gives none
+    tolerance: float = CONTACT_TOLERANCE_M  # m behind the nearest point that still counts as contact in a mask
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values (ValueError)."""
+        for name in ("encoder_width", "bottleneck", "decoder_width", "auxiliary_width"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"paper.{name} is {getattr(self, name)}; it must be at least 1.")
+        for name in ("auxiliary_weight", "tolerance"):
+            if not (getattr(self, name) >= 0 and math.isfinite(getattr(self, name))):
+                raise ValueError(f"paper.{name} is {getattr(self, name)}; it must be a number >= 0.")
+
+
+@dataclass(frozen=True)
+class PaperConfig(PaperOptions):
+    """The paper's network on patches and readings of given sizes."""
+
+    pixels: int = PATCH_PIXELS
+    readings: int = 15  # values of a reading, 3 for each chip of the board
+    input: ImageKind = "depth"  # as in the text; "mask", as in the published code; "pressure", N, taken as it is
+    reach: float = REACH  # m, depth that becomes 1
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values (ValueError)."""
+        super().__post_init__()
+        if self.input not in get_args(ImageKind):
+            raise ValueError(f"model.input is {self.input!r}; choose one of {', '.join(get_args(ImageKind))}.")
+        for name in ("pixels", "readings"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"model.{name} is {getattr(self, name)}; it must be at least 1.")

@@ -1,0 +1,85 @@
+"""The Gaussian process on predicted contact pressure (`i2t.prediction.gp`) as a method."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Array, Key
+
+from i2t.dataset import Split
+from i2t.prediction import gp
+from i2t.prediction.gp import GP, ContactPressure
+from i2t.prediction.methods import Method, TrainingTouches
+from i2t.prediction.predictor import Predictor
+from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
+
+
+@dataclass(frozen=True)
+class GPModel(TouchModel):
+    """A Gaussian process on predicted contact pressure.
+
+    Attributes:
+        gp: Fitted.
+        pressure: How contact pressure is predicted.
+    """
+
+    gp: GP
+    pressure: PressureModelConfig  # type: ignore[misc]
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return self.gp.scale.shape[-1]
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict, as in `TouchModel.predict_batch`."""
+        mean, std = _readings(self.gp, touches.pressures(self.pressure))
+        return Reading(np.asarray(mean), np.asarray(std))
+
+
+class GaussianProcess(Method):
+    """Hyperparameters from held-out groups of the training touches."""
+
+    title = "Gaussian process on predicted contact pressure"
+
+    def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
+        """Fit, as in `Method.fit`; it needs predicted pressures."""
+        if touches.pressure is None or touches.pressure_model is None:
+            return None
+        fitted = fit_gp(touches.pressure, touches.dataset.touches.reading, split, seed_of(key))
+        return touches.predictor(GPModel(fitted, touches.pressure_model), split)
+
+
+def fit_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: int) -> GP:
+    """The Gaussian process on the training touches.
+
+    Args:
+        pressure: Of all touches.
+        readings: uT, of all touches.
+        split: Which of them train.
+        seed: Of the folds.
+
+    Returns:
+        Fitted.
+    """
+    rows = np.flatnonzero(split.train)
+    train = ContactPressure(pressure.pressure[rows], pressure.load[rows])
+    return gp.condition(train, readings[rows], split.groups[rows], seed=seed)
+
+
+def seed_of(key: Key[Array, ""]) -> int:
+    """A seed for NumPy: of `jax.random.key(seed)`, the seed.
+
+    Args:
+        key: Random key.
+
+    Returns:
+        32 bits of it.
+    """
+    return int(jax.random.key_data(key)[-1])
+
+
+@jax.jit
+def _readings(fitted: GP, pressure: ContactPressure) -> tuple[Array, Array]:
+    return gp.predict(fitted, pressure)

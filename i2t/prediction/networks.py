@@ -1,0 +1,213 @@
+"""The paper's network and others as methods: fitted to patches, or to predicted contact pressure."""
+
+from abc import abstractmethod
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from i2t import training
+from i2t.dataset import Split
+from i2t.files import slug
+from i2t.paper.config import ImageKind, PaperConfig
+from i2t.paper.network import Params
+from i2t.prediction import checkpoint, model
+from i2t.prediction.methods import Method, TrainingTouches
+from i2t.prediction.model import Inputs, ModelConfig, Normalisation
+from i2t.prediction.predictor import Predictor
+from i2t.prediction.pressure import PressureModelConfig
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
+from i2t.progress import progress
+from i2t.training import Batch, TrainConfig
+from i2t.types import Touches
+
+EPOCHS_BETWEEN_SAVES = 10
+
+
+@dataclass(frozen=True)
+class PatchNetwork(TouchModel):
+    """A network on depth patches.
+
+    Attributes:
+        params: Members as axis 0.
+        cfg: The paper's configuration, or a `ModelConfig`.
+        normalisation: What turns physical units into the network's and back.
+    """
+
+    params: Params
+    cfg: PaperConfig
+    normalisation: Normalisation
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return self.normalisation.reading.mean.shape[-1]
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict, as in `TouchModel.predict_batch`."""
+        return self._readings(touches.patch, touches)
+
+    def _readings(self, images: np.ndarray, touches: TouchBatch) -> Reading:
+        """Readings from images (n, p, p): patches (m), or contact pressures (N)."""
+        if images.shape[1] != self.cfg.pixels:
+            raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {self.cfg.pixels}")
+        conditions = touches.conditions(model.conditions_of(self.cfg))
+        inputs = Inputs(jnp.float32(images), jnp.float32(conditions))
+        mean, std = _predict(self.cfg, self.params, self.normalisation, inputs)
+        return Reading(np.asarray(mean), np.asarray(std))
+
+
+@dataclass(frozen=True)
+class PressureNetwork(PatchNetwork):
+    """A network on predicted contact pressure.
+
+    Attributes:
+        pressure: How contact pressure is predicted.
+    """
+
+    pressure: PressureModelConfig  # type: ignore[misc]
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict, as in `TouchModel.predict_batch`."""
+        return self._readings(np.asarray(touches.pressures(self.pressure).pressure), touches)
+
+
+class NetworkMethod(Method):
+    """A network, trained to the best epoch on the validation touches."""
+
+    @abstractmethod
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray] | None:
+        """Configure the network.
+
+        Args:
+            touches: All touches.
+
+        Returns:
+            The configuration and what it sees of all touches (n, p, p); None where they lack that.
+        """
+
+    def model(self, trained: PatchNetwork, touches: TrainingTouches) -> PatchNetwork:
+        """Make the model.
+
+        Args:
+            trained: The network.
+            touches: All touches.
+
+        Returns:
+            The model.
+        """
+        return trained
+
+    def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
+        """Fit, as in `Method.fit`. Every few epochs the state is kept in `touches.folder`, and a training that was
+        interrupted goes on from there.
+
+        Raises:
+            ValueError: Touches cannot be learned from, or no epoch had a finite loss.
+        """
+        found = self.network(touches)
+        if found is None:
+            return None
+        cfg, images = found
+        how, learner, n = touches.training, model.learner(cfg), int(split.train.sum())
+        train, validation = (
+            _batch(cfg, images, touches.dataset.touches, rows) for rows in (split.train, split.validation)
+        )
+        model.check(train, cfg, "training")
+        model.check(validation, cfg, "validation")
+        norm = model.normalisation(train)
+        train, validation = (_prepared(cfg, norm, batch) for batch in (train, validation))
+
+        folder = None if touches.folder is None else touches.folder / slug(self.title)
+        if folder is not None and checkpoint.exists(folder):  # an interrupted run got this far
+            state, _, about = checkpoint.restore(folder)
+            history = about.extra["history"]
+        else:
+            state, history = _start(key, learner, how, n), []
+        epoch = training.compiled(learner, how)
+        with progress(total=how.epochs, initial=len(history), desc=f"training {self.title}", unit="epoch") as bar:
+            while len(history) < how.epochs:
+                state, info = epoch(state, train, validation)
+                history.append([float(np.mean(losses.squared)) for losses in info])
+                bar.update()
+                bar.set_postfix(validation=f"{history[-1][1]:.3f}")
+                if len(history) % EPOCHS_BETWEEN_SAVES == 0 or len(history) == how.epochs:
+                    _check_finite(state, how)
+                    if folder is not None:
+                        checkpoint.save(folder, state, cfg, how, norm, touches=n, extra={"history": history})
+        norm = _with_residual(state.best_params, cfg, norm, validation)
+        fitted = self.model(PatchNetwork(state.best_params, cfg, norm), touches)
+        return replace(touches.predictor(fitted, split), metadata={"curve": history})
+
+
+class PaperDepth(NetworkMethod):
+    """The paper's network on depths, as in its text."""
+
+    title = "paper's network, depth"
+    input: ClassVar[ImageKind] = "depth"
+
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray]:
+        """Configure the network, as in `NetworkMethod.network`."""
+        seen, reach = touches.dataset.touches, touches.dataset.reach
+        sizes = {"pixels": seen.patch.shape[1], "readings": seen.reading.shape[-1]}
+        return PaperConfig(**asdict(touches.paper), input=self.input, reach=reach, **sizes), seen.patch
+
+
+class PaperMask(PaperDepth):
+    """The paper's network on contact masks, as in its published code."""
+
+    title = "paper's network, mask"
+    input = "mask"
+
+
+class OnPressure(NetworkMethod):
+    """Networks on predicted contact pressure and measurements that state their own variance."""
+
+    title = "network on predicted contact pressure"
+    cfg = ModelConfig(
+        input="pressure", bottleneck=30, auxiliary=False, heteroscedastic=True, members=5, conditions=("force", "depth")
+    )
+
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray] | None:
+        """Configure the network, as in `NetworkMethod.network`; it needs predicted pressures."""
+        if touches.pressure is None or touches.pressure_model is None:
+            return None
+        images = np.asarray(touches.pressure.pressure)
+        sizes = {"pixels": images.shape[1], "readings": touches.dataset.touches.reading.shape[-1]}
+        known = tuple(name for name in self.cfg.conditions if name in touches.measured)
+        return replace(self.cfg, conditions=known, **sizes), images
+
+    def model(self, trained: PatchNetwork, touches: TrainingTouches) -> PatchNetwork:
+        """Make the model, as in `NetworkMethod.model`."""
+        assert touches.pressure_model is not None
+        return PressureNetwork(trained.params, trained.cfg, trained.normalisation, touches.pressure_model)
+
+
+_start = jax.jit(training.init, static_argnums=(1, 2, 3))
+_prepared = jax.jit(model.prepared, static_argnums=0)
+_with_residual = jax.jit(model.with_residual, static_argnums=1)
+
+
+def _check_finite(state: training.TrainState, how: TrainConfig) -> None:
+    """Stop a training without any finite loss: it kept no parameters, and later ones will be no better."""
+    if not np.isfinite(state.best_loss).all():
+        raise ValueError(
+            f"the loss on the validation touches was not finite in any of the first {int(state.epoch.max())} epochs; "
+            f"lower the learning rate ({how.learning_rate:g}, of TrainConfig), or look for extreme readings or images"
+        )
+
+
+def _batch(cfg: PaperConfig, images: np.ndarray, touches: Touches, rows: np.ndarray) -> Batch:
+    """The touches in `rows` as a network is trained on them."""
+    values = [getattr(touches, condition)[rows] for condition in model.conditions_of(cfg)]
+    stacked = np.stack(values, -1) if values else np.zeros((int(rows.sum()), 0))
+    return Batch(Inputs(jnp.asarray(images[rows]), jnp.float32(stacked)), jnp.asarray(touches.reading[rows]))
+
+
+@partial(jax.jit, static_argnums=0)
+def _predict(cfg: PaperConfig, params: Params, norm: Normalisation, inputs: Inputs) -> tuple[Array, Array]:
+    return jax.vmap(partial(model.predict, params, cfg, norm))(inputs)
