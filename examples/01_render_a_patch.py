@@ -1,4 +1,4 @@
-"""What lies before the skin: a mesh and a tool pose become a depth patch.
+"""View of the skin: a mesh and a tool pose become a depth patch.
 
 python examples/01_render_a_patch.py
 """

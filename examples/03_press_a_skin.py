@@ -1,4 +1,4 @@
-"""What a skin reports: a pad pressed onto a surface gives pressure, force and a reading.
+"""Readings of a skin: a pad pressed onto a surface gives pressure, force and a reading.
 
 python examples/03_press_a_skin.py
 """

@@ -1,4 +1,4 @@
-"""Where does the object stand? A few touches of a known mesh, at known tool poses, correct its believed pose.
+"""Pose of an object: a few touches of a known mesh, at known tool poses, correct its believed pose.
 
 python examples/07_find_an_object.py
 """

@@ -1,4 +1,4 @@
-"""Which object is it? A pad model fitted to touches of known objects, and touches that the belief chooses.
+"""Object recognition: a pad model fitted to touches of known objects, and touches that the belief chooses.
 
 python examples/08_recognize_an_object.py
 """

@@ -1,4 +1,4 @@
-"""What did the skin meet? One press with two stops, and a posterior over the surface that it met.
+"""Local shape: one press with two stops, and a posterior over the surface that it met.
 
 python examples/09_shape_from_a_touch.py
 """

@@ -1,4 +1,4 @@
-"""Which shape is it? A hidden object's surface grows under touches that go where they are expected to tell most.
+"""Surface reconstruction: a hidden object's surface from touches chosen by expected error reduction.
 
 python examples/10_surface_from_touches.py   (needs scikit-image)
 """

@@ -50,7 +50,7 @@ class AcmeArm(SimulatedArm):
 
     @property
     def features(self) -> ArmFeatures:
-        """Known before `connect`; a real arm says that its source is real."""
+        """Features known before `connect`; a real arm says that its source is real."""
         return super().features._replace(name="Acme's arm")
 
 
@@ -67,17 +67,17 @@ class AcmeSkin(DeviceBase):
 
     @property
     def features(self) -> SkinFeatures:
-        """Known before `connect`."""
+        """Features known before `connect`."""
         return SkinFeatures("Acme's skin", "simulated", channel_names(BOARD.num_chips), "uT", RATE_HZ)
 
     @property
     def counters(self) -> SkinCounters:
-        """What came so far; a real skin counts here what was lost too."""
+        """Samples so far; a real skin counts lost ones here too."""
         rate = RATE_HZ if self._open else 0.0
         return SkinCounters(samples=self._lab.number, connects=self._connects, rate=rate)
 
     def connect(self) -> None:
-        """Begin to send; what was measured before is not sent."""
+        """Begin to send; earlier measurements are not sent."""
         self._lab.advance()
         self._lab.recording = self._open = True
         self._connects += 1
@@ -130,5 +130,5 @@ class AcmeCamera(SimulatedCamera):
 
     @property
     def features(self) -> CameraFeatures:
-        """Known before `connect`."""
+        """Features known before `connect`."""
         return super().features._replace(name="Acme's camera")

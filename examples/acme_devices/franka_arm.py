@@ -32,7 +32,7 @@ class FrankaArm(SimulatedArm):
 
     @property
     def features(self) -> ArmFeatures:
-        """Known before `connect`; a real arm says that its source is real."""
+        """Features known before `connect`; a real arm says that its source is real."""
         return super().features._replace(name="the Franka arm")
 
     def state(self, timeout: float = 0.1) -> ArmState:
@@ -48,6 +48,6 @@ class FrankaArm(SimulatedArm):
         return state._replace(joints=self._joints.copy())
 
     def why_unreachable(self, goals: Sequence[Array]) -> str:
-        """Whether it can follow straight lines of its tool; empty where it can."""
+        """Reason against straight lines of its tool; empty where they work."""
         way = plan(PANDA, [goal @ self._T_tool_flange for goal in goals])
         return "" if isinstance(way, JointPath) else way

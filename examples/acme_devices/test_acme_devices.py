@@ -10,7 +10,7 @@ from i2t.hardware.rig import Rig
 
 
 class TestAcmeArm(ArmContract):
-    """Its tool stands 300 mm above the table; nothing is touched."""
+    """Acme's arm: its tool 300 mm above the table, nothing touched."""
 
     limits, home = Rig().limits, pose_from_vector([0.4, 0.0, 0.3, np.pi, 0.0, 0.0])
     make_device = staticmethod(lambda: AcmeArm(DeviceSetup(Rig())))
@@ -23,7 +23,7 @@ class TestAcmeSkin(SkinContract):
 
 
 class TestAcmeCamera(CameraContract):
-    """It looks down on the hexagon and the table, 364 mm below it, from an arm that stands."""
+    """Acme's camera on an arm that stands, above the hexagon and the table, 364 mm below it."""
 
     depth_range, min_measured_share = (0.32, 0.38), 0.5  # the table ends within its view
 

@@ -21,7 +21,7 @@ RETRY_S = 1.0
 
 
 class SkinNode(Node):
-    """Publishes what a skin sends."""
+    """Publisher of a skin's samples."""
 
     def __init__(self, skin=None):
         super().__init__("i2t_skin")
@@ -38,7 +38,7 @@ class SkinNode(Node):
         return self.get_clock().now().nanoseconds * 1e-9
 
     def connect(self):
-        """Open the board; what is wrong with it is logged."""
+        """Open the board; log its errors."""
         try:
             self.skin.connect()
             latest = self.skin.latest()
@@ -50,7 +50,7 @@ class SkinNode(Node):
             return False
 
     def publish(self):
-        """All samples since the last call; a board that is gone is looked for again."""
+        """Publish all samples since the last call; try a lost board again."""
         if self.retry_at:
             if self.now_s() < self.retry_at:
                 return
@@ -74,7 +74,7 @@ class SkinNode(Node):
                 publisher.publish(message)
 
     def destroy_node(self):
-        """Let the board go as well."""
+        """Close the node and the board."""
         self.skin.close()
         super().destroy_node()
 

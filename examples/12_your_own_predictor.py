@@ -1,0 +1,74 @@
+"""A predictor of your own: one file, and one line to train, compare, keep and load it like those that come with i2t.
+
+python examples/12_your_own_predictor.py
+python -m experiments.train --method examples.12_your_own_predictor:Slopes
+"""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+import i2t
+from i2t.dataset import Split
+from i2t.prediction.methods import Method, TrainingTouches
+from i2t.prediction.predictor import save
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
+from i2t.simulation.touches import SimulationErrors
+
+
+@dataclass(frozen=True)
+class SlopeModel(TouchModel):
+    """A linear function of the slopes, the spread and the near share of a patch. Its fields are what is saved."""
+
+    weights: np.ndarray  # (5, c) uT
+    spread: np.ndarray  # (c,) uT, standard deviation of the errors
+
+    @property
+    def channels(self) -> int:
+        """Values of a reading."""
+        return len(self.spread)
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict n touches; `touches` has their force and depth too, where they were measured."""
+        mean = features(touches.patch) @ self.weights
+        return Reading(mean, np.broadcast_to(self.spread, mean.shape))
+
+
+def features(patch: np.ndarray) -> np.ndarray:
+    """Features (n, 5) of patches (n, p, p) m, each of order one."""
+    rows, columns = patch.mean(2), patch.mean(1)
+    near = (patch < 0.5e-3).mean((1, 2))
+    slope = [1e3 * (line[:, -1] - line[:, 0]) for line in (rows, columns)]
+    return np.stack([np.ones(len(patch)), near, *slope, 1e3 * patch.std((1, 2))], 1)
+
+
+class Slopes(Method):
+    """Least squares on the training touches."""
+
+    title = "least squares on slopes"
+
+    def fit(self, key: jax.Array, touches: TrainingTouches, split: Split) -> i2t.Predictor:
+        """Fit; a method that validates by itself finds those touches in `split.validation`."""
+        seen = touches.dataset.touches
+        x, y = features(seen.patch[split.train]), seen.reading[split.train]
+        weights = np.linalg.lstsq(x, y)[0]
+        spread = (y - x @ weights).std(0) + 1e-6
+        return touches.predictor(SlopeModel(np.float32(weights), np.float32(spread)), split)
+
+
+def main(out: str = "runs/slopes", n: int = 72) -> i2t.Predictor:
+    """Fit the model to simulated touches, save it, and return it as loaded."""
+    surface, pad = i2t.prepare_surface(i2t.make_object("hexagon").mesh), i2t.nominal_pad()
+    touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, SimulationErrors(), n)
+    dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.arange(n) < n * 2 // 3
+    split = Split(rows, ~rows, ~rows, dataset.touches.session, "time")
+    save(out, Slopes().fit(jax.random.key(1), TrainingTouches(dataset), split))
+    predictor = i2t.load_predictor(out)
+    error = predictor.predict(dataset.touches.patch[~rows]).mean - dataset.touches.reading[~rows]
+    print(f"errors of {np.sqrt((error**2).mean()):.0f} uT (root mean square) on the last {(~rows).sum()} (simulated)")
+    return predictor
+
+
+if __name__ == "__main__":
+    main()
