@@ -230,10 +230,10 @@ def _plain(node: Any) -> Any:
     if values.dtype.kind in "iu":
         if values.size and not -MAX_INTEGER <= int(values.min()) <= int(values.max()) <= MAX_INTEGER:
             raise OverflowError(f"whole numbers beyond {MAX_INTEGER}")
-        return values.astype(np.int32)
+        return jnp.asarray(values, jnp.int32)
     if values.dtype.kind not in "fb":
         raise TypeError(f"values of type {values.dtype}")
-    return values if values.dtype.kind == "b" else values.astype(np.float32)
+    return jnp.asarray(values, bool if values.dtype.kind == "b" else jnp.float32)
 
 
 def _array_tree(kind: Any, value: Any) -> Any:
