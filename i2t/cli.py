@@ -177,6 +177,14 @@ class Ending:
 
     code: int = 0
 
+    def take(self, result: Any) -> None:
+        """Take a command's result for its exit code, if it is an int.
+
+        Args:
+            result: Of the work.
+        """
+        self.code = result if isinstance(result, int) else 0
+
 
 @contextmanager
 def ending(interrupted: str | Callable[[], str] = "interrupted") -> Iterator[Ending]:
@@ -224,8 +232,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
         The exit code: that of `work`, or of `Ending`.
     """
     with ending(interrupted) as end:
-        code = work()
-        end.code = code if isinstance(code, int) else 0
+        end.take(work())
     return end.code
 
 

@@ -32,9 +32,8 @@ Checked = TypeVar("Checked", bound=CheckedOptions)
 class Command(Generic[Checked]):
     """A command line that was read."""
 
-    def __init__(self, args: Checked, words: Sequence[str], module: str, end: Ending) -> None:
-        self.args, self.words, self.module, self.end = args, words, module, end
-        self.out: Path | None = getattr(args, "folder", getattr(args, "out", None))
+    def __init__(self, args: Checked, words: Sequence[str], module: str, *, out: Path | None, end: Ending) -> None:
+        self.args, self.words, self.module, self.out, self.end = args, words, module, out, end
 
     @property
     def code(self) -> int:
@@ -88,11 +87,11 @@ def command(
 
 
 @contextmanager
-def carrying_out(args: Checked, words: Sequence[str], module: str = "") -> Iterator[Command[Checked]]:
+def carrying_out(args: Checked, words: Sequence[str], module: str) -> Iterator[Command[Checked]]:
     """Run `command` with options that were read before."""
     out: Path | None = getattr(args, "folder", getattr(args, "out", None))
     with ending_of_run(out if hasattr(args, "resume") else None) as end:
-        yield Command(args, words, module, end)
+        yield Command(args, words, module, out=out, end=end)
         say_where(out, getattr(args, "next_command", ""))
 
 
@@ -118,8 +117,7 @@ def run_command(
     """
     with command(kind, argv, module, renamed=renamed) as this:
         args = this.checked()
-        result = (work or this.run)(args)
-        this.end.code = result if isinstance(result, int) else 0
+        this.end.take((work or this.run)(args))
     return this.code
 
 

@@ -45,8 +45,7 @@ def ending_of_run(resumable: Path | None = None) -> Iterator[Ending]:
 def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
     """The exit code of an experiment, whose work is done as in `ending_of_run`."""
     with ending_of_run(resumable) as end:
-        code = work()
-        end.code = code if isinstance(code, int) else 0
+        end.take(work())
     return end.code
 
 

@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 # Factors of a few hundred rows are too small to share, as in experiments.train.
@@ -39,7 +40,8 @@ FOUND_BY_CONVERTER = "found in "  # so begins a note of `i2t.convert` on what a 
 def run(args: FidelityArgs) -> dict[str, Any]:
     """The report: read, write each part, put them together."""
     started, preset = time.perf_counter(), fidelity_preset(args)
-    recordings = named_apart(_recordings(args, preset))
+    read = _recordings(args, preset)
+    recordings = named_apart([recording for _, recording in read])
     begin(args.out, args, preset, None, args.overwrite)
     chapters: dict[str, list[Section]] = {}
     for recording in recordings:
@@ -51,9 +53,11 @@ def run(args: FidelityArgs) -> dict[str, Any]:
             "Heads across sessions": partial(heads.heads_across, recordings, preset.heads_across, args.seed),
         }
         chapters["Across sessions"] = [_said(written(title, work)) for title, work in parts.items()]
-    for path in filter(is_dataset, args.dataset):
-        work = partial(causes.cause_section, path, preset, args.seed)
-        chapters.setdefault(path.name, []).append(_said(written("What may keep a predictor from learning", work)))
+    of_path = {path: recording.name for (path, _), recording in zip(read, recordings, strict=True)}
+    for path, name in of_path.items():
+        if path is not None and is_dataset(path):
+            work = partial(causes.cause_section, path, preset, args.seed)
+            chapters[name].append(_said(written("What may keep a predictor from learning", work)))
     metrics = {
         "source": sorted({recording.source for recording in recordings}),
         "seed": args.seed,
@@ -80,15 +84,16 @@ def named_apart(recordings: list[SkinRecording]) -> list[SkinRecording]:
     return result
 
 
-def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[SkinRecording]:
+def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[tuple[Path | None, SkinRecording]]:
+    """Recordings with the path that each was read from; None of simulated ones."""
     if args.simulated_skins:
         from experiments.fidelity.slides import simulated_slides
 
-        return [simulated_slides(i, preset.simulated_strokes) for i in range(args.simulated_skins)]
-    found: list[SkinRecording] = []
+        return [(None, simulated_slides(i, preset.simulated_strokes)) for i in range(args.simulated_skins)]
+    found: list[tuple[Path | None, SkinRecording]] = []
     for path in args.dataset:
         try:
-            found += read_recordings(path)
+            found += [(path, recording) for recording in read_recordings(path)]
         except DataError as error:
             if len(args.dataset) == 1:
                 raise

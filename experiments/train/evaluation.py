@@ -19,7 +19,7 @@ from i2t.prediction.metrics import grouped_interval, score
 from i2t.prediction.predictor import Predictor, coverage, std_scale
 from i2t.prediction.touch_model import Reading
 
-LEVEL_R2 = 0.01  # a loss of less than this is none
+LEVEL_R2 = 0.01  # a lead of less than this is none
 
 
 class Lead(NamedTuple):
@@ -167,7 +167,7 @@ def lead_of(truth: np.ndarray, error: np.ndarray, other: np.ndarray, groups: np.
     return Lead(difference(np.arange(len(truth))), *grouped_interval(difference, groups))
 
 
-def loss_note(choice: Choice, recorded: Path | None) -> list[str]:
+def pressure_note(choice: Choice, recorded: Path | None) -> list[str]:
     """A sentence where a method on predicted pressure loses to a baseline, and what tells why.
 
     Args:

@@ -10,7 +10,7 @@
     python -m experiments.train --methods gp ridge --method my_package.module:Mine    these, and one of your own
     python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network, another loss
 
-Hexagon and parallelogram train, one tool validates, all other primitives and tools test. Every method sees the same
+Hexagon and parallelogram train, one tool validates, six other objects test. Every method sees the same
 touches: baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured), the paper's
 network on contact masks or depths (paper-mask, paper-depth), and two models on predicted contact pressure
 (pressure-network, gp). The best of all of them on the validation touches is kept as the predictor, a baseline too.
@@ -45,7 +45,7 @@ from experiments.common.tasks import Task, tasks_here
 from experiments.train import recognition_data
 from experiments.train.arguments import TrainArgs
 from experiments.train.configs import PRESETS, TrainExperiment
-from experiments.train.evaluation import evaluate, loss_note
+from experiments.train.evaluation import evaluate, pressure_note
 from experiments.train.prepare import Prepared, prepare
 from experiments.train.recognition_data import MeshFile, mesh_files
 from experiments.train.reports import print_table, report, summarise
@@ -111,7 +111,7 @@ def run_one(
     evaluation = evaluate(prepared, methods, fitted)
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(touches.dataset, touches.pressure_model, split, seed)
-    notes = [*prepared.notes, *loss_note(evaluation.choice, args.dataset)]
+    notes = [*prepared.notes, *pressure_note(evaluation.choice, args.dataset)]
     about = {"seed": seed, "pad": str(args.pad) if args.pad else pad, "notes": notes}
     report(out, prepared, evaluation, about=about, started=started)
     for network in (out / "checkpoint").iterdir():

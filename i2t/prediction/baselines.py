@@ -28,7 +28,7 @@ from i2t.dataset import Split
 from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.metrics import near_rows, nearest_neighbours
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, stacked
 from i2t.types import in_one_line
 
 COMPONENTS = 30  # of patches, at most
@@ -353,8 +353,8 @@ class Nearest(Method):
         if self.measured and not conditions:
             return None
         rows, seen = split.train, touches.dataset.touches
-        of_patches = touches.once("patch features", lambda: patch_features(seen.patch[rows]))
-        measured = touches.conditions(rows)[:, : len(conditions)]
+        of_patches = touches.once("patch features", rows, lambda: patch_features(seen.patch[rows]))
+        measured = stacked(seen, conditions)[rows]
         model = self.model(of_patches, conditions, seen.patch[rows], measured, seen.reading[rows], split.groups[rows])
         return touches.predictor(model, split)
 

@@ -8,8 +8,8 @@
             model = MyModel(...)  # an i2t.prediction.touch_model.TouchModel
             return touches.predictor(model, split)
 
-`python -m experiments.train --methods gp ridge my_package.module:Mine` fits it beside the others, on the same touches,
-and keeps it if it is the best on validation touches. `METHODS` are those that come with i2t.
+`python -m experiments.train --method my_package.module:Mine` fits it beside the others, on the same touches, and keeps
+it if it is the best on validation touches. `METHODS` are those that come with i2t.
 """
 
 import json
@@ -70,34 +70,24 @@ class TrainingTouches:
     paper: PaperOptions = field(default_factory=PaperOptions)
     training: TrainConfig = field(default_factory=TrainConfig)
     folder: Path | None = None
-    shared: dict[str, Any] = field(default_factory=dict, repr=False)
+    shared: dict[tuple[str, bytes], Any] = field(default_factory=dict, repr=False)
 
-    def once(self, name: str, make: Callable[[], Made]) -> Made:
-        """Value shared by methods, made by the first that asks.
+    def once(self, name: str, rows: np.ndarray, make: Callable[[], Made]) -> Made:
+        """Value that methods share, made by the first that asks.
 
         Args:
             name: Of what is made.
+            rows: (n,) mask of the touches that it is made of.
             make: Makes it.
 
         Returns:
             What was made.
         """
-        if name not in self.shared:
-            self.shared[name] = make()
-        made: Made = self.shared[name]
+        key = name, rows.tobytes()
+        if key not in self.shared:
+            self.shared[key] = make()
+        made: Made = self.shared[key]
         return made
-
-    def conditions(self, rows: np.ndarray) -> np.ndarray:
-        """Values measured at contact.
-
-        Args:
-            rows: (n,) mask of touches.
-
-        Returns:
-            (rows, measured), in the order of `measured`.
-        """
-        values = [getattr(self.dataset.touches, name)[rows] for name in self.measured]
-        return np.stack(values, -1) if values else np.zeros((int(rows.sum()), 0))
 
     def batch(self, rows: np.ndarray) -> TouchBatch:
         """Touches as predictors take them.
@@ -106,7 +96,7 @@ class TrainingTouches:
             rows: (n,) mask of touches.
 
         Returns:
-            What is known of them before they are made.
+            What is known of them beside their readings.
         """
         touches, which = self.dataset.touches, np.flatnonzero(rows)
         pressure = self.pressure

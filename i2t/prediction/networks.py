@@ -20,7 +20,7 @@ from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.model import Inputs, ModelConfig, Normalisation
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.pressure import PressureModelConfig
-from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, stacked
 from i2t.progress import progress
 from i2t.training import Batch, TrainConfig
 from i2t.types import Touches
@@ -165,7 +165,7 @@ class PaperMask(PaperDepth):
 
 
 class OnPressure(NetworkMethod):
-    """Networks on predicted contact pressure and measurements that state their own variance."""
+    """Networks on predicted contact pressure and measured conditions, each with a variance of its own."""
 
     title = "network on predicted contact pressure"
     cfg = ModelConfig(
@@ -203,9 +203,8 @@ def _check_finite(state: training.TrainState, how: TrainConfig) -> None:
 
 def _batch(cfg: PaperConfig, images: np.ndarray, touches: Touches, rows: np.ndarray) -> Batch:
     """The touches in `rows` as a network is trained on them."""
-    values = [getattr(touches, condition)[rows] for condition in model.conditions_of(cfg)]
-    stacked = np.stack(values, -1) if values else np.zeros((int(rows.sum()), 0))
-    return Batch(Inputs(jnp.asarray(images[rows]), jnp.float32(stacked)), jnp.asarray(touches.reading[rows]))
+    conditions = stacked(touches, model.conditions_of(cfg))[rows]
+    return Batch(Inputs(jnp.asarray(images[rows]), jnp.float32(conditions)), jnp.asarray(touches.reading[rows]))
 
 
 @partial(jax.jit, static_argnums=0)

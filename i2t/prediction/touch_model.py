@@ -32,7 +32,7 @@ import numpy as np
 from i2t.errors import CheckpointError
 from i2t.prediction.gp import ContactPressure
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
-from i2t.types import in_one_line
+from i2t.types import Touches, in_one_line
 
 MAX_INTEGER = 2**31 - 1
 MAX_LIST = 100  # values of a list in a configuration, such as layers
@@ -54,7 +54,7 @@ class Reading(NamedTuple):
 
 @in_one_line
 class TouchBatch(NamedTuple):
-    """Known data of n touches before they are made; NaN where a value is unknown."""
+    """What is known of n touches beside their readings; NaN where a value is unknown."""
 
     patch: np.ndarray  # (n, p, p) m, behind the nearest surface point
     view: np.ndarray  # (n, w, w) m, the patch, or the same view with its surroundings
@@ -93,8 +93,21 @@ class TouchBatch(NamedTuple):
         missing = [name for name in names if not np.isfinite(getattr(self, name)).all()]
         if missing:
             raise ValueError(f"this model needs {', '.join(missing)} of every touch; pass it to predict")
-        values = [getattr(self, name) for name in names]
-        return np.stack(values, -1) if values else np.zeros((len(self.patch), 0))
+        return stacked(self, names)
+
+
+def stacked(touches: Touches | TouchBatch, names: Sequence[str]) -> np.ndarray:
+    """Values measured at contact, side by side.
+
+    Args:
+        touches: n touches.
+        names: Of force, nearest and depth, those that are wanted.
+
+    Returns:
+        (n, k), in that order.
+    """
+    values = [getattr(touches, name) for name in names]
+    return np.stack(values, -1) if values else np.zeros((len(touches.patch), 0))
 
 
 class TouchModel(ABC):

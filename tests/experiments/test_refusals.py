@@ -13,6 +13,7 @@ REFUSED = [
     ("calibrate --calibration skin.npz", "--calibration is for --save-pad FILE"),
     ("fidelity --dataset x --simulated-skins 1", "--simulated-skins"),
     ("recognize live --prior-unknown 0.1 --num-surrogates 0", "surrogates"),
+    ("recognize live --skin replay --pad nominal", "feels nothing that this arm touches"),
     ("reconstruct --meshes nowhere", "nowhere"),
     ("reconstruct --side 0.09 0.06", "give the smaller one first"),
     ("reconstruct --conditions guess", "is none of random"),

@@ -1,21 +1,22 @@
-"""What is kept, what a load says, and why a method on predicted pressure may lose."""
+"""Loads of recordings, and causes of poor predictors trained on them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from experiments.fidelity import causes
 from experiments.fidelity.causes import AXES, HEIGHT, LAG, SIGN, SOFTNESS, UNITS
-from experiments.train.evaluation import choose
+from experiments.fidelity.config import FIDELITY_PRESETS
+from experiments.fidelity.sections import written
 from experiments.train.loads import press_load, with_known_load
-from i2t.dataset import Dataset, missing_context
+from i2t.dataset import Dataset, missing_context, save_dataset
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin import boards
 from i2t.types import ReturnCode, Touches
 
 FORCED = PressureModelConfig(pitch=1e-3)
-MEAN, NEAREST = "mean reading", "k nearest patches"
 DEEP = replace(FORCED, control="depth")
 
 
@@ -58,48 +59,6 @@ def contact_maps(dataset):
         -((at[None, :, None] - y[:, None, None]) ** 2 + (at[None, None] - x[:, None, None]) ** 2) / 2 / 2e-3**2
     )
     return spot * (dataset.touches.force / spot.sum((1, 2)))[:, None, None]
-
-
-def predictions(error):
-    """Of errors that differ in size alone."""
-    rng = np.random.default_rng(1)
-    truth, off, groups = rng.normal(size=(40, 6)), rng.normal(size=(40, 6)), np.arange(40) // 5
-    return truth, groups, {name: truth + e * off for name, e in error.items()}
-
-
-@pytest.mark.parametrize("best", [MEAN, NEAREST, "network", "GP"])
-def test_the_best_on_validation_touches_is_kept_a_baseline_too(best):
-    truth, groups, predicted = predictions(
-        {name: 0.2 if name == best else 0.9 - 0.01 * (name == "GP") for name in (MEAN, NEAREST, "network", "GP")}
-    )
-    choice = choose(truth, predicted, groups, baselines=(MEAN, NEAREST), on_pressure=("GP",))
-    assert choice.best == best
-    assert choice.pressure_loses == (best in (MEAN, NEAREST))
-    lead = choice.over_baseline
-    assert lead.low <= lead.r2 <= lead.high
-    assert (lead.r2 > 0) == (best in ("network", "GP"))
-
-
-def test_what_is_not_finite_is_never_kept():
-    truth, groups, predicted = predictions({MEAN: 1.0, "GP": 0.1})
-    predicted["GP"][3, 2] = np.nan
-    choice = choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",))
-    assert (choice.best, choice.best_on_pressure, choice.pressure_loses) == (MEAN, None, False)
-    assert np.isnan(choice.r2["GP"])
-    predicted[MEAN][:] = np.inf
-    with pytest.raises(ValueError, match="no method predicts finite readings"):
-        choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",))
-
-
-def test_a_loss_by_chance_is_none():
-    """Half a per cent of the variance is no loss; nor is a larger one that groups cannot tell from chance."""
-    truth, groups, predicted = predictions({MEAN: 0.300, "GP": 0.305})
-    assert not choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",)).pressure_loses
-    better = np.where(groups % 2 == 0, 0.9, 1.14)[:, None]
-    predicted["GP"] = truth + better * (predicted[MEAN] - truth)
-    choice = choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",))
-    assert choice.pressure_over_baseline.low < 0 < choice.pressure_over_baseline.high
-    assert not choice.pressure_loses
 
 
 UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e-3, 200)
@@ -197,6 +156,25 @@ def test_late_labels_are_found(lag):
     assert (found.cause, found.found) == (LAG, lag != 0)
     if lag:
         assert f"labels of {lag:+d} rows" in found.evidence
+
+
+def test_a_data_set_is_told_what_was_found_and_what_was_not(tmp_path):
+    """As a section of the report of fidelity: of real touches, which were split as for training."""
+    made = recording(400)
+    sessions = tuple(f"run {i}" for i in range(20))
+    late = made.touches._replace(reading=np.roll(made.touches.reading, -1, axis=0), session=np.arange(400) // 20)
+    save_dataset(tmp_path / "late.h5", replace(made, touches=late, sessions=sessions, source="real"))
+    section = written("causes", partial(causes.cause_section, tmp_path / "late.h5", FIDELITY_PRESETS["debug"], 0))
+    assert section.status == "found"
+    said = "\n".join(section.sentences)
+    assert "labels of +1 rows" in said
+    assert "Tested and not found: force sign" in said
+    assert "Could not be tested: height zero" in said
+    assert {each["cause"] for each in section.numbers["causes"] if each["found"]} >= {LAG}
+
+    save_dataset(tmp_path / "simulated.h5", made)
+    other = partial(causes.cause_section, tmp_path / "simulated.h5", FIDELITY_PRESETS["debug"], 0)
+    assert written("causes", other).status == "cannot tell"
 
 
 def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch):
