@@ -81,7 +81,7 @@ def plot_training_curves(
     """
     figure = Picture(figsize=(5, 3.4), layout="constrained")
     axes = figure.subplots()
-    for (name, values), colour in zip(series.items(), (BLUE, ORANGE, GREEN, RED), strict=False):
+    for (name, values), colour in zip(series.items(), cycle(COLOURS), strict=False):
         values = np.atleast_2d(values)
         x = np.arange(1, values.shape[1] + 1)
         axes.plot(x, values.mean(0), color=colour, label=name)

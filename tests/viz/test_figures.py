@@ -114,3 +114,11 @@ def test_a_scene_shows_the_object_and_the_skin_and_a_surface_grows_from_nowhere(
     assert (drawn[1] < 250).any()
     assert viz.write_surface_gltf(stages[1], tmp_path / "ball.gltf") == ""
     assert (tmp_path / "ball.gltf").stat().st_size > 1000
+
+
+def test_every_training_has_its_curve_however_many_there_are():
+    figure = viz.plot_training_curves(
+        {f"network {i}": np.linspace(1, 0.5, 4) for i in range(9)}, "Training", "error", True
+    )
+    assert len(figure.axes[0].lines) == 9
+    assert len(figure.axes[0].get_legend().texts) == 9
