@@ -40,7 +40,6 @@ EXPERIMENTS = {
     "experiments.clouds": "point clouds as surfaces",
     "experiments.real_frames": "patches of real depth images",
     "experiments.gallery": "the pictures of the documents",
-    "experiments.licences": "the licences of the dependencies",
     "experiments.ready_models": "the models that come with the package",
     "experiments.notebooks": "notebooks as HTML",
     "experiments.reconstruct_patch": "what surface did one press meet?",

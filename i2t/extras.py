@@ -26,7 +26,6 @@ EXTRAS = {  # by the name under which each is imported
     "ipykernel": Extra("Jupyter", "notebooks"),
     "pyarrow": Extra("pyarrow", "lerobot"),
     "pyvista": Extra("pyvista", "notebooks"),
-    "ray": Extra("Ray", "cluster"),
     "rerun": Extra("rerun-sdk", "view"),
     "torch": Extra("torch", "bench"),
     "skfem": Extra("scikit-fem", "test"),

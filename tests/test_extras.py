@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from experiments.common.tasks import TaskOptions
 from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.studies.arguments import StudyArgs
 from i2t.cli import require_writable
@@ -29,7 +28,6 @@ def test_an_experiment_looks_for_its_extra_before_it_works(tmp_path, monkeypatch
     (tmp_path / "metrics.json").write_text("{}")  # of a finished run
     for module, asked in (
         ("skimage", ReconstructArgs()),
-        ("ray", TaskOptions(executor="ray")),
         ("skfem", StudyArgs("mismatch", trained_run=tmp_path)),
     ):
         monkeypatch.setitem(sys.modules, module, None)

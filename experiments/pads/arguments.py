@@ -29,4 +29,3 @@ class PadsArgs:
 
     def check(self) -> None:
         """Refuse what does not go together."""
-        self.tasks.check()

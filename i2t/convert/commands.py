@@ -30,12 +30,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from i2t.cli import exit_code_of, renamed_flags, require_writable
+from i2t.cli import exit_code_of, require_writable
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, SerializationError
 from i2t.extras import require_extra
 from i2t.files import replacing
-from i2t.options import answering
 from i2t.windows import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:
@@ -457,7 +456,6 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 
-RENAMED_CONVERT_FLAGS = {"--force": "--overwrite", "--mesh-unit": "--unit"}
 INTERRUPTED_MESSAGE = "interrupted; nothing was written"
 
 
@@ -470,17 +468,12 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         The exit code, as `i2t.cli` has them: 2 where a recording cannot be used.
     """
-    words = list(sys.argv[1:] if args is None else args)
-    renamed_flags(words, RENAMED_CONVERT_FLAGS)
-    work = answering(
-        words,
-        lambda given: tyro.extras.subcommand_cli_from_dict(
-            {name: _later(command) for name, command in COMMANDS.items()},
-            args=given,
-            prog="python -m i2t.convert",
-            description=__doc__,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        ),
+    work = tyro.extras.subcommand_cli_from_dict(
+        {name: _later(command) for name, command in COMMANDS.items()},
+        args=args,
+        prog="python -m i2t.convert",
+        description=__doc__,
+        config=(tyro.conf.FlagCreatePairsOff,),
     )
     return exit_code_of(lambda: _run(work), INTERRUPTED_MESSAGE)
 

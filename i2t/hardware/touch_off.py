@@ -32,7 +32,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of, renamed_flags
+from i2t.cli import exit_code_of
 from i2t.errors import DeviceError
 from i2t.geometry import inverse
 from i2t.hardware.limits import MotionLimits
@@ -53,8 +53,6 @@ SPEED_M_S, STOP_FORCE_N = 2e-3, 2.0  # a corner gives some newtons per millimetr
 SOFT_M_PER_CUBE_ROOT_N, STIFFNESS_N_PER_M = 0.8e-3, 1e4  # m/N^(1/3), N/m: a guess of a corner, and of arm and mount
 CONTACT_FORCE_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
 MAX_SHIFT_M, MAX_TILT_RAD = 5e-3, math.radians(4)  # what is further from the rig was no touch of a flat
-
-RENAMED_TOUCH_OFF_FLAGS = {"--stale": "--state-timeout", "--watchdog": "--watchdog-rate"}
 
 
 class FittedPlane(NamedTuple):
@@ -258,7 +256,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    renamed_flags(sys.argv[1:] if arguments is None else arguments, RENAMED_TOUCH_OFF_FLAGS)
     asked = read_options(TouchOffArgs, arguments, program="python -m i2t.hardware.touch_off", description=__doc__)
     return exit_code_of(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
