@@ -22,7 +22,7 @@ class Training:
     touches: int = 1630
     epochs: int = 10  # timed together, in one turn
     model: PaperConfig = field(default_factory=PaperConfig)
-    train: TrainConfig = field(default_factory=lambda: TrainConfig(schedule="constant"))
+    train: TrainConfig = field(default_factory=lambda: TrainConfig())
 
 
 def section(setup: Training, turns: int) -> list[BenchmarkRow]:

@@ -121,7 +121,7 @@ def tests(x: np.ndarray, y: np.ndarray, groups: np.ndarray, plan: Plan, seed: in
 def bottleneck(dataset: Dataset, plan: Plan, args: TsneArgs, felt: np.ndarray) -> dict[str, Any]:
     """The agreement of the paper's network's five values with the readings of touches that it was not trained on."""
     split = split_dataset(dataset, plan.training, "auto", args.seed)
-    touches = TrainingTouches(dataset, training=plan.training.training, folder=args.out / "checkpoint")
+    touches = TrainingTouches(dataset, training=plan.training.training)
     method = PaperMask() if args.kind == "mask" else PaperDepth()
     found = method.fit(jax.random.key(args.seed), touches, split)
     assert found is not None

@@ -41,7 +41,6 @@ from i2t.hardware.reskin.driver import Replay
 from i2t.hardware.reskin.recording import CHUNK, RECORDING_HEADER
 from i2t.hardware.rig import Rig
 from i2t.objects import load_mesh, load_point_cloud, make_object
-from i2t.prediction.checkpoint import restore
 from i2t.prediction.predictor import load_predictor
 from i2t.recognition.pad_model_files import load_pad_model
 from i2t.serialization import _digest
@@ -214,13 +213,10 @@ def about(whole: dict[str, Any], **changes: Any) -> str:
 
 
 PREDICTOR = {
-    "format": "i2t predictor", "version": 2, "pressure": None, "network": None, "baseline": None,
+    "format": "i2t predictor", "version": 4, "model": {"class": "i2t.prediction.gp_method:GPModel", "settings": {}},
     "window": 0.017, "reach": 0.004, "default_force": 1.0, "default_depth": None, "std_scale": 1.0, "metadata": {},
-    "shapes": {"params": [3]},
+    "shapes": {"params": ["float32", 3]},
 }  # fmt: skip
-TRAINING = {"format": "i2t checkpoint", "version": 1, "model": {}, "train": {}, "touches": 100,
-            "packages": {"i2t": "0"}, "extra": {}}  # fmt: skip
-
 
 # Images
 
@@ -335,11 +331,7 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     },
     ("predictor", "theirs/_CHECKPOINT_METADATA"): {
         "nested deep": DEEP,
-        "a trillion numbers": about(PREDICTOR, shapes={"gp": {"a": [10**6, 10**6]}}),
-    },
-    ("checkpoint", "theirs/7/_CHECKPOINT_METADATA"): {
-        "100_000 layers": lambda _: about(TRAINING, model={"channels": [8] * 100_000}),
-        "layers of a trillion": about(TRAINING, model={"encoder_width": 10**12}),
+        "a trillion numbers": about(PREDICTOR, shapes={"gp": {"a": ["float32", 10**6, 10**6]}}),
     },
     ("depth", "a.png"): {
         "ten billion pixels": png(100_000, 100_000),
@@ -427,7 +419,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "ambient": load_ambient,
     "head": load_head,
     "predictor": lambda path: load_predictor(path.parent),
-    "checkpoint": lambda path: restore(path.parent.parent),
     "depth": lambda path: read_depth(path, "mm"),
     "rig": Rig.read,
     "views": _views,
