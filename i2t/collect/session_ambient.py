@@ -12,7 +12,6 @@ from i2t.collect.free_poses import gather_of_skins, plan_free_poses
 from i2t.collect.procedure import Procedure
 from i2t.collect.settings import AmbientSettings
 from i2t.skin.ambient import (
-    MODELS,
     AmbientField,
     FreePoses,
     ambient_changed,
@@ -101,7 +100,7 @@ def _said(field: AmbientField) -> str:
     earth = ", ".join(f"{value:.1f} +- {error:.1f}" for value, error in zip(field.earth, field.earth_std, strict=True))
     silent = np.flatnonzero(np.isnan(field.offset).any(1))
     missing = f"; without chips {', '.join(map(str, silent))}" if len(silent) else ""
-    return f"({earth}) uT in the base, model {field.model!r} of {', '.join(MODELS)}{missing}"
+    return f"({earth}) uT in the base{missing}"
 
 
 def _turned(free: FreePoses) -> float:
@@ -111,9 +110,7 @@ def _turned(free: FreePoses) -> float:
 
 def _rest(field: AmbientField, board: Board, free: FreePoses) -> str:
     left: Array = subtract_ambient(field, board, free.T_b_t, free.reading)
-    tried = field.left_out[~np.isnan(field.left_out)]
-    outside = f", {tried.min():.1f} on poses left out" if len(tried) else ""
-    return f"and by {np.sqrt(np.nanmean(left**2)):.1f} uT with the field subtracted{outside}"
+    return f"and by {np.sqrt(np.nanmean(left**2)):.1f} uT with the field subtracted"
 
 
 def _aside(path: Path) -> Path:
