@@ -43,7 +43,6 @@ COMMANDS = [
     ("i2t.convert summary nowhere", "no such file or folder"),
     ("i2t.convert presses table.csv DATA --indenter ball:4", "give sphere:RADIUS"),
     ("i2t.convert presses table.csv . --indenter sphere:4", "which no conversion wrote"),
-    ("i2t.convert presses table.csv DATA --indenter sphere:4 --force", "--overwrite"),
     ("experiments.train --seeds 0", "--seeds is 0"),
     ("experiments.train --dataset nowhere", "no such data set"),
     ("experiments.train --skin-name left", "no effect without --dataset"),
