@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from i2t.convert import CAMERA_OFFSET_M, npy, samples
 from i2t.convert.common import ConversionLog, Converted, data_error
 from i2t.dataset import Dataset, concatenate, missing_context
-from i2t.depth.camera import read_tif
+from i2t.depth.camera import read_image
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 from i2t.unknowns import find_force_sign, find_units, findings_to_meta
@@ -363,7 +363,7 @@ def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:
     if not path.is_file():
         raise data_error(path, "is missing")
     try:
-        image = read_tif(path)
+        image = read_image(path)
     except DataError:
         raise
     except (OSError, ValueError) as error:

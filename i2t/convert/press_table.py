@@ -70,9 +70,7 @@ class SessionCheck(NamedTuple):
 
     board: Board
     findings: tuple[Finding, ...] = ()
-    factors: Mapping[str, float] = MappingProxyType(
-        {}
-    )  # on lengths, fields, forces, signs ...
+    factors: Mapping[str, float] = MappingProxyType({})  # on lengths, fields, forces, signs ...
     lag: int = 0  # rows
     order: np.ndarray | None = None  # of the chips
     signs: np.ndarray | None = None  # of the channels
