@@ -20,6 +20,7 @@ EXTRAS = {  # by the name under which each is imported
     "ContactMechanics": Extra("ContactMechanics", "bench"),
     "embreex": Extra("embreex", "bench"),
     "gymnasium": Extra("Gymnasium", "environments"),
+    "manifold3d": Extra("manifold3d", "shapes"),
     "mcap": Extra("mcap", "view"),
     "open3d": Extra("Open3D", "bench"),
     "nbconvert": Extra("Jupyter", "notebooks"),

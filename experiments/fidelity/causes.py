@@ -33,7 +33,7 @@ from experiments.train.loads import (
     tried_touches,
 )
 from experiments.train.prepare import prepare
-from i2t.convert.presses import sphere, tip_patches
+from i2t.convert.press_table import sphere, tip_patches
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, Limits, Seed, require_path
+from i2t.extras import require_extra
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class PatchArgs:
 
     def check(self) -> None:
         """Refuse what is not there, and options that recorded presses leave without effect."""
+        require_extra("manifold3d", "a library of drawn shapes")
         require_path("--meshes", self.meshes, "folder")
         require_path("--dataset", self.dataset, "path")
         simulated = {"--meshes": self.meshes, "--patches": self.patches, "--test": self.test, "--pads": self.pads}

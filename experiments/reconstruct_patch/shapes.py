@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.objects import Mesh, catalogue, read_mesh
-from i2t.objects.solids import disk, outline, rectangle
+from i2t.objects import Mesh, catalogue, primitives, read_mesh
+from i2t.objects.drawing import disk, outline, rectangle
 
 SUFFIXES = (".obj", ".ply", ".stl")
 SMALLEST_SCALE = 0.25  # of the size of a drawn object: from a stamp's to a hand's
@@ -55,7 +55,7 @@ def draw_shape(seed: int) -> Mesh:
             part = outline([(-size[0] / 2, -size[1] / 3), (size[0] / 2, -size[1] / 3), (0, 2 * size[1] / 3)])
         part = part.rotate(turn).translate(rng.uniform(-3, 3, 2))
         region = part if region is None else region + part
-    return catalogue.stamp(region)
+    return primitives.stamp(region)
 
 
 def _part_of(index: int) -> str:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tifffile
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from experiments.common.intervals import with_interval
@@ -153,7 +153,7 @@ def write_session(rng: np.random.Generator, folder: Path, run: str, touches: Wor
     images = folder / f"{name}_images" / "depth"
     images.mkdir(parents=True, exist_ok=True)
     for k, image in enumerate(touches.image):
-        tifffile.imwrite(images / f"experiment_{run}_depth_{k + 1}.tif", np.round(image * 1e3).astype(np.uint16))
+        Image.fromarray(np.round(image * 1e3).astype(np.uint16)).save(images / f"experiment_{run}_depth_{k + 1}.tif")
 
 
 def _samples(rng: np.random.Generator, field: np.ndarray) -> np.ndarray:

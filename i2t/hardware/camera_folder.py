@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_png
+from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_image
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.files import read_toml
 from i2t.hardware.base import CameraBase
@@ -103,7 +103,7 @@ class RecordedDepthCamera(CameraBase):
             if not colours.is_dir():
                 return depth, None
             path = (colours / name).with_suffix(".png")
-            _, colour = read_png(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
+            colour = read_image(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
             raise DeviceError(f"{self._name} cannot give {path.name}: {reason}; restore {path}") from error

@@ -32,7 +32,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of
-from i2t.depth.camera import Camera, read_png
+from i2t.depth.camera import Camera, read_image
 from i2t.errors import DataError, DeviceError
 from i2t.files import file_in, read_text, read_toml, replacing
 from i2t.geometry import inverse
@@ -132,7 +132,7 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
     for name, T_b_t in _poses(path / "poses.csv"):
         file = file_in(path / "images", name, path / "poses.csv")
         try:
-            _, image = read_png(file, shape=(camera.height, camera.width), said_by="camera.toml", mode="RGB")
+            image = read_image(file, shape=(camera.height, camera.width), said_by="camera.toml", mode="RGB")
         except OSError as error:
             raise ValueError(
                 f"{file}: cannot be read ({error.strerror or error}); restore it, or leave out its pose"
