@@ -64,7 +64,6 @@ def check_session(
     notes: ConversionLog,
     *,
     stated_zero: float | None = None,
-    stated_radius: float | None = None,
     as_stated: bool = False,
 ) -> SessionCheck:
     """Estimate the unknowns of a session and note every sentence.
@@ -75,7 +74,6 @@ def check_session(
         board: As described.
         notes: That hear the sentences.
         stated_zero: Height of first contact (m) that the recording states.
-        stated_radius: Radius of the tip (m) that is assumed.
         as_stated: Look for nothing and change nothing.
 
     Returns:
@@ -83,7 +81,7 @@ def check_session(
     """
     if as_stated:
         return SessionCheck((), {}, lag=0, order=None, signs=None, board=board, meta={})
-    findings = estimate_unknowns(presses, board, stated_zero=stated_zero, stated_radius=stated_radius)
+    findings = estimate_unknowns(presses, board, stated_zero=stated_zero)
     for finding in sorted(findings, key=lambda one: not one.wrong):
         notes.info(f"{'corrected' if finding.wrong else 'found'} in {name}: {finding.sentence}")
     factors: dict[str, float] = {}

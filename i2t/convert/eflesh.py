@@ -195,8 +195,7 @@ def _check_pressed(
         position[:, :2] - middle[:2], values[:, 1:], height=position[:, 2], force=_load(states), seconds=states[:, 0]
     )
     check = check_session(
-        name, presses, _board(), notes, stated_zero=options.zero, stated_radius=options.radius,
-        as_stated=options.as_stated,
+        name, presses, _board(), notes, stated_zero=options.zero, as_stated=options.as_stated,
     )  # fmt: skip
     heights = _heights(position, check)
     zero = _zero(name, heights, options, check, notes)

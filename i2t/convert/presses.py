@@ -13,7 +13,6 @@ touches first.
 """
 
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -77,7 +76,7 @@ def convert(
     """
     notes = ConversionLog(skip_bad)
     rows = _rows(source, table or read_text_table(source), board.num_chips, notes)
-    rows, checks = _checked(rows, board, indenter, notes, as_stated=as_stated)
+    rows, checks = _checked(rows, board, notes, as_stated=as_stated)
     numbers = np.array([[row[name] for name in (*PLACES, "force_N")] for row in rows])
     x, y, depth = 1e-3 * numbers[:, :3].T
     inside = (np.abs(x) <= window / 2) & (np.abs(y) <= window / 2)
@@ -125,13 +124,11 @@ def convert(
 
 
 def _checked(
-    rows: list[dict[str, Any]], board: Board, indenter: str, notes: ConversionLog, *, as_stated: bool
+    rows: list[dict[str, Any]], board: Board, notes: ConversionLog, *, as_stated: bool
 ) -> tuple[list[dict[str, Any]], list[SessionCheck]]:
     """The rows with what each session contradicts put right, session by session."""
     if as_stated:
         return rows, []
-    kind, _, size = indenter.partition(":")
-    radius = 1e-3 * float(size) if kind == "sphere" and re.fullmatch(r"[0-9.]+", size) else None
     kept: list[dict[str, Any]] = []
     checks = []
     for session in dict.fromkeys((row["pad"], row["session"]) for row in rows):
@@ -141,7 +138,7 @@ def _checked(
         height = None if np.isnan(numbers[:, 2]).all() else -1e-3 * numbers[:, 2]
         force = None if np.isnan(numbers[:, 3]).all() else numbers[:, 3]
         presses = RecordedPresses(1e-3 * numbers[:, :2], readings, height=height, force=force)
-        check = check_session(session[1], presses, board, notes, stated_zero=0.0, stated_radius=radius)
+        check = check_session(session[1], presses, board, notes, stated_zero=0.0)
         checks.append(check)
         kept += _corrected(part, numbers, readings, check)
     return kept, checks
