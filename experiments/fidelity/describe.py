@@ -127,7 +127,8 @@ def _unit(recording: SkinRecording, numbers: dict) -> str:
         if len(fits):
             numbers["unit"] = unit
             chip = f"an MLX90393 in {unit} (such as gain {fits[0, 0]} and resolution {fits[0, 1]})"
-            return f"{values}, which are those of {chip}{'' if unit == 'uT' else f': multiply them by {factor:g} to have uT'}."
+            wrong = "" if unit == "uT" else f": multiply them by {factor:g} to have uT"
+            return f"{values}, which are those of {chip}{wrong}."
     return f"{values}, of no chip that is known here; taken as uT."
 
 

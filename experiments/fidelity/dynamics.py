@@ -153,9 +153,7 @@ def _drift_rows(recording: SkinRecording, section: Section, rows: list[list[str]
     tenth = max(len(base) // 10, 1)
     change = np.abs(np.median(base[-tenth:], axis=0) - np.median(base[:tenth], axis=0))
     median, largest, own = float(np.median(change)), float(change.max()), Noise().drift
-    rows.append(
-        ["drift over the recording, median channel (uT)", cell(median, 1), cell(own, 1), cell(median / own, 1)]
-    )
+    rows.append(["drift over the recording, median channel (uT)", cell(median, 1), cell(own, 1), cell(median / own, 1)])
     rows.append(["the same, largest channel (uT)", cell(largest, 1), "64.0 (seen on real boards)", "-"])
     section.numbers["drift"] = {"median_uT": median, "largest_uT": largest}
 
