@@ -50,9 +50,7 @@ COMMANDS = [
     ("experiments.recognize --objects mesh.stl other/mesh.stl --unit mm", "both called mesh"),
     ("experiments.studies policy --meshes empty", "is for the study object_count"),
     ("experiments.calibrate --dataset table.csv --targets weight", "is no target"),
-    ("experiments.fidelity --simulated-skins -2", "--simulated-skins is -2"),
-    ("experiments.unknowns --kinds soft", "not simulated"),
-    ("experiments.shifted --dataset nowhere --draws 0", "--draws is 0"),
+    ("experiments.fidelity --dataset nowhere", "nowhere"),
     ("experiments.calibrate_pads --prior --kinds", "pass one of them"),
     ("experiments.clouds --shapes cloud", "is no object of the catalogue"),
     ("experiments.real_frames --data empty", "is missing"),
@@ -160,7 +158,7 @@ def test_wrong_commands_are_answered_in_one_sentence_before_jax_is_imported_and_
 
 
 HELPED = ("i2t", "i2t.collect", "i2t.convert", "experiments.train", "experiments.recognize", "experiments.studies",
-          "experiments.calibrate", "experiments.fidelity", "experiments.unknowns", "experiments.tsne")  # fmt: skip
+          "experiments.calibrate", "experiments.fidelity", "experiments.tsne")  # fmt: skip
 
 
 def test_help_imports_neither_jax_nor_numpy():

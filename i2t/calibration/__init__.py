@@ -14,7 +14,7 @@ from i2t.calibration.structured_gp import (
     Presses,
     StructuredGPHyperparameters,
 )
-from i2t.unknowns.segmentation import PressCriteria, SegmentedPresses, segment_presses
+from i2t.unknowns.segmentation import SegmentedPresses, segment_presses
 
 __all__ = [
     "DEPTH_HYPERPARAMETERS",
@@ -22,7 +22,6 @@ __all__ = [
     "Calibration",
     "DataWarnings",
     "LoadKind",
-    "PressCriteria",
     "Presses",
     "SegmentedPresses",
     "StructuredGPHyperparameters",

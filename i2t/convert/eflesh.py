@@ -168,7 +168,7 @@ def _pressed(name: str, table: PressTable, options: _Options, notes: ConversionL
             table.position - middle, table.readings, height=table.height, force=table.force, seconds=table.time
         )
         check = check_session(
-            name, presses, _board(), notes, stated_zero=options.zero, stated_radius=options.radius
+            name, presses, _board(), notes, stated_zero=options.zero
         )  # fmt: skip
     heights = table.height * check.factor("depth_factor", "height_sign")
     zero = _zero(name, heights, options, check, notes)

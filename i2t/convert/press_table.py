@@ -122,7 +122,6 @@ def check_session(
     notes: ConversionLog,
     *,
     stated_zero: float | None = None,
-    stated_radius: float | None = None,
 ) -> SessionCheck:
     """Estimate the unknowns of a session and note every sentence.
 
@@ -132,12 +131,11 @@ def check_session(
         board: As described.
         notes: That hear the sentences.
         stated_zero: Height of first contact (m) that the recording states.
-        stated_radius: Radius of the tip (m) that is assumed.
 
     Returns:
         What to apply.
     """
-    findings = estimate_unknowns(presses, board, stated_zero=stated_zero, stated_radius=stated_radius)
+    findings = estimate_unknowns(presses, board, stated_zero=stated_zero)
     for finding in sorted(findings, key=lambda one: not one.wrong):
         notes.info(f"{'corrected' if finding.wrong else 'found'} in {name}: {finding.sentence}")
     todo = {key: value for finding in findings for key, value in finding.correction.items()}

@@ -84,7 +84,7 @@ def convert(
     tip = _tip(indenter, unit, notes)
     presses, checks = rows.presses, []
     if not as_stated:
-        presses, checks = _corrected(presses, board, _radius(indenter, "sphere"), notes)
+        presses, checks = _corrected(presses, board, notes)
     dataset = presses_dataset(
         presses,
         tip,
@@ -100,16 +100,14 @@ def convert(
     return notes.close(dataset)
 
 
-def _corrected(
-    table: PressTable, board: Board, radius: float | None, notes: ConversionLog
-) -> tuple[PressTable, list[SessionCheck]]:
+def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[PressTable, list[SessionCheck]]:
     """The presses with what each session contradicts put right, session by session."""
     kept, checks = [], []
     for pad, session in dict.fromkeys(zip(table.pad.tolist(), table.session.tolist(), strict=True)):
         part = table.rows((table.pad == pad) & (table.session == session))
         height, force = (None if np.isnan(column).all() else column for column in (part.height, part.force))
         recorded = RecordedPresses(part.position, part.readings, height=height, force=force)
-        check = check_session(session, recorded, board, notes, stated_zero=0.0, stated_radius=radius)
+        check = check_session(session, recorded, board, notes, stated_zero=0.0)
         checks.append(check)
         part = check.apply(part)
         found, turned = check.zero, check.factor("height_sign") < 0

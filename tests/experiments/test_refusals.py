@@ -9,7 +9,7 @@ REFUSED = [
     ("active_touch --objects star star", "each named once"),
     ("calibrate --dataset DIR --calibration skin.npz --save-pad pad.npz", "pass --dataset DIR"),
     ("calibrate --calibration skin.npz", "--calibration is for --save-pad FILE"),
-    ("fidelity --dataset x --simulated-skins 1", "--simulated-skins"),
+    ("fidelity --dataset nowhere", "nowhere"),
     ("recognize live --prior-unknown 0.1 --num-surrogates 0", "surrogates"),
     ("recognize live --skin replay --pad nominal", "feels nothing that this arm touches"),
     ("reconstruct --meshes nowhere", "nowhere"),

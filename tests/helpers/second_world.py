@@ -1,6 +1,6 @@
-"""A skin, a camera and an arm that share nothing with i2t's simulator, in NumPy and double precision.
+"""A skin and an arm that share nothing with i2t's simulator, in NumPy and double precision.
 
-It answers what a simulation cannot ask of itself: does a method work only because it was built with the same physics?
+They answer what a simulation cannot ask of itself: does a method work only because it was built with the same physics?
 Nothing in i2t may be chosen by it.
 
   contact    a Pasternak foundation: springs that stiffen as foam does, under a membrane that pulls neighbours along
@@ -8,49 +8,26 @@ Nothing in i2t may be chosen by it.
              layer, whose pressure at a point deflects all others.
   magnet     some hundred dipoles at random places of the layer, which the layer carries along. i2t's are magnetised
              poles.
-  camera     a pinhole: rays from one point, depth in whole millimetres. i2t's is orthographic.
-  errors     of placement, hand-eye, arm and sensor, drawn by NumPy.
 
-A press ends at a force drawn anew for each touch. Frames and signs are those of i2t (tool z into the object).
+A press ends at a force drawn anew for each touch. Frames and signs are those of i2t (tool z into the object). Camera
+and arm make no errors; the sensor's noise and a force gauge's stay.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 CELLS, EDGE_M = 34, 17e-3  # of the skin's square
-PIXELS = 48  # of a depth image, cropped to what lies before the skin
-CAMERA_BEHIND_M = 64e-3  # of the tool's origin
-LOOK_M = 40e-3  # before the contact, where the camera looks
+PIXELS = 24  # of a depth patch
 CHIP_M = 7e-3  # the outer chips lie so far from the middle one
 RELAXATIONS, BISECTIONS = 150, 13
 MAX_SLOPE_DEG = 50.0  # of a site from the vertical
-RAYS_FROM_M = 30e-3  # behind the tool's plane, for what the skin meets
-
-
-@dataclass(frozen=True)
-class WorldErrors:
-    """Errors of a world, one standard deviation each."""
-
-    placement: float = 1e-3  # m, of an object in a session
-    placement_angle: float = np.radians(1.0)
-    hand_eye: float = 1e-3  # m, in a session
-    arm: float = 5e-5  # m, of a touch
-    approach_angle: float = np.radians(0.3)
-    depth: float = 0.5e-3  # m, of a pixel; neighbours err alike
-    depth_step: float = 1e-3  # m, of the camera's numbers
-    force: float = 0.1  # N
-    reading: float = 1.5  # uT, of a sample
-    drift: float = 0.5  # uT, of every chip axis from touch to touch
-
-    @classmethod
-    def none(cls) -> "WorldErrors":
-        """A lab whose camera and arm know everything; the sensor's noise stays."""
-        return cls(placement=0, placement_angle=0, hand_eye=0, arm=0, approach_angle=0, depth=0, depth_step=1e-5)
+RAYS_FROM_M = 30e-3  # behind the tool's plane
+REACH_M = 4e-3  # to which a patch is seen
+NOISE_UT, FORCE_NOISE_N = 1.5, 0.1
 
 
 class ReferenceSkin(NamedTuple):
@@ -65,13 +42,11 @@ class ReferenceSkin(NamedTuple):
 
 
 class WorldTouches(NamedTuple):
-    """Records of one session in a lab."""
+    """Records of touches."""
 
-    image: np.ndarray  # (n, 48, 48) m, depth from the camera
-    T_w_t: np.ndarray  # (n, 4, 4) at the end of the press, as the arm reports it
+    patch: np.ndarray  # (n, p, p) m behind the nearest point
     force: np.ndarray  # (n,) N along tool z, positive when pressing
-    samples: np.ndarray  # (n, 15) uT in contact
-    ambient: np.ndarray  # (n, 15) uT before
+    reading: np.ndarray  # (n, 15) uT in contact, less the ambient
 
 
 def make_skin(rng: np.random.Generator) -> ReferenceSkin:
@@ -114,50 +89,23 @@ def make_objects() -> dict[str, trimesh.Trimesh]:
     return meshes
 
 
-def simulate_session(
-    rng: np.random.Generator, mesh: trimesh.Trimesh, skin: ReferenceSkin, errors: WorldErrors, n: int
-) -> WorldTouches:
-    """n touches of an object that is placed once."""
-    placed = _moved(rng, errors.placement, errors.placement_angle)
-    hand_eye = _moved(rng, errors.hand_eye, 0.0)
-    zero = rng.normal(0, 40, 15)
+def touch(rng: np.random.Generator, mesh: trimesh.Trimesh, skin: ReferenceSkin, n: int) -> WorldTouches:
+    """n touches of an object."""
     made: list[tuple[np.ndarray, ...]] = []
     while len(made) < n:
-        zero = zero + rng.normal(0, errors.drift, 15)
-        touch = _touch(rng, mesh, skin, errors, placed=placed, hand_eye=hand_eye, zero=zero)
-        if touch is not None:
-            made.append(touch)
+        T_o_t = _site(rng, mesh)
+        met = _heights(mesh, T_o_t, CELLS)
+        nearest, force = met.min(), rng.uniform(1.0, 6.0)
+        if not np.isfinite(nearest):
+            continue
+        seen = _heights(mesh, T_o_t, PIXELS)
+        _, sinking = press(skin, met - nearest, force)
+        felt = field(skin, sinking) - field(skin, np.zeros_like(sinking))
+        made.append((
+            np.minimum(seen - seen.min(), REACH_M), np.array(force + rng.normal(0, FORCE_NOISE_N)),
+            felt + rng.normal(0, NOISE_UT, 15),
+        ))  # fmt: skip
     return WorldTouches(*(np.stack(values) for values in zip(*made, strict=True)))
-
-
-def _touch(
-    rng: np.random.Generator,
-    mesh: trimesh.Trimesh,
-    skin: ReferenceSkin,
-    errors: WorldErrors,
-    *,
-    placed: np.ndarray,
-    hand_eye: np.ndarray,
-    zero: np.ndarray,
-) -> tuple[np.ndarray, ...] | None:
-    """Image, pose, force, samples and ambient; None where the tool meets nothing."""
-    believed = _site(rng, mesh)
-    true = np.linalg.inv(placed) @ believed @ _moved(rng, errors.arm, errors.approach_angle)  # in the object's frame
-    heights = _cast(mesh, true, -RAYS_FROM_M, *_cell_centres()) - RAYS_FROM_M
-    nearest = np.min(heights)
-    if not np.isfinite(nearest):
-        return None
-    force = rng.uniform(1.0, 6.0)
-    depth, sinking = press(skin, heights - nearest, force)
-    advance = nearest + depth
-    look = true @ _along_z(advance - LOOK_M - CAMERA_BEHIND_M) @ hand_eye
-    image = photograph(rng, mesh, look, errors)
-    felt = field(skin, sinking) - field(skin, np.zeros_like(sinking))
-    noise = rng.normal(0, errors.reading, (2, 15))
-    return (
-        image, believed @ _along_z(advance), np.array(force + rng.normal(0, errors.force)),
-        zero + felt + noise[0], zero + noise[1],
-    )  # fmt: skip
 
 
 # --- skin ---
@@ -217,43 +165,19 @@ def field(skin: ReferenceSkin, given: np.ndarray) -> np.ndarray:
     return 1e6 * np.sum(1e-7 * (3 * along * apart - skin.moments) / distance**3, axis=1).ravel()
 
 
-# --- camera and arm ---
+# --- arm ---
 
 
-def photograph(rng: np.random.Generator, mesh: trimesh.Trimesh, T_o_c: np.ndarray, errors: WorldErrors) -> np.ndarray:
-    """Depth (48, 48) m along the optical axis of a pinhole, whose picture is cropped to the window of the skin at the
-    distance of the object; 0 where nothing is seen.
-    """
-    pitch = EDGE_M / PIXELS / (LOOK_M + CAMERA_BEHIND_M)
-    across = (np.arange(PIXELS) - (PIXELS - 1) / 2) * pitch
+def _heights(mesh: trimesh.Trimesh, T_o_t: np.ndarray, cells: int) -> np.ndarray:
+    """Distance (m) of the object from the tool's plane along tool z, over the skin's square; infinite beside it."""
+    across = ((np.arange(cells) + 0.5) / cells - 0.5) * EDGE_M
     x, y = np.meshgrid(across, across)
-    directions = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
-    origins = np.tile(T_o_c[:3, 3], (len(directions), 1))
-    z = _first_hits(mesh, origins, directions @ T_o_c[:3, :3].T).reshape(x.shape)
-    # Errors of a stereo matcher are alike over a few pixels.
-    z = z + errors.depth * 3.5 * gaussian_filter(rng.normal(size=z.shape), 1.0)
-    return np.where(np.isfinite(z), errors.depth_step * np.round(z / errors.depth_step), 0.0)
-
-
-def _first_hits(mesh: trimesh.Trimesh, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Distances from origins to first hits, in lengths of the direction; infinite where nothing is met."""
-    points, rays, _ = mesh.ray.intersects_location(origins, directions, multiple_hits=False)
+    origins = np.stack([x, y, np.full_like(x, -RAYS_FROM_M)], -1).reshape(-1, 3) @ T_o_t[:3, :3].T + T_o_t[:3, 3]
+    along = np.tile(T_o_t[:3, 2], (len(origins), 1))
+    points, rays, _ = mesh.ray.intersects_location(origins, along, multiple_hits=False)
     found = np.full(len(origins), np.inf)
-    times = np.sum((points - origins[rays]) * directions[rays], -1) / np.sum(directions[rays] ** 2, -1)
-    np.minimum.at(found, rays, times)
-    return found
-
-
-def _cast(mesh: trimesh.Trimesh, T_o_t: np.ndarray, start: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Distance along tool z from a plane before the tool to the object."""
-    origins = np.stack([x, y, np.full_like(x, start)], -1).reshape(-1, 3) @ T_o_t[:3, :3].T + T_o_t[:3, 3]
-    return _first_hits(mesh, origins, np.tile(T_o_t[:3, 2], (len(origins), 1))).reshape(x.shape)
-
-
-def _cell_centres() -> tuple[np.ndarray, np.ndarray]:
-    across = ((np.arange(CELLS) + 0.5) / CELLS - 0.5) * EDGE_M
-    x, y = np.meshgrid(across, across)
-    return x, y
+    np.minimum.at(found, rays, ((points - origins[rays]) * along[rays]).sum(-1))
+    return found.reshape(x.shape) - RAYS_FROM_M
 
 
 def _site(rng: np.random.Generator, mesh: trimesh.Trimesh) -> np.ndarray:
@@ -267,19 +191,6 @@ def _site(rng: np.random.Generator, mesh: trimesh.Trimesh) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3] = (down * Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))).as_matrix()
     T[:3, 3] = points[0]
-    return T
-
-
-def _moved(rng: np.random.Generator, distance: float, angle: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(rng.normal(0, 1, 3) * angle).as_matrix()
-    T[:3, 3] = rng.normal(0, 1, 3) * distance
-    return T
-
-
-def _along_z(distance: float) -> np.ndarray:
-    T = np.eye(4)
-    T[2, 3] = distance
     return T
 
 
