@@ -30,8 +30,6 @@ EXPERIMENTS = {
     "experiments.calibrate": "how many presses tell one skin?",
     "experiments.fidelity": "what is a recording of a skin worth?",
     "experiments.shapes": "which of five stamps was pressed?",
-    "experiments.pads": "where was a skin pressed that is new?",
-    "experiments.calibrate_pads": "calibration of simulated skins",
     "experiments.unknowns": "are a recording's mistakes found?",
     "experiments.shifted": "does calibration lose to baselines?",
     "experiments.second_world": "the same in a world of other physics",

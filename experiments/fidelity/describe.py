@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from experiments.fidelity.sections import CannotTellError, Section, join
 from i2t.calibration import check_presses, segment_presses
 from i2t.calibration.heads import TARGETS, SkinRecording
-from i2t.calibration.heads.recording import VALUES_PER_CHIP
+from i2t.calibration.recordings import VALUES_PER_CHIP
 from i2t.unknowns.estimate import estimate_unknowns, metrics_of
 from i2t.unknowns.findings import Finding, RecordedPresses
 from i2t.unknowns.labels import FORCE_SIGN, LAG
@@ -254,13 +254,12 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
     name, load = load_of(recording)
     rows = recording.known("position") & np.isfinite(load)
     if rows.sum() < 2:
-        raise CannotTellError("Lags, repeated rows and changes are looked for where positions and loads are known.")
+        raise CannotTellError("Repeated rows and changes are looked for where positions and loads are known.")
     position = recording.targets["position"][rows]
     warned = check_presses(position, np.abs(load[rows]), recording.readings[rows], by_force=name == "force")
     found += [message[0].upper() + message[1:] for message in warned.messages()]
     numbers |= {
         "repeated_rows": int(warned.repeated.sum()),
-        "label_lag_rows": warned.label_lag,
         "change_ratio": warned.change_ratio,
         "changed_chips": list(warned.changed_chips),
         "ut_per_newton": warned.sensitivity_ut_per_n,

@@ -22,8 +22,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration.heads import TARGETS, SkinRecording
-from i2t.calibration.heads.head import STREAM_GAP_S, is_stream
-from i2t.calibration.heads.recording import MIN_CHANGE, VALUES_PER_CHIP
+from i2t.calibration.recordings import MIN_CHANGE, STREAM_GAP_S, VALUES_PER_CHIP, is_stream
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
 from i2t.viz import style

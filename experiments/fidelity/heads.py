@@ -9,8 +9,20 @@ from matplotlib.figure import Figure
 
 from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.heads import BASELINE_HEADS, TARGETS, Head, HeadBudget, HeadPrediction, SkinRecording, fit_head
-from i2t.calibration.heads.head import STDS_OF_90_PERCENT, hold_out_groups, root_mean_square, target_rows
+from i2t.calibration.heads import (
+    BASELINE_HEADS,
+    HEAD_TARGETS,
+    STDS_OF_90_PERCENT,
+    TARGETS,
+    Head,
+    HeadBudget,
+    HeadPrediction,
+    SkinRecording,
+    fit_head,
+    hold_out_groups,
+    root_mean_square,
+    target_rows,
+)
 from i2t.viz import style
 
 PUBLISHED_FIGURES = {
@@ -18,22 +30,20 @@ PUBLISHED_FIGURES = {
     "depth": "eflesh-touch 0.39 mm",
     "force": "eFlesh 0.27 N, eflesh-touch 0.080 N",
     "shear": "eFlesh 0.12 N, eflesh-touch 0.055 N",
-    "slip": "eFlesh 95 %, AnySkin 92 % of slips found (with a tip of their own)",
 }
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
 MIN_HEAD_TEST = 5
 MIN_INSIDE_90 = 0.85  # of values in the 90 % range: where fewer are, a sentence says so
-CALIBRATION_BINS = 10
 
 
 class HeadScore(NamedTuple):
     """Scores of a head on rows it never saw, in the unit of its target."""
 
     rows: int
-    rmse: float  # of a probability: root of the Brier score
-    median: float  # of the length of errors; of a probability: share predicted right
-    r2: float  # of a probability: area under the receiver operating characteristic
-    inside_90: float  # share of values in the 90 % range; of a probability: expected calibration error
+    rmse: float
+    median: float  # of the length of errors
+    r2: float
+    inside_90: float  # share of values in the 90 % range
     unfamiliar: float  # share of rows
 
 
@@ -54,7 +64,7 @@ def head_sections(
 ) -> None:
     """Tests of all targets that a recording supports; a sentence for each other one."""
     found = {}
-    for target in targets or TARGETS:
+    for target in targets or HEAD_TARGETS:
         try:
             found[target] = test_heads(recording, target, budget, share=share, seed=seed)
         except ValueError as error:
@@ -90,7 +100,7 @@ def test_heads(
         rivals = {method: score_head(baseline, recording, other) for method, baseline in baselines.items()}
         tests[name] = HeadTest(
             head.method,
-            int(head.record.history),
+            head.record.history,
             scored,
             {method: score for method, (score, _) in rivals.items()},
             head.validation,
@@ -109,7 +119,7 @@ def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: 
     """Heads of each recording on the others, as a skin that was mounted again or worn would be read."""
     rows = [["target", "fitted to", "tested on", "rows", "RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]]
     numbers: dict[str, Any] = {}
-    for target, kind in TARGETS.items():
+    for target in HEAD_TARGETS:
         for known in recordings:
             try:
                 head = fit_head(known, target, budget=budget, seed=seed)
@@ -125,8 +135,15 @@ def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: 
                     continue
                 numbers[f"{target}: {known.name} -> {other.name}"] = score._asdict()
                 section.sentences += missed_ranges(target, {f"from {known.name} to {other.name}": score})
-                what = target if kind.yes_no else f"{target} ({kind.unit})"
-                rows.append([what, known.name, other.name, str(score.rows), *(cell(value) for value in score[1:])])
+                rows.append(
+                    [
+                        f"{target} ({TARGETS[target].unit})",
+                        known.name,
+                        other.name,
+                        str(score.rows),
+                        *(cell(value) for value in score[1:]),
+                    ]
+                )
     if len(rows) == 1:
         raise CannotTellError(" ".join(section.sentences) or "No two recordings share a target that a head predicts.")
     section.numbers["heads"] = numbers
@@ -152,11 +169,6 @@ def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[
     truth = recording.targets[head.target][rows]
     error, unfamiliar = predicted.mean - truth, float(np.mean(predicted.unfamiliar))
     both = np.column_stack([truth, predicted.mean])
-    if TARGETS[head.target].yes_no:
-        yes, p = truth[:, 0] > 0.5, predicted.mean[:, 0]
-        right = float(np.mean((p > 0.5) == yes))
-        curve, off = area_under_curve(p, yes), calibration_error(p, yes)
-        return HeadScore(len(yes), root_mean_square(error), right, curve, off, unfamiliar), both
     scale = TARGETS[head.target].scale
     total = float(np.sum((truth - truth.mean(0)) ** 2))
     inside = float(np.mean(np.abs(error) <= STDS_OF_90_PERCENT * predicted.std))
@@ -172,40 +184,15 @@ def _known_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRe
     return replace(recording, targets={**recording.targets, target: values})
 
 
-def area_under_curve(score: np.ndarray, yes: np.ndarray) -> float:
-    """Probability that a row with yes has the higher score than one without (Mann and Whitney); ties count half."""
-    from scipy.stats import rankdata
-
-    ranks, positives = rankdata(score), int(yes.sum())
-    if not 0 < positives < len(yes):
-        return float("nan")
-    return float((ranks[yes].sum() - positives * (positives + 1) / 2) / (positives * (len(yes) - positives)))
-
-
-def calibration_error(probability: np.ndarray, yes: np.ndarray) -> float:
-    """Expected calibration error: how far stated probabilities lie from what happened, over ten bins."""
-    bins = np.minimum((probability * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
-    parts = [bins == i for i in range(CALIBRATION_BINS) if (bins == i).any()]
-    return float(sum(part.mean() * abs(probability[part].mean() - yes[part].mean()) for part in parts))
-
-
 def caption(target: str) -> str:
     """Caption of a target's table."""
-    unit = TARGETS[target].unit
     published = f"; published: {PUBLISHED_FIGURES[target]}" if target in PUBLISHED_FIGURES else ""
-    return f"{target} ({unit}{published})" if unit else f"{target} (probability{published})"
+    return f"{target} ({TARGETS[target].unit}{published})"
 
 
 def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
     """A row for each way of holding out and each method."""
-    yes_no = TARGETS[target].yes_no
-    header = ["held out", "rows", "method"]
-    header += (
-        ["Brier, root", "share right", "AUROC", "calibration error"]
-        if yes_no
-        else ["RMSE", "median", "R2", "in the 90 % range"]
-    )
-    rows = [[*header, "unfamiliar"]]
+    rows = [["held out", "rows", "method", "RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]]
     for name, test in tests.items():
         for method, score in {f"{test.method} (kept)": test.kept, **test.baselines}.items():
             rows.append([name, str(score.rows), method, *(cell(value) for value in score[1:])])
@@ -226,8 +213,6 @@ def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]
 
 def missed_ranges(target: str, scores: dict[str, HeadScore]) -> list[str]:
     """A sentence for each way of holding out in which too few values lie in the stated range."""
-    if TARGETS[target].yes_no:
-        return []
     return [
         f"{target}, {name}: the 90 % range holds {100 * score.inside_90:.0f} % of {score.rows} rows; do not rely on "
         "it there."
@@ -264,28 +249,13 @@ def _figure(found: dict[str, dict[str, HeadTest]]) -> Figure:
         test = tests.get(GROUP_SPLIT) or next(iter(tests.values()))
         both = kind.scale * test.errors
         d = both.shape[1] // 2
-        if kind.yes_no:
-            for answer, colour in ((0, style.GREY), (1, style.BLUE)):
-                axes.hist(
-                    both[both[:, 0].round() == answer, 1],
-                    bins=20,
-                    range=(0, 1),
-                    color=colour,
-                    alpha=0.6,
-                    label=f"{answer}",
-                )
-            axes.set(xlabel=f"probability of {target}", ylabel="rows", title=target)
-            axes.legend(title="truth")
-        else:
-            for i in range(d):
-                axes.plot(
-                    both[:, i], both[:, d + i], ".", ms=2, color=style.COLOURS[i], label="xy"[i] if d > 1 else None
-                )
-            ends = [both[:, :d].min(), both[:, :d].max()]
-            axes.plot(ends, ends, color=style.GREY, lw=0.8)
-            axes.set(
-                xlabel=f"measured {target} ({kind.unit})",
-                ylabel=f"predicted ({kind.unit})",
-                title=f"{target}, {test.method}",
-            )
+        for i in range(d):
+            axes.plot(both[:, i], both[:, d + i], ".", ms=2, color=style.COLOURS[i], label="xy"[i] if d > 1 else None)
+        ends = [both[:, :d].min(), both[:, :d].max()]
+        axes.plot(ends, ends, color=style.GREY, lw=0.8)
+        axes.set(
+            xlabel=f"measured {target} ({kind.unit})",
+            ylabel=f"predicted ({kind.unit})",
+            title=f"{target}, {test.method}",
+        )
     return figure

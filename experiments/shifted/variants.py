@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.calibrate_pads.kinds import SKIN_KINDS, simulate_skins
+from experiments.calibrate.skins import SKIN_KINDS, simulate_skins
 from i2t.calibration import LoadKind
 from i2t.calibration.heads import read_recordings
 

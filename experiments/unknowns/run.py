@@ -5,7 +5,7 @@
     python -m experiments.unknowns --seed 1           other skins, to choose something on
     python -m experiments.unknowns --kinds bonded lattice --questions lag height
 
-Skins of five kinds are simulated (`experiments.calibrate_pads.kinds`: bonded, loose, uniform, weak, lattice) and
+Skins of five kinds are simulated (`experiments.calibrate.skins`: bonded, loose, uniform, weak, lattice) and
 pressed at random, 15 % of the presses above first contact. Each is damaged in one way at a time, and `i2t.unknowns` is
 asked:
 
@@ -33,7 +33,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.stats import beta
 
-from experiments.calibrate_pads.kinds import PressedSkinOfKind, simulate_skins
+from experiments.calibrate.skins import PressedSkinOfKind, simulate_skins
 from experiments.common.runs import begin, write_json
 from experiments.unknowns.arguments import QUESTIONS, UnknownsArgs
 from i2t import unknowns

@@ -4,10 +4,10 @@ from collections import namedtuple
 
 import numpy as np
 import pytest
+from i2t.calibration.files import PressedSkin, calibrated_presses, fit_pressed_pad, parse_tip
 
 from i2t import serialization
 from i2t.calibration import FORCE_HYPERPARAMETERS, Calibration, calibrate, load_calibration
-from i2t.calibration.files import PressedSkin, calibrated_presses, fit_pressed_pad, parse_tip
 from i2t.calibration.model import CalibrationRecord
 from i2t.calibration.physics import RoundTip
 from i2t.errors import SerializationError

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 from helpers.skin_presses import presses_of_a_skin
+from i2t.calibration.heads.head import _factor_of_groups, hold_out_groups, is_stream
 from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, DotProduct, WhiteKernel
@@ -14,7 +15,6 @@ from sklearn.neighbors import KNeighborsRegressor
 
 from i2t.calibration.heads import BASELINE_HEADS, HeadBudget, SkinRecording, fit_head, load_head, read_recordings
 from i2t.calibration.heads import regression as methods
-from i2t.calibration.heads.head import _factor_of_groups, hold_out_groups, is_stream
 from i2t.errors import DataError, SerializationError
 
 SMALL = HeadBudget(selection_rows=150, known_rows=250)

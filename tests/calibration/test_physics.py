@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from i2t.calibration.files import PressedSkin
 from scipy import stats
 
 from i2t.calibration import Presses, files, physics
-from i2t.calibration.files import PressedSkin
 from i2t.calibration.physics import RoundTip
 from i2t.skin import boards
 from i2t.skin.elasticity import Grid

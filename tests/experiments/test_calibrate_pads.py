@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from experiments.calibrate_pads import __main__ as command
 from experiments.calibrate_pads import kinds, population, prior_search, simulate, skin_kinds
-from i2t.calibration.population_gp import load_prior
 from i2t.calibration.population_gp.prior import prior_about
+
+from i2t.calibration.population_gp import load_prior
 
 
 def test_the_prior_of_the_package_is_what_the_search_makes_of_its_constants():

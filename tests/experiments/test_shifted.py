@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.skin_presses import presses_of_a_skin
 
-from experiments.calibrate_pads.kinds import PressedSkinOfKind
+from experiments.calibrate.skins import PressedSkinOfKind
 from experiments.shifted import run, variants
 from experiments.shifted.arguments import ShiftedArgs
 
