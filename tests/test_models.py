@@ -6,10 +6,9 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from experiments.ready_models.__main__ import main
-from experiments.ready_models.eflesh import GRID_DEPTHS, GRID_PLACES
 
 import i2t
+from experiments.ready_models import GRID_DEPTHS, GRID_PLACES, main
 from i2t import imagine, models
 from i2t.calibration.structured_gp import StructuredGP
 from i2t.errors import SerializationError

@@ -54,7 +54,7 @@ COMMANDS = [
     ("experiments.fidelity --simulated-skins -2", "--simulated-skins is -2"),
     ("experiments.unknowns --kinds soft", "not simulated"),
     ("experiments.shifted --dataset nowhere --draws 0", "--draws is 0"),
-    ("experiments.calibrate_pads --prior --kinds", "pass one of them"),
+    ("experiments.calibrate --prior --simulated", "pass one of"),
     ("experiments.clouds --shapes cloud", "is no object of the catalogue"),
     ("experiments.real_frames --data empty", "is missing"),
     ("experiments.benchmark --sections speed", "choose"),

@@ -61,10 +61,25 @@ from i2t.calibration.regression import (
 from i2t.dataset import square_blocks
 
 __all__ = [
-    "BASELINE_HEADS", "HEAD_METHODS", "HEAD_TARGETS", "STDS_OF_90_PERCENT", "TARGETS", "Head", "HeadBudget", "HeadPrediction",
-    "SkinRecording", "corrected_recording", "fit_head", "from_dataset", "hold_out_groups", "is_dataset", "load_head",
-    "read_recordings", "root_mean_square", "target_rows",
-]  # fmt: skip
+    "BASELINE_HEADS",
+    "HEAD_METHODS",
+    "HEAD_TARGETS",
+    "STDS_OF_90_PERCENT",
+    "TARGETS",
+    "Head",
+    "HeadBudget",
+    "HeadPrediction",
+    "SkinRecording",
+    "corrected_recording",
+    "fit_head",
+    "from_dataset",
+    "hold_out_groups",
+    "is_dataset",
+    "load_head",
+    "read_recordings",
+    "root_mean_square",
+    "target_rows",
+]
 
 FILE_KIND_OF_HEAD = "i2t head"
 HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.yes_no)
