@@ -233,7 +233,7 @@ def _across(
     section: Section,
     rows: list[list[str]],
 ) -> None:
-    """One session's map on another, as it is and laid over it as `experiments.calibrate --previous-session` does."""
+    """One session's map on another, as it is and laid over it."""
     before, now, load_known = _alike(known, other)
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:20], order[20 : 20 + preset.test_rows]
