@@ -29,7 +29,8 @@ def learning_curves(
     recording: PressRecording, split: PressSplit, *, counts: Sequence[int], draws: int, seed: int
 ) -> Scores:
     """Scores of every method at every number of presses, a value for each draw."""
-    scores = Scores(*({name: {} for name in split.tests} for _ in Scores._fields))
+    names = list(split.tests)
+    scores = Scores({name: {} for name in names}, {name: {} for name in names}, {name: {} for name in names})
     test = np.concatenate(list(split.tests.values()))
     ends = np.cumsum([len(rows) for rows in split.tests.values()])
     for draw in progress(range(draws), desc="draws", unit="draw"):

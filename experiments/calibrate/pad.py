@@ -45,19 +45,20 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
             "no pad explains these presses; are tip, unit of the loads and board what they are said to be?"
         )
     square = (readings - np.asarray(fitted.leave_one_out, np.float64)) ** 2
+    r2, error_std = explained(readings, square.sum(1)), float(np.sqrt(np.mean(square)))
     about = {
         "pad": args.pad_name or dataset.pads[int(touches.pad[0])],
         "source": dataset.source,
         "presses": len(rows),
-        "error_std_uT": float(np.sqrt(np.mean(square))),
-        "r2": explained(readings, square.sum(1)),
+        "error_std_uT": error_std,
+        "r2": r2,
     }
     save_pad(args.save_pad, fitted.pad, about=about)
     print(
-        f'pad of "{about["pad"]}" fitted to {len(rows)} {dataset.source} presses of {tip} by {load}: R2 '
-        f"{about['r2']:.3f}, {about['error_std_uT']:.1f} uT, each press left out"
+        f'pad of "{about["pad"]}" fitted to {len(rows)} {dataset.source} presses of {tip} by {load}: R2 {r2:.3f}, '
+        f"{error_std:.1f} uT, each press left out"
     )
-    if about["r2"] < POOR_R2:
+    if r2 < POOR_R2:
         print("warning: this pad explains its own presses poorly; it may be no even layer over this board")
     print(f"it is in {args.save_pad}")
     return {**about, "tip": tip}
