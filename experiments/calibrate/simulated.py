@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,6 @@ from i2t.progress import progress
 from i2t.skin.boards import eflesh_board, reskin_board
 
 SKINS_SEED = 202  # the prior's are others
-DRAW_STREAM = 1  # of random numbers, apart from those of the skins
 
 
 class Case(NamedTuple):
@@ -69,7 +67,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         "seconds": round(time.perf_counter() - started, 1),
     }
     write_json(args.out / "metrics.json", metrics)
-    _report(metrics, args.out)
+    _report(metrics)
     return metrics
 
 
@@ -100,20 +98,10 @@ def _recording(skin: PressedSkinOfKind, load: str) -> PressRecording:
     )
 
 
-def _report(metrics: dict[str, Any], out: Path) -> None:
-    """Print the tables, and write that of the documents: means."""
-    lines: list[str] = []
+def _report(metrics: dict[str, Any]) -> None:
+    """Print the tables."""
     for name, case in metrics["cases"].items():
         print(f"\n{name} (simulated), mean R2 of {metrics['skins_of_each_kind']} skins [95 %]")
         for method, by_count in (case["r2"] | case["differences"]).items():
             print(table_row(method, by_count))
         print(table_row("readings in its 90 % range", case["inside_90"]))
-        if not lines:
-            counts = list(case["inside_90"])
-            lines = [
-                "| skin and load | method | " + " | ".join(map(str, counts)) + " |",
-                "| --- " * (len(counts) + 2) + "|",
-            ]
-        for method, by_count in (case["r2"] | {"readings in its 90 % range": case["inside_90"]}).items():
-            lines.append(f"| {name} | {method} | " + " | ".join(f"{v['mean']:.2f}" for v in by_count.values()) + " |")
-    (out / "table.md").write_text("\n".join(lines) + "\n")

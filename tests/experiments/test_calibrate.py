@@ -256,11 +256,11 @@ def test_shares_go_to_what_predicts_best_and_some_to_what_was_known():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("what", "made"), [("prior", "prior.npz"), ("simulated", "table.md")])
-def test_a_debug_run_without_presses_ends_with_its_results(what, made, tmp_path):
+@pytest.mark.parametrize("what", ["prior", "simulated"])
+def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
     assert command.main([f"--{what}", "--preset", "debug", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "metrics.json").is_file()
-    assert (tmp_path / made).stat().st_size < 100_000
-    if what == "simulated":
-        table = (tmp_path / made).read_text()
-        assert table.count("\n") == 2 + len(methods.METHODS) + 1  # head, methods and coverage of one case
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    if what == "prior":
+        assert (tmp_path / "prior.npz").stat().st_size < 100_000
+    else:
+        assert set(metrics["cases"]["lattice, depth"]["r2"]) == set(methods.METHODS)

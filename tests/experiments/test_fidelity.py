@@ -243,7 +243,7 @@ def test_a_range_that_holds_too_few_rows_is_said():
 
 
 def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
-    """As `experiments.calibrate --previous-session` does, in both directions."""
+    """In both directions."""
     section, big = Section("across"), presses_of_a_skin(600)
     depth = big.targets["depth"][:, 0]
     later = np.flatnonzero(np.arange(600) >= 300)

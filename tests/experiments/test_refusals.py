@@ -9,8 +9,7 @@ from experiments.studies.__main__ import RENAMED_STUDIES, RENAMED_STUDY_FLAGS
 REFUSED = [
     ("active_touch --objects star mug", "mug"),
     ("active_touch --objects star star", "each named once"),
-    ("calibrate --dataset DIR --calibration skin.npz --save-pad pad.npz", "pass --dataset DIR"),
-    ("calibrate --calibration skin.npz", "--calibration is for --save-pad FILE"),
+    ("calibrate --dataset DIR --simulated", "pass one of --dataset DIR"),
     ("fidelity --dataset x --simulated-skins 1", "--simulated-skins"),
     ("recognize live --prior-unknown 0.1 --num-surrogates 0", "surrogates"),
     ("recognize live --skin replay --pad nominal", "feels nothing that this arm touches"),
@@ -25,7 +24,6 @@ REFUSED = [
     ("reconstruct --name mine", "--name has no effect without --dataset or --arm"),
 ]
 RENAMED = [
-    ("calibrate --dataset DIR --earlier DIR", "--previous-session"),
     ("recognize --live --there hammer", "the subcommand live (python -m experiments.recognize live"),
     ("recognize live --strange=0.1", "--prior-unknown"),
     ("recognize live --places 8", "--num-particles"),
