@@ -30,8 +30,6 @@ EXPERIMENTS = {
     "experiments.calibrate": "how many presses tell one skin?",
     "experiments.fidelity": "what is a recording of a skin worth?",
     "experiments.shapes": "which of five stamps was pressed?",
-    "experiments.pads": "where was a skin pressed that is new?",
-    "experiments.calibrate_pads": "calibration of simulated skins",
     "experiments.tsne": "do views and readings sort alike?",
     "experiments.refine": "poses found from single patches",
     "experiments.clouds": "point clouds as surfaces",

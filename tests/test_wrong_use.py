@@ -51,7 +51,7 @@ COMMANDS = [
     ("experiments.studies policy --meshes empty", "is for the study object_count"),
     ("experiments.calibrate --dataset table.csv --targets weight", "is no target"),
     ("experiments.fidelity --dataset nowhere", "nowhere"),
-    ("experiments.calibrate_pads --prior --kinds", "pass one of them"),
+    ("experiments.calibrate --prior --simulated", "pass one of"),
     ("experiments.clouds --shapes cloud", "is no object of the catalogue"),
     ("experiments.real_frames --data empty", "is missing"),
     ("experiments.benchmark --sections speed", "choose"),

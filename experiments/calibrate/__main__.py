@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 
-from experiments.calibrate.config import CalibrateArgs
+from experiments.calibrate.arguments import CalibrateArgs
 from experiments.common.commands import run_command
 
 

@@ -213,7 +213,7 @@ def _across(
     known: SkinRecording, other: SkinRecording, preset: FidelityPreset, seed: int, section: Section,
     rows: list[list[str]],
 ) -> None:  # fmt: skip
-    """One session's map on another, as it is and laid over it as `experiments.calibrate --previous-session` does."""
+    """One session's map on another, as it is and laid over it."""
     before, now, load_known = _alike(known, other)
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]

@@ -7,8 +7,7 @@ import pytest
 REFUSED = [
     ("active_touch --objects star mug", "mug"),
     ("active_touch --objects star star", "each named once"),
-    ("calibrate --dataset DIR --calibration skin.npz --save-pad pad.npz", "pass --dataset DIR"),
-    ("calibrate --calibration skin.npz", "--calibration is for --save-pad FILE"),
+    ("calibrate --dataset DIR --simulated", "pass one of --dataset DIR"),
     ("fidelity --dataset nowhere", "nowhere"),
     ("recognize live --prior-unknown 0.1 --num-surrogates 0", "surrogates"),
     ("recognize live --skin replay --pad nominal", "feels nothing that this arm touches"),

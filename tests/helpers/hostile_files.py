@@ -25,8 +25,7 @@ import h5py
 import numpy as np
 from helpers import random_touches
 
-from i2t.calibration.heads.head import load_head
-from i2t.calibration.heads.recording import read_recordings
+from i2t.calibration.heads import load_head, read_recordings
 from i2t.calibration.model import load_calibration
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.event_log import ENTRY_HEADER, RAW_FILE_KIND, read_raw

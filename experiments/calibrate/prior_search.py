@@ -1,4 +1,4 @@
-"""The prior over kernels of `i2t.calibration.population_gp`, made from simulated skins of all kinds.
+"""The prior over kernels of `i2t.calibration.prior`, made from simulated skins of all kinds.
 
 Candidates are drawn from wide ranges and about two sets of hyperparameters that were known before. Each is tried on
 every skin: conditioned on 10, 30 and 100 presses it predicts others. Candidates of a second generation are drawn about
@@ -9,16 +9,17 @@ iterations stopped early, so that they stay wide.
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments.calibrate_pads.kinds import SKIN_KINDS, PressedSkinOfKind, simulate_skins
-from i2t.calibration.population_gp import KernelPrior, SkinKernels, save_prior
-from i2t.calibration.population_gp import prior as kernel_prior
-from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, geometry, join, signal_covariances, take
-from i2t.calibration.population_gp.left_out import Observed, condition_all, ungrouped
+from experiments.calibrate.arguments import CalibrateArgs
+from experiments.calibrate.skins import SKIN_KINDS, PressedSkinOfKind, simulate_skins
+from experiments.common.presets import choose_preset
+from experiments.common.runs import begin, write_json
+from i2t.calibration.kernels import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
+from i2t.calibration.left_out import Observed, condition_all, grouped, ungrouped
+from i2t.calibration.prior import PRIOR_FILE, KernelPrior, save_prior
 from i2t.progress import progress
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search
@@ -67,17 +68,10 @@ PRESETS: dict[str, PriorSearch] = {
 }
 
 
-def make_prior(cfg: PriorSearch, out: Path) -> dict[str, Any]:
-    """Search, and write prior.npz.
-
-    Args:
-        cfg: How much is tried.
-        out: Folder of the run.
-
-    Returns:
-        What is to be known of it.
-    """
-    started = time.perf_counter()
+def run(args: CalibrateArgs) -> dict[str, Any]:
+    """Search, and write prior.npz."""
+    started, cfg, out = time.perf_counter(), choose_preset(PRESETS, args.preset), args.out
+    begin(out, args, cfg, None, args.overwrite)
     rng = np.random.default_rng(POPULATION_SEED)
     tasks = population_tasks(cfg)
     first = join(draw_wide(rng, cfg.wide), *(near(rng, kernels, cfg.anchored) for kernels in ANCHORS.values()))
@@ -92,16 +86,18 @@ def make_prior(cfg: PriorSearch, out: Path) -> dict[str, Any]:
         log_share = np.log(share[:, keep] / share[:, keep].sum(1, keepdims=True))
     about = {
         "source": "simulated", "seed": POPULATION_SEED, "kinds": list(SKIN_KINDS), "skins_of_each": cfg.skins,
-        "candidates": int(share.shape[1]), "command": "python -m experiments.calibrate_pads --prior",
+        "candidates": int(share.shape[1]), "command": "python -m experiments.calibrate --prior",
     }  # fmt: skip
-    about["best_of_kind"] = _best_of_kind(every, error, tasks)
-    save_prior(out / kernel_prior.PRIOR_FILE, KernelPrior(take(every, keep), log_share), about)
+    save_prior(out / PRIOR_FILE, KernelPrior(take(every, keep), log_share), about)
     best = error.mean(0).min(1)
-    return about | {
+    metrics = about | {
         "kept": len(keep),
         "r2_of_the_best_kernel": {str(n): float(1 - e) for n, e in zip(SEARCH_PRESS_COUNTS, best, strict=True)},
         "seconds": round(time.perf_counter() - started, 1),
     }
+    write_json(out / "metrics.json", metrics)
+    print(f"simulated; {metrics['kept']} kernels are in {out / PRIOR_FILE}")
+    return metrics
 
 
 def population_tasks(cfg: PriorSearch) -> list[tuple[PressedSkinOfKind, bool]]:
@@ -158,28 +154,14 @@ def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]],
 
 
 def _errors(kernels: SkinKernels, known: np.ndarray, truth: np.ndarray, at, other) -> np.ndarray:
-    n, c = known.shape
-    observed = Observed(known, np.zeros((n, c, 0)), np.zeros(0), np.zeros((n, 1)))
+    observed = Observed(known, np.zeros((len(known), 1)))
     total = np.sum((truth - truth.mean(0)) ** 2)
     found = []
     for i, given in enumerate(condition_all(kernels, at, observed)):
         cross = signal_covariances(take(kernels, slice(i, i + 1)), other, at)[0]
-        weights = given.weights.reshape(n, len(cross), -1).swapaxes(0, 1)
-        found.append(np.sum((truth - ungrouped(cross @ weights)) ** 2) / total)
+        mean = ungrouped(cross @ grouped(given.weights, len(cross)))
+        found.append(np.sum((truth - mean) ** 2) / total)
     return np.array(found)
-
-
-def _best_of_kind(
-    kernels: SkinKernels, error: np.ndarray, tasks: list[tuple[PressedSkinOfKind, bool]]
-) -> dict[str, list[float]]:
-    """The one kernel that is best on all skins of a kind and load, over all counts."""
-    found = {}
-    names = [f"{skin.kind}, {'force' if by_force else 'depth'}" for skin, by_force in tasks]
-    for name in dict.fromkeys(names):
-        of = np.array([each == name for each in names])
-        best = int(np.argmin(np.log(error[of]).mean((0, 1))))
-        found[name] = [float(f"{values[best]:.4g}") for values in kernels]
-    return found
 
 
 def _best(error: np.ndarray) -> np.ndarray:

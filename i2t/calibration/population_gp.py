@@ -1,4 +1,6 @@
-"""A mixture of Gaussian processes over the population of kernels, weighted by presses left out.
+"""A Gaussian process of one skin whose hyperparameters are marginalised over a population of skins.
+
+It is a mixture over the population of kernels (`prior`, `kernels`), weighted by presses left out (`left_out`).
 
 Marginal likelihood misled on real presses, so a kernel's weight is its share of the population times what it is worth
 in predicting presses left out: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian
@@ -19,7 +21,6 @@ by the load, as in `i2t.calibration.structured_gp`.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,9 +28,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import logsumexp
 from scipy.stats import t as student_t
 
-from i2t.calibration.population_gp import kernel
-from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
-from i2t.calibration.population_gp.left_out import (
+from i2t.calibration import kernels as kernel
+from i2t.calibration.kernels import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
+from i2t.calibration.left_out import (
     Conditioned,
     LeftOutPresses,
     Observed,
@@ -39,7 +40,7 @@ from i2t.calibration.population_gp.left_out import (
     parts_that_lie_together,
     ungrouped,
 )
-from i2t.calibration.population_gp.prior import KernelPrior, load_prior, with_plain
+from i2t.calibration.prior import KernelPrior, load_prior, with_plain
 from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
 from i2t.types import in_one_line
 
@@ -52,8 +53,6 @@ PARTS, MIN_PART_PRESSES = 5, 10
 NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left out part by part
 BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
-LINEAR_VARIANCES = (0.15**2, 0.15**2)  # of the share of the press before that stays; of a temperature's effect
-LINEAR_SHARE = 0.5  # of the prior, of kernels with linear terms where they are known
 PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
 PREVIOUS_NOISE_FACTORS = (1.0, 10.0, 100.0)  # on the noise of kernels that explain what a previous session leaves
 # Presses that kernels are weighted by, and how many kernels are weighted by them.
@@ -79,22 +78,12 @@ MIN_FAR_M = 1e-4  # from where weights are those near the presses to where they 
 PREDICT_ROWS = 500  # presses that are predicted at once
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """Options of a fit; each part can be switched off to measure its benefit."""
-
-    robust: bool = True  # heavy tails
-    heights: bool = True  # local heights of the skin
-    max_kept: int = MAX_KEPT
-
-
 @in_one_line
 class PressTable(NamedTuple):
     """Presses with all that is known before their readings."""
 
     position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros where no position is known
     loads: Float[np.ndarray, "n kinds"]  # m of depth, N of force: a column for each kind of load that is known
-    linear: Float[np.ndarray, "n c r"]  # what acts in proportion on each reading: the reading before, the temperature
     previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, as a previous session predicts
 
 
@@ -104,10 +93,9 @@ class Components(NamedTuple):
 
     kernels: SkinKernels
     load_column: Int[np.ndarray, " k"]
-    uses_linear: Bool[np.ndarray, " k"]
     uses_previous: Bool[np.ndarray, " k"]
     log_share: Float[np.ndarray, " k"]
-    board: Int[np.ndarray, " k"] | None = None  # number of the board whose chips it knows, or NO_BOARD
+    board: Int[np.ndarray, " k"]  # number of the board whose chips it knows, or NO_BOARD
 
 
 @in_one_line
@@ -129,19 +117,11 @@ class PopulationGP(NamedTuple):
     readings: Float[np.ndarray, "n c"]  # uT
     chip_positions: Float[np.ndarray, "boards chips 2"] | None  # m
     typical_loads: Float[np.ndarray, " kinds"]  # m or N
-    typical_linear: Float[np.ndarray, "c r"]
     extra_noise: Float[np.ndarray, "n groups"]  # relative variance of presses that are no good
     heights: Heights
     components: Components
     weights: Float[np.ndarray, "k c"]  # near the presses
     far_weights: Float[np.ndarray, "k c"] | None = None  # far from them; None where nothing can be said
-
-
-class LeftOutMixture(NamedTuple):
-    """A mixture's prediction of presses left out."""
-
-    mean: Float[np.ndarray, "n c"]  # uT
-    variance: Float[np.ndarray, "n c"]  # uT^2
 
 
 def fit_population(
@@ -151,7 +131,6 @@ def fit_population(
     load_kinds: tuple[str, ...],
     chip_positions: Float[np.ndarray, "boards chips 2"] | None = None,
     prior: KernelPrior | None = None,
-    options: FitOptions = FitOptions(),
 ) -> PopulationGP:
     """Weigh the population by the presses of one skin, and condition it on them.
 
@@ -161,16 +140,15 @@ def fit_population(
         load_kinds: "depth" or "force", of each column of the loads.
         chip_positions: Positions of the chips (m) of each board that may be the skin's; channels come three for each.
         prior: Kernels of a population; by default those of the package.
-        options: What takes part.
 
     Returns:
         The conditioned mixture.
     """
     gp = _start(presses, readings, load_kinds, chip_positions, prior or load_prior())
-    gp = _weigh_in_stages(gp, options)
-    if options.robust and len(readings) >= MIN_ROBUST_PRESSES:
+    gp = _weigh_in_stages(gp)
+    if len(readings) >= MIN_ROBUST_PRESSES:
         gp = _with_heavy_tails(gp)
-    if options.heights and load_kinds and len(readings) >= FIRST_HEIGHT_PRESSES:
+    if load_kinds and len(readings) >= FIRST_HEIGHT_PRESSES:
         gp = _with_heights(gp)
     return gp
 
@@ -185,7 +163,7 @@ def condition(gp: PopulationGP) -> list[Conditioned]:
         One for each component.
     """
     found: dict[int, Conditioned] = {}
-    for rows, at, observed in _alike(gp, gp.components):
+    for rows, at, observed in _alike(gp):
         given = condition_all(kernel.take(gp.components.kernels, rows), at, observed)
         found |= dict(zip(rows.tolist(), given, strict=True))
     return [found[i] for i in range(len(found))]
@@ -223,38 +201,8 @@ def board_shares(gp: PopulationGP) -> Float[np.ndarray, " boards"]:
     Returns:
         Weights, the first that of members that know no chips; they sum to 1.
     """
-    assert gp.components.board is not None
     boards = 0 if gp.chip_positions is None else len(gp.chip_positions)
     return np.bincount(gp.components.board + 1, _shares(gp), boards + 1)
-
-
-def of_any_version(gp: PopulationGP) -> PopulationGP:
-    """Convert a mixture to this version.
-
-    Args:
-        gp: From a file, perhaps of a version that knew one board at most.
-
-    Returns:
-        The same.
-    """
-    if gp.components.board is not None:
-        return gp
-    falls = gp.components.kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
-    chips = None if gp.chip_positions is None else gp.chip_positions[None]
-    board = np.where(falls & (chips is not None), 0, NO_BOARD)
-    return gp._replace(components=gp.components._replace(board=board), chip_positions=chips)
-
-
-def left_out_mixture(gp: PopulationGP) -> LeftOutMixture:
-    """Each press of a mixture as predicted from all others, with the weights that all presses gave.
-
-    Args:
-        gp: The mixture.
-
-    Returns:
-        Means and variances; of the local heights only what they explain.
-    """
-    return _mixed(gp, _left_out_all(gp, gp.components))
 
 
 def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
@@ -270,8 +218,8 @@ def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
     Returns:
         A factor for each channel.
     """
-    n, found = len(gp.readings), left_out_mixture(gp)
-    ratios = np.abs(gp.readings - found.mean) / np.sqrt(found.variance) / STDS_WITHIN_90_PERCENT
+    n, (mean, variance) = len(gp.readings), _left_out_mixture(gp)
+    ratios = np.abs(gp.readings - mean) / np.sqrt(variance) / STDS_WITHIN_90_PERCENT
     level = min(0.9 * (n + 1) / n, 1.0)
     together = (n * np.quantile(ratios, level) + SCALING_PRESSES * DEFAULT_SCALING) / (n + SCALING_PRESSES)
     each = n * np.quantile(ratios, level, axis=0) + SHARED_PRESSES * together
@@ -298,9 +246,6 @@ def _start(
         found = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
         parts.append(_on_boards(*found, column, 0 if chip_positions is None else len(chip_positions)))
     components = _joined(*parts)
-    no = np.zeros(len(components.log_share), bool)
-    if presses.linear.shape[2]:
-        components = _joined(_shared(components, 1 - LINEAR_SHARE), _shared(components, LINEAR_SHARE, uses_linear=~no))
     if presses.previous_mean is not None:
         components = _joined(_shared(components, 1 - PREVIOUS_SHARE), *_of_previous(components))
     groups = c // 3 if c % 3 == 0 else 1
@@ -309,7 +254,6 @@ def _start(
         readings=readings,
         chip_positions=chip_positions,
         typical_loads=typical,
-        typical_linear=np.maximum(np.sqrt(np.mean(presses.linear**2, axis=0)), MIN_TYPICAL_LOAD),
         extra_noise=np.zeros((n, groups)),
         heights=Heights(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(n), np.ones(n)),
         components=components,
@@ -324,11 +268,14 @@ def _on_boards(kernels: SkinKernels, log_share: np.ndarray, column: int, boards:
         of, some = kernel.take(kernels, which), log_share[which]
         if board == NO_BOARD:
             of = of._replace(far_amplitude=np.full(len(some), UNIFORM_FAR_AMPLITUDE))
-        no, every = np.zeros(len(some), bool), np.ones(len(some), int)
+        every = np.ones(len(some), int)
         return Components(
-            kernels=of, load_column=column * every, uses_linear=no, uses_previous=no,
-            log_share=some - logsumexp(some) + np.log(share), board=board * every,
-        )  # fmt: skip
+            kernels=of,
+            load_column=column * every,
+            uses_previous=np.zeros(len(some), bool),
+            log_share=some - logsumexp(some) + np.log(share),
+            board=board * every,
+        )
 
     falls = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     boards = boards if falls.any() else 0
@@ -360,20 +307,20 @@ def _taken(components: Components, which: np.ndarray) -> Components:
     return Components(kernels=kernel.take(components.kernels, which), **rest)
 
 
-def _weigh_in_stages(gp: PopulationGP, options: FitOptions) -> PopulationGP:
+def _weigh_in_stages(gp: PopulationGP) -> PopulationGP:
     """Weigh ever fewer members by ever more presses; those of little weight in the end are dropped."""
     n = len(gp.readings)
     for presses, members in STAGES:
         if len(gp.weights) > members:
             gp = _keep(gp, np.argsort(-_shares(gp), kind="stable")[:members])
         some = _some_presses(gp, min(presses, n))
-        near, far = _weights(some, _left_out_all(some, gp.components))
+        near, far = _weights(some, _left_out_all(some))
         gp = gp._replace(weights=near, far_weights=far)
         if presses >= n:
             break
     order = np.argsort(-_shares(gp), kind="stable")
     enough = 1 + int(np.searchsorted(np.cumsum(_shares(gp)[order]), KEPT_SHARE))
-    most = options.max_kept if n <= KEEP_FEW_BEYOND else min(options.max_kept, MAX_KEPT_OF_MANY)
+    most = MAX_KEPT if n <= KEEP_FEW_BEYOND else MAX_KEPT_OF_MANY
     return _keep(gp, order[: min(enough, most)])
 
 
@@ -404,14 +351,12 @@ def _some_presses(gp: PopulationGP, count: int) -> PopulationGP:
 
 def _rows_of(presses: PressTable, rows: slice | np.ndarray) -> PressTable:
     mean = presses.previous_mean
-    return PressTable(
-        presses.position[rows], presses.loads[rows], presses.linear[rows], None if mean is None else mean[rows]
-    )
+    return PressTable(presses.position[rows], presses.loads[rows], None if mean is None else mean[rows])
 
 
 def _weighed(gp: PopulationGP) -> PopulationGP:
     """The mixture with weights by all its presses."""
-    near, far = _weights(gp, _left_out_all(gp, gp.components))
+    near, far = _weights(gp, _left_out_all(gp))
     return gp._replace(weights=near, far_weights=far)
 
 
@@ -442,14 +387,14 @@ def _weights(gp: PopulationGP, found: LeftOutPresses) -> tuple[np.ndarray, np.nd
     return near, far
 
 
-def _left_out_all(gp: PopulationGP, components: Components) -> LeftOutPresses:
-    n, c = gp.readings.shape
+def _left_out_all(gp: PopulationGP) -> LeftOutPresses:
+    (n, c), components = gp.readings.shape, gp.components
     k = len(components.log_share)
     part = _parts(gp)
     each = [np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c))]
     each += each[:2] if part is None else [np.empty((k, n, c)), np.empty((k, n, c))]
     found = LeftOutPresses(*each)
-    for rows, at, observed in _alike(gp, components):
+    for rows, at, observed in _alike(gp):
         given = left_out(kernel.take(components.kernels, rows), at, observed, part)
         for into, values in zip(found, given, strict=True):
             into[rows] = values
@@ -464,16 +409,14 @@ def _parts(gp: PopulationGP) -> np.ndarray | None:
     return parts_that_lie_together(position, PARTS)
 
 
-def _alike(gp: PopulationGP, components: Components) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
+def _alike(gp: PopulationGP) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
     """Numbers of members that see the same inputs, and these inputs."""
-    assert components.board is not None
-    which = np.column_stack(
-        [components.load_column, components.uses_linear, components.uses_previous, components.board]
-    )
+    components = gp.components
+    which = np.column_stack([components.load_column, components.uses_previous, components.board])
     for combination in np.unique(which, axis=0):
         rows = np.flatnonzero((which == combination).all(1))
-        column, linear, previous, board = combination
-        yield rows, _geometry(gp, gp.presses, int(column), int(board)), _observed(gp, bool(linear), bool(previous))
+        column, previous, board = combination
+        yield rows, _geometry(gp, gp.presses, int(column), int(board)), _observed(gp, bool(previous))
 
 
 def _geometry(gp: PopulationGP, presses: PressTable, column: int, board: int) -> PressGeometry:
@@ -486,21 +429,24 @@ def _geometry(gp: PopulationGP, presses: PressTable, column: int, board: int) ->
     return kernel.geometry(presses.position, load, gp.chip_positions[board])
 
 
-def _observed(gp: PopulationGP, linear: bool, previous: bool) -> Observed:
+def _observed(gp: PopulationGP, previous: bool) -> Observed:
     target = gp.readings
     if previous:
         assert gp.presses.previous_mean is not None
         target = target - gp.presses.previous_mean
-    regressors = gp.presses.linear / gp.typical_linear[None]
-    regressors = regressors if linear else regressors[:, :, :0]
-    extra = gp.extra_noise if gp.extra_noise.any() else gp.extra_noise[:, :1]
-    return Observed(target, regressors, np.array(LINEAR_VARIANCES[: regressors.shape[2]]), extra)
+    return Observed(target, gp.extra_noise if gp.extra_noise.any() else gp.extra_noise[:, :1])
 
 
-def _mixed(gp: PopulationGP, found: LeftOutPresses) -> LeftOutMixture:
+def _mixed(gp: PopulationGP, found: LeftOutPresses) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance (n, c) of presses left out."""
     error = np.einsum("kc,knc->nc", gp.weights, found.error)
     spread = found.variance + (found.error - error[None]) ** 2
-    return LeftOutMixture(gp.readings - error, np.einsum("kc,knc->nc", gp.weights, spread))
+    return gp.readings - error, np.einsum("kc,knc->nc", gp.weights, spread)
+
+
+def _left_out_mixture(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray]:
+    """Each press as predicted from all others, with the weights that all presses gave."""
+    return _mixed(gp, _left_out_all(gp))
 
 
 # --- heavy tails ---
@@ -511,15 +457,15 @@ def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
     n, c = gp.readings.shape
     groups = gp.extra_noise.shape[1]
     each = c // groups
-    found = _left_out_all(gp, gp.components)
-    mixed = _mixed(gp, found)
-    square = ((gp.readings - mixed.mean) ** 2 / mixed.variance).reshape(n, groups, each).mean(2)
+    found = _left_out_all(gp)
+    mean, variance = _mixed(gp, found)
+    square = ((gp.readings - mean) ** 2 / variance).reshape(n, groups, each).mean(2)
     ratio = (TAIL_DOF + each * square) / (TAIL_DOF + each)
     far = square > TAIL_LIMIT
     if not far.any():
         return gp
     scale = np.einsum("kc,kc->c", gp.weights, found.scale)
-    relative = (mixed.variance / scale[None] ** 2).reshape(n, groups, each).mean(2)
+    relative = (variance / scale[None] ** 2).reshape(n, groups, each).mean(2)
     gp = gp._replace(extra_noise=np.where(far, (ratio - 1) * relative, 0.0))
     return _weighed(gp)
 
@@ -549,12 +495,12 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
 
 def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Left-out mean, variance and slope by the first load (n, c) of the mixture."""
-    mixed = _mixed(gp, _left_out_all(gp, gp.components))
+    mean, variance = _left_out_mixture(gp)
     slopes = np.zeros((len(gp.weights), *gp.readings.shape))
-    for rows, at, observed in _alike(gp, gp.components):
+    for rows, at, observed in _alike(gp):
         if gp.components.load_column[rows[0]] == 0:
             slopes[rows] = left_out_slopes(kernel.take(gp.components.kernels, rows), at, observed)
-    return mixed.mean, mixed.variance, np.einsum("kc,knc->nc", gp.weights, slopes)
+    return mean, variance, np.einsum("kc,knc->nc", gp.weights, slopes)
 
 
 def _height_shares(gp: PopulationGP, tried: Heights, error: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -644,7 +590,6 @@ def _predict_one(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, variance and slope by the first load (m, c) of one member."""
     one = _taken(gp.components, np.array([i]))
-    assert one.board is not None
     column, board = int(one.load_column[0]), int(one.board[0])
     at, known = _geometry(gp, presses, column, board), _geometry(gp, gp.presses, column, board)
     groups = len(given.inverse)
@@ -657,12 +602,6 @@ def _predict_one(
     own = kernel.signal_variances(one.kernels, at)[0] + kernel.noise_variances(one.kernels, at)[0]
     variance = np.maximum(own - explained, kernel.noise_variances(one.kernels, at)[0])
     variance = np.repeat(variance, mean.shape[1] // len(variance), axis=0).T
-    if one.uses_linear[0]:
-        regressors = presses.linear / gp.typical_linear[None]
-        by_group = given.projected.reshape(len(known.load), groups, -1).swapaxes(0, 1)
-        left = regressors - (cross @ by_group).swapaxes(0, 1).reshape(regressors.shape)
-        mean = mean + np.einsum("mcr,cr->mc", regressors, given.coefficients)
-        variance = variance + np.einsum("mcr,crq,mcq->mc", left, given.coefficient_covariance, left)
     slope = np.zeros_like(mean)
     if len(gp.heights.std) and column == 0:
         change = np.broadcast_to(kernel.load_slopes(one.kernels, at, known)[0], cross.shape)

@@ -1,14 +1,13 @@
-"""Regressions from a reading to a target: the baselines, a Gaussian process (GP) and a small network.
+"""Regressions from a reading to a target: the baselines and a Gaussian process (GP).
 
 Every method is a function of features of a reading. What the features should be depends on the skin: a press twice as
 deep reads several times as much in much the same direction, so that position is written in a reading's direction and
 load in its length. `FEATURE_KINDS` names four ways to say that, and each method chooses one, with its other settings,
 by the error on whole folds of the rows at hand.
 
-Methods: the mean; ridge regression on the plain reading; the k nearest readings, weighted by their distance; a GP with
-a rational quadratic or a squared exponential covariance and a linear part (Rasmussen and Williams, "Gaussian Processes
-for Machine Learning", 2006, algorithm 2.1, equations 4.9 and 4.19); and the mean of four networks with two layers of
-128 units each, which is the form that the makers of eFlesh used. NumPy, but for the network.
+Methods: the mean; ridge regression on the plain reading; the k nearest readings, weighted by their distance; and a GP
+with a rational quadratic or a squared exponential covariance and a linear part (Rasmussen and Williams, "Gaussian
+Processes for Machine Learning", 2006, algorithm 2.1, equations 4.9 and 4.19). NumPy.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,8 +20,8 @@ from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve
 
 MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS = "mean", "linear", "k nearest readings"
-READINGS_GP, READINGS_NETWORK = "Gaussian process", "network"
-HEAD_METHODS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS, READINGS_GP, READINGS_NETWORK)
+READINGS_GP = "Gaussian process"
+HEAD_METHODS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS, READINGS_GP)
 BASELINE_HEADS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS)
 FEATURE_KINDS = ("plain", "by channel", "compressed", "direction")
 PLAIN_FEATURES, COMPRESSED_FEATURES, DIRECTION_FEATURES = (
@@ -38,8 +37,6 @@ LINEAR_PARTS = (1.0, 0.0)  # variance of the linear part, of a target's
 COMPRESSION = 0.3  # of the readings' root mean square, where the inverse hyperbolic sine turns from linear to log
 DIRECTION_FLOOR = 0.05  # of the readings' root mean square: a shorter reading has hardly a direction
 JITTER_VARIANCE = 1e-9
-HIDDEN_UNITS, MEMBERS, BATCH_ROWS = 128, 4, 128
-HEAD_LEARNING_RATE = 2e-3
 SEARCH_ROUNDS = 2  # over the settings of a GP, one after the other
 
 Settings: TypeAlias = tuple[float, ...]
@@ -49,8 +46,7 @@ class HeadBudget(NamedTuple):
     """Limits of a fit."""
 
     selection_rows: int = 700  # on which settings are chosen: the cost grows with the cube
-    known_rows: int = 2500  # of a GP and of a network
-    network_steps: int = 0  # 0: no network, which takes a hundred times as long as all else
+    known_rows: int = 2500  # of a GP
     rows: int = 12000  # of a recording that are looked at
 
 
@@ -75,17 +71,6 @@ class FeatureMap(NamedTuple):
         return (_unscaled(self, readings) - self.middle) / self.spread
 
 
-class NetworkLayers(NamedTuple):
-    """Weights of the networks, members first."""
-
-    kernel_1: Float[np.ndarray, "members k h"]
-    bias_1: Float[np.ndarray, "members h"]
-    kernel_2: Float[np.ndarray, "members h h"]
-    bias_2: Float[np.ndarray, "members h"]
-    kernel_3: Float[np.ndarray, "members h d"]
-    bias_3: Float[np.ndarray, "members d"]
-
-
 class Regression(NamedTuple):
     """A fitted method, as arrays that a file can hold; None where a method has no such thing."""
 
@@ -96,7 +81,6 @@ class Regression(NamedTuple):
     scale: Float[np.ndarray, " d"]
     known: Float[np.ndarray, "m k"] | None = None  # features of the rows it remembers
     weights: Float[np.ndarray, "m d"] | None = None  # of these rows, or of the features
-    layers: NetworkLayers | None = None
 
 
 def make_feature_map(kind: int, readings: Float[np.ndarray, "n c"]) -> FeatureMap:
@@ -144,8 +128,6 @@ def choose_settings(
     if method == READINGS_GP:
         return _choose_gp(readings, targets, folds)
     candidates = _candidates(method)
-    if len(candidates) == 1:  # nothing to choose, and a network takes long to try
-        return candidates[0]
     error: Callable[[Settings], float] = partial(_fold_error, method, readings, targets, folds)
     return min(candidates, key=error)
 
@@ -157,7 +139,6 @@ def fit_regression(
     targets: Float[np.ndarray, "n d"],
     *,
     budget: HeadBudget | None = None,
-    seed: int = 0,
 ) -> Regression:
     """Fit a method with given settings.
 
@@ -166,14 +147,13 @@ def fit_regression(
         settings: as `choose_settings` gives them.
         readings: uT.
         targets: in any unit.
-        budget: how many rows it may remember, and the steps of a network.
-        seed: of a network.
+        budget: how many rows it may remember.
 
     Returns:
         The fitted method.
     """
     budget = HeadBudget() if budget is None else budget
-    if method in (READINGS_GP, READINGS_NETWORK):
+    if method == READINGS_GP:
         rows = some_rows(len(readings), budget.known_rows)
         readings, targets = readings[rows], targets[rows]
     centre, scale = targets.mean(0), np.maximum(targets.std(0), 1e-12)
@@ -192,10 +172,8 @@ def fit_regression(
         return bare._replace(weights=np.linalg.solve(system, x.T @ y))
     if method == NEAREST_READINGS:
         return bare._replace(known=x, weights=y)
-    if method == READINGS_GP:
-        factor = cho_factor(_covariance(settings, x, x) + (settings[2] + JITTER_VARIANCE) * np.eye(len(x)), lower=True)
-        return bare._replace(known=x, weights=cho_solve(factor, y))
-    return bare._replace(layers=_train(x, y, budget.network_steps, seed))
+    factor = cho_factor(_covariance(settings, x, x) + (settings[2] + JITTER_VARIANCE) * np.eye(len(x)), lower=True)
+    return bare._replace(known=x, weights=cho_solve(factor, y))
 
 
 def predict_regression(fitted: Regression, readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n d"]:
@@ -216,12 +194,9 @@ def predict_regression(fitted: Regression, readings: Float[np.ndarray, "n c"]) -
         y = x @ fitted.weights
     elif method == NEAREST_READINGS:
         y = _nearest(fitted, x, int(settings[1]))
-    elif method == READINGS_GP:
+    else:
         assert fitted.known is not None
         y = np.concatenate([_covariance(settings, part, fitted.known) @ fitted.weights for part in _parts(x)])
-    else:
-        assert fitted.layers is not None
-        y = _network(fitted.layers, x)
     return fitted.centre + fitted.scale * y
 
 
@@ -310,7 +285,7 @@ def _candidates(method: str) -> Sequence[Settings]:
         return [(float(PLAIN_FEATURES), penalty) for penalty in LINEAR_PENALTIES]
     if method == NEAREST_READINGS:
         return list(product(map(float, range(len(FEATURE_KINDS))), READING_NEIGHBOURS))
-    return [(float(DIRECTION_FEATURES if method == READINGS_NETWORK else PLAIN_FEATURES),)]
+    return [(float(PLAIN_FEATURES),)]
 
 
 def _fold_error(method: str, readings: np.ndarray, targets: np.ndarray, folds: np.ndarray, settings: Settings) -> float:
@@ -367,35 +342,3 @@ def _nearest(fitted: Regression, x: np.ndarray, k: int) -> np.ndarray:
 
 def _parts(x: np.ndarray, rows: int = 1000) -> list[np.ndarray]:
     return [x[start : start + rows] for start in range(0, max(len(x), 1), rows)]
-
-
-def _network(layers: NetworkLayers, x: np.ndarray) -> np.ndarray:
-    """Mean over members."""
-    one = np.maximum(x[None] @ layers.kernel_1 + layers.bias_1[:, None], 0)
-    two = np.maximum(one @ layers.kernel_2 + layers.bias_2[:, None], 0)
-    return np.mean(two @ layers.kernel_3 + layers.bias_3[:, None], axis=0)
-
-
-def _train(x: np.ndarray, y: np.ndarray, steps: int, seed: int) -> NetworkLayers:
-    """Networks by Adam on small batches, its rate falling to zero along a cosine."""
-    import jax
-    import jax.numpy as jnp
-    import optax
-
-    from i2t import mlp, training
-
-    known, wanted = jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32)
-
-    def loss(layers: mlp.Layers, key: jax.Array) -> jax.Array:
-        rows = jax.random.randint(key, (BATCH_ROWS,), 0, len(known))
-        predicted = jax.vmap(partial(mlp.apply, layers))(known[rows])
-        return jnp.mean((predicted - wanted[rows]) ** 2)
-
-    def member(key: jax.Array) -> mlp.Layers:
-        key_start, key_steps = jax.random.split(key)
-        start = mlp.init(key_start, (x.shape[1], HIDDEN_UNITS, HIDDEN_UNITS, y.shape[1]))
-        optimizer = optax.adam(optax.cosine_decay_schedule(HEAD_LEARNING_RATE, steps))
-        return training.descend(start, loss, optimizer, jax.random.split(key_steps, steps))[0]
-
-    layers = jax.jit(jax.vmap(member))(jax.random.split(jax.random.key(seed), MEMBERS))
-    return NetworkLayers(*(np.asarray(layer[part]) for layer in layers for part in ("kernel", "bias")))

@@ -1,4 +1,4 @@
-"""The population of kernels that comes with the package, as `python -m experiments.calibrate_pads --prior` made it."""
+"""The population of kernels that comes with the package, as `python -m experiments.calibrate --prior` makes it."""
 
 from functools import cache
 from importlib.resources import as_file, files
@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t import serialization
+from i2t.calibration.kernels import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
 from i2t.calibration.plain_gp import fit_scales
-from i2t.calibration.population_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
 
 PRIOR_FILE = "prior.npz"
 PRIOR_KIND = "i2t kernel prior"
@@ -40,11 +40,6 @@ LOAD_KINDS = ("depth", "force")  # rows of `KernelPrior.log_share`
 
 
 @cache
-def _packaged() -> tuple[KernelPrior, dict[str, Any]]:
-    with as_file(files("i2t.calibration.population_gp") / PRIOR_FILE) as path:
-        return serialization.load(path, PRIOR_KIND, KernelPrior)
-
-
 def load_prior() -> KernelPrior:
     """The prior that comes with the package.
 
@@ -54,18 +49,10 @@ def load_prior() -> KernelPrior:
     Raises:
         SerializationError: The package's file is damaged or missing.
     """
-    prior, _ = _packaged()
+    with as_file(files("i2t.calibration") / PRIOR_FILE) as path:
+        prior, _ = serialization.load(path, PRIOR_KIND, KernelPrior)
     kernels = SkinKernels(*(np.asarray(values, np.float64) for values in prior.kernels))
     return KernelPrior(kernels, np.asarray(prior.log_share, np.float64))
-
-
-def prior_about() -> dict[str, Any]:
-    """Origin of the prior that comes with the package.
-
-    Returns:
-        Seeds, kinds of skins and the command.
-    """
-    return _packaged()[1]
 
 
 def save_prior(path: Path | str, prior: KernelPrior, about: dict[str, Any]) -> None:

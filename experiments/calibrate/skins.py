@@ -4,12 +4,12 @@
   loose      the same, clamped at their edge: a press anywhere bends the whole skin
   uniform    one direction of magnetization nearly everywhere
   weak       bonded pads three tenths as strong: the signal is a few times the noise
-  lattice    four moving magnets in a soft lattice (`i2t.calibration.lattice`), with local heights and a period
+  lattice    four moving magnets in a soft lattice (`experiments.calibrate.lattice`), with local heights and a period
   displaced  what facts about real boards add: force at one depth jumps threefold within a session, one chip keeps a
              part of the press before and slips by up to 35 uT, skins stay displaced (a field that does not depend on
              the load) and a fifth of the signal is not explained by anything known
 
-Every skin has depth and force of each press with errors of a lab, and the reading before each press.
+Every skin has depth and force of each press with errors of a lab.
 """
 
 from functools import partial
@@ -20,13 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from experiments.calibrate_pads.simulate import BALL_TIP, FORCE_ERROR_N, POSITION_ERROR_M, PRESS_NOISE_UT
+from experiments.calibrate import lattice
 from i2t.batching import map_batches
-from i2t.calibration import lattice
+from i2t.calibration.physics import RoundTip
 from i2t.skin import boards
 from i2t.skin.pad import press, sample_pad
 from i2t.types import Pad
 
+BALL_TIP = RoundTip("sphere", 4e-3)
+FORCE_ERROR_N, POSITION_ERROR_M, PRESS_NOISE_UT = 0.02, 0.05e-3, 1.5
 SKIN_KINDS = ("bonded", "loose", "uniform", "weak", "lattice", "displaced")
 LAYER_HALF_EDGE_M, LATTICE_HALF_EDGE_M = 8e-3, 15e-3
 LAYER_DEPTHS_M, LATTICE_DEPTHS_M = (0.15e-3, 1.1e-3), (0.3e-3, 4e-3)
@@ -50,11 +52,6 @@ class PressedSkinOfKind(NamedTuple):
     readings: np.ndarray  # (n, c) uT
     chip_positions: np.ndarray  # (chips, 2) m
     zero: float = 0.0  # m, by which the depths are believed too large: what nobody knows of a real skin
-
-    @property
-    def previous_readings(self) -> np.ndarray:
-        """Readings (n, c) uT of the press before each; zero before the first."""
-        return np.concatenate([np.zeros_like(self.readings[:1]), self.readings[:-1]])
 
 
 def simulate_skins(kind: str, seed: int, skins: int, presses: int) -> list[PressedSkinOfKind]:

@@ -3,7 +3,7 @@
 A press has a position x (m, tool frame) and a load d, its depth or its normal force in units of the recording's typical
 load (root mean square), so that one kernel serves both. A reading of a channel of chip p is
 
-  y(x, d) = e_p(x) [f(d) g(x) + f(d) b(x, d) + g0(x)] + const + linear terms + noise,
+  y(x, d) = e_p(x) [f(d) g(x) + f(d) b(x, d) + g0(x)] + const + noise,
   f(d) = ((d + load_offset) / (1 + load_offset))^load_power,
 
 as in `i2t.calibration.structured_gp`: a map g stretched by the load, a part b whose shape changes with the load, a part

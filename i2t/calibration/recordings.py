@@ -9,13 +9,14 @@
 Three forms are read: a data set of i2t (a file or a folder), sessions of eFlesh as they were recorded (a folder with
 `states.csv`), and a table with one row for each reading (a `.csv` file, columns by name; `TABLE_COLUMNS`). Unlike the
 converters of `i2t.convert`, which refuse what is damaged, this reader keeps what can be kept: a row that is not finite
-is left out, what was not measured is NaN, and each such thing is said in a note. NumPy only.
+is left out, what was not measured is NaN, and each such thing is said in a note. `corrected_recording` puts right what
+`i2t.unknowns` finds wrong. NumPy only.
 """
 
 import csv
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -32,12 +33,14 @@ from i2t.errors import DataError
 from i2t.files import TABLE_SUFFIXES
 from i2t.geometry import inverse
 from i2t.types import Board, ReturnCode
+from i2t.unknowns import Finding, lag_rows, turn_board
 
 CHIP_AXES = ("x", "y", "z")
 VALUES_PER_CHIP = 3
 MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
 TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
 AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
+STREAM_GAP_S = 0.5  # rows farther apart are no stream
 MIN_CHANGE = {"position": 0.2e-3, "depth": 0.1e-3, "force": 0.05, "shear": 0.05}  # m, m, N, N: less is no range
 
 
@@ -253,6 +256,78 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
     return found
 
 
+def is_stream(recording: SkinRecording) -> bool:
+    """Test for rows in quick sequence, as samples of one contact are.
+
+    Args:
+        recording: of one skin.
+
+    Returns:
+        False where times are not known.
+    """
+    gap = np.diff(recording.time)
+    return bool(np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S)
+
+
+def corrected_recording(recording: SkinRecording, findings: Iterable[Finding]) -> SkinRecording:
+    """Apply the corrections of findings: units, signs, a lag, the order and axes of chips, the board's turn.
+
+    A height zero stays where it is. Depths that are turned and fall below zero count from the least of them.
+
+    Args:
+        recording: As it was read.
+        findings: About it.
+
+    Returns:
+        The recording put right; with a lag it has fewer rows.
+    """
+    for finding in findings:
+        if finding.correction:
+            recording = _corrected(recording, finding)
+    return recording
+
+
+def _corrected(recording: SkinRecording, finding: Finding) -> SkinRecording:
+    todo, targets = finding.correction, dict(recording.targets)
+    force_unit = todo.get("force_factor", 1.0)
+    factors = {
+        "position": todo.get("length_factor", 1.0),
+        "depth": todo.get("depth_factor", 1.0) * todo.get("height_sign", 1.0),
+        "force": force_unit * todo.get("force_sign", 1.0),
+        "shear": force_unit,
+    }
+    targets |= {name: factors[name] * targets[name] for name in factors if name in targets}
+    if "height_sign" in todo and "depth" in targets and np.nanmin(targets["depth"]) < 0:
+        targets["depth"] = targets["depth"] - np.nanmin(targets["depth"])
+    baseline = recording.baseline
+    recording = replace(
+        recording,
+        targets=targets,
+        readings=_fields(recording.readings, finding),
+        baseline=None if baseline is None else _fields(baseline, finding),
+    )
+    if "board_from_stage" in todo and recording.board is not None:
+        board = turn_board(recording.board, np.asarray(todo["board_from_stage"], np.float64))
+        recording = replace(recording, board=board)
+    if lag := int(todo.get("label_lag_rows", 0)):
+        # The lag counts rows whose position is known, as the estimate did.
+        recording = recording.rows(recording.known("position"))
+        label_rows, reading_rows = lag_rows(len(recording), lag)
+        labels = {name: values[label_rows] for name, values in recording.targets.items()}
+        recording = replace(recording.rows(reading_rows), targets=labels)
+    return recording
+
+
+def _fields(values: np.ndarray, finding: Finding) -> np.ndarray:
+    """Channels (n, c) in microtesla, their chips in order and their axes turned."""
+    todo = finding.correction
+    values = values * todo.get("field_factor", 1.0)
+    if "chip_order" in todo:
+        chips = values.reshape(len(values), -1, VALUES_PER_CHIP)
+        values = chips[:, list(todo["chip_order"])].reshape(values.shape)
+    return values * np.asarray(todo["channel_signs"]) if "channel_signs" in todo else values
+
+
 def read_tables(path: Path) -> list[SkinRecording]:
     """Read a table with a line of names and one row for each reading.
 
@@ -275,8 +350,6 @@ def read_tables(path: Path) -> list[SkinRecording]:
     readings = table.some(names)
     if all(name in table.columns for name in ambient):
         readings = readings - table.some(ambient)
-    else:
-        ambient = []
     targets = {
         target: np.column_stack([scale * table.column(name) for name, scale in kinds if name in table.columns])
         for target, kinds in TABLE_COLUMNS.items()
@@ -296,7 +369,7 @@ def read_tables(path: Path) -> list[SkinRecording]:
         targets,
         session=session,
         time=table.column("time_s"),
-        notes=notes + _unused_columns(table, {*names, *ambient}),
+        notes=notes,
     )
     if len(pads) < 2:
         return [_finite(whole, path)]
@@ -346,18 +419,6 @@ def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
             "docs/data.md"
         )
     return names
-
-
-def _unused_columns(table: _LooseTable, readings: set[str]) -> list[str]:
-    """Sentences on columns that were left out."""
-    used = readings | {"time_s", "session", "pad", *HEIGHT_COLUMNS}
-    used |= {name for kinds in TABLE_COLUMNS.values() for name, _ in kinds}
-    notes = []
-    if unknown := [name for name in table.columns if name not in used]:
-        notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")
-    if twice := sorted(name for name, count in Counter(table.text.header).items() if count > 1):
-        notes.append(f"columns {', '.join(twice)} stand twice: the first of each is taken")
-    return notes
 
 
 def read_eflesh_session(folder: Path) -> SkinRecording:

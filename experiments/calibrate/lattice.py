@@ -1,4 +1,4 @@
-"""Generated skins of the kind of eFlesh, to pretrain on: four cylinder magnets in a soft lattice over the chips.
+"""Generated skins of the kind of eFlesh: four cylinder magnets in a soft lattice over the chips.
 
 No mechanics is solved. A press moves every magnet by smooth functions of its position and depth, down and away from the
 tip, and turns it towards the tip; how far, over which length, and how it grows with depth differs from skin to skin,
@@ -14,16 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from i2t.batching import map_batches
-from i2t.calibration.structured_gp import Presses
 from i2t.skin import boards, magnets
 from i2t.skin.magnets import Magnets
 from i2t.skin.pad import smooth_random
-from i2t.types import Board
 
 SOFTNESS_CELLS = 8  # along each edge of the map by which a skin's softness varies
 DEEP_PRESS_M = 2e-3  # at which a magnet right under the tip moves by about as much
-READING_RMS_UT = 50.0
-NOISE_SHARE = 0.03  # of a reading's root mean square
 LATTICE_BATCH = 25
 _CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
 
@@ -49,8 +45,7 @@ def sample_skin(
     position: Float[Array, "n 2"],
     depth: Float[Array, " n"],
     *,
-    half_edge: float = 16e-3,
-    board: Board | None = None,
+    half_edge: float,
 ) -> Float[Array, "n c"]:
     """Readings of one random skin at n presses.
 
@@ -59,14 +54,12 @@ def sample_skin(
         position: Positions of the tip (m), in a square about the skin's centre.
         depth: Depths of the presses (m).
         half_edge: Half of the square's edge (m).
-        board: Where the chips lie; by default eFlesh's, in the plane z = 0.
 
     Returns:
         Readings in units of their root mean square.
     """
     lattice = _sample_lattice(key)
-    board = boards.eflesh_board(depth=0.0) if board is None else board
-    chips = jnp.asarray(board.chips)
+    chips = jnp.asarray(boards.eflesh_board(depth=0.0).chips)
     still = Magnets(
         positions=jnp.concatenate([lattice.rest, jnp.full((4, 1), lattice.above)], axis=1),
         rotations=jnp.broadcast_to(jnp.eye(3), (4, 3, 3)),
@@ -82,37 +75,6 @@ def sample_skin(
 
     readings = map_batches(lambda one: press(*one), (position, depth), batch_size=LATTICE_BATCH)
     return readings / jnp.sqrt(jnp.mean(readings**2))
-
-
-def sample_skins(
-    key: Key[Array, ""],
-    count: int,
-    n: int,
-    *,
-    half_edge: float,
-    max_depth: float,
-    board: Board | None = None,
-) -> tuple[Presses, Float[Array, "count n c"]]:
-    """Many random skins, random presses of each, and their readings.
-
-    Args:
-        key: Random key.
-        count: Number of skins.
-        n: Presses of each.
-        half_edge: Presses lie in a square of this half edge (m).
-        max_depth: Of the presses (m).
-        board: Where the chips lie; by default eFlesh's, in the plane z = 0.
-
-    Returns:
-        Presses, (count, n) each, and their readings (uT) with some noise.
-    """
-    key_position, key_depth, key_skins, key_noise = jax.random.split(key, 4)
-    position = jax.random.uniform(key_position, (count, n, 2), minval=-half_edge, maxval=half_edge)
-    depth = jax.random.uniform(key_depth, (count, n), maxval=max_depth)
-    each = (jax.random.split(key_skins, count), position, depth)
-    readings = jax.lax.map(lambda one: sample_skin(*one, half_edge=half_edge, board=board), each)
-    noise = NOISE_SHARE * jax.random.normal(key_noise, readings.shape)
-    return Presses(position, depth), READING_RMS_UT * (readings + noise)
 
 
 def _sample_lattice(key: Key[Array, ""]) -> _Lattice:

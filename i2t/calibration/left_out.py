@@ -1,10 +1,8 @@
 """Each press as predicted from all others, in closed form and for many kernels at once.
 
-Rasmussen and Williams, "Gaussian Processes for Machine Learning", equations 5.10 to 5.12 for what is left out, and 2.41
-to 2.42 for terms that are linear in something known (the reading before, the temperature), whose coefficients have a
-normal prior. With A the inverse of the covariance of the readings, y - (A y) / diag A is the mean of a press left out
-and 1 / diag A its variance. Of presses b that are left out together these are y_b - inv(A_bb) (A y)_b and the diagonal
-of inv(A_bb).
+Rasmussen and Williams, "Gaussian Processes for Machine Learning", equations 5.10 to 5.12: with A the inverse of the
+covariance of the readings, y - (A y) / diag A is the mean of a press left out and 1 / diag A its variance. Of presses b
+that are left out together these are y_b - inv(A_bb) (A y)_b and the diagonal of inv(A_bb).
 """
 
 import contextlib
@@ -15,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lapack
 
-from i2t.calibration.population_gp import kernel
-from i2t.calibration.population_gp.kernel import PressGeometry, SkinKernels
+from i2t.calibration import kernels as kernel
+from i2t.calibration.kernels import PressGeometry, SkinKernels
 
 SMALL_SYSTEM = 40  # presses up to which all groups are inverted in one call
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once
@@ -30,8 +28,6 @@ class Observed(NamedTuple):
     """Readings that kernels explain."""
 
     target: Float[np.ndarray, "n c"]  # uT
-    linear: Float[np.ndarray, "n c r"]  # known regressors of each reading, in units of their own typical size
-    linear_variance: Float[np.ndarray, " r"]  # of their coefficients, relative to a channel's scale; 0 switches off
     extra_noise: Float[np.ndarray, "n groups"]  # relative variance of presses that are no good
 
 
@@ -50,9 +46,6 @@ class Conditioned(NamedTuple):
 
     inverse: Float[np.ndarray, "groups n n"]
     weights: Float[np.ndarray, "n c"]
-    coefficients: Float[np.ndarray, "c r"]  # of the linear terms
-    coefficient_covariance: Float[np.ndarray, "c r r"]
-    projected: Float[np.ndarray, "n c r"]  # inverse times the regressors
     scale: Float[np.ndarray, " c"]  # uT
 
 
@@ -75,12 +68,12 @@ def left_out(
     error, variance, scale = np.empty((s, n, c)), np.empty((s, n, c)), np.empty((s, c))
     part_error, part_variance = (error, variance) if part is None else (np.empty((s, n, c)), np.empty((s, n, c)))
     for i, given in enumerate(condition_all(kernels, at, observed)):
-        own = _own_precision(given, observed)
+        own = _own_precision(given, c)
         error[i] = given.weights / own
         variance[i] = given.scale**2 / own
         scale[i] = given.scale
         if part is not None:
-            part_error[i], part_variance[i] = _left_out_together(given, observed, part)
+            part_error[i], part_variance[i] = _left_out_together(given, part)
     return LeftOutPresses(error, variance, scale, part_error, part_variance)
 
 
@@ -177,55 +170,24 @@ def ungrouped(values: Float[np.ndarray, "groups n each"]) -> Float[np.ndarray, "
 
 def _condition(system: np.ndarray, observed: Observed) -> Conditioned:
     """One kernel, from the covariances (groups, n, n) of the readings."""
-    n, c = observed.target.shape
-    r = observed.linear.shape[2]
     inverse = _inverses(system)
     weights = ungrouped(inverse @ grouped(observed.target, len(inverse)))
-    if r:
-        by_group = observed.linear.reshape(n, len(inverse), -1).swapaxes(0, 1)
-        projected = (inverse @ by_group).swapaxes(0, 1).reshape(n, c, r)
-        precision = np.einsum("ncr,ncq->crq", observed.linear, projected)
-        # (I + V P)^-1 V is (V^-1 + P)^-1, and 0 where V is.
-        spread = np.diag(observed.linear_variance)[None]
-        covariance = np.linalg.solve(np.eye(r)[None] + spread @ precision, np.broadcast_to(spread, precision.shape))
-        coefficients = np.einsum("crq,ncq,nc->cr", covariance, observed.linear, weights)
-        weights = weights - np.einsum("ncr,cr->nc", projected, coefficients)
-    else:
-        projected, covariance, coefficients = np.zeros((n, c, 0)), np.zeros((c, 0, 0)), np.zeros((c, 0))
-    scale = _channel_scale(observed.target, weights)
-    return Conditioned(
-        inverse=inverse,
-        weights=weights,
-        coefficients=coefficients,
-        coefficient_covariance=covariance,
-        projected=projected,
-        scale=scale,
-    )
+    return Conditioned(inverse, weights, _channel_scale(observed.target, weights))
 
 
-def _own_precision(given: Conditioned, observed: Observed) -> Float[np.ndarray, "n c"]:
+def _own_precision(given: Conditioned, channels: int) -> Float[np.ndarray, "n c"]:
     """Diagonal of the inverse, for each channel."""
-    c = observed.target.shape[1]
-    diagonal = np.repeat(np.diagonal(given.inverse, axis1=1, axis2=2), c // len(given.inverse), axis=0).T
-    if given.projected.shape[2]:
-        diagonal = diagonal - np.einsum(
-            "ncr,crq,ncq->nc", given.projected, given.coefficient_covariance, given.projected
-        )
-    return np.maximum(diagonal, 1 / FAILED_VARIANCE)
+    diagonal = np.diagonal(given.inverse, axis1=1, axis2=2)
+    return np.maximum(np.repeat(diagonal, channels // len(given.inverse), axis=0).T, 1 / FAILED_VARIANCE)
 
 
-def _left_out_together(given: Conditioned, observed: Observed, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _left_out_together(given: Conditioned, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors and variances (n, c) of presses that are left out part by part."""
-    n, c = observed.target.shape
+    n, c = given.weights.shape
     error, variance = np.empty((n, c)), np.empty((n, c))
     for i in range(part.max() + 1):
         rows = np.flatnonzero(part == i)
-        precision = given.inverse[:, rows[:, None], rows]
-        if given.projected.shape[2]:
-            known = given.projected[rows]
-            explained = np.einsum("bcr,crq,dcq->cbd", known, given.coefficient_covariance, known)
-            precision = np.repeat(precision, c // len(precision), axis=0) - explained
-        covariance = _inverses(precision)
+        covariance = _inverses(given.inverse[:, rows[:, None], rows])
         error[rows] = ungrouped(covariance @ grouped(given.weights[rows], len(covariance)))
         variance[rows] = np.repeat(np.diagonal(covariance, axis1=1, axis2=2), c // len(covariance), axis=0).T
     return error, np.maximum(variance, 0) * given.scale**2
