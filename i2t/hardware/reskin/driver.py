@@ -124,25 +124,22 @@ class ReSkin(Stream):
         if self._asked_port is not None and (before is None or os.path.exists(self._asked_port)):
             return self._asked_port
         known = self.ports()
-        if self._asked_serial and self._asked_serial not in [board.serial_number for board in known]:
+        choices = [[board for board in known if before is not None and board.serial_number == before]]
+        if self._asked_serial and not choices[0]:
             there = ", ".join(f"{board.serial_number or 'one without a number'} on {board.port}" for board in known)
             raise DeviceError(
                 f"no board has the serial number {self._asked_serial} (USB serial ports here: {there or 'none'}); plug "
                 "it in, or correct the number"
             )
-        for choice in (
-            [board for board in known if before is not None and board.serial_number == before],
-            [] if self._asked_port else [board for board in known if int((board.usb or "0")[:4], 16) in VENDORS],
-            [] if self._asked_port else known,
-        ):
-            if len(choice) == 1:
-                return choice[0].port
-            if choice:
-                names = ", ".join(f"{board.port} ({board.description})" for board in choice)
-                raise DeviceError(f"more than one board may be the skin: {names}; name its port")
-        if self._asked_port is not None:
-            return self._asked_port
-        raise DeviceError("no USB serial port was found; plug the skin in, or name its port")
+        if self._asked_port is None:
+            choices += [[board for board in known if int((board.usb or "0")[:4], 16) in VENDORS], known]
+        choice = next(filter(None, choices), [])
+        if len(choice) > 1:
+            names = ", ".join(f"{board.port} ({board.description})" for board in choice)
+            raise DeviceError(f"more than one board may be the skin: {names}; name its port")
+        if not choice and self._asked_port is None:
+            raise DeviceError("no USB serial port was found; plug the skin in, or name its port")
+        return choice[0].port if choice else str(self._asked_port)
 
     def _open_port(self, port: str, baud: int) -> Any:
         try:
@@ -152,19 +149,19 @@ class ReSkin(Stream):
         except ValueError as error:
             raise DeviceError(f"{port} cannot be set to {baud} baud; give another rate") from error
         except OSError as error:
-            code, lock = error.errno, "exclusively lock" in str(error)
-            if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in str(error):
-                names = ", ".join(board.port for board in self.ports()) or "none"
-                raise DeviceError(
-                    f"there is no port {port} (USB serial ports here: {names}); plug the skin in or name its port"
-                ) from error
-            if code == errno.EACCES or "PermissionError" in str(error):
-                raise DeviceError(
-                    f"{port} may not be opened; add yourself to its group (often dialout) and log in again"
-                ) from error
-            if lock or code in (errno.EBUSY, errno.EAGAIN):
-                raise DeviceError(f"{port} is in use by another program; close that one") from error
-            raise DeviceError(f"{port} cannot be opened ({error}); is it a serial port?") from error
+            raise DeviceError(self._why_closed(port, error)) from error
+
+    def _why_closed(self, port: str, error: OSError) -> str:
+        """Sentence on a port that cannot be opened."""
+        code, said = error.errno, str(error)
+        if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in said:
+            names = ", ".join(board.port for board in self.ports()) or "none"
+            return f"there is no port {port} (USB serial ports here: {names}); plug the skin in or name its port"
+        if code == errno.EACCES or "PermissionError" in said:
+            return f"{port} may not be opened; add yourself to its group (often dialout) and log in again"
+        if "exclusively lock" in said or code in (errno.EBUSY, errno.EAGAIN):
+            return f"{port} is in use by another program; close that one"
+        return f"{port} cannot be opened ({error}); is it a serial port?"
 
     def _lost(self, error: Exception) -> DeviceError:
         port = self._info.port if self._info else self._asked_port
@@ -196,7 +193,7 @@ class Replay(Stream):
         capacity: int = 4096,
     ) -> None:
         self._path, self._speed = Path(path), speed
-        self._byte_rate = rate * FrameLayout(chips=chips).binary.size  # 1/s
+        self._byte_rate = rate * FrameLayout(chips=chips).size  # 1/s
         name = f"the recording {path}"
         super().__init__(name, "replay", chips=chips, rate=rate * speed, limits=limits, capacity=capacity)
 

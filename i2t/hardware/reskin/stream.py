@@ -6,16 +6,17 @@ that of the read that brought its last byte, less what came after it in the same
 
 import threading
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, SupportsIndex, TypeAlias, TypeVar
+from typing import Any, BinaryIO, NamedTuple, SupportsIndex, TypeAlias
 
 import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import READ_SPARE_S, Samples, SkinCounters, SkinFeatures, channel_names
 from i2t.hardware.reskin import frames, recording
 from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits
@@ -27,10 +28,9 @@ FIRST_FRAME_S = 1.0  # from its first byte to its first frame, of a board that s
 SLOW_FRAMES_S = 6.0  # likewise, of one that sends so little that few frames can have come
 START_UP_S = 6.0  # that a board may send rubbish after it was reset, which opening its port may do
 RATE_WINDOW_S = 1.0  # over which the rate is taken
-EMPTY_SHARE = 1.0  # frames without any chip, for each with one, above which the sketch reads too early
 JOIN_S = 1.0  # in which the thread ends
+DECODER_COUNTS = ("samples", "lost", "gaps", "skipped", "empty", "missing", "bytes")
 
-S = TypeVar("S", bound="Stream")
 # A serial port or a played recording: `in_waiting`, `read` and `close`. No protocol, as a check of types at run time
 # would ask a port how much is waiting that may be gone.
 Port: TypeAlias = Any
@@ -56,7 +56,7 @@ class BoardInfo(NamedTuple):
     usb: str | None = None  # vendor and product
 
 
-class Stream(ABC):
+class Stream(DeviceBase):
     """A skin whose bytes come through something with the face of a serial port; `_open` gives it.
 
     Args:
@@ -76,10 +76,9 @@ class Stream(ABC):
         self._limits = limits or FrameLimits()
         self._queue: deque[StreamRow] = deque(maxlen=capacity)
         self._changed = threading.Condition()  # guards what the thread and the calls share
-        self._earlier = SkinCounters()  # of earlier connections
-        self._decoder: Decoder | None = None
+        self._counters = SkinCounters()  # of earlier connections, and of the computer
+        self._decoder = Decoder()
         self._newest_given = -1  # newest sample that `since` has handed out
-        self._overflowed = self._stalls = self._connects = 0
         self._arrivals: deque[tuple[float, int]] = deque()  # (time, samples by then), the last second
         self._failure: DeviceError | None = NotConnectedError(
             f"{self._name} is not connected; call connect() or use with"
@@ -108,9 +107,7 @@ class Stream(ABC):
     def counters(self) -> SkinCounters:
         """Counts so far."""
         with self._changed:
-            return self._total()._replace(
-                overflowed=self._overflowed, stalls=self._stalls, connects=self._connects, rate=self._rate()
-            )
+            return self._total()._replace(rate=self._rate())
 
     def connect(self) -> None:
         """Open the port and wait for the first frames.
@@ -121,8 +118,7 @@ class Stream(ABC):
         self.close()
         port, decoder, found, self._info = self._open()
         with self._changed:
-            self._earlier, self._decoder = self._total(), None
-            self._connects += 1
+            self._counters = self._total()._replace(connects=self._counters.connects + 1)
             self._failure = None
             self._arrivals.clear()
             self._accept(decoder, found, time.monotonic())
@@ -136,27 +132,14 @@ class Stream(ABC):
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(JOIN_S)  # a read ends within a tick
         self._thread = None
-        self._end_recording()
+        self.stop_recording()
         self._fail(NotConnectedError(f"{self._name} was closed; connect it again"))
 
-    def __enter__(self: S) -> S:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, at once.
-
-        Args:
-            timeout: s that it may be old.
-
-        Returns:
-            One row.
+        """The newest sample, at once, as in `Skin.latest`.
 
         Raises:
-            DeviceTimeoutError: It is older.
+            DeviceTimeoutError: It is older than the timeout (s).
             DeviceError: The skin is not connected or gone.
         """
         with self._changed:
@@ -167,15 +150,8 @@ class Stream(ABC):
             return self._samples([self._queue[-1]])
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next samples, all measured after the call.
-
-        Args:
-            count: How many, at most what the queue holds.
-            timeout: s; by default twice what the nominal rate needs, or the measured one where that is lower, and
-                `READ_SPARE_S`.
-
-        Returns:
-            `count` rows.
+        """The next samples, all measured after the call, as in `Skin.read`; by default a board that is slower than its
+        nominal rate is waited for as long as its samples come.
 
         Raises:
             DeviceTimeoutError: They did not come in time.
@@ -183,24 +159,24 @@ class Stream(ABC):
         """
         if not 0 < count <= (self._queue.maxlen or 0):
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
-        slow = timeout is None
+        called, patient = time.monotonic(), timeout is None
         timeout = 2 * count / self._features.rate + READ_SPARE_S if timeout is None else timeout
-        called = time.monotonic()
         with self._changed:
             newest = self._queue[-1].number if self._queue else -1
 
             def fresh() -> list[StreamRow]:
                 return [row for row in self._after(newest) if row.time > called][:count]
 
-            self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
-            got = fresh()
-            between = (got[-1].time - called) / len(got) if got else 0.0
-            if slow and len(got) < count and time.monotonic() - called < between * (len(got) + 2):
-                # They come still, only more slowly than is nominal; a board that fell silent is not waited for.
-                timeout = 2 * count * between + READ_SPARE_S
-                left = called + timeout - time.monotonic()
-                self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, left)
-                got = fresh()
+            def waited(seconds: float) -> list[StreamRow]:
+                self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, seconds)
+                return fresh()
+
+            got = waited(timeout)
+            if patient and 0 < len(got) < count:
+                between = (got[-1].time - called) / len(got)
+                if time.monotonic() - called < between * (len(got) + 2):  # a board that fell silent is not waited for
+                    timeout = 2 * count * between + READ_SPARE_S
+                    got = waited(called + timeout - time.monotonic())
             if len(got) == count:
                 return self._samples(got)
             self._check()
@@ -209,13 +185,7 @@ class Stream(ABC):
             )
 
     def since(self, number: SupportsIndex) -> Samples:
-        """Samples that are still in the queue, without waiting.
-
-        Args:
-            number: Of the sample after which they came; -1 for all.
-
-        Returns:
-            Any number of rows, maybe none.
+        """Samples after a given one that are still in the queue, without waiting, as in `Skin.since`.
 
         Raises:
             DeviceError: The skin is not connected or gone, and there are none.
@@ -225,9 +195,11 @@ class Stream(ABC):
             got = self._after(mark)
             if not got:
                 self._check()
-            else:
-                self._overflowed += max(0, got[0].number - max(mark, self._newest_given) - 1) if mark >= 0 else 0
-                self._newest_given = max(self._newest_given, got[-1].number)
+                return self._samples(got)
+            if mark >= 0:
+                gone = max(0, got[0].number - max(mark, self._newest_given) - 1)
+                self._counters = self._counters._replace(overflowed=self._counters.overflowed + gone)
+            self._newest_given = max(self._newest_given, got[-1].number)
             return self._samples(got)
 
     def record(self, path: str | Path) -> None:
@@ -241,7 +213,7 @@ class Stream(ABC):
             DeviceError: It exists, or cannot be written.
         """
         self._check()
-        self._end_recording()
+        self.stop_recording()
         try:
             self._file = recording.create(path)
         except FileExistsError:
@@ -251,7 +223,9 @@ class Stream(ABC):
 
     def stop_recording(self) -> None:
         """End the recording, if there is one."""
-        self._end_recording()
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
 
     # The thread, and what it shares with the calls above.
 
@@ -276,7 +250,8 @@ class Stream(ABC):
             while not stop.is_set():
                 chunk = port.read(max(1, port.in_waiting))
                 self._listened = time.monotonic()
-                self._process(chunk, self._listened)
+                if chunk:
+                    self._process(chunk, self._listened)
         except DeviceError as error:
             self._fail(error)
         except Exception as error:  # pyserial raises OSError, SerialException, TypeError and more
@@ -285,8 +260,6 @@ class Stream(ABC):
             port.close()
 
     def _process(self, chunk: bytes, now: float) -> None:
-        if not chunk:
-            return
         file = self._file
         if file is not None:
             try:
@@ -295,21 +268,21 @@ class Stream(ABC):
                 if self._file is file:  # not closed meanwhile
                     sentence = f"recording {self._name} to {file.name} failed ({error}); free some space"
                     raise DeviceError(sentence) from error
-        assert self._decoder is not None
         decoder, found = frames.decode(self._decoder, chunk)
         with self._changed:
-            self._stalls += len(chunk) >= PORT_BUFFER_BYTES
+            late = len(chunk) >= PORT_BUFFER_BYTES
+            self._counters = self._counters._replace(stalls=self._counters.stalls + late)
             self._accept(decoder, found, now)
 
     def _accept(self, decoder: Decoder, found: list[Frame], now: float) -> None:
         self._decoder = decoder
         if not found:
             return
-        number = self._earlier.samples + decoder.frames - len(found)
+        number = self._counters.samples + decoder.samples - len(found)
         self._arrivals.append((now, number + len(found)))
         while now - self._arrivals[0][0] > RATE_WINDOW_S:
             self._arrivals.popleft()
-        per_byte = decoder.frames / decoder.taken / (self._rate() or self._features.rate)  # s
+        per_byte = decoder.samples / decoder.taken / (self._rate() or self._features.rate)  # s
         before = self._queue[-1].time if self._queue else -np.inf
         for frame in found:
             before = max(before, now - (decoder.bytes - frame.end) * per_byte)
@@ -318,19 +291,8 @@ class Stream(ABC):
         self._changed.notify_all()
 
     def _total(self) -> SkinCounters:
-        if self._decoder is None:
-            return self._earlier
-        now, old = self._decoder, self._earlier
-        return old._replace(
-            samples=old.samples + now.frames,
-            lost=old.lost + now.lost,
-            gaps=old.gaps + now.gaps,
-            bytes=old.bytes + now.bytes,
-            skipped=old.skipped + now.skipped,
-            empty=old.empty + now.empty,
-            missing=old.missing + now.missing,
-            wraps=old.wraps + now.wraps,
-        )
+        before, now = self._counters, self._decoder
+        return before._replace(**{name: getattr(before, name) + getattr(now, name) for name in DECODER_COUNTS})
 
     def _rate(self) -> float:
         if len(self._arrivals) < 2 or time.monotonic() - self._arrivals[-1][0] > RATE_WINDOW_S:
@@ -339,10 +301,9 @@ class Stream(ABC):
         return (last - first) / (end - start) if end - start > 0.2 else 0.0
 
     def _silence(self, age: float) -> str:
-        assert self._decoder is not None
         if time.monotonic() - self._listened > age / 2:  # most of that time, so the board cannot be blamed
             return f"this computer was too busy to listen to {self._name} for {age:.2g} s; end other programs"
-        if self._decoder.empty > EMPTY_SHARE * self._decoder.frames:
+        if self._decoder.empty > self._decoder.samples:
             return (
                 f"{self._name} has sent no value for {age:.2g} s, only frames without any chip; check the cable "
                 "between board and chips, and whether the sketch reads faster than they measure"
@@ -355,11 +316,6 @@ class Stream(ABC):
         with self._changed:
             self._failure = self._failure or error
             self._changed.notify_all()
-
-    def _end_recording(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()
 
     @property
     def _name(self) -> str:
