@@ -163,7 +163,9 @@ def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     off = [np.abs(frame.reading - truth[i]).max() for i, frame in zip(delivered, found, strict=True) if i is not None]
     lost = count - min(i for i in delivered if i is not None) - len(found)
     if form == Format.FRAMED:
-        assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= 0.002 * len(found)  # of two changes one in 255 cancels
+        assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= 0.002 * len(
+            found
+        )  # of two changes one in 255 cancels
         assert abs(decoder.lost - lost) <= 5  # the counter tells how many are missing
     else:
         assert None not in delivered  # every frame ends where one was sent

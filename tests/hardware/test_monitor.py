@@ -115,7 +115,9 @@ def test_keys_are_heard_one_by_one_and_the_terminal_is_as_before(monkeypatch):
     os.close(master)
 
 
-@pytest.mark.parametrize(("noise", "health"), [(1.0, monitor.HEALTHY_TEXT), (0.0, "UNHEALTHY: every axis of every")])
+@pytest.mark.parametrize(
+    ("noise", "health"), [(1.0, monitor.HEALTHY_TEXT), (0.0, "UNHEALTHY: every chip stands still")]
+)
 def test_the_monitor_draws_a_recording_and_says_whether_the_skin_is_healthy(
     capsys, monkeypatch, tmp_path, noise, health
 ):
