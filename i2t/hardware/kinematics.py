@@ -59,8 +59,8 @@ def from_links(
 ) -> SerialArm:
     """An arm of n joints from n + 1 fixed motions Tz(d) Tx(a) Rx(alpha), before, between and behind its rotations.
 
-    Denavit and Hartenberg's parameters are these with a first row of zeros; Craig's modified ones are these with d moved
-    one row down, and the flange's distance in the last.
+    Denavit and Hartenberg's parameters are these with a first row of zeros; Craig's modified ones are these with d
+    moved one row down, and the flange's distance in the last.
 
     Args:
         name: Of the arm.

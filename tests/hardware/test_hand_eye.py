@@ -213,7 +213,7 @@ def test_what_is_missing_is_said(taken, tmp_path, capsys):
     for file, text, why in (
         ("images/000.png", "no image", "000.png: cannot be read"),
         ("poses.csv", "000.png,1,2,3\n", "is no pose; write NAME.png"),
-        ("camera.toml", "fx = 1\n", "is no lens"),
+        ("camera.toml", "fx = 1\n", "'cx' is missing"),
     ):
         (copy / file).write_text(text)
         assert hand_eye.main(["estimate", str(copy)]) == 2

@@ -1,6 +1,6 @@
 """The text tool of `python -m i2t.hardware.reskin`: ports, every chip's change, rate, losses and health; recordings.
 
-A recording keeps every byte as it came. A name that ends in .csv becomes a table at the end, with these columns:
+A recording keeps every byte as it came; `--replay RECORDING --record TABLE.csv` makes a table of it:
 
     time_s        from the first byte
     b0x_uT ...    three columns for each chip, in the board's order and the chips' own axes, nothing subtracted
@@ -24,7 +24,7 @@ from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin import frames, recording
 from i2t.hardware.reskin.driver import RATE_HZ, Replay, ReSkin
 from i2t.hardware.reskin.layouts import FrameLayout
-from i2t.hardware.reskin.stream import BoardInfo
+from i2t.hardware.reskin.stream import BoardInfo, Stream
 from i2t.hardware.skin_health import check_skin
 from i2t.options import read_options
 from i2t.skin.ambient import mean_known
@@ -54,8 +54,8 @@ class Options:
     board: str = DEFAULT_BOARD
     """Which board it is: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a file (.toml)."""
     record: Path | None = None
-    """Write every byte to this new file, which can be replayed; one ending in .csv is a table of samples. With --replay
-    a table is made of the recording at once."""
+    """Write every byte to this new file, which can be replayed; with --replay and a name that ends in .csv, a table of
+    the recording's samples."""
     seconds: Positive = float("inf")
     """End after this long."""
     scale: Positive = 100.0
@@ -196,50 +196,35 @@ def _run(asked: Options) -> None:
     note, chips = board_note(asked.board), make_board(asked.board).num_chips
     if note:
         print(note, flush=True)
-    table = asked.record if asked.record and asked.record.suffix.lower() == TABLE_ENDING else None
-    kept = table.with_name(f"{table.name}.bytes") if table and not asked.replay else asked.record
-    for taken in filter(None, {table, kept}):
-        if taken.exists():
-            raise FileExistsError(f"{taken}: exists already; give the recording a new name")
-    if table and asked.replay:
-        _make_table(table, asked.replay, chips)
+    if asked.record and asked.record.suffix.lower() == TABLE_ENDING:
+        if asked.replay is None:
+            raise ValueError(f"--record {asked.record}: record bytes, and then make the table with --replay")
+        samples = samples_of(asked.replay, chips)
+        print(f"wrote {len(samples.number)} samples to {write_table(asked.record, samples)}")
         return
-    try:
-        with (
-            Replay(asked.replay, chips=chips) if asked.replay else ReSkin(asked.port, asked.baud, chips=chips) as skin,
-            contextlib.suppress(KeyboardInterrupt),  # which is how it ends
-        ):
-            if kept:
-                skin.record(kept)
-            _show(skin, asked)
-    finally:
-        if table and kept and kept.exists():
-            _make_table(table, kept, chips)
-            kept.unlink()
+    skin = Replay(asked.replay, chips=chips) if asked.replay else ReSkin(asked.port, asked.baud, chips=chips)
+    with contextlib.suppress(KeyboardInterrupt), skin:  # Ctrl-C is how it ends
+        if asked.record:
+            skin.record(asked.record)
+        _show(skin, asked)
 
 
-def _make_table(table: Path, kept: Path, chips: int) -> None:
-    samples = samples_of(kept, chips)
-    print(f"wrote {len(samples.number)} samples to {write_table(table, samples)}")
-
-
-def _show(skin: Replay | ReSkin, asked: Options) -> None:
+def _show(skin: Stream, asked: Options) -> None:
     """Draw until the time is over; a board that is gone is an error."""
     live, end, drawn = sys.stdout.isatty(), time.monotonic() + asked.seconds, 0
-    first, health, rest = int(skin.latest().number[-1]), "", None
+    first, health, rest = int(skin.latest().number[-1]), "the first samples are its zero", None
     while time.monotonic() < end:
         newest = int(skin.latest().number[-1])
         shown = skin.since(newest - SHOWN_SAMPLES)
-        if not health and newest - first >= REST_SAMPLES:
+        if rest is None and newest - first >= REST_SAMPLES:
             early = skin.since(first)
             rest, found = mean_known(early.reading, axis=0), check_skin(early).defects
             health = "; ".join(f"UNHEALTHY: {each.sentence}" for each in found) or HEALTHY_TEXT
-        change_from = mean_known(shown.reading, axis=0) if rest is None else rest
-        lines = picture(skin.info, skin.features.source, skin.counters, shown, change_from, scale=asked.scale)
-        lines.append(health or "at rest? it is compared with these first samples")
+        zero = mean_known(shown.reading, axis=0) if rest is None else rest
+        lines = [*picture(skin.info, skin.features.source, skin.counters, shown, zero, scale=asked.scale), health]
         if live:
             print(f"\x1b[{drawn}F\x1b[J" if drawn else "", "\n".join(lines), sep="")
             drawn = len(lines)
         else:
-            print(lines[1], lines[-2], lines[-1], sep="  ", flush=True)
+            print(lines[1], lines[-2], health, sep="  ", flush=True)
         time.sleep(1 / (FRAME_RATE_HZ if live else LINE_RATE_HZ))

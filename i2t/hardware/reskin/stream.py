@@ -150,8 +150,7 @@ class Stream(DeviceBase):
             return self._samples([self._queue[-1]])
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next samples, all measured after the call, as in `Skin.read`; by default a board that is slower than its
-        nominal rate is waited for as long as its samples come.
+        """The next samples, all measured after the call, as in `Skin.read`.
 
         Raises:
             DeviceTimeoutError: They did not come in time.
@@ -159,24 +158,16 @@ class Stream(DeviceBase):
         """
         if not 0 < count <= (self._queue.maxlen or 0):
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
-        called, patient = time.monotonic(), timeout is None
-        timeout = 2 * count / self._features.rate + READ_SPARE_S if timeout is None else timeout
+        called = time.monotonic()
         with self._changed:
-            newest = self._queue[-1].number if self._queue else -1
+            newest, rate = (self._queue[-1].number if self._queue else -1), self._rate() or self._features.rate
+            timeout = 2 * count / min(rate, self._features.rate) + READ_SPARE_S if timeout is None else timeout
 
             def fresh() -> list[StreamRow]:
                 return [row for row in self._after(newest) if row.time > called][:count]
 
-            def waited(seconds: float) -> list[StreamRow]:
-                self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, seconds)
-                return fresh()
-
-            got = waited(timeout)
-            if patient and 0 < len(got) < count:
-                between = (got[-1].time - called) / len(got)
-                if time.monotonic() - called < between * (len(got) + 2):  # a board that fell silent is not waited for
-                    timeout = 2 * count * between + READ_SPARE_S
-                    got = waited(called + timeout - time.monotonic())
+            self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
+            got = fresh()
             if len(got) == count:
                 return self._samples(got)
             self._check()

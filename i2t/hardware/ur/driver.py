@@ -1,6 +1,6 @@
 """A Universal Robots arm over ur_rtde, moved only in ways that can be watched and stopped.
 
-`UrArm` is made of a connection (`i2t.hardware.ur.rtde_link`) and a motion controller (`i2t.hardware.ur.motion`). The
+`UrArm` moves (`i2t.hardware.ur.motion`) over a connection (`i2t.hardware.ur.rtde_link`). The
 client library runs in a process of its own (`i2t.hardware.ur.rtde_worker`), where it can neither crash this one nor
 connect again without a watchdog. Motions are asynchronous straight lines, so no call into the library hides what the
 robot does, and `stop` works from any thread.
@@ -27,14 +27,19 @@ import importlib.util
 import signal
 import sys
 import threading
-from collections.abc import Callable
 from types import FrameType
 from typing import IO, Any, Literal
 
 from i2t.errors import DeviceError
 from i2t.hardware.limits import MotionLimits
-from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState
-from i2t.hardware.ur.access import check_controller, controller_serial, release_protective_stop, take_lock
+from i2t.hardware.protocols import ArmFeatures, ArmState
+from i2t.hardware.ur.access import (
+    NO_LIBRARY,
+    check_controller,
+    controller_serial,
+    release_protective_stop,
+    take_lock,
+)
 from i2t.hardware.ur.config import check_watch
 from i2t.hardware.ur.motion import MotionController
 from i2t.hardware.ur.rtde_link import RtdeConnection
@@ -45,7 +50,7 @@ from i2t.types import Array
 BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-class UrArm:
+class UrArm(MotionController):
     """A UR arm (`i2t.hardware.protocols.Arm`), with guarded approaches.
 
     Args:
@@ -75,11 +80,10 @@ class UrArm:
     ) -> None:
         check_watch(state_timeout, watchdog_rate)
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
-            raise DeviceError("a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12")
-        self.host, self.limits, self.tool, self.payload = host, limits, tool, payload
+            raise DeviceError(NO_LIBRARY)
+        super().__init__(RtdeConnection(host, state_timeout, watchdog_rate), limits)
+        self.host, self.tool, self.payload = host, tool, payload
         self.source = source or ("emulated" if host == "localhost" or host.startswith("127.") else "real")
-        self.connection = RtdeConnection(host, state_timeout, watchdog_rate)
-        self.motion = MotionController(self.connection, limits)
         self.serial_number = ""  # of the controller, once it is connected
         self._closing = threading.Lock()
         self._lock: IO[str] | None = None
@@ -89,14 +93,8 @@ class UrArm:
     def features(self) -> ArmFeatures:
         """Features, known before `connect`."""
         limits = self.limits
-        return ArmFeatures(
-            name=f"UR at {self.host}",
-            source=self.source,
-            rate=STATE_RATE_HZ,
-            box=limits.box,
-            speed=limits.speed,
-            acceleration=limits.acceleration,
-        )
+        bounds = limits.box, limits.speed, limits.acceleration
+        return ArmFeatures(f"UR at {self.host}", self.source, STATE_RATE_HZ, *bounds)
 
     def __enter__(self) -> "UrArm":
         self.connect()
@@ -149,9 +147,9 @@ class UrArm:
                             self.connection.end_program()
                 self.connection.close()
             finally:
-                if self._lock is not None:
-                    self._lock.close()
-                    self._lock = None
+                lock, self._lock = self._lock, None
+                if lock is not None:
+                    lock.close()
 
     def recover(self) -> None:
         """Release a protective stop and connect again, once a person has looked at what caused it.
@@ -181,25 +179,3 @@ class UrArm:
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
         self.connection.zero_wrench(timeout)
-
-    def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion and return at once, as in `MotionController.move`."""
-        return self.motion.move(T_b_t, speed, acceleration)
-
-    def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and wait for the end, as in `MotionController.go`."""
-        return self.motion.go(T_b_t, speed, acceleration)
-
-    def approach(
-        self,
-        distance: float,
-        speed: float = 0.005,
-        stop_condition: Callable[[ArmState], Any] | None = None,
-        force: float = 8.0,
-        torque: float = 8.0,
-        acceleration: float = 0.2,
-    ) -> ApproachResult:
-        """Move along the tool's z axis until something says stop, as in `GuardedArm.approach`."""
-        return self.motion.approach(
-            distance, speed, stop_condition, force=force, torque=torque, acceleration=acceleration
-        )

@@ -36,7 +36,7 @@ class MotionController:
     """
 
     def __init__(self, connection: RtdeConnection, limits: MotionLimits) -> None:
-        self._connection, self._limits = connection, limits
+        self.connection, self.limits = connection, limits
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
         """Start a straight motion and return at once, as in `Arm.move`; by default at the limits' free speed.
@@ -45,7 +45,7 @@ class MotionController:
         the next `state` says so; a motion that begins above them, as one that backs out of a contact, is stopped where
         it gets worse by a tenth.
         """
-        speed, acceleration = self._limits.checked(T_b_t, speed, acceleration)
+        speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         self._start(T_b_t, speed, acceleration, self._free_guard)
         return from_ur(to_ur(T_b_t))
 
@@ -56,7 +56,7 @@ class MotionController:
             ValueError: The goal is outside the box or too fast; nothing was sent.
             DeviceError: The motion ended elsewhere, or as in `move`.
         """
-        speed, acceleration = self._limits.checked(T_b_t, speed, acceleration)
+        speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         with self._standing_at_the_end():
             begun = self._start(T_b_t, speed, acceleration, self._free_guard)
             state = next(state for state in self._follow(*begun) if not state.moving)
@@ -73,17 +73,17 @@ class MotionController:
         acceleration: float = 0.2,
     ) -> ApproachResult:
         """Move along the tool's z axis until something says stop, as in `GuardedArm.approach`."""
-        self._limits.check_approach(distance, force, torque)
-        start = self._connection.running(self._connection.state_timeout).arm.T_b_t
+        self.limits.check_approach(distance, force, torque)
+        start = self.connection.running(self.connection.state_timeout).arm.T_b_t
         goal = start.copy()
         goal[:3, 3] += distance * goal[:3, 2]
-        self._limits.check(goal, speed, acceleration)
+        self.limits.check(goal, speed, acceleration)
         reason: StopReason = "distance"
         answer: Any = None
         with self._standing_at_the_end():
             guard = MotionGuard(force, torque, attended=True)
             for trigger in self._follow(*self._start(goal, speed, acceleration, guard)):
-                trip = self._connection.trip
+                trip = self.connection.trip
                 if trip is not None:
                     reason, trigger = trip
                 elif trigger.moving and stop_condition is not None:
@@ -94,13 +94,13 @@ class MotionController:
                 if not trigger.moving:
                     _check_arrived(trigger, goal)
                     break
-        state = self._connection.running(self._connection.state_timeout).arm
+        state = self.connection.running(self.connection.state_timeout).arm
         moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
         return ApproachResult(reason, answer, trigger, state, moved)
 
     @contextlib.contextmanager
     def _standing_at_the_end(self) -> Iterator[None]:
-        connection = self._connection
+        connection = self.connection
         try:
             yield
         except BaseException:
@@ -112,7 +112,7 @@ class MotionController:
 
     def _follow(self, duration: float, stops: int) -> Iterator[ArmState]:
         """New states as long as all is well; `duration` is what the motion may take at full speed (s)."""
-        connection = self._connection
+        connection = self.connection
         used, last_clock, last_time = 0.0, -1.0, time.monotonic()
         while used < duration:
             state = connection.movable(stops)
@@ -129,18 +129,18 @@ class MotionController:
 
     @property
     def _free_guard(self) -> MotionGuard:
-        return MotionGuard(self._limits.trip_force, self._limits.torque, attended=False)
+        return MotionGuard(self.limits.trip_force, self.limits.torque, attended=False)
 
     def _start(self, goal: Array, speed: float, acceleration: float, guard: MotionGuard) -> tuple[float, int]:
         """Start a motion; returns how long it may take at full speed (s), and the number of stops so far."""
-        connection = self._connection
+        connection = self.connection
         stops = connection.stops
         start = connection.movable(stops).arm
         if start.moving:
             connection.stop()
             stops = connection.stops
         position = start.T_b_t[:3, 3]
-        if not self._limits.contains(position, GOAL_TOLERANCE[0]):
+        if not self.limits.contains(position, GOAL_TOLERANCE[0]):
             raise DeviceError(
                 f"The tool at {format_position(position)} m is outside its box: bring it back with the pendant."
             )
