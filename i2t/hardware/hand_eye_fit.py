@@ -3,8 +3,9 @@
 With X = T_t_c and Y = T_b_o of the board, a corner p of the board appears in view i along the line of sight of
 X^-1 T_b_t,i^-1 Y p. First X's rotation from the rotations between views, then its translation, both linear (Park and
 Martin, IEEE T-RO 10, 1994), from the board's pose in each view by its homography (Zhang, PAMI 22, 2000); then X and Y
-together by least squares of what was seen, with a loss that forgives single corners. The error stated is the jackknife's over views, since corners
-of a view share the error of the arm's pose: sqrt((n - 1) / n sum d_i^2) of the change d_i without view i.
+together by least squares of what was seen, with a loss that forgives single corners. The error stated is the
+jackknife's over views, since corners of a view share the error of the arm's pose: sqrt((n - 1) / n sum d_i^2) of the
+change d_i without view i.
 
 Frames: B robot base, T tool, C camera, O board (z = 0 on it); metres, radians, lines of sight as x / z, y / z.
 """

@@ -12,12 +12,20 @@ from hypothesis import strategies as st
 
 from i2t.emulators.reskin_board import NOISE_UT, Readings, corrupt
 from i2t.hardware.reskin import frames
-from i2t.hardware.reskin.frames import Decoder, FrameLimits, decode, decode_any, decoders, diagnose
+from i2t.hardware.reskin.driver import diagnose
+from i2t.hardware.reskin.frames import (
+    FIELD_RANGE_UT,
+    MAX_JUMP_UT,
+    TEMPERATURE_RANGE_C,
+    Decoder,
+    decode,
+    decode_any,
+    decoders,
+)
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 from i2t.skin.boards import make_board
 
 SIZE, FRAMED_SIZE = 82, 64  # bytes of a frame of five chips
-LIMITS = FrameLimits()
 
 
 def rest(count: int, seed: int = 0, noise: float = 1.0, temperature: float | None = None, board=None) -> tuple:
@@ -99,8 +107,8 @@ def test_every_frame_of_a_clean_stream_of_any_board_arrives_once(form, chips):
     np.testing.assert_allclose([frame.reading for frame in found], readings[1:], atol=step)
     expected = celsius[1:] if form in WITH_TEMPERATURE else np.full((39, chips), np.nan)
     np.testing.assert_allclose([frame.temperature for frame in found], expected, atol=step)
-    assert not decode_any(decoders(chips=chips + 1), data)[1]
-    assert f"frames of {chips} chips come, not of 7" in diagnose(data, chips=7)
+    assert not decode_any(decoders(chips + 1), data)[1]
+    assert f"frames of {chips} chips come, not of 7" in diagnose(data, 7)
 
 
 @settings(max_examples=30, deadline=None)
@@ -126,9 +134,9 @@ def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, see
             np.testing.assert_equal(getattr(one, name), getattr(other, name))
     for frame in found:
         size = np.abs(frame.reading)
-        assert not ((size > 0) & (size < LIMITS.min_field)).any()
-        assert not (size > LIMITS.full_scale).any()
-        assert not ((frame.temperature < LIMITS.min_temperature) | (frame.temperature > LIMITS.max_temperature)).any()
+        assert not ((size > 0) & (size < FIELD_RANGE_UT[0])).any()
+        assert not (size > FIELD_RANGE_UT[1]).any()
+        assert not ((frame.temperature < TEMPERATURE_RANGE_C[0]) | (frame.temperature > TEMPERATURE_RANGE_C[1])).any()
 
 
 @settings(max_examples=40, deadline=None)
@@ -137,7 +145,7 @@ def test_noise_is_no_board(data, form):
     decoder, found = decoded(data, form)
     assert not found
     assert adds_up(decoder, len(data))
-    assert diagnose(data)
+    assert diagnose(data, 5)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +178,7 @@ def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     else:
         assert None not in delivered  # every frame ends where one was sent
         # What passes unseen lies within the jump of the frame before, which itself may be off.
-        assert max(off) <= 2 * LIMITS.max_jump + 8 * max(NOISE_UT)
+        assert max(off) <= 2 * MAX_JUMP_UT + 8 * max(NOISE_UT)
         assert abs(decoder.lost - lost) <= 0.05 * lost + 2
 
 
@@ -189,11 +197,11 @@ def test_line_ends_within_numbers_do_not_mislead(noise):
 def test_two_alignments_are_one_too_many(start):
     """A frame that repeated is just as plausible three bytes later."""
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
-    assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE], LIMITS) is not None
+    assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE]) is not None
     data = (20 * frame)[start:]
     decoder, found = decoded(data)
     assert not found
-    assert "alignments" in diagnose(data)
+    assert "alignments" in diagnose(data, 5)
     _, found = decode(decoder, b"".join(stream(5)))
     assert [frame.end for frame in found] == [len(data) + SIZE * (i + 1) for i in range(5)]
 
@@ -265,7 +273,7 @@ def test_what_is_wrong_is_said():
     for data, why in (
         (b"", "sends nothing"),
         (np.random.default_rng(0).bytes(2000), "baud"),
-        (b"".join(sent(readings, cold)), "chip 3 reads -998.1 degrees"),
+        (b"".join(sent(readings, cold)), "chip 3 reads -998.1, "),
         (b"".join(sent(np.nan * readings, celsius, Format.FRAMED)), "no chip answers"),
     ):
-        assert why in diagnose(data)
+        assert why in diagnose(data, 5)

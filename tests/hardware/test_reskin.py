@@ -15,10 +15,8 @@ import pytest
 from i2t.emulators.reskin_board import Readings, started
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin import driver, recording
-from i2t.hardware.reskin import stream as streaming
-from i2t.hardware.reskin.driver import Replay, ReSkin
+from i2t.hardware.reskin.driver import BoardInfo, Replay, ReSkin
 from i2t.hardware.reskin.layouts import Format, encode
-from i2t.hardware.reskin.stream import BoardInfo
 
 PATIENCE = 20.0  # s that a loaded machine may need for what takes a moment
 REST = Readings(0.0, 0.0, None, 0).at(0.0)[0]  # uT, of an emulated board without noise
@@ -118,11 +116,11 @@ def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_boar
 
 @pytest.mark.full
 def test_the_baud_rate_is_found_or_said_to_be_wrong(monkeypatch):
-    monkeypatch.setattr(streaming, "FIRST_FRAME_S", 0.3)
+    monkeypatch.setattr(driver, "FIRST_FRAME_S", 0.3)
     with started("--baud", "460800") as (port, _):
         with monkeypatch.context() as hurried:
             hurried.setattr(driver, "START_UP_S", 0.0)
-            with pytest.raises(DeviceError, match=r"at 9600 baud: .* check the baud rate"):
+            with pytest.raises(DeviceError, match=r"at 9600 baud .* check the baud rate"):
                 ReSkin(port, 9600).connect()
         with ReSkin(port) as skin:
             assert skin.info.baud == 460800

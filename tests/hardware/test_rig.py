@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
-from i2t.hardware.rig import __main__ as rigs
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.rig import Rig
+from i2t.hardware.rig import __main__ as rigs
 
 
 def pose(rotvec, at):

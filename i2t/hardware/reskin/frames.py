@@ -4,9 +4,9 @@
 also occurs within their numbers (34.513 degrees is 98 0d 0a 42), and a byte may be changed or lost. So a *candidate* is
 a stretch of the right form whose values are plausible, and a candidate is a *frame* if
 
-    it lies within `max_jump` of the last frame in every channel, or
+    it lies within `MAX_JUMP_UT` of the last frame in every channel, or
     its counter goes on from the last frame's by as many frames as their bytes are apart (`framed` alone), or
-    it begins a run of `run_length` adjoining candidates, each of which goes on from the one before it, and which no
+    it begins a run of `RUN_LENGTH` adjoining candidates, each of which goes on from the one before it, and which no
     other candidate overlaps.
 
 One candidate goes on from another if it is as near, or if so many channels jump at once that it is the field: damage
@@ -18,7 +18,6 @@ stream alone, not on how it was cut into chunks.
 A chip that fails is missing (NaN). A frame in which every chip is missing is counted as empty and not delivered.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,24 +35,16 @@ from i2t.hardware.reskin.layouts import (
 )
 from i2t.skin import boards
 
+TEMPERATURE_RANGE_C = (-40.0, 85.0)
+FIELD_RANGE_UT = (
+    1e-5,
+    50e3,
+)  # firmware that averages or zeroes sends less than a step, but nothing below; the chip's end
+MAX_JUMP_UT, MAX_WARMING_K = 100.0, 2.0  # from one frame to the next
+RUN_LENGTH = 3  # candidates in a row that are believed without a frame before them
 MIN_TEMPERATURE_SIZE = 1e-3  # degrees; the step is 1/45 and does not begin at 0, so nothing but zero lies below
 COUNT_SLACK = 3  # frames that may be lost as a whole while the counter is still believed
 MAX_DAMAGED_VALUES = 2  # of a frame: a field moves more of them at once
-
-
-@dataclass(frozen=True)
-class FrameLimits:
-    """Limits of a plausible frame. `full_scale` is the range of the chip (MLX90393); a board of known gain has a
-    smaller one, 2^15 of its steps.
-    """
-
-    min_temperature: float = -40.0  # degrees Celsius
-    max_temperature: float = 85.0
-    full_scale: float = 50e3  # uT
-    min_field: float = 1e-5  # uT; firmware that averages or zeroes sends less than a step, but nothing below
-    max_jump: float = 100.0  # uT, from one frame to the next
-    max_warming: float = 2.0  # K, from one frame to the next
-    run_length: int = 3  # candidates in a row that are believed without a frame before them
 
 
 class Frame(NamedTuple):
@@ -68,7 +59,6 @@ class Decoder(NamedTuple):
     """State of decoding. `bytes == taken + skipped + len(rest)` at all times."""
 
     layout: FrameLayout = FrameLayout()
-    limits: FrameLimits = FrameLimits()
     rest: bytes = b""  # not decided yet
     last: np.ndarray | None = None  # (chips, 4) t, x, y, z of the last frame, or of the last where a chip was there
     sequence: int | None = None  # of the last frame's counter
@@ -87,17 +77,16 @@ class Decoder(NamedTuple):
         return self.taken + self.skipped + len(self.rest)
 
 
-def decoders(limits: FrameLimits | None = None, chips: int = DEFAULT_CHIPS) -> tuple[Decoder, ...]:
+def decoders(chips: int = DEFAULT_CHIPS) -> tuple[Decoder, ...]:
     """One decoder for each format, for `decode_any`.
 
     Args:
-        limits: What can be true of a frame.
         chips: How many the board has.
 
     Returns:
         Decoders at the beginning of a stream.
     """
-    return tuple(Decoder(FrameLayout(form, chips), limits or FrameLimits()) for form in Format)
+    return tuple(Decoder(FrameLayout(form, chips)) for form in Format)
 
 
 def decode_any(candidates: tuple[Decoder, ...], chunk: bytes) -> tuple[tuple[Decoder, ...], list[Frame]]:
@@ -138,7 +127,7 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
         decoder, done = decoder._replace(gap=decoder.gap + begin - done), begin
         if end is None:
             break
-        values = _values(decoder.layout, data[begin:end], decoder.limits)
+        values = _values(decoder.layout, data[begin:end])
         certain = values is not None and _is_frame(decoder, values, data, begin, end)
         if certain is None:
             break
@@ -152,57 +141,38 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
     return decoder._replace(rest=data[done:], skipped=data_start + done - decoder.taken), frames
 
 
-def diagnose(data: bytes, limits: FrameLimits | None = None, chips: int = DEFAULT_CHIPS) -> str:
-    """Explain why these bytes gave no frame.
-
-    Args:
-        data: What a board has sent.
-        limits: What can be true of a frame.
-        chips: How many the board is taken to have.
-
-    Returns:
-        Half a sentence with the remedy.
-    """
-    rubbish = f"{len(data)} bytes came that are no frames; check the baud rate and that this port is the skin's"
-    return known_trouble(data, limits or FrameLimits(), chips) or rubbish
-
-
-def known_trouble(data: bytes, limits: FrameLimits, chips: int) -> str | None:
+def known_trouble(data: bytes, chips: int) -> str:
     """Explain why these bytes gave no frame, if they say so themselves.
 
     Args:
         data: What a board has sent.
-        limits: What can be true of a frame.
         chips: How many the board is taken to have.
 
     Returns:
-        Half a sentence with the remedy, None for rubbish.
+        Half a sentence with the remedy; empty for rubbish.
     """
     if not data:
         return "the board sends nothing; check its cable and that its sketch runs"
-    if any(decode(decoder, data)[0].empty for decoder in decoders(limits, chips)):
+    if any(decode(decoder, data)[0].empty for decoder in decoders(chips)):
         return "frames come, but no chip answers in any; check the cable between board and chips"
-    others = [n for n in range(1, boards.MAX_CHIPS + 1) if n != chips and decode_any(decoders(limits, n), data)[1]]
+    others = [n for n in range(1, boards.MAX_CHIPS + 1) if n != chips and decode_any(decoders(n), data)[1]]
     if others:
         return f"frames of {others[0]} chips come, not of {chips}; say which board it is"
     layout = FrameLayout(Format.BINARY, chips)
     begin, end = window(layout, data, data.find(LINE_END) + len(LINE_END))
     if end is None or data[begin - len(LINE_END) : begin] != LINE_END:  # no two line ends in the distance of a frame
-        return None
+        return ""
     found = parse(layout, data[begin:end])
-    for chip, (celsius, *field) in enumerate([] if found is None else found.table):
-        if not _plausible(np.array([[celsius, *field]]), limits):
-            return (
-                f"frames come, but chip {chip} reads {celsius:.4g} degrees and"
-                f" ({', '.join(f'{value:.4g}' for value in field)}) uT, which cannot be; check its soldering, or the"
-                " limits if the board's gain is unusual"
-            )
+    for chip, values in enumerate([] if found is None else found.table):
+        if not _plausible(values[None]):
+            said = ", ".join(f"{value:.4g}" for value in values)
+            return f"frames come, but chip {chip} reads {said} (degrees, uT), which cannot be; check its soldering"
     return "frames come, but they jump or fit two alignments; keep the skin still while it connects"
 
 
 def _is_frame(decoder: Decoder, values: FrameValues, data: bytes, begin: int, end: int) -> bool | None:
     """Test whether a candidate is a frame; None if more bytes must come."""
-    if decoder.last is not None and not _jumps(decoder.last, values.table, decoder.limits):
+    if decoder.last is not None and not _jumps(decoder.last, values.table):
         return True
     return _counts_on(decoder, values) or _begins_run(decoder, values, data, begin, end)
 
@@ -214,45 +184,45 @@ def _counts_on(decoder: Decoder, values: FrameValues) -> bool:
     if decoder.last is None or values.sequence is None or decoder.sequence is None:
         return False
     ahead = (values.sequence - decoder.sequence - 1 - round(decoder.gap / decoder.layout.size)) % COUNTS
-    return ahead <= COUNT_SLACK and _jumps(decoder.last, values.table, decoder.limits) > MAX_DAMAGED_VALUES
+    return ahead <= COUNT_SLACK and _jumps(decoder.last, values.table) > MAX_DAMAGED_VALUES
 
 
 def _begins_run(decoder: Decoder, values: FrameValues, data: bytes, begin: int, end: int) -> bool | None:
     """Test whether a run of candidates begins here that no other overlaps; None if more bytes must come."""
-    layout, limits, stop = decoder.layout, decoder.limits, end
-    for _ in range(limits.run_length - 1):
+    layout, stop = decoder.layout, end
+    for _ in range(RUN_LENGTH - 1):
         next_begin, next_end = window(layout, data, stop)
         if next_begin != stop:
             return False
         if next_end is None:
             return None
-        after = _values(layout, data[stop:next_end], limits)
-        if after is None or 0 < _jumps(values.table, after.table, limits) <= MAX_DAMAGED_VALUES:
+        after = _values(layout, data[stop:next_end])
+        if after is None or 0 < _jumps(values.table, after.table) <= MAX_DAMAGED_VALUES:
             return False
         values, stop = after, next_end
-    return layout.form != Format.BINARY or not _has_rival(layout, data, begin, stop, limits)  # others cannot overlap
+    return layout.form != Format.BINARY or not _has_rival(layout, data, begin, stop)  # others cannot overlap
 
 
-def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int, limits: FrameLimits) -> bool:
+def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int) -> bool:
     """Test whether a candidate in another alignment lies within a run, but for its first bytes."""
     end: int | None
     search = begin + 1
     while (found := window(layout, data[:stop], search))[1] is not None:
         first, end = found
-        if (first - begin) % layout.size and _values(layout, data[first:end], limits) is not None:
+        if (first - begin) % layout.size and _values(layout, data[first:end]) is not None:
             return True
         search = first + 1
     return False
 
 
-def _jumps(before: np.ndarray, after: np.ndarray, limits: FrameLimits) -> int:
+def _jumps(before: np.ndarray, after: np.ndarray) -> int:
     """Number of fields that jump from one frame to another, of the channels that both have; 1 where a temperature
     does, which no field explains.
     """
     change = np.abs(after - before)
-    if (change[:, 0] > limits.max_warming).any():  # NaN is not
+    if (change[:, 0] > MAX_WARMING_K).any():  # NaN is not
         return 1
-    return int(np.sum(change[:, 1:] > limits.max_jump))
+    return int(np.sum(change[:, 1:] > MAX_JUMP_UT))
 
 
 def _with_frame(decoder: Decoder, values: FrameValues, size: int) -> tuple[Decoder, bool]:
@@ -282,10 +252,10 @@ def _lost(decoder: Decoder, count: int | None, size: int) -> int:
     return counted + COUNTS * max(0, round((by_bytes - counted) / COUNTS))
 
 
-def _values(layout: FrameLayout, stretch: bytes, limits: FrameLimits) -> FrameValues | None:
+def _values(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
     """The values of a stretch, if they are plausible; NaN for what is missing."""
     said = parse(layout, stretch)
-    if said is None or not _plausible(said.table, limits):
+    if said is None or not _plausible(said.table):
         return None
     table = said.table
     table[~table[:, 1:].any(1), 1:] = np.nan
@@ -294,12 +264,12 @@ def _values(layout: FrameLayout, stretch: bytes, limits: FrameLimits) -> FrameVa
     return said
 
 
-def _plausible(table: Float[np.ndarray, "chips 4"], limits: FrameLimits) -> bool:
+def _plausible(table: Float[np.ndarray, "chips 4"]) -> bool:
     """Test whether temperatures and fields lie within the limits; NaN does not."""
     celsius, field = table[:, 0], np.abs(table[:, 1:])
-    size = np.abs(celsius)
+    (coldest, warmest), (least, most) = TEMPERATURE_RANGE_C, FIELD_RANGE_UT
     return bool(
-        np.all((celsius >= limits.min_temperature) & (celsius <= limits.max_temperature))
-        and np.all((size == 0) | (size >= MIN_TEMPERATURE_SIZE))
-        and np.all((field <= limits.full_scale) & ((field == 0) | (field >= limits.min_field)))
+        np.all((celsius >= coldest) & (celsius <= warmest))
+        and np.all((celsius == 0) | (np.abs(celsius) >= MIN_TEMPERATURE_SIZE))
+        and np.all((field <= most) & ((field == 0) | (field >= least)))
     )

@@ -22,9 +22,8 @@ from i2t.errors import DataError, DeviceError
 from i2t.files import replacing
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin import frames, recording
-from i2t.hardware.reskin.driver import RATE_HZ, Replay, ReSkin
+from i2t.hardware.reskin.driver import RATE_HZ, BoardInfo, Replay, ReSkin, Stream, diagnose
 from i2t.hardware.reskin.layouts import FrameLayout
-from i2t.hardware.reskin.stream import BoardInfo, Stream
 from i2t.hardware.skin_health import check_skin
 from i2t.options import read_options
 from i2t.skin.ambient import mean_known
@@ -145,13 +144,13 @@ def samples_of(path: str | Path, chips: int, rate: float = RATE_HZ) -> Samples:
         DataError: It cannot be a recording.
         OSError: It cannot be read.
     """
-    decoders, found, heard = frames.decoders(None, chips), list[tuple[float, frames.Frame]](), b""
+    decoders, found, heard = frames.decoders(chips), list[tuple[float, frames.Frame]](), b""
     for when, chunk in recording.chunks(path, rate * FrameLayout(chips=chips).size):
         heard = (heard + chunk)[-HEARD_BYTES:]
         decoders, more = frames.decode_any(decoders, chunk)
         found += [(when, frame) for frame in more]
     if not found:
-        raise DeviceError(f"no skin in {path}: {frames.diagnose(heard, None, chips)}")
+        raise DeviceError(f"no skin in {path}: {diagnose(heard, chips)}")
     return Samples(
         np.arange(len(found)),
         np.array([when for when, _ in found]),
