@@ -42,14 +42,13 @@ class RecordedDepthCamera(CameraBase):
 
     Args:
         path: Folder of the views.
-        first: Number of the view to begin with.
         loop: Begin again where they end.
         rate: Hz, at which they come.
     """
 
-    def __init__(self, path: str | Path, first: int = 0, loop: bool = False, rate: float = 30.0) -> None:
+    def __init__(self, path: str | Path, loop: bool = False, rate: float = 30.0) -> None:
         super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, rate))
-        self._path, self._first, self._loop = Path(path), first, loop
+        self._path, self._loop = Path(path), loop
         self._names: list[str] | None = None
         self._next = 0
         self._due = 0.0
@@ -59,13 +58,10 @@ class RecordedDepthCamera(CameraBase):
         self.close()
         self._camera, self._scale, self._encoding, least = read_description(self._path)
         names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
-        if len(names) <= self._first:
-            raise DeviceError(
-                f"{self._path / 'depth'} holds {len(names)} views, and number {self._first} is to be the first; "
-                "give a folder with depth/*.png or .tif"
-            )
+        if not names:
+            raise DeviceError(f"{self._path / 'depth'} holds no views; give a folder with depth/*.png or .tif")
         self._features = self._features._replace(nearest=least)
-        self._names, self._next, self._due = names, self._first, 0.0
+        self._names, self._next, self._due = names, 0, 0.0
 
     def close(self) -> None:
         """Stop giving views."""
@@ -83,7 +79,7 @@ class RecordedDepthCamera(CameraBase):
         if self._next >= len(names):
             if not self._loop:
                 raise DeviceError(f"{self._name} has given all its views; connect again for the first")
-            self._next = self._first
+            self._next = 0
         wait = max(0.0, self._due - time.monotonic())
         if wait > timeout:
             time.sleep(timeout)

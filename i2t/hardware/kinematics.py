@@ -10,6 +10,7 @@ Frames: B robot base, F flange; metres and radians. NumPy only.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -17,7 +18,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
-from i2t.geometry import so3_log
+from i2t.geometry import so3_exp, so3_log, transform
 from i2t.types import Array
 
 RANDOM_STARTS, ITERATIONS = 48, 80
@@ -221,56 +222,42 @@ def _chain(arm: SerialArm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return T, np.concatenate([moved, axis], -2)
 
 
-def _scaled(arm: SerialArm, J: np.ndarray) -> np.ndarray:
-    """The Jacobian with lengths as shares of the reach."""
-    return J / np.repeat([arm.reach, 1.0], 3)[:, None]
-
-
 def _dexterity(arm: SerialArm, q: np.ndarray) -> np.ndarray:
-    return np.linalg.svd(_scaled(arm, _chain(arm, q)[1]), compute_uv=False)[..., -1]
+    """Least singular value of the Jacobian of joints (k, n), lengths as shares of the reach."""
+    scale = np.repeat([arm.reach, 1.0], 3)[:, None]
+    return np.linalg.svd(_chain(arm, q)[1] / scale, compute_uv=False)[..., -1]
 
 
 def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Joints (k, n) within the limits, from others towards a pose of the flange, and whether they got there (k,)."""
+    scale = np.repeat([arm.reach, 1.0], 3)
     for _ in range(ITERATIONS):
         T, J = _chain(arm, q)
-        error = _error(T, goal, arm.reach)
+        error, J = _error(T, goal) / scale, J / scale[:, None]
         size = 0.5 * (error**2).sum(1)
-        if (size < SQUARED_ERROR).all():
-            break
-        J, damping = _scaled(arm, J), (size[:, None, None] + 1e-9) * np.eye(q.shape[1])
-        turned = np.swapaxes(J, 1, 2)
+        turned, damping = np.swapaxes(J, 1, 2), (size[:, None, None] + 1e-9) * np.eye(q.shape[1])
         step = np.linalg.solve(turned @ J + damping, turned @ error[..., None])[..., 0]
         moved = np.clip(q + np.clip(step, -JUMP_RAD, JUMP_RAD), arm.low, arm.high)
-        if np.abs(moved - q).max() < STALLED_RAD:
+        if (size < SQUARED_ERROR).all() or np.abs(moved - q).max() < STALLED_RAD:
             break
         q = moved
-    T = _chain(arm, q)[0]
-    apart = np.linalg.norm(T[:, :3, 3] - goal[:3, 3], axis=1)
-    askew = np.linalg.norm(_error(T, goal, 1.0)[:, 3:], axis=1)
-    return q, (apart < SOLUTION_TOLERANCE_M) & (askew < SOLUTION_TOLERANCE_RAD)
+    off = np.linalg.norm(_error(_chain(arm, q)[0], goal).reshape(-1, 2, 3), axis=2)
+    return q, (off < [SOLUTION_TOLERANCE_M, SOLUTION_TOLERANCE_RAD]).all(1)
 
 
-def _error(T: np.ndarray, goal: np.ndarray, length: float) -> np.ndarray:
-    """Error (k, 6) to the goal: position as a share of a length, and the rotation vector, base axes."""
-    apart = (goal[:3, 3] - T[:, :3, 3]) / length
+def _error(T: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Error (k, 6) to the goal: position (m), and the rotation vector (rad), base axes."""
     turn = so3_log(goal[:3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
-    return np.concatenate([apart, turn], 1)
+    return np.concatenate([goal[:3, 3] - T[:, :3, 3], turn], 1)
 
 
 def _between(one: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
     """Poses on the straight line between two, without the first."""
-    from scipy.spatial.transform import Rotation, Slerp
-
-    turn = Rotation.from_matrix(np.stack([one[:3, :3], other[:3, :3]]))
-    angle = (turn[0].inv() * turn[1]).magnitude()
-    apart = np.linalg.norm(other[:3, 3] - one[:3, 3])
-    steps = max(1, int(np.ceil(max(apart / STEP_M, angle / STEP_RAD))))
-    shares = np.linspace(0, 1, steps + 1)[1:]
-    poses = np.tile(np.eye(4), (steps, 1, 1))
-    poses[:, :3, :3] = Slerp([0, 1], turn)(shares).as_matrix()
-    poses[:, :3, 3] = one[:3, 3] + shares[:, None] * (other[:3, 3] - one[:3, 3])
-    return list(poses)
+    turn = so3_log(other[:3, :3] @ one[:3, :3].T)
+    apart = other[:3, 3] - one[:3, 3]
+    steps = math.ceil(max(1.0, np.linalg.norm(apart) / STEP_M, np.linalg.norm(turn) / STEP_RAD))
+    shares = [(i + 1) / steps for i in range(steps)]
+    return [transform(so3_exp(share * turn) @ one[:3, :3], one[:3, 3] + share * apart) for share in shares]
 
 
 def _distinct(joints: np.ndarray) -> list[np.ndarray]:

@@ -245,7 +245,7 @@ class CameraFeatures(NamedTuple):
 
     name: str
     source: str  # real, emulated, simulated or folder
-    nearest: float  # m, below which it measures nothing
+    nearest: float  # m, below which it measures nothing; NaN where only the device knows it
     rate: float  # Hz, nominal
 
 

@@ -111,7 +111,6 @@ class RealSense(CameraBase):
         rate: Hz
         distance: m from which it is to look; a model that measures nothing so near is refused by `connect`
         file: a recording of the SDK (.db3, or .bag of older ones) to play instead, over and over
-        model: what is expected, such as "D405", so that `features` tell its range before it is connected
     """
 
     def __init__(
@@ -121,7 +120,6 @@ class RealSense(CameraBase):
         rate: int = 30,
         distance: float | None = None,
         file: str | Path | None = None,
-        model: str = "",
     ) -> None:
         try:
             import pyrealsense2
@@ -132,8 +130,7 @@ class RealSense(CameraBase):
         self._file = Path(file) if file is not None else None
         name = f"the recording {file}" if file is not None else f"the RealSense {serial or ''}".strip()
         source = "replay" if file is not None else "real"
-        super().__init__(CameraFeatures(name, source, nearest(model, *size), float(rate)))
-        self._model = model
+        super().__init__(CameraFeatures(name, source, float("nan"), float(rate)))
         self.serial_number = ""  # of the camera, once it is connected
         self._lock = threading.Lock()
         self._pipe: Any = None
@@ -143,8 +140,6 @@ class RealSense(CameraBase):
         """Start streaming; raises DeviceError."""
         self.close()
         rs, (width, height) = self._rs, self._size
-        if self._distance is not None and self._model:
-            check_distance(self._model, width, height, self._distance)
         config = rs.config()
         if self._file is not None:
             if not self._file.is_file():

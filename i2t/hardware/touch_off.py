@@ -230,8 +230,6 @@ class TouchOffArgs:
     at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # the flat's position in the base, m
     arm: str = "ur"  # or another package's: the name that it registers, or package.module:Class
     host: str | None = None  # address of the arm's controller; a UR arm needs one
-    state_timeout: float | None = None  # s without a state after which a UR arm is taken for lost: 0.1 by default
-    watchdog_rate: float | None = None  # Hz, how often a UR controller must hear from us: 10 by default
     write: bool = False  # put what is found into the rig
 
 
@@ -250,9 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _touch_off(asked: TouchOffArgs) -> None:
     rig = Rig.read(asked.rig)
-    given = {"state_timeout": asked.state_timeout, "watchdog_rate": asked.watchdog_rate}
-    watch = {name: value for name, value in given.items() if value is not None}
-    with named_arm(asked.arm, asked.host, rig, **watch) as arm:
+    with named_arm(asked.arm, asked.host, rig) as arm:
         found = touch_off(arm, rig.limits, asked.at, asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))

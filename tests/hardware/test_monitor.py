@@ -69,7 +69,9 @@ def test_what_cannot_be_shown_or_recorded_is_said(tmp_path, capsys):
         assert why in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("noise", "health"), [(1.0, monitor.HEALTHY_TEXT), (0.0, "UNHEALTHY: every chip stands still")])
+@pytest.mark.parametrize(
+    ("noise", "health"), [(1.0, monitor.HEALTHY_TEXT), (0.0, "UNHEALTHY: every chip stands still")]
+)
 def test_it_draws_a_recording_and_says_whether_the_skin_is_healthy(capsys, monkeypatch, tmp_path, noise, health):
     raw = recorded(tmp_path / "raw", at_rest(800, noise), Format.BINARY, 400.0)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)

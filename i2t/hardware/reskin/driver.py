@@ -27,7 +27,7 @@ from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import READ_SPARE_S, Samples, SkinCounters, SkinFeatures, channel_names
 from i2t.hardware.reskin import frames, recording
 from i2t.hardware.reskin.frames import Decoder, Frame
-from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format, FrameLayout
+from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
 
 RATE_HZ = 400.0  # published
 BAUD_RATES = (115200, 921600, 460800, 230400, 57600, 9600)  # tried in this order; over USB any will do
@@ -466,33 +466,21 @@ class ReSkin(Stream):
 
 
 class Replay(Stream):
-    """A recording as a skin; it fails when it is over.
+    """A recording as a skin (`i2t.hardware.reskin.recording`); it fails when it is over.
 
     Args:
-        path: Of the recording (`i2t.hardware.reskin.recording`), or of a board's bare bytes.
-        speed: How many times as fast as it was.
+        path: Of the recording.
         chips: How many magnetometers the board has.
-        rate: Hz, nominal; bare bytes come at this rate.
         capacity: Samples that the queue holds.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        *,
-        speed: float = 1.0,
-        chips: int = DEFAULT_CHIPS,
-        rate: float = RATE_HZ,
-        capacity: int = 4096,
-    ) -> None:
-        self._path, self._speed = Path(path), speed
-        self._byte_rate = rate * FrameLayout(chips=chips).size  # 1/s
-        name = f"the recording {path}"
-        super().__init__(name, "replay", chips=chips, rate=rate * speed, capacity=capacity)
+    def __init__(self, path: str | Path, *, chips: int = DEFAULT_CHIPS, capacity: int = 4096) -> None:
+        self._path = Path(path)
+        super().__init__(f"the recording {path}", "replay", chips=chips, rate=RATE_HZ, capacity=capacity)
 
     def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
         try:
-            port = recording.PlayedPort(self._path, self._speed, self._byte_rate, READ_TIMEOUT_S)
+            port = recording.PlayedPort(self._path, READ_TIMEOUT_S)
         except OSError as error:
             raise DeviceError(f"{self._path} cannot be read ({error.strerror}); name a recording") from error
         except DataError as error:

@@ -22,8 +22,7 @@ from i2t.errors import DataError, DeviceError
 from i2t.files import replacing
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin import frames, recording
-from i2t.hardware.reskin.driver import RATE_HZ, BoardInfo, Replay, ReSkin, Stream, diagnose
-from i2t.hardware.reskin.layouts import FrameLayout
+from i2t.hardware.reskin.driver import BoardInfo, Replay, ReSkin, Stream, diagnose
 from i2t.hardware.skin_health import check_skin
 from i2t.options import read_options
 from i2t.skin.ambient import mean_known
@@ -128,13 +127,12 @@ def bar(part: float) -> str:
     return f"{left:>{HALF_BAR_WIDTH}}|{right:<{HALF_BAR_WIDTH}}"
 
 
-def samples_of(path: str | Path, chips: int, rate: float = RATE_HZ) -> Samples:
+def samples_of(path: str | Path, chips: int) -> Samples:
     """Samples of a recording of bytes.
 
     Args:
         path: Of the recording.
         chips: How many magnetometers the board has.
-        rate: Hz, at which bare bytes are taken to have come.
 
     Returns:
         All samples; times in s from the first byte.
@@ -145,7 +143,7 @@ def samples_of(path: str | Path, chips: int, rate: float = RATE_HZ) -> Samples:
         OSError: It cannot be read.
     """
     decoders, found, heard = frames.decoders(chips), list[tuple[float, frames.Frame]](), b""
-    for when, chunk in recording.chunks(path, rate * FrameLayout(chips=chips).size):
+    for when, chunk in recording.chunks(path):
         heard = (heard + chunk)[-HEARD_BYTES:]
         decoders, more = frames.decode_any(decoders, chunk)
         found += [(when, frame) for frame in more]
