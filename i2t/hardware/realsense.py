@@ -17,6 +17,7 @@ Sources: RealSense D400 series data sheet (337029), "Minimum-Z depth"; data shee
 """
 
 import contextlib
+import itertools
 import sys
 import threading
 import time
@@ -70,9 +71,9 @@ def nearest(model: str, width: int, height: int) -> float:
         m; NaN where it is not known.
     """
     for name, listed in NEAREST_MM.items():
-        for size, least in zip(SIZES_PX, listed, strict=True):
-            if name in model.upper() and width <= size[0] and height <= size[1]:
-                return least / 1000
+        fitting = [least for (w, h), least in zip(SIZES_PX, listed, strict=True) if width <= w and height <= h]
+        if name in model.upper() and fitting:
+            return fitting[0] / 1000
     return float("nan")
 
 
@@ -221,18 +222,16 @@ class RealSense(CameraBase):
     def _fresh(self, timeout: float) -> tuple[float, Any]:
         """Exposure time of the next frames exposed after now, and these frames."""
         called = time.monotonic()
-        for number in range(sys.maxsize):
+        for number in itertools.count():
             left = called + timeout - time.monotonic()
             frames = self._wait(left) if left > 0 else None
             if frames is None:
-                raise DeviceTimeoutError(
-                    f"{self._name} gave no view in {timeout:.2g} s; check its cable, and that it is on USB 3"
-                )
+                break
             exposed = self._exposed(frames)
             new = number >= UNDERWAY_FRAMES if exposed is None else exposed >= called
             if new and frames.get_depth_frame() and frames.get_color_frame():
                 return time.monotonic() - 1 / self._rate if exposed is None else exposed, frames
-        raise AssertionError
+        raise DeviceTimeoutError(f"{self._name} gave no view in {timeout:.2g} s; check its cable: it needs USB 3")
 
     def _wait(self, timeout: float) -> Any:
         """The next frames, or None; raises NotConnectedError, or DeviceError if the camera is gone."""
