@@ -12,7 +12,7 @@ from experiments.faults.rows import FaultCounts, FaultRow, worst
 from i2t.emulators.reskin_board import Readings, corrupt, started
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.reskin.driver import ReSkin
-from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits, decode
+from i2t.hardware.reskin.frames import Decoder, Frame, decode
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 
 ERROR_SIZES_UT = (1.0, 10.0, 25.0)
@@ -122,7 +122,7 @@ def _send(count: int, line: LineErrors, temperature: float | None) -> SentFrames
 def _received(data: bytes) -> list[Frame]:
     """Frames that the driver's decoder makes of a stream that comes in pieces."""
     found: list[Frame] = []
-    decoder = Decoder(FrameLayout(), FrameLimits())
+    decoder = Decoder(FrameLayout())
     for at in range(0, len(data), BYTES_AT_ONCE):
         decoder, more = decode(decoder, data[at : at + BYTES_AT_ONCE])
         found += more

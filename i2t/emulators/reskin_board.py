@@ -30,8 +30,7 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 
-from i2t.hardware.reskin.layouts import Format, encode
-from i2t.hardware.reskin.quantization import CONVERTER_COUNTS
+from i2t.hardware.reskin.layouts import CONVERTER_COUNTS, Format, encode
 from i2t.options import read_options
 from i2t.skin.boards import make_board
 from i2t.types import Board

@@ -10,45 +10,43 @@ Further skins that the tool carries are tables `[skins.NAME]` (`i2t.hardware.car
 """
 
 import difflib
+import json
 import math
-import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
-from i2t.cli import exit_code_of
 from i2t.depth.camera import Camera
 from i2t.files import read_toml, replacing
 from i2t.geometry import inverse, nearest_rigid
-from i2t.hardware.carried_skins import (
-    TEXT_KEYS,
-    TOOL_SKIN,
-    CarriedSkin,
-    carried_keys,
-    require_distinct,
-    require_skin_name,
-)
+from i2t.hardware.carried_skins import TEXT_KEYS, TOOL_SKIN, CarriedSkin, require_distinct
 from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
-from i2t.hardware.rig_checks import implausible
-from i2t.options import read_options
 from i2t.types import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M, Array
 
 OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
-MAX_PAYLOAD_KG = 20.0  # kg, that a UR arm carries
 MAX_TOOL_M, MAX_LAB_M = 0.5, 10.0  # the largest sensible tool and lab
-MIN_LOOKING_M, MAX_LOOKING_M = 0.02, 2.0  # from which a camera may look
-MAX_CAMERA_TILT_RAD = math.radians(
-    60
-)  # between the camera's axis and the tool's, beyond which it cannot see what is touched
-DEFAULT_OBJECT_STD_M = np.repeat(
-    [1e-3, math.radians(1) * TWIST_LEVER_M], 3
-)  # standard deviations unless a rig says others
+POSES = {
+    "T_flange_tool": MAX_TOOL_M,
+    "T_tool_camera": MAX_TOOL_M,
+    "T_world_base": MAX_LAB_M,
+    "T_world_object": MAX_LAB_M,
+}
+NUMBER_RANGES = {"mass": (0.0, 20.0, "kg"), "looking_distance": (0.02, 2.0, "m")}  # of a payload, of a camera
+MAX_CAMERA_TILT_DEG = 60  # between the camera's axis and the tool's, beyond which it cannot see what is touched
+DEFAULT_OBJECT_STD_M = np.repeat([1e-3, math.radians(1) * TWIST_LEVER_M], 3)  # unless a rig says others
 
+TABLES = {  # of a file, with their keys in order
+    "tool": ("T_flange_tool", "mass", "centre", "arm", "skin"),
+    "camera": ("T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))),
+    "world": ("T_world_base", "T_world_object", "object_from", "object_covariance"),
+    "limits": tuple(each.name for each in fields(MotionLimits)),
+}
+TEXTS = {"arm", "skin", "model", "object_from"}
+OPTIONAL = {*TEXTS, "coefficients", "object_covariance", *TABLES["limits"][2:]}
 COMMENTS = {
     "tool": "the skin (T: origin at its centre, z out of it) on the flange, and what the flange carries (kg, m)",
     "camera": "the camera in the tool, how far from a surface it looks (m), and its depth image's lens (pixels)",
@@ -56,9 +54,7 @@ COMMENTS = {
     "may be off along and about its own axes: object_covariance (m^2, turns in radians times 8.5 mm)",
     "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, the longest approach (m), and the "
     "stiffness of skin, arm and mount in series (N/m), with which collisions are reckoned",
-    "skins": "a further skin: its frame in the tool (m), its device, board and pad, and its port or serial number",
 }
-
 RENAMED_RIG_KEYS = {"limits": {"travel": "approach_distance"}}  # earlier name to name: files of both are read
 
 
@@ -93,25 +89,14 @@ class Rig:
     skins: tuple[CarriedSkin, ...] = ()  # further ones, which are read in each touch
 
     def __post_init__(self) -> None:
-        require_skin_name("tool.skin", self.skin)
         require_distinct(self.skin, self.skins)
-        for name, far in (
-            ("T_flange_tool", MAX_TOOL_M),
-            ("T_tool_camera", MAX_TOOL_M),
-            ("T_world_base", MAX_LAB_M),
-            ("T_world_object", MAX_LAB_M),
-        ):
+        for name, far in POSES.items():
             object.__setattr__(self, name, _rigid(_key(name), getattr(self, name), far))
         centre = _numbers("tool.centre", self.centre, (3,))
         if np.abs(centre).max() > MAX_TOOL_M:
-            raise ValueError(
-                f"tool.centre is {self.centre}; give x, y, z in m from the flange, each within {MAX_TOOL_M} m"
-            )
-        object.__setattr__(self, "centre", tuple(float(x) for x in centre))
-        for name, least, most, unit in (
-            ("mass", 0.0, MAX_PAYLOAD_KG, "kg"),
-            ("looking_distance", MIN_LOOKING_M, MAX_LOOKING_M, "m"),
-        ):
+            raise ValueError(f"tool.centre is {self.centre}; give m from the flange, each within {MAX_TOOL_M} m")
+        object.__setattr__(self, "centre", tuple(centre.tolist()))
+        for name, (least, most, unit) in NUMBER_RANGES.items():
             value = float(_numbers(_key(name), getattr(self, name), ()))
             if not least <= value <= most:
                 raise ValueError(f"{_key(name)} is {value:g}; give {unit}, from {least:g} to {most:g}")
@@ -121,10 +106,10 @@ class Rig:
             raise ValueError(f"tool.arm is {self.arm!r}; give one of {', '.join(arms())}, or leave it out")
         if self.object_from not in OBJECT_SOURCES:
             raise ValueError(f"world.object_from is {self.object_from!r}; give one of {', '.join(OBJECT_SOURCES)}")
-        if self.T_tool_camera[2, 2] < math.cos(MAX_CAMERA_TILT_RAD):
+        if self.T_tool_camera[2, 2] < math.cos(math.radians(MAX_CAMERA_TILT_DEG)):
             raise ValueError(
-                "camera.T_tool_camera turns the camera's axis more than 60 degrees away from the tool's, so it cannot "
-                "see what is touched; its columns are the camera's axes in the tool, and it may be the inverse"
+                f"camera.T_tool_camera turns the camera's axis more than {MAX_CAMERA_TILT_DEG} degrees away from the "
+                "tool's; its columns are the camera's axes in the tool, and it may be the inverse"
             )
 
     @property
@@ -146,18 +131,13 @@ class Rig:
             ValueError: What is wrong with the file, in one sentence.
             FileNotFoundError: There is no such file.
         """
-        path = Path(path)
+        start = f"write one to start from with python -m i2t.hardware.rig {path} --example"
         try:
-            tables = read_toml(path)
+            tables = read_toml(Path(path))
         except FileNotFoundError:
-            raise FileNotFoundError(
-                f"{path}: there is no such file; write one to start from with python -m i2t.hardware.rig {path} "
-                "--example"
-            ) from None
+            raise FileNotFoundError(f"{path}: there is no such file; {start}") from None
         except OSError as error:
-            raise ValueError(
-                f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
-            ) from error
+            raise ValueError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
         try:
             return _parsed(tables)
         except ValueError as error:
@@ -178,108 +158,137 @@ class Rig:
     def text(self) -> str:
         """The rig as TOML."""
         lines = ["# A rig of i2t: T_a_b maps points in b to a, as the four rows of its matrix."]
-        for table, keys in _tables().items():
+        left_out = {key for key, default in (("arm", ""), ("skin", TOOL_SKIN)) if getattr(self, key) == default}
+        for table, keys in TABLES.items():
             lines += ["", f"# {COMMENTS[table]}", f"[{table}]"]
-            values = self._values(table)
-            left_out = {key for key, default in (("arm", ""), ("skin", TOOL_SKIN)) if getattr(self, key) == default}
+            values = {**vars(self.limits), **vars(self.camera), **vars(self)}
             lines += [f"{key} = {_toml(values[key])}" for key in keys if key not in left_out]
         for skin in self.skins:
-            lines += ["", f"# {COMMENTS['skins']}", *skin.text(_toml(skin.T_tool_skin))]
+            given = {key: getattr(skin, key) for key in TEXT_KEYS if getattr(skin, key)}
+            lines += ["", f"[skins.{skin.name}]", f"T_tool_skin = {_toml(skin.T_tool_skin)}"]
+            lines += [f"{key} = {_toml(value)}" for key, value in given.items()]
         return "\n".join(lines) + "\n"
 
-    def _values(self, table: str) -> dict[str, Any]:
-        if table == "limits":
-            return asdict(self.limits)
-        own = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**asdict(self.camera), **own} if table == "camera" else own
+
+def summary(rig: Rig) -> str:
+    """Summary of a rig, for a person to compare with what stands on the table.
+
+    Args:
+        rig: The lab's calibration.
+
+    Returns:
+        Five lines, and one for each further skin.
+    """
+    limits, sigma = rig.limits, np.sqrt(np.diagonal(rig.object_covariance))
+    in_box = limits.contains((rig.T_base_world @ rig.T_world_object)[:3, 3], 0.05)
+    return "\n".join(
+        [
+            f"skin      {1e3 * np.linalg.norm(rig.T_flange_tool[:3, 3]):.1f} mm from the flange; payload {rig.mass:g} "
+            f"kg at {_mm(rig.centre)}",
+            f"camera    {_mm(rig.T_tool_camera[:3, 3])} from the skin in its axes, {_tilt(rig.T_tool_camera):.1f} "
+            f"degrees askew; looks from {1e3 * rig.looking_distance:.0f} mm; {rig.camera.width} x {rig.camera.height} "
+            "pixels",
+            f"object    at {format_position(rig.T_world_object[:3, 3])} m in the world ({rig.object_from}), within "
+            f"{1e3 * sigma[:3].max():.1f} mm and {math.degrees(sigma[3:].max() / TWIST_LEVER_M):.1f} degrees"
+            + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
+            f"box       {format_position(limits.lower)} to {format_position(limits.upper)} m in the base",
+            f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
+            f"approaches of {1e3 * limits.approach_distance:g} mm; free motion at {1e3 * limits.free_speed:.0f} mm/s "
+            f"at the most, which a collision at {limits.stiffness / 1e3:g} N/mm allows",
+            *(
+                f"skin      {skin.name}: {skin.device} {skin.serial_number or skin.address}, board {skin.board}, at "
+                f"{_mm(skin.T_tool_skin[:3, 3])} in the tool, facing {_tilt(skin.T_tool_skin):.0f} degrees off its z"
+                for skin in rig.skins
+            ),
+        ]
+    )
 
 
-def _tables() -> dict[str, list[str]]:
-    """The keys of each table of a file, in order."""
-    return {
-        "tool": ["T_flange_tool", "mass", "centre", "arm", "skin"],
-        "camera": ["T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))],
-        "world": ["T_world_base", "T_world_object", "object_from", "object_covariance"],
-        "limits": [each.name for each in fields(MotionLimits)],
-    }
+def _mm(position: Sequence[float] | Array) -> str:
+    return f"{np.round(1e3 * np.asarray(position), 1).tolist()} mm"
+
+
+def _tilt(pose: Array) -> float:
+    """Degrees between the z axes of two frames."""
+    return math.degrees(math.acos(float(np.clip(pose[2, 2], -1, 1))))
 
 
 def _key(name: str) -> str:
-    return next(f"{table}.{name}" for table, keys in _tables().items() if name in keys)
+    return next(f"{table}.{name}" for table, keys in TABLES.items() if name in keys)
 
 
 def _parsed(tables: dict[str, Any]) -> Rig:
-    known = _tables()
-    skins = _carried(tables.pop("skins", {})) if isinstance(tables, dict) else ()
-    _known("table", tables, [*known, "skins"])
-    tables = {table: _with_present_names(table, values) for table, values in tables.items()}
-    for table, keys in known.items():
-        if not isinstance(tables.get(table), dict):
+    skins = _carried(tables.pop("skins", {}))
+    _known("table", tables, TABLES)
+    values: dict[str, Any] = {}
+    for table, keys in TABLES.items():
+        given = tables.get(table)
+        if not isinstance(given, dict):
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
-        _known(f"key of [{table}]", tables[table], keys)
-        own = {"arm", "skin", "model", "coefficients", "object_from", "object_covariance"}
-        optional = {each.name for each in fields(MotionLimits)[2:]} | own
-        missing = [key for key in keys if key not in tables[table] and key not in optional]
+        given = _with_present_names(table, given)
+        _known(f"key of [{table}]", given, keys)
+        missing = [key for key in keys if key not in given and key not in OPTIONAL]
         if missing:
             raise ValueError(f"{table}.{missing[0]} is missing; add it to [{table}]: {COMMENTS[table]}")
-    values = {table: {key: _value(f"{table}.{key}", tables[table][key]) for key in tables[table]} for table in known}
-    camera = {key: values["camera"].pop(key) for key in known["camera"][2:] if key in values["camera"]}
+        values |= {key: _value(f"{table}.{key}", value) for key, value in given.items()}
+    lens = {key: values.pop(key) for key in TABLES["camera"][2:] if key in values}
+    bounds = {key: values.pop(key) for key in TABLES["limits"] if key in values}
     try:
-        limits = MotionLimits(**values["limits"])
+        limits = MotionLimits(**bounds)
     except ValueError as error:
         raise ValueError(f"limits.{error}") from error
-    places = {**values["tool"], **values["camera"], **values["world"]}
-    return Rig(**places, camera=Camera(**camera), limits=limits, skins=skins)
+    return Rig(**values, camera=Camera(**lens), limits=limits, skins=skins)
 
 
 def _carried(tables: Any) -> tuple[CarriedSkin, ...]:
     """The skins of the tables `[skins.NAME]`."""
     if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
         raise ValueError("skins is no table of tables; write [skins.NAME] for each further skin")
-    found = []
     for name, table in tables.items():
-        _known(f"key of [skins.{name}]", table, carried_keys())
+        _known(f"key of [skins.{name}]", table, ("T_tool_skin", *TEXT_KEYS))
         if "T_tool_skin" not in table:
             raise ValueError(f"skins.{name}.T_tool_skin is missing; add where the skin is in the tool")
-        for key in TEXT_KEYS:
-            if not isinstance(table.get(key, ""), str):
-                raise ValueError(f"skins.{name}.{key} is {table[key]!r}; give a word in quotes")
-        pose = _rigid(f"skins.{name}.T_tool_skin", table["T_tool_skin"], MAX_TOOL_M)
-        found.append(CarriedSkin(**{**table, "name": name, "T_tool_skin": pose}))
-    return tuple(found)
+        table["T_tool_skin"] = _rigid(f"skins.{name}.T_tool_skin", table["T_tool_skin"], MAX_TOOL_M)
+        for key in {*TEXT_KEYS}.intersection(table):
+            _text(f"skins.{name}.{key}", table[key])
+    return tuple(CarriedSkin(name=name, **table) for name, table in tables.items())
 
 
 def _value(key: str, value: Any) -> Any:
     """Value of a key of a file, as the type that it must be."""
     name = key.split(".")[1]
-    if name in ("arm", "skin", "model", "object_from"):
-        if not isinstance(value, str):
-            raise ValueError(f"{key} is {value!r}; give a word in quotes")
-        return value
+    if name in TEXTS:
+        return _text(key, value)
     if name == "coefficients":
         return tuple(_numbers(key, value, (len(value) if isinstance(value, list) else 1,)).tolist())
-    if name in ("width", "height"):
-        whole = float(_numbers(key, value, ()))
-        if not whole.is_integer():
-            raise ValueError(f"{key} is {value}; give whole pixels")
-        return int(whole)
-    square = {"object_covariance": (6, 6)}.get(name, (4, 4) if name.startswith("T_") else None)
-    shape = square or ((3,) if name in ("centre", "lower", "upper") else ())
-    array = _numbers(key, value, shape)
-    return array if square else tuple(array.tolist()) if shape else float(array)
+    if name in POSES or name == "object_covariance":
+        return _numbers(key, value, (4, 4) if name in POSES else (6, 6))
+    if name in ("centre", "lower", "upper"):
+        return tuple(_numbers(key, value, (3,)).tolist())
+    number = float(_numbers(key, value, ()))
+    if name not in ("width", "height"):
+        return number
+    if not number.is_integer():
+        raise ValueError(f"{key} is {value}; give whole pixels")
+    return int(number)
 
 
-def _with_present_names(table: str, values: Any) -> Any:
+def _text(key: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"{key} is {value!r}; give a word in quotes")
+    return value
+
+
+def _with_present_names(table: str, values: dict[str, Any]) -> dict[str, Any]:
     """A table of a file, which may be of an earlier version, with the keys' names of this one."""
-    for earlier, name in RENAMED_RIG_KEYS.get(table, {}).items():
-        if isinstance(values, dict) and earlier in values:
-            if name in values:
-                raise ValueError(f"[{table}] has {name} and {earlier}, its earlier name; keep {name}")
-            values = {name if key == earlier else key: value for key, value in values.items()}
-    return values
+    renamed = RENAMED_RIG_KEYS.get(table, {})
+    for earlier, name in renamed.items():
+        if earlier in values and name in values:
+            raise ValueError(f"[{table}] has {name} and {earlier}, its earlier name; keep {name}")
+    return {renamed.get(key, key): value for key, value in values.items()}
 
 
-def _known(what: str, given: dict[str, Any], known: list[str]) -> None:
+def _known(what: str, given: dict[str, Any], known: Sequence[str] | dict[str, Any]) -> None:
     for key in given:
         if key not in known:
             close = difflib.get_close_matches(key, known, 1, 0.5)
@@ -295,8 +304,7 @@ def _numbers(key: str, value: Any, shape: tuple[int, ...]) -> Array:
     except ValueError:
         array = np.array(None)
     if array.dtype.kind not in "iuf" or array.shape != shape:
-        shown = " x ".join(str(n) for n in array.shape) if array.dtype.kind in "iuf" and array.shape else repr(value)
-        raise ValueError(f"{key} is {shown}; give {wanted}")
+        raise ValueError(f"{key} is {value!r}; give {wanted}")
     if not np.isfinite(array).all():
         raise ValueError(f"{key} holds NaN or infinity; measure it again, or take an older file's value")
     return array.astype(float)
@@ -332,7 +340,7 @@ def _covariance(key: str, value: Any) -> Array:
 
 def _toml(value: Any) -> str:
     if isinstance(value, str):
-        return f'"{value}"'
+        return json.dumps(value, ensure_ascii=False)
     if isinstance(value, int | np.integer):
         return str(int(value))
     if np.ndim(value) == 2:
@@ -340,82 +348,3 @@ def _toml(value: Any) -> str:
     if np.ndim(value) == 1:
         return "[" + ", ".join(_toml(each) for each in value) + "]"
     return repr(float(value))
-
-
-@dataclass(frozen=True)
-class RigArgs:
-    """Check a lab's calibration and say what it means."""
-
-    file: tyro.conf.Positional[Path]  # the lab's calibration
-    example: bool = False  # write that of the emulators, to start from
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        arguments: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(RigArgs, arguments, program="python -m i2t.hardware.rig", description=__doc__)
-
-    def show() -> int:
-        if asked.example and asked.file.exists():
-            raise FileExistsError(f"{asked.file}: exists already; give another name")
-        if asked.example:
-            Rig().write(asked.file)
-        rig = Rig.read(asked.file)
-        print(summary(rig))
-        doubts = implausible(rig)
-        for doubt in doubts:
-            print(f"DOUBT     {doubt}")
-        return int(bool(doubts))
-
-    return exit_code_of(show)
-
-
-def summary(rig: Rig) -> str:
-    """Summary of a rig, for a person to compare with what stands on the table.
-
-    Args:
-        rig: The lab's calibration.
-
-    Returns:
-        Five lines, and one for each further skin.
-    """
-    at, limits = (1e3 * rig.T_tool_camera[:3, 3]), rig.limits
-    apart = math.degrees(math.acos(min(1.0, rig.T_tool_camera[2, 2])))
-    sigma = np.sqrt(np.diagonal(rig.object_covariance))
-    in_box = limits.contains((rig.T_base_world @ rig.T_world_object)[:3, 3], 0.05)
-    return "\n".join(
-        [
-            f"skin      {1e3 * np.linalg.norm(rig.T_flange_tool[:3, 3]):.1f} mm from the flange; payload {rig.mass:g} "
-            f"kg at {np.round(1e3 * np.array(rig.centre), 1).tolist()} mm",
-            f"camera    {at.round(1).tolist()} mm from the skin in its axes, {apart:.1f} degrees askew; looks from "
-            f"{1e3 * rig.looking_distance:.0f} mm; {rig.camera.width} x {rig.camera.height} pixels",
-            f"object    at {format_position(rig.T_world_object[:3, 3])} m in the world ({rig.object_from}), within "
-            f"{1e3 * sigma[:3].max():.1f} mm and {math.degrees(sigma[3:].max() / TWIST_LEVER_M):.1f} degrees"
-            + ("" if in_box else "; OUTSIDE the box: nothing on it may be reachable"),
-            f"box       {format_position(limits.lower)} to {format_position(limits.upper)} m in the base",
-            f"limits    {limits.speed:g} m/s, {limits.acceleration:g} m/s^2, {limits.force:g} N, {limits.torque:g} Nm, "
-            f"approaches of {1e3 * limits.approach_distance:g} mm; free motion at {1e3 * limits.free_speed:.0f} mm/s "
-            f"at the most, which a collision at {limits.stiffness / 1e3:g} N/mm allows",
-            *(_carried_line(skin) for skin in rig.skins),
-        ]
-    )
-
-
-def _carried_line(skin: CarriedSkin) -> str:
-    at = np.round(1e3 * skin.T_tool_skin[:3, 3], 1).tolist()
-    apart = math.degrees(math.acos(float(np.clip(skin.T_tool_skin[2, 2], -1.0, 1.0))))
-    where = f" {skin.serial_number or skin.address}" if skin.serial_number or skin.address else ""
-    return (
-        f"skin      {skin.name}: {skin.device}{where}, board {skin.board}, at {at} mm in the tool, facing "
-        f"{apart:.0f} degrees off its z"
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())
