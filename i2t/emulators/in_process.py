@@ -19,7 +19,7 @@ import numpy as np
 from i2t.depth.camera import Camera
 from i2t.emulators.carried_contact import CarriedContact, SeveralContacts
 from i2t.emulators.robot_motion import Robot
-from i2t.emulators.scene import ContactModel, ObjectScene, TouchableScene
+from i2t.emulators.scene import ContactModel, TouchableScene
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.base import CameraBase, DeviceBase
 from i2t.hardware.clock import Clock
@@ -472,7 +472,7 @@ class SimulatedCamera(CameraBase):
     """
 
     def __init__(
-        self, scene: ObjectScene, camera: Camera, T_t_c: Array, pose: Callable[[], Array], clock: Clock, seed: int = 0
+        self, scene: TouchableScene, camera: Camera, T_t_c: Array, pose: Callable[[], Array], clock: Clock, seed: int = 0
     ) -> None:
         super().__init__(CameraFeatures("the simulated camera", "simulated", NEAREST_DEPTH_M, CAMERA_RATE_HZ))
         self._camera: Camera = camera

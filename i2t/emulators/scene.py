@@ -32,6 +32,8 @@ TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
 LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
 NEAR_CONTACT_M = 2e-3  # before first contact, from which motion is followed finely
 AMBIENT_STEP_M = 0.1e-3  # of a motion without a turn, over which the room's field is taken as the same
+SEEN_AT_M = (0.4, 0.0)  # middle of what a camera sees of a plane, below the tool's first pose
+TABLES_SEEN = 5  # times as wide as a table
 STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
 
 
@@ -107,6 +109,8 @@ class TouchableScene(Protocol):
     gains: Array  # (3 chips,) of the chips' axes
     room: RoomField
     errors: SimulationErrors
+    triangles: Array  # (n, 3, 3) m in the base, that a camera sees
+    T_t_camera: Array  # (4, 4) where a camera of the tool looks from, seen from where the lab believes
 
     def near(self, position: Array) -> bool:
         """Test whether anything may be within a line's reach of a place.
@@ -154,6 +158,8 @@ class SpringPlane:
         self.height, self.stiffness, self.gain = height, stiffness, gain
         self.errors, self.board, self.room = errors, board, RoomField() if room is None else room
         self.rest, self.gains = np.zeros(board.num_readings), np.ones(board.num_readings)
+        self.triangles = TABLES_SEEN * table_triangles(np.eye(4)) + np.array([*SEEN_AT_M, height])
+        self.T_t_camera = np.eye(4)
 
     def near(self, position: Array) -> bool:
         """Test whether it is near, from above or below, as in `TouchableScene.near`."""
