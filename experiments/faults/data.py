@@ -62,7 +62,7 @@ def _session(folder: Path, procedure: Procedure, most: int, harm: AfterTouch | N
                 if harm is not None and outcome.site.number == 1:
                     harm(outcome)
     except DeviceError as error:
-        said = str(error)
+        said = str(error).split(": ", 1)[-1]
     moving = procedure.arm.state().moving
     return {**lost_touches(folder, acknowledged), "moving": moving, "not ended": not said, "said": said}
 
