@@ -106,5 +106,5 @@ STEPS = (
         needs="eflesh/spatial",
         again="--overwrite",
     ),
-    Step("faults", "-m experiments.faults", minutes=120, again=None, result="sections/kill.json"),
+    Step("faults", "-m experiments.faults", minutes=120, again=None),
 )

@@ -169,10 +169,9 @@ class DeviceContext:
         model: ContactModel | None = None
         if isinstance(self.config.skin, EmulatedSkinConfig):
             from i2t.emulators import lab
-            from i2t.emulators.ur_contact import BoardPublishingContactModel
 
             _, process = self.emulated_board
-            model = BoardPublishingContactModel(self.scene, lab.board_address(process), wait=True)
+            model = ContactModel(self.scene, to=lab.board_address(process))
             self.stack.callback(model.close)
         return SimulatedLab(self.scene, self.clock, seed=self.config.world.seed, contact_model=model)
 
@@ -191,9 +190,9 @@ class DeviceContext:
 
         lab, scene, model = self.simulated_lab, carried_scene(self.world, self.rig, place.board, number), None
         if emulated:
-            from i2t.emulators.ur_contact import BoardPublishingContactModel
+            from i2t.emulators.scene import ContactModel
 
-            model = BoardPublishingContactModel(scene, self.carried_boards[place.name][1], wait=True)
+            model = ContactModel(scene, to=self.carried_boards[place.name][1])
             self.stack.callback(model.close)
         return CarriedSkinLab(lab, scene, place.T_tool_skin, seed=self.world.seed + number, contact_model=model)
 

@@ -1,11 +1,27 @@
-"""Measurement of speeds: contenders interleaved in one run, on the same machine."""
+"""Measurement of speeds: contenders in turns in one run, on the same machine."""
 
 import statistics
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
+
+Work: TypeAlias = Callable[[], Any]
 
 REST_S = 0.1
+
+
+class Contest(NamedTuple):
+    """A piece of work, done by us and by a peer."""
+
+    work: str
+    ours: Work
+    peer_name: str
+    peer: Work
+    our_calls: float = 1.0  # of ours, that do the work: a share where one call does it many times
+    peer_calls: float = 1.0
+    unit: str = "s"
+    steady: float = 0.0  # s that each contender works in each turn, after a rest and a call that is not counted
+    measured: bool = False  # both calls return what is compared, which need not be a time, and are not warmed up
 
 
 class BenchmarkRow(NamedTuple):
@@ -20,11 +36,7 @@ class BenchmarkRow(NamedTuple):
     ratio: float  # median over the turns of the peer's time through ours
 
 
-class MissingPeerError(ValueError):
-    """A section's peer is not installed."""
-
-
-def interleave(contenders: dict[str, Callable[[], object]], turns: int, steady: float = 0.0) -> dict[str, list[float]]:
+def interleave(contenders: dict[str, Work], turns: int, steady: float = 0.0) -> dict[str, list[float]]:
     """Time contenders one after the other, turn after turn, so that a disturbance meets all of them.
 
     Args:
@@ -51,18 +63,25 @@ def interleave(contenders: dict[str, Callable[[], object]], turns: int, steady: 
     return seconds
 
 
-def compare(section: str, work: str, ours: list[float], peer_name: str, peer: list[float]) -> BenchmarkRow:
-    """A row of the table.
+def measure(section: str, contest: Contest, turns: int) -> BenchmarkRow:
+    """Hold a contest.
 
     Args:
         section: Of the benchmark.
-        work: What was done.
-        ours: Seconds, by turn.
-        peer_name: Whom ours is compared with.
-        peer: Seconds, in the same turns.
+        contest: Who does what.
+        turns: How often each is timed.
 
     Returns:
         Medians, and the median of the turns' ratios.
     """
+    contenders = {"ours": contest.ours, "peer": contest.peer}
+    if contest.measured:
+        found = {name: [float(work()) for _ in range(turns)] for name, work in contenders.items()}
+    else:
+        found = interleave(contenders, turns, contest.steady)
+    ours = [contest.our_calls * each for each in found["ours"]]
+    peer = [contest.peer_calls * each for each in found["peer"]]
     ratio = statistics.median(theirs / mine for mine, theirs in zip(ours, peer, strict=True))
-    return BenchmarkRow(section, work, "s", statistics.median(ours), peer_name, statistics.median(peer), ratio)
+    return BenchmarkRow(
+        section, contest.work, contest.unit, statistics.median(ours), contest.peer_name, statistics.median(peer), ratio
+    )
