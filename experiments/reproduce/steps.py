@@ -104,9 +104,14 @@ STEPS = (
         needs="eflesh/spatial",
         again="--overwrite",
     ),
-    Step("refine", "-m experiments.refine", minutes=3, again="--overwrite"),
-    Step("clouds", "-m experiments.clouds", minutes=1, again=None, result="clouds.json"),
-    Step("real_frames", "-m experiments.real_frames --data DATA", minutes=1, needs="DATA", again="--overwrite"),
+    Step("registration_patch", "-m experiments.registration patch", minutes=2, again="--overwrite"),
+    Step(
+        "registration_frames",
+        "-m experiments.registration frames --data DATA",
+        minutes=1,
+        needs="DATA",
+        again="--overwrite",
+    ),
     Step("active_touch", "-m experiments.active_touch", minutes=10, again="--overwrite"),
     Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again="--overwrite"),
     Step(
