@@ -114,17 +114,10 @@ STEPS = (
     ),
     Step("active_touch", "-m experiments.active_touch", minutes=10, again="--overwrite"),
     Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again="--overwrite"),
-    Step(
-        "reconstruct_meshes",
-        "-m experiments.reconstruct --meshes random_urdfs --unit cm"
-        " --conditions random reduction uncertainty 'contact pose only' 'perfect tactile image'",
-        needs="random_urdfs",
-        again="--overwrite",
-    ),
-    Step("reconstruct_patch", "-m experiments.reconstruct_patch", minutes=12, again="--overwrite"),
+    Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again="--overwrite"),
     Step(
         "reconstruct_tip",
-        "-m experiments.reconstruct_patch --dataset eflesh/spatial",
+        "-m experiments.reconstruct tip --dataset eflesh/spatial",
         minutes=10,
         needs="eflesh/spatial",
         again="--overwrite",
