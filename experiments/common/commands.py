@@ -111,6 +111,27 @@ def run_command(
     return this.code
 
 
+def run_part(parts: Mapping[str, tuple[type[Any], str]], argv: Sequence[str] | None, package: str) -> int:
+    """Run the part of a command that the first word names, or else the first part.
+
+    Args:
+        parts: Options and module of each, as `run_command` takes them, by name.
+        argv: The command line without the program's name; None takes the process's.
+        package: The command's, such as `experiments.registration`.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    name = words.pop(0) if words and words[0] in parts else next(iter(parts))
+    kind, module = parts[name]
+    program = f"{program_of(package)} {name}"
+    args = read_options(kind, words, program=program, description=docstring_of(module), config=())
+    with carrying_out(args, words, module) as this:
+        this.run(this.checked())
+    return this.code
+
+
 def say_where(out: Path | None, next_command: str) -> None:
     """Print where a finished run's results are, the names of its pictures, and what to try next.
 

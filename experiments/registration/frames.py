@@ -1,4 +1,15 @@
-"""Frames of real cameras, and patches of them next to patches of posed scans."""
+"""Question: how well does an imagined patch match one that a real depth camera saw?
+
+    python -m experiments.registration frames --data DIR
+
+DIR holds `ycbvideo` (five frames of YCB-Video, an Asus Xtion at 0.5 to 0.65 m), `ycb_meshes` and `apc_depth` (two
+frames of a RealSense F200). On each posed mesh of the five frames, sites are drawn that the camera sees in all of
+them; there a real patch is extracted from the depth image, and the same patch is imagined from the mesh, at three sizes
+of window. The frames follow each other within a second and show the same scene, so intervals are over sites. The F200's
+frames have no poses of objects: patches are extracted along normals of the depth itself. It takes about a minute on two
+cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is what can be
+expected. Results go to --out: metrics.json and config.json.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -11,18 +22,28 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from experiments.real_frames.arguments import RealFrames
+from experiments.common.intervals import with_interval
+from experiments.common.runs import begin, write_json
+from experiments.registration.arguments import FramesArgs
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
-from i2t.objects.solids import Mesh
+from i2t.objects import Mesh, read_mesh
 from i2t.prediction.metrics import grouped_interval
-from i2t.rendering.render import render_patch
-from i2t.types import PATCH_WINDOW, REACH, Patch, Surface
+from i2t.rendering.render import prepare_surface, render_patch
+from i2t.types import PATCH_WINDOW, REACH, STANDOFF, Patch, Surface
 
 FRAMES = ("000001", "000002", "000003", "000004", "000005")
+F200_FRAMES = ("frame-000000", "frame-000007")
 YCB_DEPTH_UNIT_M = 1e-4  # m, of both cameras' files
+MIN_COSINE = 0.5  # between a site's normal and the line of sight
+MAX_OCCLUSION_M = 8e-3  # where the image is further than this from the mesh, something else is in front
+BORDER_PX = 3  # from a site to the border of the object's label
+EXTRA_REACH_M = STANDOFF  # by which a real patch is read deeper, so that neither noise nor what is in front clips it
+MIN_SHARE = 0.1  # share of a patch's pixels that must be comparable
+F200_FILL_M = 4e-3  # every fifth row and column of the F200's frames is empty, 1 to 1.6 mm wide
+F200_PATCHES = 5
 
 
 @dataclass(frozen=True)
@@ -52,6 +73,32 @@ class Compared(NamedTuple):
     bias: np.ndarray  # (frames, sites) m, median of the differences; NaN where there are too few
 
 
+def run(args: FramesArgs) -> dict[str, Any]:
+    """Compare the patches of all objects, print the table, write metrics.json and config.json."""
+    args.check()
+    begin(args.out, args, args, None, args.overwrite)
+    objects: dict[str, Any] = {}
+    for item in OBJECTS:
+        mesh = read_mesh(args.data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
+        camera, depths, labels, T_c_o = frames(args.data / "ycbvideo", item)
+        T_o_t = draw_sites(args, item, mesh, camera, depths, labels, T_c_o)
+        surface = prepare_surface(mesh)
+        objects[item.name] = {
+            f"{1e3 * window:g} mm": summary(compare(surface, camera, depths, T_c_o, T_o_t, window))
+            for window in args.windows
+        }
+    metrics = {
+        "source": "real depth, posed scans",
+        "seed": args.seed,
+        "frames": len(FRAMES),
+        "objects": objects,
+        "f200": {name: f200_summary(*f200_patches(args, name)) for name in F200_FRAMES},
+    }
+    write_json(args.out / "metrics.json", metrics)
+    report(metrics)
+    return metrics
+
+
 def frames(folder: Path, item: FrameObject) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
     """The camera, depth (frames, h, w) m, labels (frames, h, w) and poses T_c_o (frames, 4, 4) of the mesh."""
     with np.load(folder / "meta.npz", allow_pickle=False) as meta:
@@ -70,7 +117,7 @@ def frames(folder: Path, item: FrameObject) -> tuple[Camera, np.ndarray, np.ndar
 
 
 def draw_sites(
-    cfg: RealFrames, item: FrameObject, mesh: Mesh, camera: Camera, depths: np.ndarray, labels: np.ndarray,
+    cfg: FramesArgs, item: FrameObject, mesh: Mesh, camera: Camera, depths: np.ndarray, labels: np.ndarray,
     T_c_o: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Contact frames T_o_t (sites, 4, 4) that the camera sees in all frames, drawn uniformly over the mesh's area."""
@@ -83,7 +130,7 @@ def draw_sites(
         facing = -np.sum(n * at, 1) / np.linalg.norm(at, axis=1)
         u = np.rint(at[:, 0] / at[:, 2] * camera.fx + camera.cx).astype(int)
         v = np.rint(at[:, 1] / at[:, 2] * camera.fy + camera.cy).astype(int)
-        near = cfg.border_px
+        near = BORDER_PX
         inside = (u >= near) & (u < camera.width - near) & (v >= near) & (v < camera.height - near)
         u, v = np.where(inside, u, near), np.where(inside, v, near)
         own = np.ones(len(points), bool)
@@ -91,7 +138,7 @@ def draw_sites(
             for j in (-near, 0, near):
                 own &= label[v + i, u + j] == item.label
         # A hole compares false, and so is not visible.
-        visible &= inside & own & (facing >= cfg.min_cosine) & (np.abs(depth[v, u] - at[:, 2]) <= cfg.max_occlusion_m)
+        visible &= inside & own & (facing >= MIN_COSINE) & (np.abs(depth[v, u] - at[:, 2]) <= MAX_OCCLUSION_M)
     chosen = np.flatnonzero(visible)[: cfg.sites]
     if not len(chosen):
         raise ValueError(f"{item.name} is not visible in these frames; check its poses and labels")
@@ -99,12 +146,11 @@ def draw_sites(
 
 
 def compare(
-    cfg: RealFrames, surface: Surface, camera: Camera, depths: np.ndarray, T_c_o: np.ndarray, T_o_t: np.ndarray,
-    window: float,
+    surface: Surface, camera: Camera, depths: np.ndarray, T_c_o: np.ndarray, T_o_t: np.ndarray, window: float
 ) -> Compared:  # fmt: skip
     """Real and imagined patches at the same poses; the reach grows with the window."""
     reach = REACH * window / PATCH_WINDOW
-    extract = partial(patch_from_depth, window=window, reach=reach + cfg.extra_reach_m)
+    extract = partial(patch_from_depth, window=window, reach=reach + EXTRA_REACH_M)
     seen_in = jax.jit(jax.vmap(extract, (None, None, None, 0)), static_argnums=1)
     here = np.eye(4, dtype=np.float32)  # the camera's frame serves as the world's
     real = [seen_in(depth, camera, here, T @ T_o_t) for depth, T in zip(depths, T_c_o, strict=True)]
@@ -113,9 +159,9 @@ def compare(
     once = jax.device_get(draw(surface, T_o_t))
     imagined = Patch(*(np.broadcast_to(field, (len(depths), *field.shape)) for field in once))
     # Which pixels are compared is decided by the imagined depth alone: by the real one, its noise would be cut off.
-    both = (imagined.depth < reach) & real.valid_mask & (real.patch.depth < reach + cfg.extra_reach_m)
+    both = (imagined.depth < reach) & real.valid_mask & (real.patch.depth < reach + EXTRA_REACH_M)
     difference = np.where(both, heights(real.patch) - heights(imagined), np.nan)
-    enough = np.isfinite(difference).mean((2, 3)) >= cfg.min_share
+    enough = np.isfinite(difference).mean((2, 3)) >= MIN_SHARE
     bias = np.full(enough.shape, np.nan)
     bias[enough] = np.nanmedian(difference[enough], axis=(1, 2))
     return Compared(real, imagined, difference, bias)
@@ -150,13 +196,13 @@ def summary(part: Compared) -> dict[str, Any]:
     }
 
 
-def f200_patches(cfg: RealFrames, name: str, count: int = 5) -> tuple[np.ndarray, list[tuple[int, int]], DepthPatch]:
-    """A frame without poses, pixels of it, and patches along normals of planes through what is around them."""
+def f200_patches(cfg: FramesArgs, name: str) -> tuple[np.ndarray, DepthPatch]:
+    """A frame without poses, and patches along normals of planes through what is around some of its pixels."""
     depth = read_depth(cfg.data / "apc_depth" / f"{name}.depth.png", YCB_DEPTH_UNIT_M, Encoding.ROTATED)
     x, y = np.asarray(pixel_rays(F200))
     points = np.stack([x * depth, y * depth, depth], -1)
     rng = np.random.default_rng(cfg.seed)
-    pixels, frames_at = [], []
+    frames_at: list[tuple[np.ndarray, np.ndarray]] = []
     for row, column in rng.permutation(np.argwhere(np.isfinite(depth))):
         centre = points[row, column]
         half = int(np.ceil(PATCH_WINDOW / 2 / centre[2] * F200.fx))
@@ -167,15 +213,44 @@ def f200_patches(cfg: RealFrames, name: str, count: int = 5) -> tuple[np.ndarray
         middle = around.mean(0)
         normal = np.linalg.svd(around - middle, full_matrices=False)[2][2]
         normal *= -np.sign(normal @ middle)  # towards the camera
-        if -normal @ middle < cfg.min_cosine * np.linalg.norm(middle):
+        if -normal @ middle < MIN_COSINE * np.linalg.norm(middle):
             continue
-        pixels.append((column, row))
         frames_at.append((middle, normal))
-        if len(frames_at) == count:
+        if len(frames_at) == F200_PATCHES:
             break
     if not frames_at:
         raise ValueError(f"{name} holds no point with enough measured pixels around it; check its encoding")
     T_w_t = jax.jit(jax.vmap(contact_frame))(*(jnp.float32(np.array(part)) for part in zip(*frames_at, strict=True)))
-    extract = jax.vmap(partial(patch_from_depth, fill=cfg.f200_fill_m), (None, None, None, 0))
+    extract = jax.vmap(partial(patch_from_depth, fill=F200_FILL_M), (None, None, None, 0))
     patches = jax.device_get(jax.jit(extract, static_argnums=1)(depth, F200, np.eye(4, dtype=np.float32), T_w_t))
-    return depth, pixels, patches
+    return depth, patches
+
+
+def f200_summary(depth: np.ndarray, patches: DepthPatch) -> dict[str, Any]:
+    """How much of a frame without poses was measured, and of its patches seen."""
+    return {
+        "measured": float(np.isfinite(depth).mean()),
+        "depth_quartiles_m": [float(q) for q in np.nanpercentile(depth, [25, 50, 75])],
+        "seen": [float(share) for share in patches.valid_mask.mean((1, 2))],
+        "filled": [float(share) for share in patches.inpainted_mask.mean((1, 2))],
+    }
+
+
+def report(metrics: dict[str, Any]) -> None:
+    """The table a person reads."""
+    print("real against imagined patches, each patch's bias taken off; 95 % interval over sites; mm")
+    print(
+        f"{'object':18}{'window':>8}{'patches':>9}{'median |d|':>22}{'IQR':>7}{'bias':>22}{'> 5 mm':>8}{'compared':>10}"
+    )
+    for name, windows in metrics["objects"].items():
+        for window, values in windows.items():
+            median = with_interval(values["median_absolute_mm"], *values["interval_95_mm"], digits=2)
+            first, third = values["bias_quartiles_mm"]
+            bias = f"{values['bias_median_mm']:+.2f} ({first:+.2f}, {third:+.2f})"
+            print(
+                f"{name:18}{window:>8}{values['patches']:>9}{median:>22}{values['interquartile_range_mm']:7.2f}{bias:>22}"
+                f"{100 * values['over_5_mm']:7.1f}%{100 * values['compared']:9.0f}%"
+            )
+    for name, values in metrics["f200"].items():
+        seen = ", ".join(f"{100 * share:.0f}" for share in values["seen"])
+        print(f"F200 {name}: {100 * values['measured']:.0f} % of the image measured; seen of the patches: {seen} %")
