@@ -4,13 +4,15 @@ effect.
 
 from pathlib import Path
 
-from i2t.cli import require_path, require_with
+from i2t.cli import check_options, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
 from i2t.errors import DeviceError
 from i2t.hardware.ur.config import check_watch
 from i2t.objects.named import require_object
+from i2t.simulation.site_limits import check_site_limits
 
 SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
+MAX_OBJECT_M = 3.0  # of an object's pose in the world
 
 
 def check_collect_args(args: CollectArgs) -> None:
@@ -22,6 +24,9 @@ def check_collect_args(args: CollectArgs) -> None:
     Raises:
         ValueError: A file or an object is missing, or an option has no effect; the message names its flag.
     """
+    check_options(args)
+    check_site_limits(args.sites)
+    _check_pose(args.lab.pose)
     if args.out.exists() and not args.out.is_dir():
         raise ValueError(f"--out {args.out}: is a file; name a folder")
     require_path("--rig", args.lab.rig, "file or folder")
@@ -34,6 +39,16 @@ def check_collect_args(args: CollectArgs) -> None:
     require_object(args.world.object, args.world.unit, flag="--object")
 
 
+def _check_pose(pose: tuple[float, ...] | None) -> None:
+    limits = 3 * (MAX_OBJECT_M,) + 3 * (360.0,)
+    if pose is None or all(abs(value) <= most for value, most in zip(pose, limits, strict=True)):
+        return
+    raise ValueError(
+        f"--pose is {' '.join(f'{value:g}' for value in pose)}; give x y z in m, each within {MAX_OBJECT_M:g} m, and "
+        "turns about x y z in degrees, each within 360"
+    )
+
+
 def check_arm(arm: ArmArgs) -> None:
     """Refuse options of an arm that do not go together.
 
@@ -41,12 +56,14 @@ def check_arm(arm: ArmArgs) -> None:
         arm: The options.
 
     Raises:
-        ValueError: An option has no effect; the message names its flag.
+        ValueError: An option is missing or has no effect; the message names its flag.
     """
     if arm.host and arm.kind == SIMULATED:
         raise ValueError(
             "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"
         )
+    if arm.kind == "ur" and not arm.host:
+        raise ValueError("a UR arm needs the address of its controller; pass --host")
     check_watch(arm.state_timeout, arm.watchdog_rate)  # of a UR arm, real or emulated
 
 

@@ -1,13 +1,12 @@
 """The log of one touch while it is made: events, samples and states, in memory and, against a kill, in a raw file.
 
-A raw file begins with a line of JSON that holds the board's number of chips, and those of further skins by their names;
-entries follow, each a letter (e an event, s samples, k samples of a further skin, a a state of the arm), its size
-(uint32) and its bytes, little-endian. A file that was cut off ends with its last whole entry.
+A raw file has a line of JSON for each entry: first what it is, with the number of chips of each skin (that at the tool
+has an empty name), then `["event", [s, text]]`, `["skin NAME", rows]` and `["arm", row]`. A file that was cut off ends
+with its last whole line.
 """
 
 import errno
 import json
-import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, runtime_checkable
@@ -22,9 +21,7 @@ from i2t.hardware.protocols import ArmState, Samples
 from i2t.skin.boards import MAX_CHIPS
 from i2t.types import Array
 
-RAW_FILE_KIND = "i2t raw"
-CHIPS_OF_VERSION_1 = 5  # files of version 1 do not say how many chips their board has
-ENTRY_HEADER = struct.Struct("<cI")
+RAW_FILE_KIND, RAW_FILE_VERSION = "i2t raw", 4
 
 
 class StorageError(DeviceError):
@@ -71,53 +68,43 @@ class EventLog:
     """The log of a touch (`TouchLog`), in memory and in a file.
 
     Args:
-        file: Open for writing, unbuffered; its header is written by this.
+        file: Open for writing, unbuffered.
         clock: That dates events.
-        chips: Number of the board's chips.
-        carried: Those of further skins, by their names.
+        chips: Number of chips of each skin, by its name.
 
     Raises:
         StorageError: The file cannot be written.
     """
 
-    def __init__(self, file: BinaryIO, clock: Clock, chips: int, carried: Mapping[str, int] | None = None) -> None:
+    def __init__(self, file: BinaryIO, clock: Clock, chips: Mapping[str, int]) -> None:
         self._file, self._clock = file, clock
-        carried = dict(carried or {})
-        # of each skin, "" for the one at the tool, by sample number: time, 3 chips readings, temperatures
-        self.readings: dict[str, dict[int, Float[Array, " k"]]] = {name: {} for name in ("", *carried)}
+        # of each skin, by sample number: time, 3 chips readings, temperatures
+        self.readings: dict[str, dict[int, Float[Array, " k"]]] = {name: {} for name in chips}
         self.states: list[ArmState] = []
         self.events: list[tuple[float, str]] = []
-        about = {"touch": RAW_FILE_KIND, "version": 2, "chips": chips}
-        self._put(json.dumps(about | ({"version": 3, "skins": carried} if carried else {})).encode() + b"\n")
+        self._write({"touch": RAW_FILE_KIND, "version": RAW_FILE_VERSION, "chips": dict(chips)})
 
     def samples(self, samples: Samples, skin: str = "") -> None:
         """Keep and write samples, as in `TouchLog.samples`."""
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
         self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
-        values = rows.astype("<f8").tobytes()
-        if skin:
-            self._write(b"k", skin.encode() + b"\0" + values)
-        else:
-            self._write(b"s", values)
+        self._write([f"skin {skin}".strip(), rows.tolist()])
 
     def state(self, state: ArmState) -> None:
         """Keep and write a state of the arm, as in `TouchLog.state`."""
         self.states.append(state)
         row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
-        self._write(b"a", row.astype("<f8").tobytes())
+        self._write(["arm", row.tolist()])
 
     def event(self, text: str) -> None:
         """Keep and write what happened now, as in `TouchLog.event`."""
         now = self._clock.now()
         self.events.append((now, text))
-        self._write(b"e", json.dumps([now, text]).encode())
+        self._write(["event", [now, text]])
 
-    def _write(self, kind: bytes, payload: bytes) -> None:
-        self._put(ENTRY_HEADER.pack(kind, len(payload)) + payload)
-
-    def _put(self, data: bytes) -> None:
+    def _write(self, entry: Any) -> None:
         try:
-            self._file.write(data)
+            self._file.write(json.dumps(entry).encode() + b"\n")
         except (OSError, ValueError) as error:
             raise storage_error(Path(self._file.name), error) from error
 
@@ -134,51 +121,36 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
         velocity, 6 of the wrench).
 
     Raises:
-        DataError: The file is of another kind.
+        DataError: The file is of another kind, or damaged.
     """
-    data = read_bytes(path)
-    header, _, _ = data.partition(b"\n")
-    chips = _chips(Path(path), header)
-    at = len(header) + 1
-    while at + ENTRY_HEADER.size <= len(data):
-        kind, size = ENTRY_HEADER.unpack_from(data, at)
-        at += ENTRY_HEADER.size
-        if at + size > len(data):
-            return
-        payload = data[at : at + size]
-        at += size
+    header, *lines = read_bytes(path).split(b"\n")
+    chips = _chips(path, header)
+    for number, line in enumerate(lines[:-1], start=2):
         try:
-            yield _entry(kind, payload, chips)
-        except (ValueError, LookupError, TypeError, RecursionError) as error:
-            raise DataError(
-                f"{path}: its entry before byte {at} is damaged ({error}); what was read before is whole"
-            ) from error
+            kind, values = json.loads(line)
+            if kind == "event":
+                when, text = values
+                yield kind, [float(when), str(text)]
+            elif kind == "arm":
+                yield kind, np.array(values, float).reshape(-1)
+            else:
+                yield kind, np.array(values, float).reshape(len(values), 2 + 4 * chips[kind])
+        except (ValueError, LookupError, TypeError, RecursionError, OverflowError) as error:
+            raise DataError(f"{path}: line {number} is damaged ({error}); what stands before it is whole") from error
 
 
-def _entry(kind: bytes, payload: bytes, chips: Mapping[str, int]) -> tuple[str, Any]:
-    if kind == b"e":
-        when, text = json.loads(payload)
-        return "event", [float(when), str(text)]
-    if kind == b"s":
-        return "skin", np.frombuffer(payload, "<f8").reshape(-1, 2 + 4 * chips[""])
-    if kind == b"k":
-        name, _, values = payload.partition(b"\0")
-        return f"skin {name.decode()}", np.frombuffer(values, "<f8").reshape(-1, 2 + 4 * chips[name.decode()])
-    if kind == b"a":
-        return "arm", np.frombuffer(payload, "<f8")
-    raise ValueError(f"of the unknown kind {kind!r}")
-
-
-def _chips(path: Path, header: bytes) -> dict[str, int]:
-    """Number of chips of each skin by a raw file's header, of the one at the tool under ""."""
+def _chips(path: str | Path, header: bytes) -> dict[str, int]:
+    """Number of chips of each kind of entry of a skin, by a raw file's header."""
     try:
         about = json.loads(header)
-        if about["touch"] == RAW_FILE_KIND:
-            chips = {"": int(about["chips"]) if about["version"] > 1 else CHIPS_OF_VERSION_1}
-            chips |= {str(name): int(count) for name, count in about.get("skins", {}).items()}
-            if all(1 <= count <= MAX_CHIPS for count in chips.values()):
-                return chips
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+        if about["touch"] == RAW_FILE_KIND and about["version"] < RAW_FILE_VERSION:
+            raise DataError(f"{path}: was written by an earlier version of i2t; read it with that version's read_raw")
+        chips = {f"skin {name}".strip(): int(count) for name, count in about["chips"].items()}
+        if about["touch"] == RAW_FILE_KIND and all(1 <= count <= MAX_CHIPS for count in chips.values()):
+            return chips
+    except DataError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError):
         pass
     raise DataError(f"{path}: is no raw file of a touch; give one from .interrupted")
 

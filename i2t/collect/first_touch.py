@@ -19,11 +19,12 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from i2t.collect.procedure import Procedure
-from i2t.collect.touch import Site, UnreachableError
+from i2t.collect.stopping import StopCondition
+from i2t.collect.touch import TOOL, Site, UnreachableError
 from i2t.depth.camera import Camera, Distortion
 from i2t.errors import DeviceError
 from i2t.hardware.poses import shifted_along_z
-from i2t.hardware.protocols import ArmState, Samples, Skin
+from i2t.hardware.protocols import Skin
 from i2t.hardware.skin_health import press_defect
 from i2t.objects.solids import Mesh
 from i2t.simulation.depth_camera import render_view
@@ -283,8 +284,7 @@ def _touch(procedure: Procedure, touch: SlowTouch) -> str:
     procedure.clock.sleep(settings.settle)
     procedure.arm.zero_wrench()
     far = float((touch.prepare[:3, 3] - touch.above[:3, 3]) @ touch.prepare[:3, 2])
-    carried = {each.name: _mean_of(procedure, each.skin) for each in procedure.carried}
-    ambient = _mean_reading(procedure)
+    ambient = {each.name: _mean_reading(procedure, each.skin) for each in procedure.skins}
     expected, gone = far + settings.prepare, 0.0
     for distance, speed in (
         (far, settings.approach),
@@ -295,7 +295,7 @@ def _touch(procedure: Procedure, touch: SlowTouch) -> str:
         met = procedure.arm.approach(
             distance,
             speed,
-            procedure.stop_conditions({"": ambient, **carried}, _NoLog()),
+            StopCondition(procedure.skins, settings, ambient, None),  # it is no touch of the set
             force=LIGHT_FORCE_N,
             torque=settings.torque,
             acceleration=settings.acceleration,
@@ -314,13 +314,13 @@ def _touch(procedure: Procedure, touch: SlowTouch) -> str:
             f"the first slow touch met something {1e3 * (expected - gone):.0f} mm before the object should begin; "
             f"{remedy}, and look what is in the way"
         )
-    return _felt(procedure, ambient, 1e3 * (gone - expected))
+    return _felt(procedure, ambient[TOOL], 1e3 * (gone - expected))
 
 
 def _felt(procedure: Procedure, ambient: Array, late_mm: float) -> str:
     """Response of the skin to the first touch, in a sentence; raises RigContradictedError."""
     procedure.clock.sleep(procedure.settings.hold)
-    change = _mean_reading(procedure) - ambient
+    change = _mean_reading(procedure, procedure.skin) - ambient
     force = -float(procedure.arm.state().wrench[2])
     size = float(np.sqrt(np.nansum(change**2)))
     if procedure.skin.features.source != "replay":
@@ -330,24 +330,7 @@ def _felt(procedure: Procedure, ambient: Array, late_mm: float) -> str:
     return f"first touch: met the object {late_mm:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"
 
 
-class _NoLog:
-    """Takes samples and states, and keeps none: the first touch is no touch of the set."""
-
-    def samples(self, samples: Samples, skin: str = "") -> None:
-        """Take samples of a skin."""
-
-    def state(self, state: ArmState) -> None:
-        """Take a state of the arm."""
-
-    def event(self, text: str) -> None:
-        """Take an event."""
-
-
-def _mean_reading(procedure: Procedure) -> Array:
-    return _mean_of(procedure, procedure.skin)
-
-
-def _mean_of(procedure: Procedure, skin: Skin) -> Array:
+def _mean_reading(procedure: Procedure, skin: Skin) -> Array:
     """Mean of enough samples, half a second, that noise cannot pass for a press nor hide one."""
     count = int(np.clip(FELT_S * skin.features.rate, procedure.settings.ambient, FELT_SAMPLES))
     return mean_known(skin.read(count).reading, axis=0)

@@ -14,7 +14,6 @@ begins, with the arm standing away from the object. All trouble is a DeviceError
 
 import contextlib
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -26,14 +25,13 @@ import numpy as np
 
 from i2t import dataset
 from i2t.collect.event_log import EventLog, StorageError, storage_error
-from i2t.collect.touch import CarriedTouch, Site, TouchResult
+from i2t.collect.touch import TOOL, Site, SkinTouch, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
-from i2t.dataset.files import sync_folder
 from i2t.depth.camera import Camera
 from i2t.errors import DataError
-from i2t.files import not_through_links, read_json
+from i2t.files import not_through_links
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.protocols import ArmState, SkinCounters, View, channel_names
+from i2t.hardware.protocols import ArmState, View, channel_names
 from i2t.types import PATCH_WINDOW, REACH, Array, Board, Touches
 
 try:
@@ -41,19 +39,22 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-UNDER_WAY, INTERRUPTED, NOTES = ".under-way", ".interrupted", ".collection.json"
+UNDER_WAY, INTERRUPTED = ".under-way", ".interrupted"
 RESERVE_BYTES = 50 * 2**20  # that must be free before a touch begins: a hundred touches
 CLOCK_JUMP_S = 0.5  # by which the clocks may drift apart during a touch
-MAX_NOTES_BYTES = 2**26  # of a folder's notes: a line for each site that cannot be reached
-NOTE_KINDS: dict[str, Any] = {
-    **dict.fromkeys(("object", "board", "session", "run", "rig", "skin_serial", "arm_serial", "camera_serial"), str),
-    **dict.fromkeys(("sites", "settings", "unreachable"), dict),
-    **{"seed": int, "devices": list, "pose": (list, type(None))},
-}
 MIN_TIME_STEP_S = 1e-6  # between the names of two touches
 DEPTH_SCALE_M = 1e-4  # of a unit in depth images
 POSE_CHANNELS = tuple(f"T_w_t[{i},{j}]" for i in range(4) for j in range(4))
 WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for axis in "xyz"))
+
+
+@dataclass(frozen=True)
+class SkinInfo:
+    """Metadata that the touches of a session have in common for one skin."""
+
+    pad: str
+    board: Board
+    meta: Mapping[str, str] = field(default_factory=dict)  # that differs from that of the session
 
 
 @dataclass(frozen=True)
@@ -70,16 +71,17 @@ class SessionInfo:
     camera: Camera
     meta: Mapping[str, str] = field(default_factory=dict)
     skin: str = ""  # name of the skin at the tool, where there are further ones
-    carried: Mapping[str, "CarriedSkinInfo"] = field(default_factory=dict)  # by the names of further skins
+    carried: Mapping[str, SkinInfo] = field(default_factory=dict)  # by the names of further skins
 
-
-@dataclass(frozen=True)
-class CarriedSkinInfo:
-    """Metadata that the touches of a session have in common for a further skin."""
-
-    pad: str
-    board: Board
-    meta: Mapping[str, str] = field(default_factory=dict)  # that differs from the one at the tool
+    @property
+    def skins(self) -> dict[str, SkinInfo]:
+        """Metadata of each skin, by its name in a touch."""
+        named = {dataset.SKIN_NAME: self.skin} if self.carried else {}
+        further = {
+            name: SkinInfo(each.pad, each.board, {**each.meta, dataset.SKIN_NAME: name})
+            for name, each in self.carried.items()
+        }
+        return {TOOL: SkinInfo(self.pad, self.board, named), **further}
 
 
 class Recorder:
@@ -173,8 +175,8 @@ class Recorder:
             self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
             raise storage_error(path, error) from error
-        carried = {name: each.board.num_chips for name, each in self.info.carried.items()}
-        self._log = EventLog(self._raw, self._clock, self.info.board.num_chips, carried)
+        chips = {name: each.board.num_chips for name, each in self.info.skins.items()}
+        self._log = EventLog(self._raw, self._clock, chips)
         self._log.event(f"site {site.number}, attempt {attempt + 1}")
         return self._log
 
@@ -252,35 +254,28 @@ def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float
     """Everything of a touch; `to_wall` (s) turns the devices' time into Unix time."""
     view = touch.view
     assert view is not None
-    counters = _counted("skin", touch.counters)
-    series = _skin_series(touch, log.readings[""], info.board.num_chips, log.events[0][0], to_wall)
-    for name, carried in touch.carried.items():
-        chips = info.carried[name].board.num_chips
-        own = _skin_series(carried, log.readings[name], chips, log.events[0][0], to_wall)
-        series |= {f"{label} {name}": each for label, each in own.items()}
-        seen = carried.seen.visible_share if carried.seen is not None else 0.0
-        counters |= {**_counted(f"skin {name}", carried.counters), f"skin {name} seen percent": round(100 * seen)}
+    counters = {"site": touch.site.number, "attempt": touch.attempt + 1}
+    sets: dict[str, Dataset] = {}
+    series = _arm_series(log.states, info.T_w_b, to_wall)
+    for name, about in info.skins.items():
+        felt, behind = touch.skins[name], f" {name}" if name else ""
+        own = _skin_series(felt, log.readings[name], about.board.num_chips, log.events[0][0], to_wall)
+        sets[name] = _one_row(felt, info, about, samples=own["tactile"])
+        series |= {f"{label}{behind}": each for label, each in own.items()}
+        counted = felt.counters._asdict().items()
+        counters |= {f"skin{behind} {label}": int(value) for label, value in counted if label != "rate"}
+        if name and felt.seen is not None:
+            counters[f"skin {name} seen percent"] = round(100 * felt.seen.visible_share)
+    place = tuple(name.replace("w_t", "w_c") for name in POSE_CHANNELS)
+    series["camera"] = Series(np.array([view.time + to_wall]), touch.T_w_c.reshape(1, 16), place, "1, m")
     return Record(
-        touch=_dataset(touch, info, series["tactile"]),
-        skins={name: _carried_dataset(touch, name, info, series[f"tactile {name}"]) for name in touch.carried},
+        touch=sets.pop(TOOL),
+        skins=sets,
         images=_images(view),
-        series={
-            **series,
-            **_arm_series(log.states, info.T_w_b, to_wall),
-            "camera": Series(
-                np.array([view.time + to_wall]),
-                touch.T_w_c.reshape(1, 16),
-                tuple(name.replace("w_t", "w_c") for name in POSE_CHANNELS),
-                "1, m",
-            ),
-        },
+        series=series,
         events=tuple((time + to_wall, text) for time, text in log.events),
-        counters=counters | {"site": touch.site.number, "attempt": touch.attempt + 1},
+        counters=counters,
     )
-
-
-def _counted(of: str, counters: SkinCounters) -> dict[str, int]:
-    return {f"{of} {name}": int(value) for name, value in counters._asdict().items() if name != "rate"}
 
 
 def _images(view: View) -> dict[str, Image]:
@@ -292,20 +287,16 @@ def _images(view: View) -> dict[str, Image]:
 
 
 def _skin_series(
-    touch: TouchResult | CarriedTouch, readings: Mapping[int, Array], chips: int, began: float, to_wall: float
+    touch: SkinTouch, readings: Mapping[int, Array], chips: int, began: float, to_wall: float
 ) -> dict[str, Series]:
-    """Readings, temperatures, the ambient reading, and what the field fitted from free poses predicts in its place."""
+    """Readings, temperatures, and the ambient reading."""
     rows = np.array([readings[number] for number in sorted(readings)]).reshape(-1, 1 + 4 * chips)
-    begun = np.array([began + to_wall])
     time, values = rows[:, 0] + to_wall, rows[:, 1:].astype(np.float32)
     channels = channel_names(chips)
-    expected = touch.expected_ambient
-    predicted = {} if expected is None else {"ambient_predicted": Series(begun, expected[None], channels, "uT")}
     return {
         "tactile": Series(time, values[:, : 3 * chips], channels, "uT"),
         "temperature": Series(time, values[:, 3 * chips :], tuple(f"chip{i}" for i in range(chips)), "degrees Celsius"),
-        "ambient": Series(begun, touch.ambient[None], channels, "uT"),
-        **predicted,
+        "ambient": Series(np.array([began + to_wall]), touch.ambient[None], channels, "uT"),
     }
 
 
@@ -324,30 +315,8 @@ def _arm_series(logged: list[ArmState], T_w_b: Array, to_wall: float) -> dict[st
     }
 
 
-def _dataset(touch: TouchResult, info: SessionInfo, samples: Series) -> Dataset:
-    """The touch as a data set of one row."""
-    named = {dataset.SKIN_NAME: info.skin} if info.carried else {}
-    meta = {**info.meta, **named}
-    return _one_row(touch, touch.T_w_t, info, pad=info.pad, board=info.board, meta=meta, samples=samples)
-
-
-def _carried_dataset(touch: TouchResult, name: str, info: SessionInfo, samples: Series) -> Dataset:
-    """Data set of one row with what a further skin read in the touch."""
-    carried, about = touch.carried[name], info.carried[name]
-    meta = {**info.meta, **about.meta, dataset.SKIN_NAME: name}
-    return _one_row(carried, carried.T_w_s, info, pad=about.pad, board=about.board, meta=meta, samples=samples)
-
-
-def _one_row(
-    touch: TouchResult | CarriedTouch,
-    T_w_s: Array,
-    info: SessionInfo,
-    *,
-    pad: str,
-    board: Board,
-    meta: Mapping[str, str],
-    samples: Series,
-) -> Dataset:
+def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: Series) -> Dataset:
+    """What a skin felt, as a data set of one row."""
     seen = touch.seen
     assert seen is not None
     touches = Touches(
@@ -357,7 +326,7 @@ def _one_row(
         reading=touch.reading[None],
         force=np.array([touch.force]),
         depth=np.array([touch.depth]),
-        T_w_t=T_w_s[None],
+        T_w_t=touch.T_w_s[None],
         T_w_o=info.T_w_o[None],
         object=np.zeros(1),
         pad=np.zeros(1),
@@ -365,16 +334,17 @@ def _one_row(
         code=np.array([int(touch.code)]),
         time=samples.time[-1:] if len(samples.time) else None,  # of the end of the press
     )
+    made_by = {"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera))}
     return Dataset(
         touches,
         objects=(info.object,),
-        pads=(pad,),
+        pads=(about.pad,),
         sessions=(info.session,),
-        board=board,
+        board=about.board,
         source=info.source,
         window=PATCH_WINDOW,
         reach=REACH,
-        meta={"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera)), **meta},
+        meta={**made_by, **info.meta, **about.meta},
     )
 
 
@@ -427,63 +397,3 @@ def site_number_of(path: Path) -> int:
     if "site" not in counters:
         raise DataError(f"{path}: was not recorded by i2t.collect.session; give the collection a folder of its own")
     return counters["site"]
-
-
-def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
-    """Keep what a session must know when it is resumed, whole or not at all.
-
-    Args:
-        folder: Of the touches.
-        notes: What can be written as JSON.
-
-    Raises:
-        StorageError: They cannot be written.
-    """
-    temporary = folder / f"{NOTES}.tmp"
-    try:
-        with open(temporary, "w", opener=not_through_links) as file:
-            json.dump(notes, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(folder / NOTES)
-        sync_folder(folder)
-    except OSError as error:
-        raise storage_error(folder / NOTES, error) from error
-
-
-def read_notes(folder: Path) -> dict[str, Any] | None:
-    """Read the notes that `write_notes` kept.
-
-    Args:
-        folder: Of the touches.
-
-    Returns:
-        The notes, None if there are none.
-
-    Raises:
-        DataError: They are damaged.
-    """
-    try:
-        notes = read_json(folder / NOTES, MAX_NOTES_BYTES)
-        problem = _what_is_wrong(notes)
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        reason = str(error).removeprefix(f"{folder / NOTES}: ")
-        raise DataError(f"{folder / NOTES}: cannot be read ({reason}); choose another folder") from error
-    if problem:
-        raise DataError(f"{folder / NOTES}: is damaged ({problem}); restore it from a copy, or choose another folder")
-    return dict(notes)
-
-
-def _what_is_wrong(notes: Any) -> str:
-    """Entry of a folder's notes that no session can have written; "" where there is none."""
-    if not isinstance(notes, dict):
-        return "it holds no table"
-    for name, kinds in NOTE_KINDS.items():
-        if name in notes and not isinstance(notes[name], kinds):
-            return f"{name} is {str(notes[name])[:40]!r}"
-    unreachable = notes.get("unreachable", {})
-    if not all(number.isdecimal() and len(number) < 10 and isinstance(why, str) for number, why in unreachable.items()):
-        return "unreachable names no sites"
-    return ""
