@@ -2,11 +2,8 @@
 effect.
 """
 
-from pathlib import Path
-
 from i2t.cli import check_options, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
-from i2t.errors import DeviceError
 from i2t.hardware.ur.config import check_watch
 from i2t.objects.named import require_object
 from i2t.simulation.site_limits import check_site_limits
@@ -109,18 +106,3 @@ def check_skin(skin: SkinArgs) -> None:
         raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
     if skin.port and skin.kind in (SIMULATED, "replay"):
         raise ValueError(f"--port is of a board, and --skin is {skin.kind}; leave it out, or pass --skin reskin")
-    if skin.replay is not None:
-        _require_recording(skin.replay, skin.board)
-
-
-def _require_recording(path: Path, board: str | None) -> None:
-    """Refuse a file in which no frames of the board are."""
-    # Not above: NumPy, which other refusals need not wait for.
-    from i2t.hardware.reskin.driver import Replay
-    from i2t.skin.boards import DEFAULT_BOARD, make_board
-
-    try:
-        with Replay(path, chips=make_board(board or DEFAULT_BOARD).num_chips):
-            pass
-    except DeviceError as error:
-        raise ValueError(f"--replay: {error}") from error

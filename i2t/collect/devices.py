@@ -47,8 +47,9 @@ class Devices(NamedTuple):
     @property
     def source(self) -> str:
         """Source of touches that a data set states: real, simulated or mixed."""
-        devices = (self.arm, self.camera, *(each.skin for each in self.skins))
-        stated = {"real" if device.features.source in ("real", "folder") else "simulated" for device in devices}
+        sources = [self.arm.features.source, self.camera.features.source]
+        sources += [each.skin.features.source for each in self.skins]
+        stated = {"real" if source in ("real", "folder") else "simulated" for source in sources}
         return stated.pop() if len(stated) == 1 else "mixed"
 
 
@@ -70,8 +71,8 @@ def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float 
         DeviceError: A driver is not installed.
     """
     skins = {TOOL: args.skin} | {place.name: _carried_args(place) for place in rig.skins}
-    for name, skin in skins.items():
-        _require_together(args.arm, skin, f"skins.{name}.device" if name else "--skin", args.skin if name else None)
+    for name, named in skins.items():
+        _require_together(args.arm, named, f"skins.{name}.device" if name else "--skin")
     lab = _Lab(args, skins, rig, stack, begin)
     arm = _make_arm(args.arm, lab)
     pad, note = args.pad_name or _pad_name(args.skin, args.world.pad), board_note(args.skin.board or DEFAULT_BOARD)
@@ -94,8 +95,8 @@ def _carried_args(place: CarriedSkin) -> SkinArgs:
     return SkinArgs(place.device, place.address or None, place.serial_number or None, place.board, replayed)
 
 
-def _require_together(arm: ArmArgs, skin: SkinArgs, whose: str, pressing: SkinArgs | None) -> None:
-    """Refuse a skin that feels nothing of what this arm does, or is named twice (`pressing` has the same board)."""
+def _require_together(arm: ArmArgs, skin: SkinArgs, whose: str) -> None:
+    """Refuse a skin that feels nothing of what this arm does."""
     if skin.kind == "simulated" and arm.kind != "simulated":
         raise ValueError(
             f"{whose} is simulated, and a simulated skin feels only what a simulated arm does; make it emulated, or "
@@ -107,10 +108,6 @@ def _require_together(arm: ArmArgs, skin: SkinArgs, whose: str, pressing: SkinAr
         raise ValueError(
             f"{whose} is emulated, and emulators that run already have a --host and a port; give both, or neither"
         )
-    if pressing is not None and skin.kind == pressing.kind == "reskin":
-        own, other = (each.skin_serial or each.port for each in (pressing, skin))
-        if own == other:
-            raise ValueError(f"the board {own} is named for two skins; correct --port, or {whose.rpartition('.')[0]}")
 
 
 def _pad_name(skin: SkinArgs, pad: Path | None) -> str:

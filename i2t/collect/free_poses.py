@@ -5,8 +5,8 @@ place lies inside the rig's box and `clearance` above the height at which the to
 tilt the tool away from pointing down, and turn it about its own axis, by no more than the settings say; between two
 poses the tool is put upright where it stands, moved and turned upright, and tilted again, so that on the way it is
 tilted no further either. Among many such poses those are taken that tell most about the field (a D-optimal design,
-chosen greedily). The field of each skin is kept in the folder of the touches, and compared with the earlier one, and
-with what the skin reads before each touch.
+chosen greedily). The field of each skin is kept in the folder of the touches, and compared with what the skin reads
+before each touch.
 
 Frames: W world, B robot base, T tool, S skin; metres and radians.
 """
@@ -43,8 +43,7 @@ CANDIDATES = 400  # poses among which the best are chosen
 BURST_SAMPLES = 10  # that are read at once
 INFORMATION_FLOOR = 1e-3  # of a pose, before the first is chosen
 AMBIENT_FILE = ".ambient.npz"  # hidden, as it is no touch
-SESSION_FALSE_ALARM = 0.01  # of sessions, at which a field that has not changed since the last one is called changed
-TOUCH_FALSE_ALARM = 1e-3  # the same of touches
+TOUCH_FALSE_ALARM = 1e-3  # of touches, at which a field that has not changed is called changed
 
 
 class FreePose(NamedTuple):
@@ -238,25 +237,17 @@ def fitted_ambient(
     print(f"{len(poses)} free poses ...", flush=True)
     free = gather_free_poses(procedure, poses, settings)
     for each in procedure.skins:
-        fields[each.name] = _newly_fitted(
-            free[each.name], each, paths[each.name], fields.get(each.name), burst=procedure.settings.ambient
-        )
+        fields[each.name] = _newly_fitted(free[each.name], each, paths[each.name], burst=procedure.settings.ambient)
     return fields
 
 
-def _newly_fitted(
-    free: FreePoses, skin: SkinOnTool, path: Path, earlier: AmbientField | None, *, burst: int
-) -> AmbientField:
-    """The field of a skin from its free poses, kept in its file; an earlier one is kept too."""
+def _newly_fitted(free: FreePoses, skin: SkinOnTool, path: Path, *, burst: int) -> AmbientField:
+    """The field of a skin from its free poses, kept in its file."""
     field = fit_ambient(free, skin.board, burst=burst)
     turned = np.sqrt(np.nanmean((free.reading - np.nanmean(free.reading, axis=0)) ** 2))
     left = np.sqrt(np.nanmean(subtract_ambient(field, skin.board, free.T_b_t, free.reading) ** 2))
     print(f"ambient field{f' of {skin.name}' if skin.name else ''}: {_said(field)}")
     print(f"               changes readings by {turned:.1f} uT from pose to pose, and by {left:.1f} uT once subtracted")
-    if earlier is not None:
-        change = ambient_changed(earlier, skin.board, free, false_alarm=SESSION_FALSE_ALARM)
-        print(f"               since the folder was begun: {change.sentence}")
-        path.replace(_aside(path))
     features = skin.skin.features
     fitted = f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
     save_ambient(path, field, {"skin": features.name, "source": features.source, "fitted": fitted})
@@ -268,14 +259,6 @@ def _said(field: AmbientField) -> str:
     silent = np.flatnonzero(np.isnan(field.offset).any(1))
     missing = f"; without chips {', '.join(map(str, silent))}" if len(silent) else ""
     return f"({earth}) uT in the base, model {field.model!r} of {', '.join(MODELS)}{missing}"
-
-
-def _aside(path: Path) -> Path:
-    """A name for an earlier field, which is kept."""
-    number = 1
-    while (kept := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
-        number += 1
-    return kept
 
 
 def contradiction(fields: Mapping[str, AmbientField], procedure: Procedure, touch: TouchResult) -> str:

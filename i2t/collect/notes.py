@@ -5,7 +5,7 @@ Board, camera and arm are told by their serial numbers where they have them. Sit
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.devices import Devices
 from i2t.collect.recorder import site_number_of, touches_in, written_at
-from i2t.collect.touch import TOOL
+from i2t.collect.touch import SkinOnTool
 from i2t.dataset import read_touch
 from i2t.dataset.files import sync_folder
 from i2t.errors import DataError
@@ -23,6 +22,7 @@ from i2t.files import read_json, replacing
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
+from i2t.types import Board
 
 NOTES = ".collection.json"
 MAX_NOTES_BYTES = 2**26  # a line for each site that cannot be reached
@@ -133,6 +133,10 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
             f"{args.out} was begun with another {' and '.join(different)} "
             f"({'; '.join(f'{key}: {before.get(key)}' for key in different)}); pass that again, or another --out"
         )
+    if files and "chips " not in notes:  # which earlier versions did not note
+        record = read_touch(files[0])
+        boards = {"": record.touch.board, **{name: each.board for name, each in record.skins.items()}}
+        notes |= {f"chips {name}": _chips(board) for name, board in boards.items()}
     return {site_number_of(file): written_at(file) for file in files}, notes
 
 
@@ -149,6 +153,10 @@ def rig_hash(rig: Rig) -> str:
     return _hash(rig.text().replace("\napproach_distance = ", "\ntravel = ").encode())
 
 
+def _chips(board: Board) -> str:
+    return _hash(np.concatenate([np.ravel(part) for part in board]).astype(np.float32).round(5).tobytes())
+
+
 def _hash(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:10]
 
@@ -161,28 +169,27 @@ def _by_flag(values: Mapping[str, Any]) -> dict[str, Any]:
     return named
 
 
-def keep_serial(notes: dict[str, Any], device: str, connected: object, out: Path) -> None:
-    """Note a device's serial number, one for all touches of a folder.
+def keep_devices(notes: dict[str, Any], kind: str, devices: Mapping[str, object], out: Path) -> None:
+    """Note the serial numbers of devices, each one for all touches of a folder.
 
     Args:
         notes: Of the folder.
-        device: arm, camera or skin, with the name of a further skin behind.
-        connected: The device; one without a number is not told apart.
+        kind: arm, camera or skin.
+        devices: Connected, by the names of skins; one without a number is not told apart.
         out: The folder.
 
     Raises:
         DataError: The folder was begun with another device.
     """
-    serial = serial_number(connected)
-    kind, _, name = device.partition(" ")
-    key = f"{kind}_serial {name}".strip()
-    before = notes.get(key) or serial
-    notes[key] = before
-    if serial and before != serial:
-        raise DataError(
-            f"{out} was begun with the {kind} {before}, and this one is {serial}; "
-            f"{'use' if kind == 'arm' else 'plug in'} that one, or pass another --out"
-        )
+    for name, device in devices.items():
+        serial, key = serial_number(device), f"{kind}_serial {name}".strip()
+        before = notes.get(key) or serial
+        notes[key] = before
+        if serial and before != serial:
+            raise DataError(
+                f"{out} was begun with the {kind} {before}, and this one is {serial}; "
+                f"{'use' if kind == 'arm' else 'plug in'} that one, or pass another --out"
+            )
 
 
 def serial_number(device: object) -> str:
@@ -198,26 +205,20 @@ def serial_number(device: object) -> str:
     return str(number or "")
 
 
-def require_same_boards(out: Path, devices: Devices, rig: Rig) -> None:
-    """Refuse boards whose chips lie or turn otherwise than in the touches that are there: no set could hold both.
+def keep_boards(notes: dict[str, Any], skins: Sequence[SkinOnTool], out: Path) -> None:
+    """Note where the chips of boards lie and how they turn: no set could hold touches with others.
 
     Args:
-        out: Folder of the touches.
-        devices: With their boards.
-        rig: With the name of the skin at the tool.
+        notes: Of the folder.
+        skins: With their boards.
+        out: The folder.
 
     Raises:
-        DataError: A board is another one.
+        DataError: The folder was begun with another board.
     """
-    files = touches_in(out) if out.is_dir() else []
-    if not files:
-        return
-    record = read_touch(files[0])
-    earlier = {TOOL: record.touch.board, **{name: each.board for name, each in record.skins.items()}}
-    for each in devices.skins:
-        pairs = zip(each.board, earlier.get(each.name, each.board), strict=True)
-        if not all(a.shape == b.shape and np.allclose(a, b, atol=1e-6) for a, b in pairs):
-            which = f"of the skin {each.name or rig.skin} " if len(devices.skins) > 1 else ""
+    for each in skins:
+        if notes.setdefault(f"chips {each.name}", _chips(each.board)) != _chips(each.board):
+            which = f"of the skin {each.name} " if each.name else ""
             raise DataError(
                 f"{out} was begun with a board {which}whose chips lie or turn otherwise; pass that board, as a file if "
                 "it has no name (--board my_board.toml), or another --out"

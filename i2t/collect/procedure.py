@@ -28,7 +28,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.collect.event_log import TouchLog
 from i2t.collect.path import TouchPath
 from i2t.collect.settings import TouchSettings
 from i2t.collect.stopping import StopCondition, felt, onset_distance
@@ -43,6 +42,7 @@ from i2t.collect.touch import (
     SkinOnTool,
     SkinTouch,
     TouchFailedError,
+    TouchLog,
     TouchRecorder,
     TouchResult,
     UnreachableError,
@@ -78,7 +78,7 @@ POSE_TOLERANCES = (1e-3, 0.01)  # m, and of a rotation's elements: so near a pos
 RETREAT_SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)  # of `prepare`, that a retreat tries to go back along the tool's axis
 
 
-class _Press(NamedTuple):
+class Press(NamedTuple):
     """Press that has ended, with the tool still in contact."""
 
     result: ApproachResult
@@ -213,8 +213,8 @@ class Procedure:
         self.path.check(site)
         before = {each.name: each.skin.counters for each in self.skins}
         view, T_w_c = self._look(site, look, log)
-        self._prepare(prepare, log)
-        press = self._press(log)
+        self.prepare(prepare, log)
+        press = self.press(log)
         log.event("retreat")
         self.arm.go(prepare, self.path.retreat_speed, self.settings.acceleration)
         skins = {each.name: self._skin_touch(each, press, view, T_w_c, before[each.name]) for each in self.skins}
@@ -233,8 +233,17 @@ class Procedure:
         self._check_view(self.extract_patch(view, self.camera.camera, T_w_c, site.T_w_t))
         return view, T_w_c
 
-    def _prepare(self, prepare: Array, log: TouchLog) -> None:
-        """Zero the wrench before the site, and go near it; raises TouchFailedError if something is met there."""
+    def prepare(self, prepare: Array, log: TouchLog) -> None:
+        """Zero the wrench before a site, and go near it.
+
+        Args:
+            prepare: T_b_t (4, 4), m, before the site.
+            log: That hears of everything.
+
+        Raises:
+            TouchFailedError: Something is met there.
+            DeviceError: A device fails.
+        """
         settings = self.settings
         log.event("prepare")
         if not is_at(self.arm.state(), prepare):
@@ -248,8 +257,18 @@ class Procedure:
                 f"something was met {1e3 * (settings.prepare - met.distance):.0f} mm before the site"
             )
 
-    def _press(self, log: TouchLog) -> _Press:
-        """Take the ambient, press until something says stop, and read the skins in contact."""
+    def press(self, log: TouchLog) -> Press:
+        """Take the ambient, press until something says stop, and read the skins in contact.
+
+        Args:
+            log: That hears of everything.
+
+        Returns:
+            The press; the tool is still in contact.
+
+        Raises:
+            DeviceError: A device fails.
+        """
         settings = self.settings
         log.event("ambient")
         ambient = self._rest_readings(log)
@@ -267,10 +286,10 @@ class Procedure:
         for state in states:
             log.state(state)
         felt_by = [each.name for each in self.skins if felt(readings[each.name], each.board, settings)]
-        return _Press(result, started, stop, states, readings, felt_by or [TOOL])
+        return Press(result, started, stop, states, readings, felt_by or [TOOL])
 
     def _skin_touch(
-        self, on_tool: SkinOnTool, press: _Press, view: View, T_w_c: Array, before: SkinCounters
+        self, on_tool: SkinOnTool, press: Press, view: View, T_w_c: Array, before: SkinCounters
     ) -> SkinTouch:
         """What a skin felt in a press; `before` are its counters before the touch."""
         name, condition = on_tool.name, press.stop.of[on_tool.name]

@@ -2,7 +2,8 @@
 
 While a touch is under way everything goes to a hidden raw file as well (`.under-way`), so that what was read survives
 even `kill -9`; it is removed once the touch is saved, and moved to `.interrupted/` if it never was. `read_raw` reads
-such a file up to its last whole entry.
+such a file up to its last whole entry. It has a line of JSON for each entry: first what it is, with the number of chips
+of each skin (that at the tool has an empty name), then `["event", [s, text]]`, `["skin NAME", rows]`, `["arm", row]`.
 
 Devices count seconds that never jump, files hold Unix time: both clocks are read when a touch begins, and their
 difference dates everything in that touch. If the difference is another one at the end, somebody has set the clock: the
@@ -15,23 +16,24 @@ begins, with the arm standing away from the object. All trouble is a DeviceError
 import contextlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 import numpy as np
+from jaxtyping import Float
 
 from i2t import dataset
-from i2t.collect.event_log import EventLog, StorageError, storage_error
 from i2t.collect.touch import TOOL, Site, SkinTouch, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
 from i2t.depth.camera import Camera
-from i2t.errors import DataError
-from i2t.files import not_through_links
+from i2t.errors import DataError, DeviceError
+from i2t.files import not_through_links, read_bytes, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.protocols import ArmState, View, channel_names
+from i2t.hardware.protocols import ArmState, Samples, View, channel_names
+from i2t.skin.boards import MAX_CHIPS
 from i2t.types import PATCH_WINDOW, REACH, Array, Board, Touches
 
 try:
@@ -40,6 +42,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 UNDER_WAY, INTERRUPTED = ".under-way", ".interrupted"
+RAW_FILE_KIND, RAW_FILE_VERSION = "i2t raw", 4
 RESERVE_BYTES = 50 * 2**20  # that must be free before a touch begins: a hundred touches
 CLOCK_JUMP_S = 0.5  # by which the clocks may drift apart during a touch
 MIN_TIME_STEP_S = 1e-6  # between the names of two touches
@@ -84,6 +87,105 @@ class SessionInfo:
         return {TOOL: SkinInfo(self.pad, self.board, named), **further}
 
 
+class StorageError(DeviceError):
+    """Recorded data cannot be kept: the disk is full or not ours, or the clock was set."""
+
+
+def _not_kept(path: Path, error: OSError) -> StorageError:
+    return StorageError(f"{unwritable(path, error)}, and go on where it stopped")
+
+
+class EventLog:
+    """The log of a touch (`i2t.collect.touch.TouchLog`), in memory and in a file.
+
+    Args:
+        file: Open for writing, unbuffered.
+        clock: That dates events.
+        chips: Number of chips of each skin, by its name.
+
+    Raises:
+        StorageError: The file cannot be written.
+    """
+
+    def __init__(self, file: BinaryIO, clock: Clock, chips: Mapping[str, int]) -> None:
+        self._file, self._clock = file, clock
+        # of each skin, by sample number: time, 3 chips readings, temperatures
+        self.readings: dict[str, dict[int, Float[Array, " k"]]] = {name: {} for name in chips}
+        self.states: list[ArmState] = []
+        self.events: list[tuple[float, str]] = []
+        self._write({"touch": RAW_FILE_KIND, "version": RAW_FILE_VERSION, "chips": dict(chips)})
+
+    def samples(self, samples: Samples, skin: str = "") -> None:
+        """Keep and write samples, as in `TouchLog.samples`."""
+        rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
+        self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
+        self._write([f"skin {skin}".strip(), rows.tolist()])
+
+    def state(self, state: ArmState) -> None:
+        """Keep and write a state of the arm, as in `TouchLog.state`."""
+        self.states.append(state)
+        row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
+        self._write(["arm", row.tolist()])
+
+    def event(self, text: str) -> None:
+        """Keep and write what happened now, as in `TouchLog.event`."""
+        now = self._clock.now()
+        self.events.append((now, text))
+        self._write(["event", [now, text]])
+
+    def _write(self, entry: Any) -> None:
+        try:
+            self._file.write(json.dumps(entry).encode() + b"\n")
+        except OSError as error:
+            raise _not_kept(Path(self._file.name), error) from error
+
+
+def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
+    """Entries of a raw file, up to the last whole one.
+
+    Args:
+        path: Such as a file of `.interrupted`.
+
+    Yields:
+        ("event", [s, text]), ("skin", (n, 2 + 4 chips): number, s, readings in uT, temperatures in degrees Celsius),
+        ("skin NAME", the same of a further skin) and ("arm", (29 + joints,): s, 16 of T_b_t, the joints, 6 of the
+        velocity, 6 of the wrench).
+
+    Raises:
+        DataError: The file is of another kind, or damaged.
+    """
+    header, *lines = read_bytes(path).split(b"\n")
+    chips = _chips(path, header)
+    for number, line in enumerate(lines[:-1], start=2):
+        try:
+            kind, values = json.loads(line)
+            if kind == "event":
+                when, text = values
+                yield kind, [float(when), str(text)]
+            elif kind == "arm":
+                yield kind, np.array(values, float).reshape(-1)
+            else:
+                yield kind, np.array(values, float).reshape(len(values), 2 + 4 * chips[kind])
+        except (ValueError, LookupError, TypeError, RecursionError, OverflowError) as error:
+            raise DataError(f"{path}: line {number} is damaged ({error}); what stands before it is whole") from error
+
+
+def _chips(path: str | Path, header: bytes) -> dict[str, int]:
+    """Number of chips of each kind of entry of a skin, by a raw file's header."""
+    try:
+        about = json.loads(header)
+        if about["touch"] == RAW_FILE_KIND and about["version"] < RAW_FILE_VERSION:
+            raise DataError(f"{path}: was written by an earlier version of i2t; read it with that version's read_raw")
+        chips = {f"skin {name}".strip(): int(count) for name, count in about["chips"].items()}
+        if about["touch"] == RAW_FILE_KIND and all(1 <= count <= MAX_CHIPS for count in chips.values()):
+            return chips
+    except DataError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError):
+        pass
+    raise DataError(f"{path}: is no raw file of a touch; give one from .interrupted")
+
+
 class Recorder:
     """Records the touches of one session in a folder, alone (`i2t.collect.touch.TouchRecorder`).
 
@@ -112,7 +214,7 @@ class Recorder:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = open(self.folder / ".lock", "a", opener=not_through_links)  # noqa: SIM115
         except OSError as error:
-            raise storage_error(self.folder, error) from error
+            raise _not_kept(self.folder, error) from error
         try:
             _lock_file(self._lock)
         except OSError:
@@ -142,7 +244,7 @@ class Recorder:
             probe.write_bytes(b"x")
             probe.unlink()
         except OSError as error:
-            raise storage_error(self.folder, error) from error
+            raise _not_kept(self.folder, error) from error
         if free < self._reserve:
             raise StorageError(
                 f"{self.folder}: only {free / 2**20:.0f} MiB are free where {self._reserve / 2**20:.0f} are wanted; "
@@ -174,7 +276,7 @@ class Recorder:
         try:
             self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
-            raise storage_error(path, error) from error
+            raise _not_kept(path, error) from error
         chips = {name: each.board.num_chips for name, each in self.info.skins.items()}
         self._log = EventLog(self._raw, self._clock, chips)
         self._log.event(f"site {site.number}, attempt {attempt + 1}")
@@ -197,8 +299,6 @@ class Recorder:
         try:
             path = dataset.write_touch(self.folder, _record(touch, self._log, self.info, self._offset), at)
         except DataError as error:
-            if isinstance(error.__cause__, OSError):
-                raise storage_error(self.folder, error.__cause__) from error
             raise StorageError(str(error)) from error
         self._newest = at
         self.saved.append(path)

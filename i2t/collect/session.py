@@ -22,7 +22,7 @@ from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import check_camera, dry_run, skin_checks
 from i2t.collect.first_touch import first_touch
 from i2t.collect.free_poses import contradiction, fitted_ambient
-from i2t.collect.notes import keep_serial, require_same_boards, resume, serial_number, write_notes
+from i2t.collect.notes import keep_boards, keep_devices, resume, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
 from i2t.collect.site_plan import SiteSampler, patch_extractor
@@ -92,7 +92,6 @@ def collect(
         for each in devices.skins:
             if each.note:
                 print(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note)
-        require_same_boards(out, devices, rig)
         check_camera(procedure)
         if args.dry_run:
             return dry_run(procedure, sampler, args.touches, out, args.ambient, _watch_s(args.arm))
@@ -121,11 +120,11 @@ def _connect(
     extract_patch = _compiled_extractor(camera.camera, sampler)
     for each in carried:
         stack.enter_context(each.skin)
-    for each in devices.skins:
-        keep_serial(notes, f"skin {each.name}".strip(), each.skin, args.out)
-    keep_serial(notes, "camera", camera, args.out)
+    keep_devices(notes, "skin", {each.name: each.skin for each in devices.skins}, args.out)
+    keep_devices(notes, "camera", {"": camera}, args.out)
+    keep_boards(notes, devices.skins, args.out)
     arm = stack.enter_context(devices.arm)
-    keep_serial(notes, "arm", arm, args.out)
+    keep_devices(notes, "arm", {"": arm}, args.out)
     return Procedure(
         arm,
         tool.skin,

@@ -29,8 +29,8 @@ class TouchSettings:
 
     prepare: float = _ranged(40e-3, 2e-3, 0.3, "m")  # m before the site
     # m before the site, where the quick approach ends and the ambient is taken (paper: 10 mm)
-    near: float = _ranged(5e-3, 2e-4, 0.05, "m")
-    overtravel: float = _ranged(6e-3, 1e-4, 0.03, "m")  # m past the site, after which a press has met air
+    near: float = _ranged(5e-3, 2e-4, 0.3, "m")
+    overtravel: float = _ranged(6e-3, 1e-4, 0.1, "m")  # m past the site, after which a press has met air
     skin_change: float = _ranged(25.0, 1.0, 1e4, "uT")  # uT, norm of the change of a reading
     # of it must differ between chips: a change that all chips see alike is the room's
     nonuniform_share: float = _ranged(0.5, 0.0, 1.0)

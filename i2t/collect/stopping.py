@@ -10,9 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from i2t.collect.event_log import TouchLog
 from i2t.collect.settings import TouchSettings
-from i2t.collect.touch import SkinOnTool
+from i2t.collect.touch import SkinOnTool, TouchLog
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import ArmState
 from i2t.skin.ambient import mean_known

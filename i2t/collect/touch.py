@@ -10,10 +10,9 @@ from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from i2t.collect.event_log import TouchLog
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
-from i2t.hardware.protocols import Skin, SkinCounters, StopReason, View
+from i2t.hardware.protocols import ArmState, Samples, Skin, SkinCounters, StopReason, View
 from i2t.types import Array, Board, ReturnCode
 
 TOOL = ""  # name of the skin at the tool, which presses, in a touch
@@ -81,11 +80,6 @@ class TouchResult(NamedTuple):
         return self.skins[TOOL].T_w_s
 
     @property
-    def ambient(self) -> Float[Array, " c"]:
-        """Reading (uT) before contact."""
-        return self.skins[TOOL].ambient
-
-    @property
     def reading(self) -> Float[Array, " c"]:
         """Change (uT) of the reading in contact."""
         return self.skins[TOOL].reading
@@ -108,6 +102,42 @@ class SiteOutcome(NamedTuple):
     code: ReturnCode
     reason: str
     touch: TouchResult | None = None
+
+
+@runtime_checkable
+class TouchLog(Protocol):
+    """Log that takes measurements and events while a touch is made."""
+
+    def samples(self, samples: Samples, skin: str = "") -> None:
+        """Keep samples of a skin; the same sample may come twice.
+
+        Args:
+            samples: As the skin gave them.
+            skin: Name of a further skin; empty for the one at the tool, the only one of most labs.
+
+        Raises:
+            DeviceError: They could not be written.
+        """
+
+    def state(self, state: ArmState) -> None:
+        """Keep a state of the arm.
+
+        Args:
+            state: As the arm gave it.
+
+        Raises:
+            DeviceError: It could not be written.
+        """
+
+    def event(self, text: str) -> None:
+        """Keep what happened now.
+
+        Args:
+            text: A few words.
+
+        Raises:
+            DeviceError: It could not be written.
+        """
 
 
 @runtime_checkable

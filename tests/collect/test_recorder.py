@@ -11,10 +11,10 @@ import pytest
 from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
 
 from i2t import dataset
-from i2t.collect import event_log, notes, recorder
-from i2t.collect.event_log import StorageError, read_raw
-from i2t.collect.recorder import Recorder, touches_in, written_at
+from i2t.collect import notes, recorder
+from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, written_at
 from i2t.errors import DataError, DeviceError
+from i2t.files import unwritable
 from i2t.types import ReturnCode
 
 
@@ -54,7 +54,7 @@ def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(l
     assert record.counters["site"] == recorder.site_number_of(path) == 3
     np.testing.assert_allclose(record.images["depth"].values * record.images["depth"].scale, 0.104, atol=5e-5)
     np.testing.assert_array_equal(record.images["colour"].values, 0)
-    np.testing.assert_allclose(record.series["ambient"].values[0], touched.ambient, rtol=1e-6)
+    np.testing.assert_allclose(record.series["ambient"].values[0], touched.skins[""].ambient, rtol=1e-6)
     assert [text for _, text in record.events][:3] == ["site 3, attempt 1", "look", "prepare"]
     for name in (recorder.UNDER_WAY, recorder.INTERRUPTED):  # no raw file is left
         assert not (recording.folder / name).exists()
@@ -152,7 +152,7 @@ def test_two_collections_cannot_write_to_one_folder(lab):
 def test_a_folder_that_cannot_be_made_and_a_disk_that_is_nearly_full_are_found_before_the_arm_moves(tmp_path):
     (tmp_path / "file").write_text("")
     procedure = make()
-    with pytest.raises(DeviceError, match="choose another folder"):
+    with pytest.raises(DeviceError, match="choose a folder you may write to"):
         Recorder(tmp_path / "file" / "data", names(procedure), procedure.clock)
     with (
         Recorder(tmp_path, names(procedure), procedure.clock, reserve=2**60) as recording,
@@ -163,26 +163,26 @@ def test_a_folder_that_cannot_be_made_and_a_disk_that_is_nearly_full_are_found_b
 
 
 @pytest.mark.parametrize(
-    ("where", "code", "said"), [("raw", errno.ENOSPC, "disk is full"), ("touch", errno.EROFS, "only be read")]
+    ("where", "code", "said"), [("raw", errno.ENOSPC, "No space left"), ("touch", errno.EROFS, "Read-only")]
 )
 def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypatch, where, code, said):
     procedure, recording = lab
     list(procedure.run(sites(0), recording))
     error = OSError(code, os.strerror(code))
     if where == "raw":
-        write, count = event_log.EventLog._write, []
+        write, count = recorder.EventLog._write, []
 
         def failing(made, entry):
             count.append(entry[0] if isinstance(entry, list) else "")
             if count.count("arm") > 20:  # in the middle of an approach
-                raise event_log.storage_error(recording.folder, error)
+                raise recorder._not_kept(recording.folder, error)
             write(made, entry)
 
-        monkeypatch.setattr(event_log.EventLog, "_write", failing)
+        monkeypatch.setattr(recorder.EventLog, "_write", failing)
     else:
 
         def full(*_):
-            raise DataError("not written") from error
+            raise unwritable(recording.folder, error) from error
 
         monkeypatch.setattr(recorder.dataset, "write_touch", full)
     with pytest.raises(StorageError, match=said) as ended:

@@ -16,6 +16,7 @@ from i2t.collect import command, notes, recorder, session
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs, WorldArgs
 from i2t.collect.checks import check_collect_args
 from i2t.collect.devices import make_devices
+from i2t.collect.touch import SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
 from i2t.errors import DataError
@@ -56,8 +57,8 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
 
     code, said = run(touches=1)
     assert code == 0
-    for sentence in ("SIMULATED: no real device takes part", "the simulated skin: at rest 400 Hz", "first touch: met the object",
-                     "touch 1/1"):  # fmt: skip
+    for sentence in ("SIMULATED: no real device takes part", "the simulated skin: at rest 400 Hz",
+                     "first touch: met the object", "touch 1/1"):  # fmt: skip
         assert sentence in said
     first = dataset.load_dataset(tmp_path / "set")
     assert (len(first), first.source, first.objects) == (1, "simulated", ("hexagon",))
@@ -119,11 +120,15 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
             notes.resume(now, "hexagon", lab_now, mesh)
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
     _, begun = notes.resume(patient, "hexagon", Rig(), BOX)
-    for device in ("skin", "camera", "arm", "skin right"):
+    for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):
         for serial in ("", "A1", "", "A1"):  # a number that is known only later counts from then on
-            notes.keep_serial(begun, device, SimpleNamespace(serial_number=serial), tmp_path)
-        with pytest.raises(DataError, match=f"begun with the {device.split()[0]} A1, and this one is B2"):
-            notes.keep_serial(begun, device, SimpleNamespace(serial_number="B2"), tmp_path)
+            notes.keep_devices(begun, kind, {name: SimpleNamespace(serial_number=serial)}, tmp_path)
+        with pytest.raises(DataError, match=f"begun with the {kind} A1, and this one is B2"):
+            notes.keep_devices(begun, kind, {name: SimpleNamespace(serial_number="B2")}, tmp_path)
+    for board in (grid_board(2, 2), grid_board(2, 2)):
+        notes.keep_boards(begun, [SkinOnTool("", None, board)], tmp_path)
+    with pytest.raises(DataError, match="begun with a board whose chips lie or turn otherwise; pass that board"):
+        notes.keep_boards(begun, [SkinOnTool("", None, grid_board(2, 3))], tmp_path)
     assert notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
 
 
@@ -174,7 +179,12 @@ def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong
 def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_path, four_chips):
     arm, skin = ArmArgs("ur", "10.0.0.2", watchdog_rate=5.0), SkinArgs("reskin", "/dev/skin", board="grid-4x4")
     args = CollectArgs(arm=arm, skin=skin, camera=CameraArgs("folder", tmp_path))
-    check_collect_args(args)
+
+    def made(args):
+        check_collect_args(args)
+        with ExitStack() as stack:
+            return make_devices(args, Rig(), stack)
+
     for wrong_arm, wrong_skin, said in (
         ({"host": None}, {}, "pass --host"),
         ({}, {"kind": "emulated", "port": None}, "--skin is emulated, and feels nothing on this arm"),
@@ -184,13 +194,12 @@ def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_
         ({"kind": "somewhere"}, {}, "--arm somewhere is not known; give one of ur, simulated, emulated"),
     ):
         wrong = replace(args, arm=replace(arm, **wrong_arm), skin=replace(skin, **wrong_skin))
-        with ExitStack() as stack, pytest.raises(ValueError, match=said):
-            check_collect_args(wrong)
-            make_devices(wrong, Rig(), stack)
+        with pytest.raises(ValueError, match=said):
+            made(wrong)
     of_four_chips = CollectArgs(arm=ArmArgs("emulated"), skin=SkinArgs("emulated"), world=WorldArgs(pad=four_chips))
     said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
-    with ExitStack() as stack, pytest.raises(ValueError, match=said):
-        make_devices(of_four_chips, Rig(), stack)
+    with pytest.raises(ValueError, match=said):
+        made(of_four_chips)
 
 
 @pytest.mark.full

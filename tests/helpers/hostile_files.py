@@ -29,8 +29,8 @@ from i2t.calibration.heads.head import load_head
 from i2t.calibration.heads.recording import read_recordings
 from i2t.calibration.model import load_calibration
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.event_log import RAW_FILE_KIND, RAW_FILE_VERSION, read_raw
 from i2t.collect.notes import resume
+from i2t.collect.recorder import RAW_FILE_KIND, RAW_FILE_VERSION, read_raw
 from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset
 from i2t.depth.camera import read_depth
