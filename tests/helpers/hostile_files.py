@@ -28,8 +28,8 @@ from helpers import random_touches
 from i2t.calibration.heads import load_head, read_recordings
 from i2t.calibration.model import load_calibration
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.event_log import ENTRY_HEADER, RAW_FILE_KIND, read_raw
-from i2t.collect.session import _resume
+from i2t.collect.notes import resume
+from i2t.collect.recorder import RAW_FILE_KIND, RAW_FILE_VERSION, read_raw
 from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset
 from i2t.depth.camera import read_depth
@@ -256,9 +256,8 @@ def eflesh_session(states: Callable[[Path], bytes]) -> Content:
     return {"states.csv.gz": states, "sensor_post_baselines.csv": "0," + ",".join("1" * 15) + "\n"}
 
 
-def raw(kind: bytes, payload: bytes, chips: int = 5) -> bytes:
-    header = json.dumps({"touch": RAW_FILE_KIND, "version": 2, "chips": chips}).encode()
-    return header + b"\n" + ENTRY_HEADER.pack(kind, len(payload)) + payload
+def raw(entry: str, chips: int = 5) -> str:
+    return json.dumps({"touch": RAW_FILE_KIND, "version": RAW_FILE_VERSION, "chips": {"": chips}}) + f"\n{entry}\n"
 
 
 def stream(last: float) -> bytes:
@@ -380,9 +379,9 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
         "sites without numbers": json.dumps(NOTES | {"unreachable": {"three": "far"}}),
     },
     ("raw", "a.raw"): {
-        "a broken event": raw(b"e", b"[1.0"),
-        "half a sample": raw(b"s", bytes(13)),
-        "a billion chips": raw(b"s", bytes(13), chips=10**9),
+        "a broken event": raw('["event", [1.0'),
+        "half a sample": raw('["skin", [[0.0, 0.0]]]'),
+        "a billion chips": raw('["skin", [[0.0, 0.0]]]', chips=10**9),
     },
     ("replay", "a.raw"): {"no times": stream(float("nan")), "a thousand years": stream(3e10)},
 }
@@ -404,7 +403,7 @@ def _views(path: Path) -> None:
 
 
 def _session(path: Path) -> None:
-    _resume(CollectArgs(out=path.parent), "star", Rig(), make_object("star").mesh)
+    resume(CollectArgs(out=path.parent), "star", Rig(), make_object("star").mesh)
 
 
 READERS: dict[str, Callable[[Path], Any]] = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from i2t.collect import place
+from i2t import place
 from i2t.hardware import camera_folder
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
