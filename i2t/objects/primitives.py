@@ -25,12 +25,7 @@ from i2t.objects.drawing import (
     rectangle,
     segments,
 )
-from i2t.objects.solids import Mesh, Object
-
-MM_PER_M = 1e3  # primitives take metres, solids are drawn in millimetres
-
-STAMP_RELIEF_MM = 3.5  # height of a stamp above its base
-STAMP_BASE_MM = (20.0, 5.0)  # edge and height of the base
+from i2t.objects.solids import MM_PER_M, STAMP_BASE_MM, STAMP_RELIEF_MM, Mesh, Object
 
 
 def polygon(sides: int, across: float = 60e-3, height: float = 30e-3) -> Mesh:

@@ -7,6 +7,10 @@ from numpy.typing import NDArray
 
 from i2t.types import in_one_line
 
+MM_PER_M = 1e3  # primitives take metres, solids are drawn in millimetres
+STAMP_RELIEF_MM = 3.5  # height of a stamp above its base
+STAMP_BASE_MM = (20.0, 5.0)  # edge and height of the base
+
 
 @in_one_line
 class Mesh(NamedTuple):
