@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import i2t
-from experiments.gallery.skin_figures import LOOKING_DOWN
-from experiments.gallery.story import HIDDEN_OBJECT, Story
+from experiments.gallery.story import HIDDEN_OBJECT, LOOKING_DOWN, Story
 from i2t.emulators import reskin_board
 from i2t.geometry import exp, inverse, log
 from i2t.hardware.reskin import monitor as skin_monitor

@@ -148,13 +148,12 @@ class Summary(Reading):
     """Say what a data set holds: touches per object, pad and session, how presses ended, readings, missing values."""
 
     json: bool = False  # print one JSON object, for a program
-    quick: bool = False  # counts only, from the folder's index, without reading every touch again
     skin_name: str | None = None  # of several skins that were read in each touch, the one that is meant
 
     def run(self) -> None:
         """Print it."""
         self._require_source()
-        found = _counts(self.source) if self.quick else self._load(self.skin_name).summary()
+        found = self._load(self.skin_name).summary()
         print(json_text.dumps(found, indent=1, allow_nan=False) if self.json else _page(self.source, found))
 
 
@@ -415,28 +414,11 @@ def _board(name: str) -> "Board":
         raise DataError(f"--board {name}: {error}") from error
 
 
-def _counts(folder: Path) -> dict[str, Any]:
-    from i2t.dataset import index
-
-    entries = index(folder).values()
-    sources = {entry["source"] for entry in entries}
-    found: dict[str, Any] = {
-        "touches": sum(entry["touches"] for entry in entries),
-        "source": sources.pop() if len(sources) == 1 else "mixed",
-    }
-    for kind in ("objects", "pads", "sessions"):
-        names = dict.fromkeys(name for entry in entries for name in entry[kind])
-        found[kind] = {name: sum(entry[kind].get(name, 0) for entry in entries) for name in names}
-    return found
-
-
 def _page(source: Path, found: dict[str, Any]) -> str:
     """A summary for a person."""
     lines = [f"{source}: {found['touches']} touches, {found['source']}"]
     for kind in ("objects", "pads", "sessions"):
         lines += ["", f"{kind:<40} touches", *(f"  {name:<38} {count:7d}" for name, count in found[kind].items())]
-    if "codes" not in found:
-        return "\n".join(lines)
     lines += ["", f"{'press ended':<40} touches"]
     lines += [f"  {name:<38} {count:7d}" for name, count in found["codes"].items() if count]
     lines += ["", f"{'measured':<22} {'mean':>9} {'std':>9} {'min':>9} {'median':>9} {'max':>9}"]

@@ -9,7 +9,6 @@ Format: https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -62,24 +61,20 @@ def write(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
     episodes = episodes_of(dataset)
 
     def fill(folder: Path) -> None:
-        rows_of_episodes = []
-        begun = 0
-        for file_number, group in enumerate(_grouped(episodes, frames)):
-            chunk, number = divmod(file_number, CHUNK_FILES)
-            parts = []
-            for episode, rows in group:
-                part = {name: values[rows] for name, values in frames.items()}
-                part["frame_index"] = np.arange(len(rows))
-                part["timestamp"] = np.arange(len(rows), dtype=np.float32) / FPS
-                part["index"] = begun + np.arange(len(rows))
-                part["episode_index"] = np.full(len(rows), episode)
-                rows_of_episodes.append(_episode(dataset, part, rows, chunk=chunk, number=number))
-                begun += len(rows)
-                parts.append(part)
-            whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-            path = folder / DATA_PATH.format(chunk_index=chunk, file_index=number)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            pq.write_table(pa.table({name: _arrow(pa, values) for name, values in whole.items()}), path)
+        parts, rows_of_episodes, begun = [], [], 0
+        for episode, (_, rows) in enumerate(episodes):
+            part = {name: values[rows] for name, values in frames.items()}
+            part["frame_index"] = np.arange(len(rows))
+            part["timestamp"] = np.arange(len(rows), dtype=np.float32) / FPS
+            part["index"] = begun + np.arange(len(rows))
+            part["episode_index"] = np.full(len(rows), episode)
+            rows_of_episodes.append(_episode(dataset, part, rows))
+            begun += len(rows)
+            parts.append(part)
+        whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
+        path = folder / DATA_PATH.format(chunk_index=0, file_index=0)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({name: _arrow(pa, values) for name, values in whole.items()}), path)
         _write_tasks(pa, pq, folder, dataset)
         path = folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
         path.parent.mkdir(parents=True)
@@ -147,31 +142,14 @@ def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
     }
 
 
-def _grouped(
-    episodes: list[tuple[str, np.ndarray]], frames: dict[str, np.ndarray]
-) -> Iterator[list[tuple[int, np.ndarray]]]:
-    """Episodes with their numbers, as many as a file should hold."""
-    size = sum(values[:1].nbytes for values in frames.values())
-    group: list[tuple[int, np.ndarray]] = []
-    for number, (_, rows) in enumerate(episodes):
-        if group and size * (len(rows) + sum(len(each) for _, each in group)) > FILE_SIZE_MB * 2**20:
-            yield group
-            group = []
-        group.append((number, rows))
-    if group:
-        yield group
-
-
-def _episode(
-    dataset: Dataset, part: dict[str, np.ndarray], rows: np.ndarray, *, chunk: int, number: int
-) -> dict[str, Any]:
+def _episode(dataset: Dataset, part: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
     """A row of the table of episodes."""
     about: dict[str, Any] = {
         "episode_index": int(part["episode_index"][0]),
         "tasks": [_task(dataset.objects[i]) for i in np.unique(part["task_index"])],
         "length": len(rows),
-        "data/chunk_index": chunk,
-        "data/file_index": number,
+        "data/chunk_index": 0,
+        "data/file_index": 0,
         "dataset_from_index": int(part["index"][0]),
         "dataset_to_index": int(part["index"][-1]) + 1,
         "meta/episodes/chunk_index": 0,

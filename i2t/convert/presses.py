@@ -10,7 +10,7 @@ are forces.
 
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -82,7 +82,8 @@ def convert(
     notes = ConversionLog(skip_bad)
     rows = _read(source, table or read_text_table(source), board.num_chips, notes)
     tip = _tip(indenter, unit, notes)
-    presses, checks = rows.presses, []
+    presses = rows.presses
+    checks: list[SessionCheck] = []
     if not as_stated:
         presses, checks = _corrected(presses, board, notes)
     dataset = presses_dataset(
@@ -140,8 +141,8 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> _
         """Fields that may not be empty: places, and those of chips that answered."""
         first, end = len(places), len(places) + len(values)
         wanted = np.ones_like(empty)
-        silent = empty[:, first:end].reshape(len(empty), -1, AXES_OF_CHIP).all(2)
-        answered = ~silent | silent.all(1, keepdims=True)  # where no chip did, all are missed
+        answered = ~empty[:, first:end].reshape(len(empty), -1, AXES_OF_CHIP).all(2)
+        answered |= ~answered.any(1)[:, None]  # where no chip did, all are missed
         for start in (first, end)[: 2 if ambient else 1]:
             wanted[:, start : start + len(values)] = np.repeat(answered, AXES_OF_CHIP, axis=1)
         wanted[:, end + len(ambient) :] = False
@@ -267,8 +268,10 @@ def _mesh_tip(file: Path, unit: str | None, notes: ConversionLog) -> Tip:
     surface = render.prepare_surface(mesh)
 
     def patches(x: np.ndarray, y: np.ndarray, window: float, reach: float) -> np.ndarray:
-        sizes = {"window": window, "pixels": PATCH_PIXELS, "reach": reach}
-        look = jit(lambda T_o_t: render.render_patch(surface, T_o_t, **sizes).depth)
+        def depth(T_o_t: Any) -> Any:
+            return render.render_patch(surface, T_o_t, window=window, pixels=PATCH_PIXELS, reach=reach).depth
+
+        look = jit(depth)
         T_o_t = np.tile(np.eye(4, dtype=np.float32), (len(x), 1, 1))
         T_o_t[:, :3, 3] = np.column_stack([-x, -y, np.full(len(x), lowest)])
         return np.stack([np.asarray(look(jnp.asarray(T))) for T in T_o_t])
