@@ -17,7 +17,7 @@ from experiments.calibrate.arguments import CalibrateArgs
 from experiments.calibrate.skins import SKIN_KINDS, PressedSkinOfKind, simulate_skins
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
-from i2t.calibration.kernels import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
+from i2t.calibration.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
 from i2t.calibration.left_out import Observed, condition_all, grouped, ungrouped
 from i2t.calibration.prior import PRIOR_FILE, KernelPrior, save_prior
 from i2t.progress import progress

@@ -74,8 +74,8 @@ STEPS = (
     Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=4, again="--overwrite"),
     Step(
         "calibrate",
-        "-m experiments.calibrate --dataset data/eflesh",
-        minutes=10,
+        "-m experiments.calibrate --dataset data/eflesh --preset short --draws 5",
+        minutes=4,
         needs="data/eflesh",
         again="--overwrite",
     ),

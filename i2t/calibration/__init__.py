@@ -2,7 +2,7 @@
 
 `calibrate` predicts all other presses of the same tip, `check_presses` finds what in recorded presses contradicts any
 sound skin, and `segment_presses` finds presses in a continuous recording. Behind them: `model` is what a user holds and
-keeps on disk, `population_gp` the model (its covariance in `kernels`, its members in `prior`, what it weighs them by in
+keeps on disk, `population_gp` the model (its covariance in `kernel`, its members in `prior`, what it weighs them by in
 `left_out`), and `structured_gp` the same with hyperparameters that are given; `plain_gp` is their baseline. `physics`
 fits a pad to presses. `heads` go from readings to position, depth and force, by the methods of `regression` and from
 what `recordings` reads.

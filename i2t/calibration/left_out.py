@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lapack
 
-from i2t.calibration import kernels as kernel
-from i2t.calibration.kernels import PressGeometry, SkinKernels
+from i2t.calibration import kernel
+from i2t.calibration.kernel import PressGeometry, SkinKernels
 
 SMALL_SYSTEM = 40  # presses up to which all groups are inverted in one call
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once

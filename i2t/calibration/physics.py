@@ -456,13 +456,14 @@ def fit_pad(
     layer = _fit_layer(pressed, layer_prior(), linearizations)
     designs = design_matrices(layer, board, tip, presses, by_force=by_force, grid=grid)
     features = weight_features(layer, designs, grid.window)
-    return PadFit(*_map_and_gains(layer, features, readings, board, grid.window))
+    gains, solved, pad = _map_and_gains(layer, features, readings, board, grid.window)
+    return PadFit(pad._replace(gains=gains), layer, solved.leave_one_out)
 
 
 @partial(jax.jit, static_argnames=("window",))
 def _map_and_gains(
     layer: LayerParameters, features: Array, readings: Array, board: Board, window: float
-) -> tuple[Pad, LayerParameters, Array]:
+) -> tuple[Array, LinearRegression, Pad]:
     gains = jnp.ones(readings.shape[1])
     solved = bayesian_linear_regression(features, readings, layer.noise_std)
     for _ in range(GAIN_ROUNDS):
@@ -476,8 +477,7 @@ def _map_and_gains(
     r, waves = cosine_prior_factor(layer.patch_length, window), jnp.asarray(cosine_basis())
     edge = jnp.matmul(waves, r, precision="highest")
     patches = jnp.einsum("ia,jb,cab,c->ijc", edge, edge, weights, layer.patch_strength, precision="highest")
-    pad = make_pad(layer, board, patches + layer.uniform_strength * level[None, None])
-    return pad._replace(gains=gains), layer, solved.leave_one_out
+    return gains, solved, make_pad(layer, board, patches + layer.uniform_strength * level[None, None])
 
 
 class _LayerPresses(NamedTuple):

@@ -1,6 +1,6 @@
 """A Gaussian process of one skin whose hyperparameters are marginalised over a population of skins.
 
-It is a mixture over the population of kernels (`prior`, `kernels`), weighted by presses left out (`left_out`).
+It is a mixture over the population of kernels (`prior`, `kernel`), weighted by presses left out (`left_out`).
 
 Marginal likelihood misled on real presses, so a kernel's weight is its share of the population times what it is worth
 in predicting presses left out: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian
@@ -28,8 +28,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import logsumexp
 from scipy.stats import t as student_t
 
-from i2t.calibration import kernels as kernel
-from i2t.calibration.kernels import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
+from i2t.calibration import kernel
+from i2t.calibration.kernel import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
 from i2t.calibration.left_out import (
     Conditioned,
     LeftOutPresses,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t import serialization
-from i2t.calibration.kernels import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
+from i2t.calibration.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
 from i2t.calibration.plain_gp import fit_scales
 
 PRIOR_FILE = "prior.npz"

@@ -237,15 +237,15 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
         notes = [f"left out: {left} touches that failed or whose reading is not finite"] if left else []
         notes += [note for note in dataset.meta.get("notes", "").split(" | ") if note]
         found.append(
-            _recording(
+            SkinRecording(
                 f"{name} ({dataset.pads[pad]})" if several else name,
                 touches.reading[rows].astype(np.float64),
                 {key: values[rows] for key, values in targets.items()},
-                session=touches.session[rows],
+                session=touches.session[rows].astype(int),
                 time=times_of(dataset)[rows],
                 board=dataset.board,
                 source=dataset.source,
-                notes=notes,
+                notes=tuple(notes),
                 patches=touches.patch[rows] if views else None,
                 labels=touches.object[rows],
                 label_names=dataset.objects,
@@ -253,7 +253,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
         )
     if not found:
         raise DataError(f"{name}: no touch has a finite reading; record it again")
-    return found
+    return [_cleaned(one) for one in found]
 
 
 def is_stream(recording: SkinRecording) -> bool:
@@ -363,14 +363,8 @@ def read_tables(path: Path) -> list[SkinRecording]:
         )
     session, _ = table.named("session")
     pad, pads = table.named("pad")
-    whole = _recording(
-        path.name.split(".")[0],
-        readings,
-        targets,
-        session=session,
-        time=table.column("time_s"),
-        notes=notes,
-    )
+    name = path.name.split(".")[0]
+    whole = _cleaned(SkinRecording(name, readings, targets, session, table.column("time_s"), notes=tuple(notes)))
     if len(pads) < 2:
         return [_finite(whole, path)]
     return [_finite(replace(whole.rows(pad == i), name=f"{whole.name} ({one})"), path) for i, one in enumerate(pads)]
@@ -464,17 +458,11 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
     else:
         notes += [f"assumed: depth counts from the highest z, {1e3 * np.nanmax(place[:, 2]):.3f} mm"]
         targets |= {"depth": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
-    loaded = states.shape[1] > 4
-    recording = _recording(
-        folder.name,
-        readings,
-        targets,
-        session=_strokes(states[:, 0], place[:, 2]) if loaded else np.zeros(len(states), int),
-        time=states[:, 0],
-        notes=notes,
-        baseline=_baseline(folder, values),
+    session = _strokes(states[:, 0], place[:, 2]) if states.shape[1] > 4 else np.zeros(len(states), int)
+    recording = SkinRecording(
+        folder.name, readings, targets, session, states[:, 0], notes=tuple(notes), baseline=_baseline(folder, values)
     )
-    return _finite(recording, folder)
+    return _finite(_cleaned(recording), folder)
 
 
 def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
@@ -496,43 +484,17 @@ def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
     return replace(kept, targets={name: values for name, values in kept.targets.items() if kept.known(name).any()})
 
 
-def _recording(
-    name: str,
-    readings: np.ndarray,
-    targets: dict[str, np.ndarray],
-    *,
-    session: np.ndarray,
-    time: np.ndarray,
-    notes: list[str],
-    board: Board | None = None,
-    source: str = "real",
-    baseline: np.ndarray | None = None,
-    patches: np.ndarray | None = None,
-    labels: np.ndarray | None = None,
-    label_names: tuple[str, ...] = (),
-) -> SkinRecording:
-    """A recording of the known targets, with contact where the force tells it."""
-    clean = {key: np.where(np.abs(values) < MAX_VALUE, values, np.nan) for key, values in targets.items()}
+def _cleaned(recording: SkinRecording) -> SkinRecording:
+    """A recording with the targets that are known, and contact where the force tells it."""
+    clean = {key: np.where(np.abs(values) < MAX_VALUE, values, np.nan) for key, values in recording.targets.items()}
     if "contact" not in clean or not np.isfinite(clean["contact"]).any():
         loads = [np.abs(clean[key]).max(1) for key in ("force", "shear") if key in clean]
         if loads:
             load = np.fmax.reduce(loads)
             in_contact = np.where(load >= TOUCHING_FORCE_N, 1.0, np.nan)
             clean["contact"] = np.where(load <= AIR_FORCE_N, 0.0, in_contact)[:, None]
-    return SkinRecording(
-        name=name,
-        readings=readings.astype(np.float64),
-        targets={key: values for key, values in clean.items() if np.isfinite(values).all(1).any()},
-        session=np.asarray(session, int),
-        time=time,
-        board=board,
-        source=source,
-        baseline=baseline,
-        notes=tuple(notes),
-        patches=patches,
-        labels=labels,
-        label_names=label_names,
-    )
+    known = {key: values for key, values in clean.items() if np.isfinite(values).all(1).any()}
+    return replace(recording, targets=known)
 
 
 def _lines(path: Path) -> list[list[str]]:

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from i2t.calibration import kernels as kernel
+from i2t.calibration import kernel, prior
 from i2t.calibration import left_out as lo
 from i2t.calibration import population_gp as mixture
-from i2t.calibration import prior
-from i2t.calibration.kernels import SkinKernels
+from i2t.calibration.kernel import SkinKernels
 from i2t.calibration.population_gp import (
     PopulationGP,
     PressTable,
