@@ -85,7 +85,7 @@ class ArmContract(_Contract):
         ]
         with make() as arm:
             refuse(ValueError, [(move, motion, why) for *motion, why in motions for move in (arm.move, arm.go)])
-            refuse(ValueError, [(arm.approach, (2 * limits.approach_distance, 0.02), "approach distance")])
+            refuse(ValueError, [(arm.approach, (2 * limits.approach_distance, 0.02), "distance")])
             refuse(ValueError, [(arm.approach, (0.02, 0.02, None, np.nan), "force")])
             before = arm.state(TEST_STATE_TIMEOUT_S)
             assert (before.safe, before.moving, before.velocity.shape, before.wrench.shape) == (True, False, (6,), (6,))
