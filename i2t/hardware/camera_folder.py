@@ -9,6 +9,7 @@
 Views come in the order of their names. Once all were given, or a file is missing or damaged, `capture` says so.
 """
 
+import itertools
 import json
 import time
 from collections.abc import Iterable, Iterator
@@ -20,7 +21,7 @@ import numpy as np
 from PIL import Image
 
 from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_image
-from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.errors import DeviceError
 from i2t.files import read_toml
 from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, View
@@ -28,6 +29,8 @@ from i2t.types import Array
 
 DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
+NOMINAL_RATE_HZ = 30.0
+FURTHER_KEYS = {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0}  # with their defaults
 
 
 @dataclass(frozen=True)
@@ -43,53 +46,45 @@ class RecordedDepthCamera(CameraBase):
     Args:
         path: Folder of the views.
         loop: Begin again where they end.
-        rate: Hz, at which they come.
     """
 
-    def __init__(self, path: str | Path, loop: bool = False, rate: float = 30.0) -> None:
-        super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, rate))
+    def __init__(self, path: str | Path, loop: bool = False) -> None:
+        super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, NOMINAL_RATE_HZ))
         self._path, self._loop = Path(path), loop
-        self._names: list[str] | None = None
-        self._next = 0
-        self._due = 0.0
+        self._names: Iterator[str] | None = None
 
     def connect(self) -> None:
         """Read what the folder holds, and begin with its first view; raises DeviceError."""
         self.close()
-        self._camera, self._scale, self._encoding, least = read_description(self._path)
+        try:
+            self._camera, given = read_lens(
+                self._path, {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0}
+            )
+            self._features = self._features._replace(nearest=float(given["nearest"]))
+        except (TypeError, ValueError) as error:
+            raise DeviceError(str(error)) from error
+        self._scale, self._encoding = given["scale"], given["encoding"]
         names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
         if not names:
             raise DeviceError(f"{self._path / 'depth'} holds no views; give a folder with depth/*.png or .tif")
-        self._features = self._features._replace(nearest=least)
-        self._names, self._next, self._due = names, 0, 0.0
+        self._names = itertools.cycle(names) if self._loop else iter(names)
 
     def close(self) -> None:
         """Stop giving views."""
         self._names = None
 
     def capture(self, timeout: float = 2.0) -> View:
-        """The next view, at the camera's rate, as in `DepthCamera.capture`.
+        """The next view, as in `DepthCamera.capture`, without waiting.
 
         Raises:
             DeviceError: There is none left, or its file is damaged.
         """
-        names = self._names
-        if names is None:
+        if self._names is None:
             raise self._not_connected()
-        if self._next >= len(names):
-            if not self._loop:
-                raise DeviceError(f"{self._name} has given all its views; connect again for the first")
-            self._next = 0
-        wait = max(0.0, self._due - time.monotonic())
-        if wait > timeout:
-            time.sleep(timeout)
-            raise DeviceTimeoutError(f"{self._name} gave no view in {timeout:.2g} s; ask for them less often")
-        time.sleep(wait)
-        when = time.monotonic()
-        self._due = when + 1 / self._features.rate
-        depth, colour = self._read(names[self._next])
-        self._next += 1
-        return View(when, depth, colour)
+        name = next(self._names, None)
+        if name is None:
+            raise DeviceError(f"{self._name} has given all its views; connect again for the first")
+        return View(time.monotonic(), *self._read(name))
 
     def _read(self, name: str) -> tuple[Array, Array | None]:
         path = self._path / "depth" / name
@@ -105,25 +100,6 @@ class RecordedDepthCamera(CameraBase):
             reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
             raise DeviceError(f"{self._name} cannot give {path.name}: {reason}; restore {path}") from error
         return depth, colour
-
-
-def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]:
-    """Read the description of a folder of views.
-
-    Args:
-        path: The folder.
-
-    Returns:
-        The camera, the scale of depth files (m per unit, or its name), their encoding, and the nearest depth (m).
-
-    Raises:
-        DeviceError: One sentence that names the file and the field.
-    """
-    try:
-        camera, given = read_lens(path, {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0})
-        return camera, given["scale"], given["encoding"], float(given["nearest"])
-    except (TypeError, ValueError) as error:
-        raise DeviceError(str(error)) from error
 
 
 def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[str, Any]]:

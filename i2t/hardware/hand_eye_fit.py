@@ -99,18 +99,14 @@ def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:
     X = closed_form(tools, T_c_o)
     Y = _mean([T @ X @ seen for T, seen in zip(tools, T_c_o, strict=True)])
     whole = _refine(views, focal, X, Y)
-    parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole[:2]) for i in range(len(views))]
-    moved = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X, _ in parts])
-    turned = np.array([_turn(X[:3, :3], whole[0][:3, :3]) for X, _ in parts])
-    each = [_miss(*whole, view) * focal for view in views]
-    spread = (len(views) - 1) / len(views)
-    return HandEyeResult(
-        *whole,
-        math.sqrt((np.concatenate(each) ** 2).sum(1).mean()),
-        np.array([math.sqrt((miss**2).sum(1).mean()) for miss in each]),
-        math.sqrt(spread * (moved**2).sum()),
-        math.sqrt(spread * (turned**2).sum()),
-    )
+    parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole)[0] for i in range(len(views))]
+    moved = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X in parts])
+    turned = Rotation.from_matrix([X[:3, :3] @ whole[0][:3, :3].T for X in parts]).magnitude()
+    squares = [(focal**2 * _misses([view], *whole) ** 2).sum(1) for view in views]
+    rms, spread = math.sqrt(np.concatenate(squares).mean()), (len(views) - 1) / len(views)
+    view_rms = np.sqrt([each.mean() for each in squares])
+    errors = (math.sqrt(spread * (each**2).sum()) for each in (moved, turned))
+    return HandEyeResult(*whole, rms, view_rms, *errors)
 
 
 def opencv() -> Any:
@@ -177,26 +173,20 @@ def closed_form(tools: Array, T_c_o: Array) -> Array:
 
 def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
     """X and Y by least squares of the corners seen, from a guess."""
-    index = np.repeat(np.arange(len(views)), [len(view.corners) for view in views])
-    T_t_b = inverse(np.stack([view.T_b_t for view in views]))[index]
-    corners, rays = np.concatenate([s.corners for s in views]), np.concatenate([s.rays for s in views])
 
     def miss(change: Array) -> Array:
-        T_c_t, T_b_o = inverse(X @ _motion(change[:6])), Y @ _motion(change[6:])
-        base = corners @ T_b_o[:3, :3].T + T_b_o[:3, 3]
-        tool = np.einsum("nij,nj->ni", T_t_b[:, :3, :3], base) + T_t_b[:, :3, 3]
-        seen = tool @ T_c_t[:3, :3].T + T_c_t[:3, 3]
-        return (focal * (seen[:, :2] / seen[:, 2:] - rays)).ravel()
+        return (focal * _misses(views, X @ _motion(change[:6]), Y @ _motion(change[6:]))).ravel()
 
     found = least_squares(miss, np.zeros(12), loss="soft_l1", f_scale=LOSS_SCALE_PX, x_scale="jac", max_nfev=100).x
     return X @ _motion(found[:6]), Y @ _motion(found[6:])
 
 
-def _miss(X: Array, Y: Array, view: BoardView) -> Array:
-    """Errors (k, 2) of the predicted lines of sight."""
-    T = inverse(view.T_b_t @ X) @ Y
-    seen = view.corners @ T[:3, :3].T + T[:3, 3]
-    return seen[:, :2] / seen[:, 2:] - view.rays
+def _misses(views: Sequence[BoardView], X: Array, Y: Array) -> Array:
+    """Errors (k, 2) of the predicted lines of sight of all corners."""
+    T_c_o = inverse(np.stack([view.T_b_t for view in views]) @ X) @ Y
+    parts = [view.corners @ T[:3, :3].T + T[:3, 3] for view, T in zip(views, T_c_o, strict=True)]
+    seen = np.concatenate(parts)
+    return seen[:, :2] / seen[:, 2:] - np.concatenate([view.rays for view in views])
 
 
 def _motion(twist: Array) -> Array:
@@ -206,7 +196,3 @@ def _motion(twist: Array) -> Array:
 def _mean(poses: Sequence[Array]) -> Array:
     rotations, places = np.stack([each[:3, :3] for each in poses]), [each[:3, 3] for each in poses]
     return transform(Rotation.from_matrix(rotations).mean().as_matrix(), np.mean(places, 0))
-
-
-def _turn(one: Array, other: Array) -> float:
-    return float(Rotation.from_matrix(one @ other.T).magnitude())

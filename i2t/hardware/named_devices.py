@@ -33,28 +33,33 @@ def make_ur_arm(config: UrConfig, rig: Rig) -> GuardedArm:
     """
     from i2t.hardware.ur.driver import UrArm
 
-    watch = {"state_timeout": config.state_timeout, "watchdog_rate": config.watchdog_rate}
-    return UrArm(config.host, rig.limits, rig.T_flange_tool, (rig.mass, rig.centre), **watch)
+    carried, timeout = (rig.mass, rig.centre), config.state_timeout
+    watch = config.watchdog_rate
+    return UrArm(config.host, rig.limits, rig.T_flange_tool, carried, state_timeout=timeout, watchdog_rate=watch)
 
 
-def named_arm(name: str, host: str | None, rig: Rig) -> GuardedArm:
+def named_arm(name: str, host: str | None, rig: Rig, **watch: float) -> GuardedArm:
     """An arm by its name.
 
     Args:
         name: ur, a name that a package registers, or package.module:Class.
         host: Its address; a UR arm needs one.
         rig: Its limits, its tool and payload.
+        **watch: `state_timeout` and `watchdog_rate` of a UR arm.
 
     Returns:
         The arm, not connected.
 
     Raises:
-        ValueError: There is no such arm, it cannot be used, or the address is missing.
+        ValueError: There is no such arm, it cannot be used, or the address or an option does not belong to it.
         DeviceError: Its client library is not installed.
     """
     require_named("arm", name, UR)
     if name == UR:
-        return make_ur_arm(UrConfig(_require_host(host)), rig)
+        return make_ur_arm(UrConfig(_require_host(host), **watch), rig)
+    if watch:
+        flags = " and ".join(f"--{each.replace('_', '-')}" for each in watch)
+        raise ValueError(f"{flags}: of a UR arm, and --arm is {name}; leave it out")
     arm: GuardedArm = load_plugin("arm", PluginConfig(name, host), DeviceSetup(rig, host))
     return arm
 

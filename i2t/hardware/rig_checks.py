@@ -158,10 +158,8 @@ def _camera(rig: Rig) -> Doubts:
     pressed = not too_far and before > MOST_BEFORE_SKIN_M
     yield pressed, f"{key} puts the camera {1e3 * before:.0f} mm before the skin, to be pressed; it may be the inverse"
     gap = rig.looking_distance - float(inverse(T_t_c)[2, 3])
-    yield (
-        gap < LEAST_LOOK_GAP_M,
-        f"camera.looking_distance leaves {1e3 * gap:.0f} mm between skin and surface; raise it, or correct {key}",
-    )
+    room = f"leaves {1e3 * gap:.0f} mm between skin and surface; raise it, or correct {key}"
+    yield gap < LEAST_LOOK_GAP_M, f"camera.looking_distance {room}"
 
 
 def _lens(camera: Camera, distance: float) -> Doubts:
@@ -174,10 +172,8 @@ def _lens(camera: Camera, distance: float) -> Doubts:
     small = not (odd or stretched) and edge < LEAST_WINDOW_PIXELS
     yield small, f"from camera.looking_distance {distance:g} m the skin's edge is {edge:.1f} pixels; look from nearer"
     for name, at, size in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
-        yield (
-            not left <= at / size <= right,
-            f"camera.{name} is {at:g} of {size} pixels; a lens has its middle near the image's, so copy that image's",
-        )
+        aside = not left <= at / size <= right
+        yield aside, f"camera.{name} is {at:g} of {size} pixels; a lens has its middle near the image's: copy that one"
 
 
 def _world(rig: Rig) -> Doubts:
@@ -189,16 +185,12 @@ def _world(rig: Rig) -> Doubts:
     yield longest > LONGEST_BOX_M, f"limits.lower and upper are {longest:.1f} m apart; give the box around the object"
     corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
     lowest = float((corners @ rig.T_world_base[2, :3]).min() + rig.T_world_base[2, 3])
-    yield (
-        lowest < -BOX_BELOW_TABLE_M,
-        f"limits.lower lets the skin {-1e3 * lowest:.0f} mm below the table; raise it, or correct T_world_base",
-    )
+    deep = lowest < -BOX_BELOW_TABLE_M
+    yield deep, f"limits.lower lets the skin {-1e3 * lowest:.0f} mm below the table; raise it, or correct T_world_base"
     sigma = np.sqrt(np.diagonal(rig.object_covariance))
     shift, turn = float(sigma[:3].max()), math.degrees(float(sigma[3:].max()) / TWIST_LEVER_M)
-    yield (
-        shift > MOST_STD_M or turn > MOST_STD_DEG,
-        f"world.object_covariance says {1e3 * shift:.0f} mm and {turn:.0f} degrees; give variances in m^2",
-    )
+    vague = shift > MOST_STD_M or turn > MOST_STD_DEG
+    yield vague, f"world.object_covariance says {1e3 * shift:.0f} mm and {turn:.0f} degrees; give variances in m^2"
 
 
 def _origin(rig: Rig) -> Doubts:
@@ -219,8 +211,5 @@ def _object(rig: Rig, vertices: Array) -> Doubts:
     yield floats, f"{key} puts the object {1e3 * low:.0f} mm above the table; put the world's origin where it stands"
     middle = (placed.min(0) + placed.max(0)) / 2
     at = rig.T_base_world @ np.array([*middle[:2], high + LEAST_ABOVE_OBJECT_M, 1.0])
-    yield (
-        not rig.limits.contains(at[:3]),
-        f"limits.lower and upper do not hold {format_position(at[:3])} m, above the object's middle; the box is in the "
-        "base, and must be around the object",
-    )
+    above = f"{format_position(at[:3])} m, above the object's middle"
+    yield not rig.limits.contains(at[:3]), f"limits.lower and upper do not hold {above}: the box is in the base"

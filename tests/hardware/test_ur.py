@@ -250,7 +250,7 @@ def test_what_is_beyond_the_limits_is_refused_before_anything_is_sent(above):
         (lambda: arm.move(pose(np.nan, 0.0, 0.3)), "finite"),
         (lambda: arm.move(BEGIN * [[-1], [1], [1], [1]]), "rotation"),
         (lambda: arm.approach(0.25), "outside the box"),
-        (lambda: arm.approach(0.31), "limit for the approach distance"),
+        (lambda: arm.approach(0.31), "approach's distance"),
         (lambda: arm.approach(0.01, force=50.0), r"force 50\.0 is outside"),
     ):
         with pytest.raises(ValueError, match=why):

@@ -319,13 +319,10 @@ class Stream(DeviceBase):
         return self._features.name
 
     def _samples(self, rows: list[StreamRow]) -> Samples:
-        n = len(rows)
-        return Samples(
-            np.array([row.number for row in rows], np.int64),
-            np.array([row.time for row in rows], np.float64),
-            np.array([row.reading for row in rows], np.float64).reshape(n, 3 * self._chips),
-            np.array([row.temperature for row in rows], np.float64).reshape(n, self._chips),
-        )
+        number, times, reading, temperature = zip(*rows, strict=True) if rows else ((), (), (), ())
+        readings = np.array(reading, float).reshape(-1, 3 * self._chips)
+        temperatures = np.array(temperature, float).reshape(-1, self._chips)
+        return Samples(np.array(number, np.int64), np.array(times, float), readings, temperatures)
 
 
 class ReSkin(Stream):
@@ -395,23 +392,19 @@ class ReSkin(Stream):
         end, current = time.monotonic() + START_UP_S, rates[0]
         while True:
             for baud in rates:
-                if baud != current:
-                    self._set_rate(line, baud)
-                    current = baud
+                try:
+                    if baud != current:
+                        line.baudrate = current = baud
+                        line.reset_input_buffer()
+                except ValueError as error:
+                    raise DeviceError(f"the port cannot be set to {baud} baud; give its rate with --baud") from error
+                except OSError as error:
+                    raise self._lost(error) from error
                 decoder, found, heard = detect_format(line, self._chips, self._lost)
                 if found or not heard:  # at a wrong rate bytes are wrong, but they come
                     return baud, decoder, found, heard
             if time.monotonic() > end or frames.known_trouble(heard, self._chips):
                 return baud, decoder, found, heard
-
-    def _set_rate(self, line: Port, baud: int) -> None:
-        try:
-            line.baudrate = baud
-            line.reset_input_buffer()
-        except ValueError as error:
-            raise DeviceError(f"the skin's port cannot be set to {baud} baud; give the rate with --baud") from error
-        except OSError as error:
-            raise self._lost(error) from error
 
     def _find(self) -> str:
         """The port that was asked for, or the board that was there before, or the only likely one."""

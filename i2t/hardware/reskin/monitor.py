@@ -149,12 +149,8 @@ def samples_of(path: str | Path, chips: int) -> Samples:
         found += [(when, frame) for frame in more]
     if not found:
         raise DeviceError(f"no skin in {path}: {diagnose(heard, chips)}")
-    return Samples(
-        np.arange(len(found)),
-        np.array([when for when, _ in found]),
-        np.array([frame.reading for _, frame in found]),
-        np.array([frame.temperature for _, frame in found]),
-    )
+    times, (_, readings, temperatures) = [when for when, _ in found], zip(*(frame for _, frame in found), strict=True)
+    return Samples(np.arange(len(found)), *(np.array(each) for each in (times, readings, temperatures)))
 
 
 def write_table(path: Path, samples: Samples) -> Path:

@@ -248,9 +248,8 @@ def _carried(tables: Any) -> tuple[CarriedSkin, ...]:
         _known(f"key of [skins.{name}]", table, ("T_tool_skin", *TEXT_KEYS))
         if "T_tool_skin" not in table:
             raise ValueError(f"skins.{name}.T_tool_skin is missing; add where the skin is in the tool")
-        table["T_tool_skin"] = _rigid(f"skins.{name}.T_tool_skin", table["T_tool_skin"], MAX_TOOL_M)
-        for key in {*TEXT_KEYS}.intersection(table):
-            _text(f"skins.{name}.{key}", table[key])
+        table["T_tool_skin"] = _rigid(f"skins.{name}.T_tool_skin", table["T_tool_skin"], POSES["T_flange_tool"])
+        table |= {key: _text(f"skins.{name}.{key}", table[key]) for key in TEXT_KEYS if key in table}
     return tuple(CarriedSkin(name=name, **table) for name, table in tables.items())
 
 
@@ -259,18 +258,16 @@ def _value(key: str, value: Any) -> Any:
     name = key.split(".")[1]
     if name in TEXTS:
         return _text(key, value)
-    if name == "coefficients":
-        return tuple(_numbers(key, value, (len(value) if isinstance(value, list) else 1,)).tolist())
-    if name in POSES or name == "object_covariance":
-        return _numbers(key, value, (4, 4) if name in POSES else (6, 6))
-    if name in ("centre", "lower", "upper"):
-        return tuple(_numbers(key, value, (3,)).tolist())
-    number = float(_numbers(key, value, ()))
+    anything = {"coefficients": (len(value) if isinstance(value, list) else 1,), "object_covariance": (6, 6)}
+    shapes = {**anything, **dict.fromkeys(POSES, (4, 4)), **dict.fromkeys(("centre", "lower", "upper"), (3,))}
+    array = _numbers(key, value, shapes.get(name, ()))
+    if array.ndim:
+        return array if array.ndim == 2 else tuple(array.tolist())
     if name not in ("width", "height"):
-        return number
-    if not number.is_integer():
+        return float(array)
+    if array % 1:
         raise ValueError(f"{key} is {value}; give whole pixels")
-    return int(number)
+    return int(array)
 
 
 def _text(key: str, value: Any) -> str:
@@ -339,12 +336,7 @@ def _covariance(key: str, value: Any) -> Array:
 
 
 def _toml(value: Any) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, int | np.integer):
-        return str(int(value))
     if np.ndim(value) == 2:
         return "[\n" + "".join(f"  {_toml(row)},\n" for row in value) + "]"
-    if np.ndim(value) == 1:
-        return "[" + ", ".join(_toml(each) for each in value) + "]"
-    return repr(float(value))
+    plain = value.tolist() if isinstance(value, np.ndarray) else list(value) if isinstance(value, tuple) else value
+    return json.dumps(plain, ensure_ascii=False)
