@@ -11,19 +11,17 @@ stood still before: flange, mount and what is moved into sideways meet nothing. 
 import contextlib
 import socket
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from i2t.emulators.processes import Address
 from i2t.emulators.room import RoomField, room_field
-from i2t.emulators.world import Address, WorldConfig, carried_scene, make_scene
 from i2t.geometry import full_precision, inverse, so3_exp, transform
-from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation.depth_camera import table_triangles
@@ -421,33 +419,3 @@ class Contacts:
         """Work out what is ahead of each skin, as in `ContactModel.stands`."""
         for model in self.models:
             model.stands(position, turned)
-
-
-def make_contacts(world: WorldConfig, rig: Path | None, to: Address | None, carried: Mapping[str, Address]) -> Contacts:
-    """The contacts of an emulated arm with an object; it takes some seconds, in which everything is compiled.
-
-    Args:
-        world: What is there.
-        rig: File that says where; by default the emulators' own rig.
-        to: Where an emulated board receives what the skin feels.
-        carried: Where the boards of further skins of the rig do, by the skins' names.
-
-    Returns:
-        What a moving tool feels.
-
-    Raises:
-        ValueError: Object, pad or rig cannot be used, or the rig has no such skin.
-        OSError: A file cannot be read.
-    """
-    setup = Rig() if rig is None else Rig.read(rig)
-    unknown = set(carried) - {place.name for place in setup.skins}
-    if unknown:
-        raise ValueError(f"the rig has no skin {', '.join(sorted(unknown))}; correct --carried")
-    models = [ContactModel(make_scene(world, setup), wait=False, to=to)]
-    for number, place in enumerate(setup.skins, 1):
-        if place.name in carried:
-            meets = carried_scene(world, setup, place.board, number)
-            models.append(ContactModel(meets, False, place.T_tool_skin, carried[place.name]))
-    for model in models:
-        model.scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
-    return Contacts(models)
