@@ -7,6 +7,7 @@ prints the name of each touch once it is kept.
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from experiments.faults.closed_form import BOARD, HEIGHT_M, make_scene, plane_patch, session_info, site
@@ -23,7 +24,7 @@ from i2t.hardware.ur.driver import UrArm
 
 QUICK_SETTINGS = TouchSettings(
     prepare=20e-3, near=2e-3, approach=0.04, press=0.004, settle=0.02, clearance=0.02, speed=0.25
-)
+)  # with the patience of a lab, or of the watchdog where that is longer
 WORKER_STATE_TIMEOUT_S = 0.5
 LENS = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)
 
@@ -36,7 +37,8 @@ def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") 
     arm = UrArm(host, rig.limits, rig.T_flange_tool, payload, state_timeout=timeout, watchdog_rate=float(watchdog))
     camera = SimulatedCamera(make_scene(), LENS, rig.T_tool_camera, lambda: arm.state().T_b_t, MonotonicClock())
     with ReSkin(port) as skin, camera, arm, Recorder(out, session_info(rig, LENS, "emulated")) as recorder:
-        procedure = Procedure(arm, skin, camera, rig, BOARD, plane_patch, HEIGHT_M, QUICK_SETTINGS)
+        settings = replace(QUICK_SETTINGS, silence=max(QUICK_SETTINGS.silence, 1 / float(watchdog)))
+        procedure = Procedure(arm, skin, camera, rig, BOARD, plane_patch, HEIGHT_M, settings)
         print("begun", flush=True)
         left = (number for number in range(int(touches)) if number not in done)
         for _ in procedure.run(lambda history: next((site(number) for number in left), None), recorder):

@@ -20,6 +20,7 @@ from i2t.depth.camera import Camera
 from i2t.emulators.robot_motion import Robot
 from i2t.emulators.scene import ContactModel, Contacts, TouchableScene
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.geometry import transform
 from i2t.hardware.base import CameraBase, DeviceBase
 from i2t.hardware.clock import Clock
 from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
@@ -359,11 +360,9 @@ class SimulatedArm(_SimulatedDevice):
         with self.lab.lock:
             robot = self.lab.robot
             wrench = robot.measured_wrench().reshape(2, 3) @ robot.rotation
-            T_b_t = np.eye(4)
-            T_b_t[:3, :3], T_b_t[:3, 3] = robot.rotation, robot.position
             return ArmState(
                 time=self.lab.time,
-                T_b_t=T_b_t,
+                T_b_t=transform(robot.rotation, robot.position),
                 joints=np.zeros(NUM_JOINTS),
                 velocity=robot.twist,
                 wrench=wrench.ravel(),
@@ -399,8 +398,7 @@ class SimulatedArm(_SimulatedDevice):
         """Take the wrench felt now as zero, as in `Arm.zero_wrench`; nothing takes time."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
-        robot = self.lab.robot
-        robot.zero_wrench()
+        self.lab.robot.zero_wrench()
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait, as in `GuardedArm.go`."""

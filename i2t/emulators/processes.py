@@ -6,7 +6,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import TextIO, TypeAlias
+
+Address: TypeAlias = tuple[str, int]  # and port, at which an emulated board listens
 
 END_S = 5.0  # that an emulator may take to end
 

@@ -29,6 +29,7 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 
+from i2t.cli import exit_code_of
 from i2t.emulators import processes
 from i2t.hardware.reskin.layouts import CONVERTER_COUNTS, Format, encode
 from i2t.options import read_options
@@ -61,14 +62,12 @@ class EmulatedBoardArgs:
     noise: float = 1.0  # times that of real boards; 0 repeats one frame exactly
     ambient: tuple[float, float, float] = AMBIENT_UT  # uT, field of the room in tool axes
     press: float = 0.0  # size of a press every 4 s, times 57 uT (norm on 5 chips)
-    temperature: float | None = None  # of all chips, exactly; 34.513 holds CR LF in binary
     field: bool = False  # take fields (3 float32 a chip, little-endian, uT) from UDP datagrams
     fail: tuple[int, ...] = ()  # chips that do not answer
     fail_share: float = 0.0  # part of the samples in which a chip does not answer, each chip by itself
     empty: int = 1  # only every Nth frame holds values: the sketch reads faster than the chips measure
     skip: float = 0.0  # part of the frames that are lost as a whole
     garbage_for: float = 0.0  # s of rubbish after each opening, which resets the board
-    mid_frame: int = 0  # bytes missing from the first frame
     substitute: float = 0.0  # part of the bytes that are changed
     drop: float = 0.0  # part of the bytes that are lost
     silent_after: float = float("inf")  # s until it falls silent
@@ -234,33 +233,29 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options = read_options(EmulatedBoardArgs, args, program="python -m i2t.emulators.reskin_board", description=__doc__)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    if options.link and options.link.exists() and not options.link.is_symlink():
-        print(f"error: {options.link} exists and is no link; give another name", file=sys.stderr)
-        return 2
-    try:
+
+    def work() -> None:
         board = make_board(options.board)
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
-        print(f"error: the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more", file=sys.stderr)
-        return 2
-    port = BoardPort(options.link)
-    try:
-        print(port.plug(), flush=True)
-        _serve(port, board, options)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        port.unplug()
-    return 0
+        if options.link and options.link.exists() and not options.link.is_symlink():
+            raise ValueError(f"--link {options.link}: exists and is no link; give another name")
+        if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
+            raise ValueError(f"the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more")
+        port = BoardPort(options.link)
+        try:
+            print(port.plug(), flush=True)
+            _serve(port, board, options)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            port.unplug()
+
+    return exit_code_of(work)
 
 
 def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
-    readings = Readings(options.noise, options.press, options.temperature, options.seed, board, ambient=options.ambient)
+    readings = Readings(options.noise, options.press, None, options.seed, board, ambient=options.ambient)
     line = _Line(options)
     inbox = _field_inbox() if options.field else None
-    missing = options.mid_frame
     opened: float | None = None  # when the port was first opened
     reset = -np.inf  # when it was opened last
     due = time.monotonic()
@@ -283,8 +278,7 @@ def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
         if now - reset < options.garbage_for:
             port.send(line.rubbish())
         elif not options.silent_after <= elapsed < options.silent_after + options.silent_for:
-            port.send(line.frame(*readings.at(max(0.0, elapsed)), port)[missing:])
-            missing = 0
+            port.send(line.frame(*readings.at(max(0.0, elapsed)), port))
         due += 1 / options.rate
         time.sleep(max(0.0, due - time.monotonic()))
 

@@ -11,19 +11,17 @@ stood still before: flange, mount and what is moved into sideways meet nothing. 
 import contextlib
 import socket
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from i2t.emulators.processes import Address
 from i2t.emulators.room import RoomField, room_field
-from i2t.emulators.world import Address, WorldConfig, carried_scene, make_scene
 from i2t.geometry import full_precision, inverse, so3_exp, transform
-from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation.depth_camera import table_triangles
@@ -107,39 +105,6 @@ class ContactLine(NamedTuple):
         return float(force), self.centre[i], reading
 
 
-@runtime_checkable
-class TouchableScene(Protocol):
-    """Scene that a lab's tool meets."""
-
-    board: Board
-    rest: Array  # (3 chips,) uT, the reading of the skin alone
-    gains: Array  # (3 chips,) of the chips' axes
-    room: RoomField
-    errors: SimulationErrors
-    triangles: Array  # (n, 3, 3) m in the base, that a camera sees
-    T_t_camera: Array  # (4, 4) where a camera of the tool looks from, seen from where the lab believes
-
-    def near(self, position: Array) -> bool:
-        """Test whether anything may be within a line's reach of a place.
-
-        Args:
-            position: (3,) m, in the base.
-
-        Returns:
-            False only where nothing can be met.
-        """
-
-    def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line from a pose along tool z, with what the skin meets on it.
-
-        Args:
-            T_b_t: (4, 4) pose that the arm reports.
-
-        Returns:
-            The line.
-        """
-
-
 class SpringPlane:
     """A horizontal plane that pushes back like a spring: everything about it is known in closed form.
 
@@ -169,11 +134,25 @@ class SpringPlane:
         self.T_t_camera = np.eye(4)
 
     def near(self, position: Array) -> bool:
-        """Test whether it is near, from above or below, as in `TouchableScene.near`."""
+        """Test whether anything may be within a line's reach, from above or below.
+
+        Args:
+            position: (3,) m, in the base.
+
+        Returns:
+            False only where nothing can be met.
+        """
         return bool(abs(position[2] - self.height) < LINE_LENGTH_M)
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line to it, as in `TouchableScene.ahead`."""
+        """The line from a pose along tool z, with what the skin meets on it.
+
+        Args:
+            T_b_t: (4, 4) pose that the arm reports.
+
+        Returns:
+            The line.
+        """
         down = -T_b_t[2, 2]
         first = (T_b_t[2, 3] - self.height) / down if down > 0 else np.inf
         force = np.array([0.0, 1.0])
@@ -232,11 +211,11 @@ class ObjectScene:
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
     def near(self, position: Array) -> bool:
-        """Test whether the object may be near, as in `TouchableScene.near`."""
+        """Test whether the object may be near, as in `SpringPlane.near`."""
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line to the object, as in `TouchableScene.ahead`; the tool is off the pose by the arm's own errors."""
+        """The line to the object, as in `SpringPlane.ahead`; the tool is off the pose by the arm's own errors."""
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
@@ -273,6 +252,9 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
         return pressed.indentation, jnp.stack([x, y]), pressed.reading
 
     return first, *jax.lax.map(press, loads)
+
+
+TouchableScene: TypeAlias = ObjectScene | SpringPlane
 
 
 class ContactModel:
@@ -437,33 +419,3 @@ class Contacts:
         """Work out what is ahead of each skin, as in `ContactModel.stands`."""
         for model in self.models:
             model.stands(position, turned)
-
-
-def make_contacts(world: WorldConfig, rig: Path | None, to: Address | None, carried: Mapping[str, Address]) -> Contacts:
-    """The contacts of an emulated arm with an object; it takes some seconds, in which everything is compiled.
-
-    Args:
-        world: What is there.
-        rig: File that says where; by default the emulators' own rig.
-        to: Where an emulated board receives what the skin feels.
-        carried: Where the boards of further skins of the rig do, by the skins' names.
-
-    Returns:
-        What a moving tool feels.
-
-    Raises:
-        ValueError: Object, pad or rig cannot be used, or the rig has no such skin.
-        OSError: A file cannot be read.
-    """
-    setup = Rig() if rig is None else Rig.read(rig)
-    unknown = set(carried) - {place.name for place in setup.skins}
-    if unknown:
-        raise ValueError(f"the rig has no skin {', '.join(sorted(unknown))}; correct --carried")
-    models = [ContactModel(make_scene(world, setup), wait=False, to=to)]
-    for number, place in enumerate(setup.skins, 1):
-        if place.name in carried:
-            meets = carried_scene(world, setup, place.board, number)
-            models.append(ContactModel(meets, False, place.T_tool_skin, carried[place.name]))
-    for model in models:
-        model.scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
-    return Contacts(models)

@@ -57,14 +57,14 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from i2t.emulators.processes import started
+from i2t.emulators.processes import Address, started
 from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING
 from i2t.emulators.ur_program import STOPPED as STOPPED
 from i2t.emulators.ur_program import TICK as TICK
 from i2t.emulators.ur_program import Controller
 from i2t.emulators.ur_server import FAULT_PORT, Server
-from i2t.emulators.world import Address, WorldConfig
+from i2t.emulators.world import WorldConfig, make_contacts
 from i2t.options import read_options
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
@@ -177,8 +177,6 @@ def _contact(options: ControllerArgs) -> tuple[Contact, float]:
     """Contact of the tool, and the noise of its force sensor (N)."""
     if options.object is None:
         return plane(options.plane, options.stiffness), options.noise or 0.0
-    from i2t.emulators.scene import make_contacts
-
     world = WorldConfig(
         options.object,
         options.unit,

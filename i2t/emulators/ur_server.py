@@ -41,7 +41,11 @@ class Client:
         self.every, self.streaming = 1, False  # ticks between two packets
 
     def send(self, data: bytes) -> None:
-        """Send bytes, or drop a client that does not read them."""
+        """Send bytes, or drop a client that does not read them.
+
+        Args:
+            data: The bytes.
+        """
         self.writer.write(data)
         if self.writer.transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
             self.writer.transport.abort()
@@ -236,7 +240,7 @@ class Server:
                 case ["drop-control" | "drop-state" as word]:
                     for client in self.rtde_clients:
                         if bool(client.inputs) == (word == "drop-control"):
-                            client.writer.close()
+                            client.writer.transport.abort()
                 case ["local" | "remote" as word]:
                     controller.local = word == "local"
                 case ["wrench", *numbers]:
