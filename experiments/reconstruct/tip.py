@@ -252,8 +252,8 @@ def by_head(recording: SkinRecording, given: LabelledPresses, asked: LabelledPre
 
 def _joined(parts: list[TipsFound]) -> TipsFound:
     """Estimates of the presses of all parts."""
-    columns: Any = zip(*parts, strict=True)
-    return TipsFound(*(None if column[0] is None else np.concatenate(column) for column in columns))
+    columns: list[Any] = [None if column[0] is None else np.concatenate(column) for column in zip(*parts, strict=True)]
+    return TipsFound(*columns)
 
 
 def judge(found: TipsFound, asked: LabelledPresses, kind: str, groups: list[np.ndarray]) -> dict[str, Any]:
