@@ -2,26 +2,26 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from experiments.common.checks import require_dataset
-from i2t.cli import Limits, Seed
+from i2t.cli import Seed
 
 
 @dataclass(frozen=True)
 class FidelityArgs:
     """Judge recordings of a skin: checks, noise, calibration curves, heads and ceilings in one report."""
 
-    dataset: tuple[Path, ...] = ()  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
-    simulated_skins: Annotated[int, Limits(0)] = 0  # instead: judge so many simulated skins, pressed and slid over
+    dataset: tuple[Path, ...]  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
+    mistakes: bool = False  # also put mistakes into each recording, and count which are found and what they cost
     out: Path = Path("runs/fidelity")  # folder for report.html, metrics.json and config.json
     preset: Literal["paper", "short", "debug"] = "paper"
     seed: Seed = 0  # of what is held out and of the draws
     overwrite: bool = False  # replace a run in --out
 
     def check(self) -> None:
-        """Refuse what does not go together, and recordings that are not there."""
-        if bool(self.dataset) == bool(self.simulated_skins):
-            raise ValueError("pass --dataset with one or more recordings, or --simulated-skins with their number")
+        """Refuse a recording that is not there."""
+        if not self.dataset:
+            raise ValueError("pass --dataset with one or more recordings")
         if len(self.dataset) == 1:  # of several, those that cannot be read are left out and named
             require_dataset("--dataset", self.dataset[0], tables=True)

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass, field
 
-from experiments.common.presets import choose_preset
-from experiments.fidelity.arguments import FidelityArgs
 from i2t.calibration.heads import HeadBudget
 
 
@@ -18,7 +16,7 @@ class FidelityPreset:
     forward_rows: int = 1200  # of the model by which noise and hysteresis are separated from the press
     block_mm: float = 6.0
     held_out_share: float = 0.2  # of blocks, rows or time
-    simulated_strokes: int = 160  # of each skin, with --simulated-skins
+    mistake_draws: int = 8  # parts of the recording that mistakes are put into
     try_causes: bool = True  # of a predictor that loses; else only those that show in the numbers
     heads: HeadBudget = field(default_factory=HeadBudget)
     heads_across: HeadBudget = field(default_factory=lambda: HeadBudget(400, 1500, rows=4000))
@@ -27,17 +25,12 @@ class FidelityPreset:
 FIDELITY_PRESETS: dict[str, FidelityPreset] = {
     "paper": FidelityPreset(),
     "short": FidelityPreset(
-        counts=(5, 20, 100), draws=4, method_seconds=30.0, forward_rows=600, simulated_strokes=80,
-        heads=HeadBudget(400, 1200, 0, rows=4000),
+        counts=(5, 20, 100), draws=4, method_seconds=30.0, forward_rows=600, mistake_draws=3,
+        heads=HeadBudget(400, 1200, rows=4000),
     ),
     "debug": FidelityPreset(
         counts=(20,), draws=1, try_causes=False, method_seconds=5.0, test_rows=100, forward_rows=150,
-        simulated_strokes=8,
-        heads=HeadBudget(100, 200, 0, rows=400), heads_across=HeadBudget(100, 200, 0, rows=400),
+        mistake_draws=1,
+        heads=HeadBudget(100, 200, rows=400), heads_across=HeadBudget(100, 200, rows=400),
     ),
 }  # fmt: skip
-
-
-def fidelity_preset(args: FidelityArgs) -> FidelityPreset:
-    """The preset of the arguments."""
-    return choose_preset(FIDELITY_PRESETS, args.preset)

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import permutations, product
 from typing import TypeAlias
 
 import numpy as np
@@ -23,60 +23,58 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration import calibrate
-from i2t.calibration.heads import SkinRecording, corrected_recording
+from i2t.calibration.heads import SkinRecording
 from i2t.dataset import square_blocks
 from i2t.prediction.metrics import student_interval
-from i2t.unknowns.alignment import aligned_prediction, fit_session_map, lay_over, predict_session
+from i2t.types import Board
+from i2t.unknowns import aligned_prediction, fit_session_map, lay_over, predict_session
+from i2t.unknowns.findings import corrected_readings
 from i2t.viz import style
 
 CALIBRATED = "i2t.calibrate"
 RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"
 MIN_TEST_ROWS, MIN_POOL_ROWS = 5, 5
+OWN_PRESSES = 20  # of a session, by which another is laid over it
 LOST_R2 = 0.01  # less than this is level
 R2_DIGITS = 3  # as printed
 LOADS = ("depth", "force")
 AT_LEAST_AS_GOOD = "is at least as good as every baseline"
-MethodErrors: TypeAlias = dict[str, dict[int, list[np.ndarray]]]  # squared errors (n,) by method, count and draw
 COLOURS_OF_METHODS = (style.GREY, style.ORANGE, style.BLUE, style.GREEN, style.RED)
+MethodErrors: TypeAlias = dict[str, dict[int, list[np.ndarray]]]  # squared errors (n,) by method, count and draw
+MethodScores: TypeAlias = dict[str, dict[int, dict[str, float]]]  # R2 by method and count: mean, low, high
+Splits: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]  # rows to learn from and to test on
 
 
 def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: int, section: Section) -> None:
     """R2 of readings by the number of presses, for each method and each way of holding out."""
     presses = press_set(recording)
     splits = hold_out_presses(presses, preset, seed)
-    methods = BASELINE_METHODS | {CALIBRATED: by_calibrate(recording)}
     if presses.load_name == "none":
         section.sentences.append("No load is known that varies: presses are known by their position alone.")
     counts = [n for n in preset.counts if any(n <= len(pool) for pool, _ in splits.values())]
     if not counts:
         raise CannotTellError(f"{len(presses.load)} presses leave fewer than {min(preset.counts)} to calibrate with.")
+    methods = BASELINE_METHODS | {CALIBRATED: by_calibrate(recording.board)}
+    errors = _errors(presses, methods, splits, counts, preset, seed=seed, section=section)
     section.numbers |= {"load": presses.load_name, "r2": {}, "held_out": {n: len(t) for n, (_, t) in splits.items()}}
-    scores, errors = _curves(presses, methods, splits, counts=counts, preset=preset, seed=seed, section=section)
-    for split, curves in scores.items():
-        section.numbers["r2"][split] = curves
-        header = ["R2, mean of the draws [95 %]", *(str(n) for n in counts)]
-        section.tables[f"held out: {split} ({len(splits[split][1])} presses)"] = [
-            header,
-            *([name, *(_interval_cell(by_count.get(n)) for n in counts)] for name, by_count in curves.items()),
+    for split, (_, test) in splits.items():
+        total = float(np.sum((presses.readings[test] - presses.readings[test].mean(0)) ** 2)) or float("nan")
+        scores = {
+            name: {
+                n: _summary([1 - float(np.sum(missed) / total) for missed in draws]) for n, draws in by_count.items()
+            }
+            for name, by_count in errors[split].items()
+        }
+        section.numbers["r2"][split] = scores
+        section.tables[f"held out: {split} ({len(test)} presses)"] = [
+            ["R2, mean of the draws [95 %]", *map(str, counts)],
+            *([name, *(_interval_cell(by_count.get(n)) for n in counts)] for name, by_count in scores.items()),
         ]
-        section.sentences += _compare_with_baselines(split, curves, errors[split])
+        section.sentences += _compare_with_baselines(split, scores, errors[split])
     section.figures["Calibration curves"] = _figure(section.numbers["r2"])
 
 
-def across_sessions(recordings: Sequence[SkinRecording], preset: FidelityPreset, seed: int, section: Section) -> None:
-    """R2 between sessions of the same skin, as they are and with a gain and an offset for each channel."""
-    rows = [["known", "predicted", "as it is", "aligned by 20 presses", "from 20 presses of its own"]]
-    section.numbers["r2"] = {}
-    for known in recordings:
-        for other in recordings:
-            if known is not other:
-                section.part(partial(_across, known, other, preset, seed, section, rows))
-    if len(rows) == 1:
-        raise CannotTellError(" ".join(section.sentences) or "No two recordings can be compared.")
-    section.tables["R2 of one session's readings as another predicts them"] = rows
-
-
-def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> Splits:
     """Rows to learn from and to test on, by how they are held out; ways that leave too few are left out."""
     n, rng, share = len(presses.load), np.random.default_rng(seed), preset.held_out_share
     every = rng.permutation(n)
@@ -99,48 +97,31 @@ def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> di
     return usable
 
 
-def by_calibrate(recording: SkinRecording) -> ForwardMethod:
+def by_calibrate(board: Board | None) -> ForwardMethod:
     """Predictions of `i2t.calibrate` from the known presses."""
-    board = recording.board
-    if board is not None and board.num_readings != recording.readings.shape[1]:
-        board = None
 
     def method(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
-        middle = (presses.position.min(0) + presses.position.max(0)) / 2 if board is None else np.zeros(2)
-        load: np.ndarray | None = presses.load
-        if presses.load_name == "none":
-            load = None
-        elif np.mean(presses.load < 0) > 0.5:
-            load = -presses.load  # a force sensor with its axis turned, which the checks report
-        load = None if load is None else np.maximum(load, 0)
+        own = board if board is not None and board.num_readings == presses.readings.shape[1] else None
+        at = presses.position - ((presses.position.min(0) + presses.position.max(0)) / 2 if own is None else 0)
+        # Of a force sensor with its axis turned, which the checks report.
+        load = np.maximum(-presses.load if np.mean(presses.load < 0) > 0.5 else presses.load, 0)
+        loads = [None if presses.load_name == "none" else load[rows] for rows in (known, test)]
         calibration = calibrate(
-            presses.position[known] - middle,
-            None if load is None else load[known],
-            presses.readings[known],
-            load_kind=presses.load_name,  # type: ignore[arg-type]
-            board=board,
-        )
-        predicted = calibration.predict(presses.position[test] - middle, None if load is None else load[test])
-        return np.asarray(predicted[0], np.float64)
+            at[known], loads[0], presses.readings[known], load_kind=presses.load_name, board=own,  # type: ignore[arg-type]
+        )  # fmt: skip
+        return np.asarray(calibration.predict(at[test], loads[1])[0], np.float64)
 
     return method
 
 
-def _curves(
-    presses: PressSet,
-    methods: dict[str, ForwardMethod],
-    splits: dict[str, tuple[np.ndarray, np.ndarray]],
-    *,
-    counts: Sequence[int],
-    preset: FidelityPreset,
-    seed: int,
-    section: Section,
-) -> tuple[dict[str, dict[str, dict[int, dict[str, float]]]], dict[str, MethodErrors]]:
-    """Mean R2 and its interval by split, method and count, and squared errors of the tested rows in each draw. A method
-    that is over its time gets no further draw, and one that fails says so.
+def _errors(
+    presses: PressSet, methods: dict[str, ForwardMethod], splits: Splits, counts: Sequence[int], preset: FidelityPreset,
+    *, seed: int, section: Section,
+) -> dict[str, MethodErrors]:  # fmt: skip
+    """Squared errors of the tested rows by split, method, count and draw. A method that is over its time gets no
+    further draw, and one that fails says so.
     """
     errors: dict[str, MethodErrors] = {split: {name: {} for name in methods} for split in splits}
-    values: dict[str, dict[str, dict[int, list[float]]]] = {s: {name: {} for name in methods} for s in splits}
     seconds = dict.fromkeys(methods, 0.0)
     for draw, (name, method) in product(range(preset.draws), methods.items()):
         began = time.process_time()
@@ -152,37 +133,26 @@ def _curves(
                 try:
                     predicted = method(presses, order[:n], test)
                 except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-                    said = f"{name} cannot be fitted to {n} presses: {error}."
-                    section.sentences += [] if said in section.sentences else [said]
+                    section.sentences.append(f"{name} cannot be fitted to {n} presses: {error}.")
                     continue
-                r2 = explained_share(presses.readings[test], predicted)
-                values[split][name].setdefault(n, []).append(r2)
                 missed = np.sum((presses.readings[test] - predicted) ** 2, axis=1)
                 errors[split][name].setdefault(n, []).append(missed)
         seconds[name] += time.process_time() - began
-    summaries = {
-        split: {
-            name: {n: {"draws": len(r2), **_summary(r2)} for n, r2 in by_count.items()}
-            for name, by_count in by_method.items()
-        }
-        for split, by_method in values.items()
-    }
-    return summaries, errors
+    return errors
 
 
 def _summary(values: list[float]) -> dict[str, float]:
     if len(values) < 2:
-        return {"mean": float(values[0]), "low": float("nan"), "high": float("nan")}
-    return dict(zip(("mean", "low", "high"), map(float, student_interval(values)), strict=True))
+        return {"draws": len(values), "mean": values[0], "low": float("nan"), "high": float("nan")}
+    mean, low, high = map(float, student_interval(values))
+    return {"draws": len(values), "mean": mean, "low": low, "high": high}
 
 
 def _interval_cell(summary: dict[str, float] | None) -> str:
     return "-" if summary is None else with_interval(*(summary[end] for end in ("mean", "low", "high")))
 
 
-def _compare_with_baselines(
-    split: str, curves: dict[str, dict[int, dict[str, float]]], errors: MethodErrors
-) -> list[str]:
+def _compare_with_baselines(split: str, curves: MethodScores, errors: MethodErrors) -> list[str]:
     """Compare i2t's calibration with the best baseline at each count, by the numbers as they are printed."""
     if not curves[CALIBRATED]:
         return [f"Held out {split}: {CALIBRATED} predicts nothing."]
@@ -209,15 +179,14 @@ def _compare_with_baselines(
     return [f"Held out {split}: {CALIBRATED} {verdict} at {', '.join(where)}." for verdict, where in found.items()]
 
 
-def _figure(r2: dict[str, dict[str, dict[int, dict[str, float]]]]) -> Figure:
+def _figure(r2: dict[str, MethodScores]) -> Figure:
     figure = Figure(figsize=(4.4 * len(r2), 3.6), layout="constrained")
     panels = figure.subplots(1, len(r2), squeeze=False)[0]
     for axes, (split, curves) in zip(panels, r2.items(), strict=True):
         for colour, (name, by_count) in zip(COLOURS_OF_METHODS, curves.items(), strict=False):
-            counts = list(by_count)
-            axes.plot(counts, [by_count[n]["mean"] for n in counts], "o-", ms=3, color=colour, label=name)
-            low, high = ([by_count[n][end] for n in counts] for end in ("low", "high"))
-            axes.fill_between(counts, low, high, color=colour, alpha=0.2, lw=0)
+            mean, low, high = ([one[end] for one in by_count.values()] for end in ("mean", "low", "high"))
+            axes.plot(list(by_count), mean, "o-", ms=3, color=colour, label=name)
+            axes.fill_between(list(by_count), low, high, color=colour, alpha=0.2, lw=0)
         axes.set(xscale="log", ylim=(-0.1, 1), xlabel="presses to calibrate with", title=f"held out: {split}")
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("R² over all channels")
@@ -225,18 +194,29 @@ def _figure(r2: dict[str, dict[str, dict[int, dict[str, float]]]]) -> Figure:
     return figure
 
 
+# --- several sessions of one skin ---
+
+
+def across_sessions(recordings: Sequence[SkinRecording], preset: FidelityPreset, seed: int, section: Section) -> None:
+    """R2 between sessions of the same skin: as they are, and laid over each other."""
+    rows = [["known", "predicted", "as it is", f"aligned by {OWN_PRESSES} presses",
+             f"from {OWN_PRESSES} presses of its own"]]  # fmt: skip
+    section.numbers["r2"] = {}
+    for known, other in permutations(recordings, 2):
+        section.part(partial(_across, known, other, preset, seed, section, rows))
+    if len(rows) == 1:
+        raise CannotTellError(" ".join(section.sentences) or "No two recordings can be compared.")
+    section.tables["R2 of one session's readings as another predicts them"] = rows
+
+
 def _across(
-    known: SkinRecording,
-    other: SkinRecording,
-    preset: FidelityPreset,
-    seed: int,
-    section: Section,
+    known: SkinRecording, other: SkinRecording, preset: FidelityPreset, seed: int, section: Section,
     rows: list[list[str]],
-) -> None:
-    """One session's map on another, as it is and laid over it as `experiments.calibrate --previous-session` does."""
+) -> None:  # fmt: skip
+    """One session's map on another, as it is and laid over it."""
     before, now, load_known = _alike(known, other)
     order = np.random.default_rng(seed).permutation(len(now.load))
-    own, test = order[:20], order[20 : 20 + preset.test_rows]
+    own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]
     if len(test) < MIN_TEST_ROWS:
         raise CannotTellError(f"{other.name} has too few presses to test {known.name} on.")
     past = np.random.default_rng(seed).permutation(len(before.load))[: preset.forward_rows]
@@ -245,11 +225,11 @@ def _across(
     alignment, _, findings = lay_over(
         session, now.position[own], now.load[own], now.readings[own], load_known=load_known, unit=unit
     )
-    put_back = corrected_recording(other, findings[-1:]).readings[now.row[test]]
+    as_it_is = predict_session(session, now.position[test], now.load[test])
     aligned = aligned_prediction(session, alignment, now.position[test], now.load[test])
     scores = {
-        "as it is": explained_share(now.readings[test], predict_session(session, now.position[test], now.load[test])),
-        "aligned": explained_share(put_back, aligned),
+        "as it is": explained_share(now.readings[test], as_it_is),
+        "aligned": explained_share(corrected_readings(now.readings[test], findings[-1].correction), aligned),
         SIMPLE_GP: explained_share(now.readings[test], BASELINE_METHODS[SIMPLE_GP](now, own, test)),
     }
     section.sentences += [
@@ -270,7 +250,7 @@ def _alike(known: SkinRecording, other: SkinRecording) -> tuple[PressSet, PressS
     if known.readings.shape[1] != other.readings.shape[1]:
         raise CannotTellError(f"{known.name} and {other.name} have another number of channels.")
     before, now = press_set(known), press_set(other)
-    if {before.load_name, now.load_name} == {"depth", "force"}:
+    if {before.load_name, now.load_name} == set(LOADS):
         shared = next((name for name in ("force", "depth") if known.varies(name) and other.varies(name)), None)
         if shared is None:
             raise CannotTellError(

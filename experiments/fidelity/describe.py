@@ -3,22 +3,21 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
 from i2t.calibration import check_presses, segment_presses
 from i2t.calibration.heads import TARGETS, SkinRecording
-from i2t.calibration.heads.recording import VALUES_PER_CHIP
-from i2t.unknowns.estimate import estimate_unknowns, metrics_of
-from i2t.unknowns.findings import Finding, RecordedPresses
-from i2t.unknowns.labels import FORCE_SIGN, LAG
+from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, metrics_of
+from i2t.unknowns.findings import AXES
 from i2t.unknowns.segmentation import MAD_TO_STD
 from i2t.viz import style
 
 # uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);
 # resolutions 1 to 3 double it each.
-CHIP_STEPS_UT = (
+CHIP_STEPS_UT = np.array([
     (0.751, 1.210), (0.601, 0.968), (0.451, 0.726), (0.376, 0.605),
     (0.300, 0.484), (0.250, 0.403), (0.200, 0.323), (0.150, 0.242),
-)  # fmt: skip
+])  # fmt: skip
 STEP_TOLERANCE = 0.02
 MIN_GAPS = 20  # between values, to tell a step from
 SAME_VALUE = 4e-6  # of the largest: by less, values differ by their rounding, as of float32 before a subtraction
@@ -31,33 +30,22 @@ MIN_ALIKE_ROWS = 30
 STREAM_GAP_S = 0.5  # up to which rows follow each other
 STREAM_STEP_S = 0.1  # up to which (median) rows are a stream, in which presses are looked for
 MIN_STREAM_ROWS = 200
-# Words of the quick checks' sentences on what `i2t.unknowns` estimates too: where it can tell, it alone is heard.
-SAID_OF = {FORCE_SIGN: "of the forces are negative", LAG: "agree best with labels of"}
 
 
 def describe(recording: SkinRecording, section: Section) -> None:
     """Counts, ranges, unit and rate."""
     n, c = recording.readings.shape
+    sessions, numbers = len(np.unique(recording.session)), section.numbers
+    section.sentences += [
+        f"{n} {recording.source} readings of {c // AXES} chips ({c} channels) in {sessions} strokes or sessions.",
+        *recording.notes,
+    ]
+    numbers |= {"rows": n, "channels": c, "sessions": sessions, "source": recording.source}
     seconds = np.diff(recording.time)
-    timed = bool(np.isfinite(seconds).any())
-    section.sentences.append(
-        f"{n} {recording.source} readings of {c // VALUES_PER_CHIP} chips ({c} channels) in "
-        f"{len(np.unique(recording.session))} strokes or sessions."
-    )
-    section.sentences += recording.notes
-    numbers = section.numbers
-    numbers |= {"rows": n, "channels": c, "sessions": len(np.unique(recording.session)), "source": recording.source}
-    numbers["reading_uT"] = {
-        "median_length": float(np.median(np.linalg.norm(recording.readings, axis=1))),
-        "rms_by_channel": np.sqrt(np.mean(recording.readings**2, axis=0)).tolist(),
-        "largest": float(np.abs(recording.readings).max()),
-    }
-    if timed:
-        gap = float(np.nanmedian(seconds))
-        numbers["time"] = {"median_gap_s": gap, "span_s": float(np.nanmax(recording.time) - np.nanmin(recording.time))}
-        section.sentences.append(
-            f"Rows come every {gap:.3g} s (median) over {numbers['time']['span_s'] / 60:.1f} minutes."
-        )
+    if np.isfinite(seconds).any():
+        gap, span = float(np.nanmedian(seconds)), float(np.nanmax(recording.time) - np.nanmin(recording.time))
+        numbers["time"] = {"median_gap_s": gap, "span_s": span}
+        section.sentences.append(f"Rows come every {gap:.3g} s (median) over {span / 60:.1f} minutes.")
     else:
         section.sentences.append("No times are known, so that rates, creep and drift per hour are unknown.")
     section.part(lambda: _describe_stream(recording, section))
@@ -66,39 +54,28 @@ def describe(recording: SkinRecording, section: Section) -> None:
     section.figures["The recording"] = _overview(recording)
 
 
-def check(recording: SkinRecording, section: Section, findings: list[Finding] | None = None) -> None:
+def check(recording: SkinRecording, section: Section, findings: list[Finding]) -> None:
     """Find contradictions of a sound recording; a sentence for each finding. What is estimated of it joins the
     findings.
     """
     found: list[str] = []
-    numbers = section.numbers
-    _check_channels(recording, found, numbers)
-    _check_targets(recording, found, numbers)
-    section.part(lambda: _check_presses(recording, found, numbers))
+    _check_channels(recording, found, section.numbers)
+    _check_targets(recording, found, section.numbers)
+    section.part(lambda: _check_presses(recording, found, section.numbers))
     section.part(lambda: _check_unknowns(recording, found, section, findings))
-    numbers["warnings"] = found
+    section.numbers["warnings"] = found
     section.sentences[:0] = found or ["Nothing that was looked for contradicts a sound recording."]
 
 
-def one_tip(recording: SkinRecording) -> None:
-    """Raise CannotTellError where presses are of several objects."""
-    if recording.labels is not None and len(np.unique(recording.labels)) > 1:
-        raise CannotTellError(
-            f"{len(np.unique(recording.labels))} objects touched the skin, and what a place and a load say of a "
-            "reading holds for one tip only."
-        )
-
-
-def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
-    """Name and values (n,) of the load: depth where it is known and varies, else force, else nothing (one load for
-    all).
-    """
-    for name in ("depth", "force"):
-        if recording.varies(name) and recording.known(name).mean() > 0.5:
-            return name, recording.targets[name][:, 0]
-    if recording.varies("force"):
-        return "force", recording.targets["force"][:, 0]
-    return "none", np.zeros(len(recording))
+def recorded_presses(recording: SkinRecording) -> RecordedPresses:
+    """The recording as `i2t.unknowns` takes it."""
+    depth, force = recording.targets.get("depth"), recording.targets.get("force")
+    return RecordedPresses(
+        position=recording.targets["position"],
+        readings=recording.readings,
+        height=None if depth is None else -depth[:, 0],
+        force=None if force is None else force[:, 0],
+    )
 
 
 def _describe_stream(recording: SkinRecording, section: Section) -> None:
@@ -107,53 +84,52 @@ def _describe_stream(recording: SkinRecording, section: Section) -> None:
     if len(step) < MIN_STREAM_ROWS or not (step > 0).all() or np.median(step) > STREAM_STEP_S:
         return
     presses = segment_presses(recording.time, recording.readings)
-    found = len(presses.start)
-    section.numbers["presses_in_the_stream"] = found
-    if found:
+    section.numbers["presses_in_the_stream"] = len(presses.start)
+    if len(presses.start):
         seconds = float(np.median(presses.end_time - presses.start_time))
         strong = float(np.median(np.linalg.norm(presses.reading, axis=1)))
         section.sentences.append(
-            f"By its readings alone the stream holds {found} presses, {seconds:.2f} s long and {strong:.0f} uT strong "
-            "(medians; i2t.calibration.segment_presses)."
+            f"By its readings alone the stream holds {len(presses.start)} presses, {seconds:.2f} s long and "
+            f"{strong:.0f} uT strong (medians; i2t.calibration.segment_presses)."
         )
 
 
 def _known(recording: SkinRecording, numbers: dict) -> list[list[str]]:
-    rows = [["target", "rows", "from", "to", "unit"]]
-    numbers["known"] = {}
+    rows, numbers["known"] = [["target", "rows", "from", "to", "unit"]], {}
     for name, kind in TARGETS.items():
         known = recording.known(name)
+        ends = ["-", "-"]
         if known.any():
             values = kind.scale * recording.targets[name][known]
             low, high = values.min(0), values.max(0)
             numbers["known"][name] = {"rows": int(known.sum()), "low": low.tolist(), "high": high.tolist()}
-            rows.append(
-                [name, str(int(known.sum())), *(" / ".join(f"{v:.3g}" for v in end) for end in (low, high)), kind.unit]
-            )
-        else:
-            rows.append([name, "0", "-", "-", kind.unit])
+            ends = [" / ".join(f"{v:.3g}" for v in end) for end in (low, high)]
+        rows.append([name, str(int(known.sum())), *ends, kind.unit])
     return rows
+
+
+def _raw(recording: SkinRecording) -> np.ndarray:
+    return recording.readings if recording.baseline is None else recording.readings + recording.baseline
 
 
 def _unit(recording: SkinRecording, numbers: dict) -> str:
     """Unit that the steps of the values suggest."""
-    raw = recording.readings if recording.baseline is None else recording.readings + recording.baseline
-    steps = np.array([_step(channel) for channel in raw.T])
-    xy, z = (float(np.nanmedian(part)) if np.isfinite(part).any() else np.nan for part in (
-        np.delete(steps, np.s_[2::VALUES_PER_CHIP]), steps[2::VALUES_PER_CHIP]))  # fmt: skip
-    numbers["steps"] = {"xy": xy, "z": z}
-    if not np.isfinite([xy, z]).all():
+    steps = np.array([_step(channel) for channel in _raw(recording).T])
+    axes = np.delete(steps, np.s_[2::AXES]), steps[2::AXES]
+    found = np.array([np.nanmedian(part) if np.isfinite(part).any() else np.nan for part in axes])
+    numbers["steps"] = dict(zip(("xy", "z"), found.tolist(), strict=True))
+    if not np.isfinite(found).all():
         return "The values have no steps (they are means or were rounded), so that their unit is taken on trust as uT."
+    values = f"Values have steps of {found[0]:.4g} (x, y) and {found[1]:.4g} (z)"
     for unit, factor in MICROTESLA_IN.items():
-        for gain, (of_xy, of_z) in enumerate(CHIP_STEPS_UT):
-            for resolution in range(4):
-                both = np.array([xy / of_xy, z / of_z]) * factor / 2**resolution
-                if (np.abs(both - 1) < STEP_TOLERANCE).all():
-                    numbers["unit"] = unit
-                    chip = f"an MLX90393 in {unit} (such as gain {gain} and resolution {resolution})"
-                    wrong = "" if unit == "uT" else f": multiply them by {factor:g} to have uT"
-                    return f"Values have steps of {xy:.4g} (x, y) and {z:.4g} (z), which are those of {chip}{wrong}."
-    return f"Values have steps of {xy:.4g} (x, y) and {z:.4g} (z), of no chip that is known here; taken as uT."
+        ratio = factor * found / (CHIP_STEPS_UT[:, None] * 2.0 ** np.arange(4)[:, None])  # by gain and resolution
+        fits = np.argwhere((np.abs(ratio - 1) < STEP_TOLERANCE).all(-1))
+        if len(fits):
+            numbers["unit"] = unit
+            chip = f"an MLX90393 in {unit} (such as gain {fits[0, 0]} and resolution {fits[0, 1]})"
+            wrong = "" if unit == "uT" else f": multiply them by {factor:g} to have uT"
+            return f"{values}, which are those of {chip}{wrong}."
+    return f"{values}, of no chip that is known here; taken as uT."
 
 
 def _step(values: np.ndarray) -> float:
@@ -173,48 +149,31 @@ def _step(values: np.ndarray) -> float:
 
 
 def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -> None:
-    y = recording.readings
-    constant = np.flatnonzero(np.ptp(y, axis=0) == 0)
-    numbers["constant_channels"] = constant.tolist()
-    if len(constant):
-        found.append(f"Channels {join(constant.tolist())} never change: a dead axis, or a chip that does not answer.")
-    live = np.flatnonzero(np.ptp(y, axis=0) > 0)
+    y, raw = recording.readings, _raw(recording)
+    constant, live = np.flatnonzero(np.ptp(y, axis=0) == 0), np.flatnonzero(np.ptp(y, axis=0) > 0)
+    same: list[tuple[int, int]] = []
     if len(live) > 1 and len(y) >= MIN_ALIKE_ROWS:
-        alike = np.argwhere(np.triu(np.corrcoef(y[:, live].T) > EQUAL_CHANNEL_CORRELATION, 1))
-        same = [
-            (int(live[i]), int(live[j])) for i, j in alike if np.ptp(y[:, live[i]] - y[:, live[j]]) < 1e-6 * np.ptp(y)
-        ]
-        numbers["equal_channels"] = same
-        if same:
-            found.append(f"Channels {join(same)} are the same numbers: one of each pair is a copy.")
-    raw = y if recording.baseline is None else y + recording.baseline
+        alike = live[np.argwhere(np.triu(np.corrcoef(y[:, live].T) > EQUAL_CHANNEL_CORRELATION, 1))]
+        same = [(int(i), int(j)) for i, j in alike if np.ptp(y[:, i] - y[:, j]) < 1e-6 * np.ptp(y)]
     step = np.array([_step(channel) for channel in raw.T])
     jump, whole = np.abs(np.diff(raw, axis=0)), COUNTS_OF_16_BITS * np.nan_to_num(step, nan=1.0)
     # Values that ran over jump by about 65 536 steps, and else by far less; the steps of a text's digits are others.
     near = np.abs(jump - whole) < JUMP_TOLERANCE * whole
-    wrapped = np.isfinite(step) & near.any(0) & (near | (jump < whole / 2)).all(0)
-    numbers["wrapped_channels"] = np.flatnonzero(wrapped).tolist()
-    if wrapped.any():
-        found.append(
-            f"Channels {join(np.flatnonzero(wrapped).tolist())} jump by 65 536 steps: "
-            "16-bit values ran over; unwrap them."
-        )
+    wrapped = np.flatnonzero(np.isfinite(step) & near.any(0) & (near | (jump < whole / 2)).all(0))
+    for name, channels, said in (
+        ("constant_channels", constant.tolist(), "never change: a dead axis, or a chip that does not answer."),
+        ("equal_channels", same, "are the same numbers: one of each pair is a copy."),
+        ("wrapped_channels", wrapped.tolist(), "jump by 65 536 steps: 16-bit values ran over; unwrap them."),
+    ):
+        numbers[name] = channels
+        found += [f"Channels {join(channels)} {said}"] if channels else []
 
 
 def _check_targets(recording: SkinRecording, found: list[str], numbers: dict) -> None:
     for name in ("depth", "force", "position"):
         if recording.known(name).any() and not recording.varies(name):
             found.append(f"All rows have one {name}, so that it does not show how readings change with it.")
-    if recording.known("force").any():
-        force = recording.targets["force"][recording.known("force"), 0]
-        negative = float(np.mean(force[np.abs(force) > 0.05] < 0)) if (np.abs(force) > 0.05).any() else 0.0
-        numbers["negative_force_share"] = negative
-        if negative > 0.5:
-            found.append(
-                f"{100 * negative:.0f} % of the forces are negative: they pull. The axis of the force sensor is "
-                "turned; change its sign."
-            )
-    back = _back_in_time(recording)
+    back = (np.diff(recording.time) < 0) & (np.diff(recording.session) == 0)
     numbers["rows_back_in_time"] = int(back.sum())
     if back.any():
         found.append(
@@ -234,19 +193,22 @@ def _check_targets(recording: SkinRecording, found: list[str], numbers: dict) ->
             )
 
 
-def _back_in_time(recording: SkinRecording) -> np.ndarray:
-    """(n - 1,): rows whose time is before that of the row before, within a stroke or session."""
-    return (np.diff(recording.time) < 0) & (np.diff(recording.session) == 0)
+def changes_in_air(recording: SkinRecording) -> np.ndarray:
+    """(n, c) uT, differences of rows that follow each other in air; none where contact is not known."""
+    contact = recording.targets.get("contact")
+    if contact is None:
+        return np.zeros((0, recording.readings.shape[1]))
+    air = contact[:, 0] == 0
+    follows = (np.diff(recording.session) == 0) & (np.diff(recording.time) <= STREAM_GAP_S)
+    return np.diff(recording.readings, axis=0)[air[1:] & air[:-1] & follows]
 
 
 def _noise_in_air(recording: SkinRecording) -> float:
-    """Length (uT) of the noise of a reading in air, from differences of rows that follow each other there."""
-    air = recording.targets["contact"][:, 0] == 0
-    together = air[1:] & air[:-1] & (np.diff(recording.session) == 0) & (np.diff(recording.time) < STREAM_GAP_S)
-    if together.sum() < MIN_GAPS:
+    """Length (uT) of the noise of a reading in air."""
+    change = changes_in_air(recording)
+    if len(change) < MIN_GAPS:
         return 0.0
-    steps = np.median(np.abs(np.diff(recording.readings, axis=0)[together]), axis=0)
-    return float(np.linalg.norm(MAD_TO_STD * steps / np.sqrt(2)))
+    return float(np.linalg.norm(MAD_TO_STD * np.median(np.abs(change), axis=0) / np.sqrt(2)))
 
 
 def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) -> None:
@@ -254,45 +216,30 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
     name, load = load_of(recording)
     rows = recording.known("position") & np.isfinite(load)
     if rows.sum() < 2:
-        raise CannotTellError("Lags, repeated rows and changes are looked for where positions and loads are known.")
+        raise CannotTellError("Repeated rows and changes are looked for where positions and loads are known.")
     position = recording.targets["position"][rows]
     warned = check_presses(position, np.abs(load[rows]), recording.readings[rows], by_force=name == "force")
     found += [message[0].upper() + message[1:] for message in warned.messages()]
     numbers |= {
         "repeated_rows": int(warned.repeated.sum()),
-        "label_lag_rows": warned.label_lag,
         "change_ratio": warned.change_ratio,
         "changed_chips": list(warned.changed_chips),
         "ut_per_newton": warned.sensitivity_ut_per_n,
     }
 
 
-def _check_unknowns(
-    recording: SkinRecording, found: list[str], section: Section, findings: list[Finding] | None
-) -> None:
-    """Height zero, lag, signs, units, gains and the board's place, as `i2t.unknowns` estimates them."""
+def _check_unknowns(recording: SkinRecording, found: list[str], section: Section, findings: list[Finding]) -> None:
+    """Height zero, lag, signs, units and the board's place, as `i2t.unknowns` estimates them."""
     one_tip(recording)
     if not recording.known("position").any():
         raise CannotTellError("What a recording does not say of itself is estimated where positions are known.")
-    depth, force = recording.targets.get("depth"), recording.targets.get("force")
-    presses = RecordedPresses(
-        position=recording.targets["position"],
-        readings=recording.readings,
-        height=None if depth is None else -depth[:, 0],
-        force=None if force is None else force[:, 0],
-        seconds=recording.time if np.isfinite(recording.time).all() and not _back_in_time(recording).any() else None,
-    )
-    estimated = estimate_unknowns(presses, recording.board)
-    section.numbers["unknowns"] = metrics_of(estimated)
-    told = {one.name for one in estimated if one.identifiable} & SAID_OF.keys()
-    found[:] = [said for said in found if not any(SAID_OF[name] in said for name in told)]
-    found += [finding.sentence for finding in estimated if finding.wrong]
-    section.sentences += [finding.sentence for finding in estimated if finding.identifiable and not finding.wrong]
-    if findings is not None:
-        findings += estimated
-    if corrected := [finding.name for finding in estimated if finding.correction]:
+    findings += estimate_unknowns(recorded_presses(recording), recording.board)
+    section.numbers["unknowns"] = metrics_of(findings)
+    found += [finding.sentence for finding in findings if finding.wrong]
+    section.sentences += [finding.sentence for finding in findings if finding.identifiable and not finding.wrong]
+    if corrected := [finding.name for finding in findings if finding.correction]:
         section.sentences.append(f"All that follows is of the recording put right: {join(corrected)}.")
-    if unknown := [finding.name for finding in estimated if not finding.identifiable]:
+    if unknown := [finding.name for finding in findings if not finding.identifiable]:
         section.sentences.append(f"The recording cannot tell: {join(unknown)}.")
 
 
@@ -302,22 +249,17 @@ def _overview(recording: SkinRecording) -> Figure:
     place, order, load_axes = figure.subplots(1, 3)
     length = np.linalg.norm(recording.readings, axis=1)
     some = np.linspace(0, len(length) - 1, min(len(length), 4000)).astype(int)
-    known = recording.known("position")[some]
-    if known.any():
-        position = 1e3 * recording.targets["position"][some][known]
-        dots = place.scatter(*position.T, c=length[some][known], s=6, cmap="cividis")
+    known = some[recording.known("position")[some]]
+    place.set(title="where was pressed" if len(known) else "positions are not known")
+    if len(known):
+        dots = place.scatter(*1e3 * recording.targets["position"][known].T, c=length[known], s=6, cmap="cividis")
         figure.colorbar(dots, ax=place, label="length of the reading (uT)")
-        place.set(xlabel="x (mm)", ylabel="y (mm)", title="where was pressed", aspect="equal")
-    else:
-        place.set(title="positions are not known")
-        place.set_axis_off()
+        place.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     order.plot(some, recording.readings[some], lw=0.4)
     order.set(xlabel="row", ylabel="reading (uT)", title="all channels")
     name, load = load_of(recording)
+    load_axes.set(title="no load is known that varies" if name == "none" else "load")
     if name != "none":
         load_axes.plot(TARGETS[name].scale * load[some], length[some], ".", ms=2, color=style.BLUE)
-        load_axes.set(xlabel=f"{name} ({TARGETS[name].unit})", ylabel="length of the reading (uT)", title="load")
-    else:
-        load_axes.set(title="no load is known that varies")
-        load_axes.set_axis_off()
+        load_axes.set(xlabel=f"{name} ({TARGETS[name].unit})", ylabel="length of the reading (uT)")
     return figure

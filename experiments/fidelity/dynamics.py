@@ -8,58 +8,43 @@ held. The simulator's sizes are those of `i2t.skin.noise.Noise` and of `i2t.skin
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from experiments.fidelity.config import FidelityPreset
-from experiments.fidelity.describe import load_of, one_tip
+from experiments.fidelity.describe import changes_in_air
 from experiments.fidelity.forward import (
     PressSet,
-    choose_simple_gp,
     explained_share,
-    left_out,
-    predict_simple_gp,
+    load_of,
+    one_tip,
+    predicted_from_others,
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.heads import TARGETS, SkinRecording
-from i2t.calibration.heads.head import STREAM_GAP_S, is_stream
-from i2t.calibration.heads.recording import MIN_CHANGE, VALUES_PER_CHIP
+from i2t.calibration.heads import SkinRecording
+from i2t.calibration.recordings import STREAM_GAP_S
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
-from i2t.viz import style
+from i2t.unknowns.findings import AXES
 
 MIN_STILL_ROWS = 20
 REPEAT_DISTANCE_M = 0.15e-3  # of presses that count as repeated
 REPEAT_LOAD_SHARE = 0.04  # of the load's range
+REPEAT_ROWS, MOST_PAIRS = 3000, 20000  # that are looked at
 MIN_REPEATS = 30
 MIN_STROKE_ROWS = 12
 MIN_TURNS = 2  # strokes that go in and come out
 HELD_M, HELD_S = 0.02e-3, 0.5  # a held depth changes by less, for longer
 SMALLEST_UT = 1e-9
 SIGNIFICANT_STD_ERRORS = 3.0
-SLOPE_ROWS = 200  # on which the ceiling of a location is estimated
-GRADIENT_STEP = 0.1e-3  # m
-CONDITION = 1e-9
 
 
-class NoiseSizes(NamedTuple):
-    """Standard deviations of one reading at rest, uT."""
-
-    xy: float
-    z: float
-    how: str
-
-
-def noise(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
+def noise(recording: SkinRecording, section: Section) -> None:
     """Noise at rest and drift, compared with the simulator's."""
     rows = [["quantity", "recording", "simulator", "ratio"]]
     section.part(lambda: _noise_rows(recording, section, rows))
     section.part(lambda: _drift_rows(recording, section, rows))
-    if len(rows) == 1:
-        section.status = "cannot tell"
-        return
-    section.tables["noise and drift"] = rows
-    section.figures["Noise and drift"] = _noise_figure(recording, section)
+    _close(section, "noise and drift", rows)
 
 
 def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
@@ -68,88 +53,67 @@ def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Sectio
     section.part(lambda: _stroke_hysteresis(recording, section, rows))
     section.part(lambda: _creep(recording, section, rows))
     section.part(lambda: _press_hysteresis(recording, preset, section, rows))
-    if len(rows) == 1:
-        section.status = "cannot tell"
-    else:
-        section.tables["hysteresis and creep"] = rows
+    _close(section, "hysteresis and creep", rows)
 
 
 def ceilings(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
     """Limits that repeated presses set to the best model."""
     presses = press_set(recording)
-    rows, predicted = left_out(presses, preset.forward_rows)
+    rows, predicted = predicted_from_others(presses, preset.forward_rows)
     reached = explained_share(presses.readings[rows], predicted)
     section.numbers["r2_plain_gp_leave_one_out"] = reached
     section.sentences.append(
         f"A plain Gaussian process of {len(rows)} presses explains R2 {reached:.4f} of each from the others."
     )
-    section.part(lambda: _repeat_ceiling(presses, preset, section))
-
-
-def _repeat_ceiling(presses: PressSet, preset: FidelityPreset, section: Section) -> None:
-    noise_of_repeats = _repeat_noise(presses)
+    size = _repeat_noise(presses)
     total = np.mean(np.sum((presses.readings - presses.readings.mean(0)) ** 2, axis=1))
-    ceiling = 1 - float(np.sum(noise_of_repeats**2) / total)
-    section.numbers |= {"repeat_std_uT": noise_of_repeats.tolist(), "r2_ceiling": ceiling}
-    reached = section.numbers["r2_plain_gp_leave_one_out"]
+    ceiling = 1 - float(np.sum(size**2) / total)
+    section.numbers |= {"repeat_std_uT": size.tolist(), "r2_ceiling": ceiling}
     said = (
         f"so that no model can explain more than R2 {ceiling:.4f}"
         if reached <= ceiling
         else f"more than noise, as R2 {reached:.4f} is explained where that would leave {ceiling:.4f} to explain"
     )
     section.sentences.append(
-        f"Presses repeated at one place and load differ by {np.sqrt(np.mean(noise_of_repeats**2)):.2f} uT (standard "
-        f"deviation of a channel), {said}."
+        f"Presses repeated at one place and load differ by {np.sqrt(np.mean(size**2)):.2f} uT (standard deviation of a "
+        f"channel), {said}."
     )
-    section.part(lambda: _location_ceiling(presses, preset, noise_of_repeats, section))
+
+
+def _close(section: Section, caption: str, rows: list[list[str]]) -> None:
+    """The table of a section, if any row was found."""
+    if len(rows) == 1:
+        section.status = "cannot tell"
+    else:
+        section.tables[caption] = rows
+
+
+# --- noise and drift ---
 
 
 def _noise_rows(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
-    found, simulated = _noise_at_rest(recording), Noise()
-    of_reading = np.sqrt((1 - simulated.common) / simulated.contact_samples + simulated.common)
-    for axis, size, own in (("x, y", found.xy, simulated.xy), ("z", found.z, simulated.z)):
-        rows.append([f"noise of one sample, {axis} (uT)", cell(size, 2), cell(own, 2), cell(size / own, 2)])
-    length = np.linalg.norm(recording.readings, axis=1)
-    channels = recording.readings.shape[1]
-    ratio = float(np.percentile(length, 90) / np.sqrt(channels * (2 * found.xy**2 + found.z**2) / VALUES_PER_CHIP))
-    section.numbers["noise"] = {
-        "xy_uT": found.xy, "z_uT": found.z, "how": found.how, "signal_to_noise": ratio,
-        "simulator": {
-            "xy_uT": simulated.xy, "z_uT": simulated.z, "mean_of_samples_xy_uT": simulated.xy * of_reading,
-            "mean_of_samples_z_uT": simulated.z * of_reading,
-        },
-    }  # fmt: skip
+    change, simulated = changes_in_air(recording), Noise()
+    if len(change) >= MIN_STILL_ROWS:
+        size = np.std(np.clip(change, *np.percentile(change, [1, 99], axis=0)), axis=0) / np.sqrt(2)
+        how = f"{len(change)} pairs of rows that follow each other in air"
+    else:
+        size = _repeat_noise(press_set(recording))
+        how = "presses that were repeated, which adds what a skin does not repeat"
+    by_axis = size.reshape(-1, AXES)
+    xy, z = (float(np.sqrt(np.mean(part**2))) for part in (by_axis[:, :2], by_axis[:, 2]))
+    for axis, found, own in (("x, y", xy, simulated.xy), ("z", z, simulated.z)):
+        rows.append([f"noise of one sample, {axis} (uT)", cell(found, 2), cell(own, 2), cell(found / own, 2)])
+    strong = float(np.percentile(np.linalg.norm(recording.readings, axis=1), 90))
+    ratio = strong / float(np.sqrt(len(size) * (2 * xy**2 + z**2) / AXES))
+    section.numbers["noise"] = {"xy_uT": xy, "z_uT": z, "how": how, "signal_to_noise": ratio}
     section.sentences.append(
-        f"Noise is estimated from {found.how}. "
-        f"A strong reading (90th percentile) is {ratio:.0f} times as long as the noise."
+        f"Noise is estimated from {how}. A strong reading (90th percentile) is {ratio:.0f} times as long as the noise."
     )
-
-
-def _noise_at_rest(recording: SkinRecording) -> NoiseSizes:
-    """Noise from differences of rows that follow each other in air, else of presses that were repeated."""
-    contact, y = recording.targets.get("contact"), recording.readings
-    seconds = np.diff(recording.time)
-    follows = (np.diff(recording.session) == 0) & ~(seconds > STREAM_GAP_S) & np.isfinite(seconds)
-    if contact is not None:
-        air = contact[:, 0] == 0
-        still = air[1:] & air[:-1] & follows
-        if still.sum() >= MIN_STILL_ROWS:
-            change = np.diff(y, axis=0)[still]
-            size = np.std(np.clip(change, *np.percentile(change, [1, 99], axis=0)), axis=0) / np.sqrt(2)
-            how = f"{int(still.sum())} pairs of rows that follow each other in air"
-            return NoiseSizes(*_by_axis(size), how)
-    size = _repeat_noise(press_set(recording))
-    return NoiseSizes(*_by_axis(size), "presses that were repeated, which adds what a skin does not repeat")
-
-
-def _by_axis(size: np.ndarray) -> tuple[float, float]:
-    chips = size.reshape(-1, VALUES_PER_CHIP)
-    return float(np.sqrt(np.mean(chips[:, :2] ** 2))), float(np.sqrt(np.mean(chips[:, 2] ** 2)))
 
 
 def _repeat_noise(presses: PressSet) -> np.ndarray:
     """Noise (c,) uT of one press, from pairs of neighbours as near as can be, less what their loads explain."""
-    one, other = repeated_pairs(presses)
+    one, other = _repeated_pairs(presses)
     if len(one) < MIN_REPEATS:
         raise CannotTellError(
             f"{len(one)} pairs of presses share a place and a load; {MIN_REPEATS} are needed to tell what repeats."
@@ -163,21 +127,20 @@ def _repeat_noise(presses: PressSet) -> np.ndarray:
     return np.sqrt(np.sum(np.where(inside, change, 0) ** 2, axis=0) / np.maximum(inside.sum(0), 1) / 2)
 
 
-def repeated_pairs(presses: PressSet, most: int = 20000) -> tuple[np.ndarray, np.ndarray]:
+def _repeated_pairs(presses: PressSet) -> tuple[np.ndarray, np.ndarray]:
     """Rows of presses at one place with about one load that do not follow each other in one stroke."""
-    from scipy.spatial import cKDTree
-
     range_of_load = max(float(np.ptp(presses.load)), 1e-12)
     x = np.column_stack([presses.position / REPEAT_DISTANCE_M, presses.load / (REPEAT_LOAD_SHARE * range_of_load)])
-    some = (
-        np.arange(len(x)) if len(x) <= 3000 else np.sort(np.random.default_rng(0).choice(len(x), 3000, replace=False))
-    )
+    some = np.arange(len(x))
+    if len(x) > REPEAT_ROWS:
+        some = np.sort(np.random.default_rng(0).choice(len(x), REPEAT_ROWS, replace=False))
     found = cKDTree(x[some]).query_pairs(1.0, output_type="ndarray")
-    if len(found) > most:
-        found = found[np.random.default_rng(0).choice(len(found), most, replace=False)]
+    if len(found) > MOST_PAIRS:
+        found = found[np.random.default_rng(0).choice(len(found), MOST_PAIRS, replace=False)]
     one, other = some[found[:, 0]], some[found[:, 1]]
-    streams = len(np.unique(presses.session)) > 1
-    apart = (presses.session[one] != presses.session[other]) if streams else np.ones(len(one), bool)
+    if len(np.unique(presses.session)) == 1:
+        return one, other
+    apart = presses.session[one] != presses.session[other]
     return one[apart], other[apart]
 
 
@@ -190,41 +153,13 @@ def _drift_rows(recording: SkinRecording, section: Section, rows: list[list[str]
         )
     tenth = max(len(base) // 10, 1)
     change = np.abs(np.median(base[-tenth:], axis=0) - np.median(base[:tenth], axis=0))
-    simulated = Noise()
-    median = float(np.median(change))
-    rows.append(
-        ["drift over the recording, median channel (uT)", cell(median, 1), cell(simulated.drift, 1),
-         cell(median / simulated.drift, 1)]
-    )  # fmt: skip
-    rows.append(["the same, largest channel (uT)", cell(float(change.max()), 1), "64.0 (seen on real boards)", "-"])
-    section.numbers["drift"] = {
-        "median_uT": median, "largest_uT": float(change.max()), "by_channel_uT": change.tolist(),
-        "simulator_median_uT": simulated.drift,
-    }  # fmt: skip
+    median, largest, own = float(np.median(change)), float(change.max()), Noise().drift
+    rows.append(["drift over the recording, median channel (uT)", cell(median, 1), cell(own, 1), cell(median / own, 1)])
+    rows.append(["the same, largest channel (uT)", cell(largest, 1), "64.0 (seen on real boards)", "-"])
+    section.numbers["drift"] = {"median_uT": median, "largest_uT": largest}
 
 
-def _noise_figure(recording: SkinRecording, section: Section) -> Figure:
-    figure = Figure(figsize=(10, 3.2), layout="constrained")
-    bars, drift = figure.subplots(1, 2)
-    sizes = section.numbers.get("noise")
-    if sizes:
-        bars.bar([0, 1], [sizes["xy_uT"], sizes["z_uT"]], 0.4, color=style.BLUE, label="recording")
-        bars.bar(
-            [0.4, 1.4], [sizes["simulator"]["xy_uT"], sizes["simulator"]["z_uT"]], 0.4, color=style.ORANGE,
-            label="simulator",
-        )  # fmt: skip
-        bars.set_xticks([0.2, 1.2], ["x, y", "z"])
-        bars.set(ylabel="noise of one sample (uT)")
-        bars.legend()
-    else:
-        bars.set_axis_off()
-    if recording.baseline is not None:
-        some = np.linspace(0, len(recording) - 1, min(len(recording), 2000)).astype(int)
-        drift.plot(some, (recording.baseline - recording.baseline[0])[some], lw=0.6)
-        drift.set(xlabel="row", ylabel="change of what was subtracted (uT)")
-    else:
-        drift.set_axis_off()
-    return figure
+# --- hysteresis and creep ---
 
 
 class _Stroke(NamedTuple):
@@ -237,7 +172,9 @@ def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
     one_tip(recording)
     name, load = load_of(recording)
     if name == "none" and recording.varies("shear") and recording.known("position").all():
-        name, load = "slide", _slid_distance(recording)
+        position = recording.targets["position"]
+        _, first, of = np.unique(recording.session, return_index=True, return_inverse=True)
+        name, load = "slide", np.linalg.norm(position - position[first[of.ravel()]], axis=1)  # from where it began
     if name == "none":
         raise CannotTellError("Strokes in and out need a load that is known.")
     found = []
@@ -248,13 +185,6 @@ def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
     return name, found
 
 
-def _slid_distance(recording: SkinRecording) -> np.ndarray:
-    """Distance (n,) m along the skin from where a stroke began."""
-    position = recording.targets["position"]
-    begins = np.unique(recording.session, return_index=True, return_inverse=True)
-    return np.linalg.norm(position - position[begins[1][begins[2].ravel()]], axis=1)
-
-
 def _stroke_hysteresis(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
     """Area between the ways in and out of each stroke, of its height."""
     _, strokes = _strokes(recording)
@@ -262,16 +192,18 @@ def _stroke_hysteresis(recording: SkinRecording, section: Section, rows: list[li
     for stroke in strokes:
         deepest = int(np.argmax(stroke.load))
         inward, outward = slice(0, deepest + 1), slice(deepest, None)
-        if min(deepest, len(stroke.load) - deepest) < MIN_STROKE_ROWS // 3:
-            continue
-        signal = _along_largest(stroke.readings)
+        centred = stroke.readings - stroke.readings.mean(0)
+        signal = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # along which they change most
         height = float(np.ptp(signal))
-        if not height:
+        if min(deepest, len(stroke.load) - deepest) < MIN_STROKE_ROWS // 3 or not height:
             continue
         top = float(np.max(stroke.load))
         low = float(max(np.min(stroke.load[inward]), np.min(stroke.load[outward])))
         at = np.linspace(low + 0.1 * (top - low), top - 0.1 * (top - low), 20)
-        ways = [_averaged(stroke.load[part], signal[part], at) for part in (inward, outward)]
+        ways = []
+        for part in (inward, outward):
+            order = np.argsort(stroke.load[part])
+            ways.append(np.interp(at, stroke.load[part][order], signal[part][order]))
         loops.append(float(np.mean(np.abs(ways[1] - ways[0])) / height))
         kept.append(abs(float(np.mean(signal[-3:]) - np.mean(signal[:3]))) / height)
     if len(loops) < MIN_TURNS:
@@ -283,18 +215,6 @@ def _stroke_hysteresis(recording: SkinRecording, section: Section, rows: list[li
         f"In {len(loops)} strokes the ways in and out lie {100 * np.mean(loops):.1f} % of the height apart; the "
         "simulator's skins come back the way they went (their hysteresis is from press to press)."
     )
-
-
-def _along_largest(readings: np.ndarray) -> np.ndarray:
-    """Readings along the direction in which they change most."""
-    centred = readings - readings.mean(0)
-    direction = np.linalg.svd(centred, full_matrices=False)[2][0]
-    return centred @ direction
-
-
-def _averaged(load: np.ndarray, signal: np.ndarray, at: np.ndarray) -> np.ndarray:
-    order = np.argsort(load)
-    return np.interp(at, load[order], signal[order])
 
 
 def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
@@ -325,67 +245,21 @@ def _press_hysteresis(
     recording: SkinRecording, preset: FidelityPreset, section: Section, rows: list[list[str]]
 ) -> None:
     """Share of the press before that each chip keeps: its residual against the reading before."""
-    presses = press_set(recording, at_least=60)
-    if is_stream(recording):
+    presses, gap = press_set(recording, at_least=60), np.diff(recording.time)
+    if np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S:
         raise CannotTellError("Rows follow each other in strokes: what a press leaves in the next one is unknown.")
-    chosen, predicted = left_out(presses, preset.forward_rows)
-    residual = presses.readings[chosen] - predicted
-    before = np.zeros_like(residual)
-    first = presses.row[chosen] > 0
-    before[first] = recording.readings[presses.row[chosen][first] - 1]
-    kept, sure = [], []
-    for chip in range(residual.shape[1] // VALUES_PER_CHIP):
-        part = slice(VALUES_PER_CHIP * chip, VALUES_PER_CHIP * (chip + 1))
-        x, y = before[:, part] - before[:, part].mean(0), residual[:, part]
-        weight = float(np.sum(x * x)) + 1e-12
-        coefficient = float(np.sum(x * y) / weight)
-        error = float(np.sqrt(np.sum((y - coefficient * x) ** 2) / max(y.size - 1, 1) / weight))
-        kept.append(coefficient)
-        sure.append(abs(coefficient) > SIGNIFICANT_STD_ERRORS * error)
-    largest = int(np.argmax(np.abs(kept)))
-    rows.append(
-        ["part of the press before that the worst chip keeps", cell(kept[largest]), cell(Faults.typical().hysteresis)]
-    )
-    section.numbers["hysteresis_of_chips"] = {"by_chip": kept, "beyond_chance": sure}
+    chosen, predicted = predicted_from_others(presses, preset.forward_rows)
+    residual, row = presses.readings[chosen] - predicted, presses.row[chosen]
+    before = np.where((row > 0)[:, None], recording.readings[np.maximum(row - 1, 0)], 0.0)
+    x, y = (part.reshape(len(part), -1, AXES) for part in (before - before.mean(0), residual))
+    weight = (x**2).sum((0, 2)) + 1e-12
+    kept = (x * y).sum((0, 2)) / weight
+    left = ((y - kept[:, None] * x) ** 2).sum((0, 2))
+    sure = np.abs(kept) > SIGNIFICANT_STD_ERRORS * np.sqrt(left / max(y[:, 0].size - 1, 1) / weight)
+    worst = int(np.argmax(np.abs(kept)))
+    own = cell(Faults.typical().hysteresis)
+    rows.append(["part of the press before that the worst chip keeps", cell(float(kept[worst])), own])
+    section.numbers["hysteresis_of_chips"] = {"by_chip": kept.tolist(), "beyond_chance": sure.tolist()}
     section.sentences.append(
-        f"Chip {largest} keeps {kept[largest]:+.3f} of the press before "
-        f"({'beyond' if sure[largest] else 'within'} chance)."
+        f"Chip {worst} keeps {kept[worst]:+.3f} of the press before ({'beyond' if sure[worst] else 'within'} chance)."
     )
-
-
-def _location_ceiling(
-    presses: PressSet, preset: FidelityPreset, noise_of_repeats: np.ndarray, section: Section
-) -> None:
-    """Least standard deviation of position and load that any unbiased head can have at this noise (Cramer and Rao)."""
-    order = np.random.default_rng(0).permutation(len(presses.load))
-    settings, known = choose_simple_gp(presses, order), order[: preset.forward_rows]
-    at = presses.coordinates[order[:SLOPE_ROWS]]
-    ranges = [*np.ptp(presses.position, axis=0), MIN_CHANGE["position"] * (np.ptp(presses.load) > 0) * 2]
-    moves = [part for part in range(3) if ranges[part] > MIN_CHANGE["position"]]
-    unit = np.array([GRADIENT_STEP, GRADIENT_STEP, 0.02])
-    slopes = []
-    for part in moves:
-        step = np.zeros(3)
-        step[part] = unit[part]
-        change = predict_simple_gp(settings, presses, known, at + step) - predict_simple_gp(
-            settings, presses, known, at - step
-        )
-        slopes.append(change / (2 * unit[part]))
-    white = np.stack(slopes, axis=-1) / np.maximum(noise_of_repeats, 1e-3)[None, :, None]
-    information = np.einsum("nci,ncj->nij", white, white)
-    information += CONDITION * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(len(moves))
-    variance = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)
-    section.numbers["bounds"] = {}
-    names = ("position", "position", presses.load_name)
-    for name in dict.fromkeys(names[part] for part in moves):
-        columns = [i for i, part in enumerate(moves) if names[part] == name]
-        size = np.sqrt(np.sum(variance[:, columns], axis=1))
-        size = size if name == "position" else size * presses.load.std()
-        kind = TARGETS[name]
-        median, rms = kind.scale * float(np.median(size)), kind.scale * float(np.sqrt(np.mean(size**2)))
-        section.numbers["bounds"][name] = {"median": median, "rms": rms, "unit": kind.unit}
-        section.sentences.append(
-            f"At the scatter of these repeats a head without a prior tells {name} to {median:.3f} {kind.unit} at best "
-            "(standard deviation, median over presses; Cramer-Rao, slopes of a plain Gaussian process); one that has "
-            "learned where presses are can do better."
-        )

@@ -1,5 +1,5 @@
 """Readings from places and loads without any knowledge of skins: the baselines of calibration, and the model by which
-what repeats is separated from what does not. NumPy.
+what repeats is separated from what does not. NumPy and SciPy.
 """
 
 from collections.abc import Callable
@@ -10,22 +10,17 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 
-from experiments.fidelity.describe import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError
 from i2t.calibration.heads import SkinRecording
+from i2t.unknowns.smooth import left_out
 
 MEAN_READING, NEIGHBOURS_OF_PRESSES, SIMPLE_GP = "mean reading", "k nearest presses", "plain Gaussian process"
-POSITION_LENGTHS_M = (8e-3, 4e-3, 2e-3, 16e-3, 32e-3)
-LOAD_WIDTHS = (1.0, 0.5, 2.0, 4.0)  # in standard deviations of the load
-NOISE_VARIANCES = (1e-2, 1e-3, 1e-4, 1e-1)  # of a channel's
+# Lengths (m), widths in standard deviations of the load, and noises as a share of a channel's variance.
+GP_SETTINGS = ((8e-3, 4e-3, 2e-3, 16e-3, 32e-3), (1.0, 0.5, 2.0, 4.0), (1e-2, 1e-3, 1e-4, 1e-1))
 GP_SELECTION_ROWS = 300
 COUNTS_OF_NEIGHBOURS = (1, 2, 3, 4, 6, 8)
 SMALLEST = 1e-9
 RUNS_OF_ROWS = 20
-
-ForwardMethod: TypeAlias = Callable[
-    ["PressSet", np.ndarray, np.ndarray], np.ndarray
-]  # (presses, known, test) -> (n, c)
 
 
 class PressSet(NamedTuple):
@@ -36,7 +31,6 @@ class PressSet(NamedTuple):
     load_name: str  # depth, force or none
     readings: np.ndarray  # (n, c) uT
     session: np.ndarray  # (n,)
-    time: np.ndarray  # (n,) s
     row: np.ndarray  # (n,) of the recording
 
     @property
@@ -45,33 +39,46 @@ class PressSet(NamedTuple):
         return np.column_stack([self.position, self.load / max(self.load.std(), SMALLEST)])
 
 
+ForwardMethod: TypeAlias = Callable[[PressSet, np.ndarray, np.ndarray], np.ndarray]  # (presses, known, test) -> (n, c)
+
+
+def one_tip(recording: SkinRecording) -> None:
+    """Raise CannotTellError where presses are of several objects."""
+    if recording.labels is not None and len(np.unique(recording.labels)) > 1:
+        raise CannotTellError(
+            f"{len(np.unique(recording.labels))} objects touched the skin, and what a place and a load say of a "
+            "reading holds for one tip only."
+        )
+
+
+def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
+    """Name and values (n,) of the load: depth where it is known and varies, else force, else nothing (one load for
+    all).
+    """
+    for name in ("depth", "force"):
+        if recording.varies(name) and recording.known(name).mean() > 0.5:
+            return name, recording.targets[name][:, 0]
+    if recording.varies("force"):
+        return "force", recording.targets["force"][:, 0]
+    return "none", np.zeros(len(recording))
+
+
 def press_set(recording: SkinRecording, at_least: int = 10) -> PressSet:
     """The presses of a recording from which readings can be predicted, or CannotTellError."""
     one_tip(recording)
     name, load = load_of(recording)
-    good = np.isfinite(load)
+    good, position = np.isfinite(load), np.zeros((len(recording), 2))
     if recording.known("position").any():
         good &= recording.known("position")
         position = recording.targets["position"]
-    else:
-        position = np.zeros((len(recording), 2))
     if name == "none" and not recording.varies("position"):
         raise CannotTellError("Neither position nor load is known and varies, so that nothing predicts a reading.")
     if good.sum() < at_least:
         raise CannotTellError(f"Position and load are known of {good.sum()} rows; {at_least} are needed.")
-    y = recording.readings[good]
-    live = np.ptp(y, axis=0) > 0
-    if not live.any():
+    if not (np.ptp(recording.readings[good], axis=0) > 0).any():
         raise CannotTellError("No channel ever changes.")
-    return PressSet(
-        position=position[good],
-        load=load[good],
-        load_name=name,
-        readings=y,
-        session=recording.session[good],
-        time=recording.time[good],
-        row=np.flatnonzero(good),
-    )
+    row = np.flatnonzero(good)
+    return PressSet(position[row], load[row], name, recording.readings[row], recording.session[row], row)
 
 
 def mean_reading(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
@@ -96,56 +103,38 @@ def nearest_presses(presses: PressSet, known: np.ndarray, test: np.ndarray) -> n
 def simple_gp(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
     """A GP over position and load, squared exponential in both, its three settings by leaving one out."""
     settings = choose_simple_gp(presses, known)
-    return predict_simple_gp(settings, presses, known, presses.coordinates[test])
-
-
-def predict_simple_gp(
-    settings: tuple[float, float, float], presses: PressSet, known: np.ndarray, coordinates: np.ndarray
-) -> np.ndarray:
-    """Predictions of the GP of given settings at (n, 3) coordinates of presses."""
     x, y = presses.coordinates[known], presses.readings[known]
-    middle = y.mean(0)
-    factor = cho_factor(_kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x)), lower=True)
-    return middle + _kernel(settings, coordinates, x) @ cho_solve(factor, y - middle)
+    middle, factor = y.mean(0), cho_factor(_covariance(settings, x), lower=True)
+    return middle + _kernel(settings, presses.coordinates[test], x) @ cho_solve(factor, y - middle)
 
 
-def choose_simple_gp(presses: PressSet, known: np.ndarray) -> tuple[float, float, float]:
+def choose_simple_gp(presses: PressSet, known: np.ndarray) -> tuple[float, ...]:
     """Length (m), load width and noise with the least leave-one-out error."""
     some = known[:GP_SELECTION_ROWS]
     x, y = presses.coordinates[some], presses.readings[some]
-    left = y - y.mean(0)
+    centred = y - y.mean(0)
 
-    def error(settings: tuple[float, float, float]) -> float:
-        try:
-            factor = cho_factor(_kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x)), lower=True)
-        except np.linalg.LinAlgError:
-            return np.inf
-        precision = cho_solve(factor, np.eye(len(x)))
-        return float(np.sum((precision @ left / np.diagonal(precision)[:, None]) ** 2))
+    def error(settings: tuple[float, ...]) -> float:
+        return float(np.sum(left_out(_covariance(settings, x), centred).error ** 2))
 
     if len(some) <= GP_SELECTION_ROWS // 3:
-        return min(product(POSITION_LENGTHS_M, LOAD_WIDTHS, NOISE_VARIANCES), key=error)
-    best = (POSITION_LENGTHS_M[0], LOAD_WIDTHS[0], NOISE_VARIANCES[0])
+        return min(product(*GP_SETTINGS), key=error)
+    best = tuple(values[0] for values in GP_SETTINGS)
     for _ in range(2):
-        for i, values in enumerate((POSITION_LENGTHS_M, LOAD_WIDTHS, NOISE_VARIANCES)):
-            tries = [(*best[:i], value, *best[i + 1 :]) for value in values]
-            best = min(tries, key=error)  # type: ignore[arg-type, assignment]
+        for i, values in enumerate(GP_SETTINGS):
+            best = min(((*best[:i], value, *best[i + 1 :]) for value in values), key=error)
     return best
 
 
-def left_out(presses: PressSet, limit: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def predicted_from_others(presses: PressSet, limit: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the set, at most so many in order of time, and their readings (n, c) as a GP of the others of them
     predicts each.
     """
-    rng = np.random.default_rng(seed)
-    rows = rng.permutation(len(presses.load))[:limit]
+    rows = np.random.default_rng(0).permutation(len(presses.load))[:limit]
     settings = choose_simple_gp(presses, rows)
     rows = np.sort(rows)
-    x, y = presses.coordinates[rows], presses.readings[rows]
-    factor = cho_factor(_kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x)), lower=True)
-    precision = cho_solve(factor, np.eye(len(x)))
-    error = precision @ (y - y.mean(0)) / np.diagonal(precision)[:, None]
-    return rows, y - error
+    y = presses.readings[rows]
+    return rows, y - left_out(_covariance(settings, presses.coordinates[rows]), y - y.mean(0)).error
 
 
 def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:
@@ -171,7 +160,11 @@ BASELINE_METHODS: dict[str, ForwardMethod] = {
 }
 
 
-def _kernel(settings: tuple[float, float, float], a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _covariance(settings: tuple[float, ...], x: np.ndarray) -> np.ndarray:
+    return _kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x))
+
+
+def _kernel(settings: tuple[float, ...], a: np.ndarray, b: np.ndarray) -> np.ndarray:
     length, width, _ = settings
     scaled = np.array([1 / length, 1 / length, 1 / width])
     a, b = a * scaled, b * scaled

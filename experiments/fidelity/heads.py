@@ -5,13 +5,22 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.heads import BASELINE_HEADS, TARGETS, Head, HeadBudget, HeadPrediction, SkinRecording, fit_head
-from i2t.calibration.heads.head import STDS_OF_90_PERCENT, hold_out_groups, root_mean_square, target_rows
-from i2t.viz import style
+from i2t.calibration.heads import (
+    BASELINE_HEADS,
+    HEAD_TARGETS,
+    STDS_OF_90_PERCENT,
+    TARGETS,
+    Head,
+    HeadBudget,
+    HeadPrediction,
+    SkinRecording,
+    fit_head,
+    hold_out_groups,
+    target_rows,
+)  # fmt: skip
 
 PUBLISHED_FIGURES = {
     "position": "eFlesh 0.5 mm, eflesh-touch 1.22 mm",
@@ -23,7 +32,8 @@ PUBLISHED_FIGURES = {
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
 MIN_HEAD_TEST = 5
 MIN_INSIDE_90 = 0.85  # of values in the 90 % range: where fewer are, a sentence says so
-CALIBRATION_BINS = 10
+BEATEN = 0.98  # of the kept head's error, below which a baseline may be said to beat it
+SCORES = ["RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]
 
 
 class HeadScore(NamedTuple):
@@ -45,16 +55,13 @@ class HeadTest(NamedTuple):
     kept: HeadScore
     baselines: dict[str, HeadScore]
     validation: dict[str, float]
-    errors: np.ndarray  # (n, 2 d) truth and prediction of the test rows
-    baseline_errors: dict[str, np.ndarray]  # the same of the baselines
+    beaten_by: tuple[str, ...]  # baselines, by more than chance
 
 
-def head_sections(
-    recording: SkinRecording, targets: Sequence[str], budget: HeadBudget, share: float, seed: int, section: Section
-) -> None:
+def head_sections(recording: SkinRecording, budget: HeadBudget, share: float, seed: int, section: Section) -> None:
     """Tests of all targets that a recording supports; a sentence for each other one."""
     found = {}
-    for target in targets or TARGETS:
+    for target in HEAD_TARGETS:
         try:
             found[target] = test_heads(recording, target, budget, share=share, seed=seed)
         except ValueError as error:
@@ -66,7 +73,6 @@ def head_sections(
         section.tables[caption(target)] = table(target, tests)
         section.sentences += compare_with_baselines(target, tests)
         section.sentences += missed_ranges(target, {name: test.kept for name, test in tests.items()})
-    section.figures["Heads on rows held out"] = _figure(found)
 
 
 def test_heads(
@@ -76,26 +82,26 @@ def test_heads(
     rows = target_rows(recording, target)
     tests, problems = {}, []
     for name, held in held_out_rows(recording.rows(rows), share, seed).items():
-        known, other = _known_of(recording, target, rows[~held]), rows[held]
+        known = _known_of(recording, target, rows[~held])
         try:
             head = fit_head(known, target, budget=budget, seed=seed)
-            baselines = {
+            rivals = {
                 method: fit_head(known, target, methods=(method,), budget=budget, seed=seed)
                 for method in BASELINE_HEADS[1:]
             }
         except ValueError as error:
             problems.append(f"{name}: {error}")
             continue
-        scored, both = score_head(head, recording, other)
-        rivals = {method: score_head(baseline, recording, other) for method, baseline in baselines.items()}
+        kept, errors = score_head(head, recording, rows[held])
+        scored = {method: score_head(rival, recording, rows[held]) for method, rival in rivals.items()}
+        better = [
+            method
+            for method, (score, missed) in scored.items()
+            if score.rmse < BEATEN * kept.rmse and loses_beyond_chance(errors, missed)
+        ]
+        baselines = {method: score for method, (score, _) in scored.items()}
         tests[name] = HeadTest(
-            head.method,
-            int(head.record.history),
-            scored,
-            {method: score for method, (score, _) in rivals.items()},
-            head.validation,
-            both,
-            {method: values for method, (_, values) in rivals.items()},
+            head.method, int(head.record.history), kept, baselines, head.validation, beaten_by=tuple(better)
         )
     if not tests:
         raise ValueError("; ".join(problems) or f"{recording.name} has too few rows to hold some out")
@@ -107,17 +113,15 @@ test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever i
 
 def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: int, section: Section) -> None:
     """Heads of each recording on the others, as a skin that was mounted again or worn would be read."""
-    rows = [["target", "fitted to", "tested on", "rows", "RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]]
+    rows = [["target", "fitted to", "tested on", "rows", *SCORES]]
     numbers: dict[str, Any] = {}
-    for target, kind in TARGETS.items():
+    for target in HEAD_TARGETS:
         for known in recordings:
             try:
                 head = fit_head(known, target, budget=budget, seed=seed)
             except ValueError:
                 continue  # the recording's own part says why
-            for other in recordings:
-                if other is known:
-                    continue
+            for other in (one for one in recordings if one is not known):
                 try:
                     score, _ = score_head(head, other, target_rows(other, target))
                 except ValueError as error:
@@ -125,8 +129,8 @@ def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: 
                     continue
                 numbers[f"{target}: {known.name} -> {other.name}"] = score._asdict()
                 section.sentences += missed_ranges(target, {f"from {known.name} to {other.name}": score})
-                what = target if kind.yes_no else f"{target} ({kind.unit})"
-                rows.append([what, known.name, other.name, str(score.rows), *(cell(value) for value in score[1:])])
+                what = f"{target} ({TARGETS[target].unit})"
+                rows.append([what, known.name, other.name, str(score.rows), *map(cell, score[1:])])
     if len(rows) == 1:
         raise CannotTellError(" ".join(section.sentences) or "No two recordings share a target that a head predicts.")
     section.numbers["heads"] = numbers
@@ -147,22 +151,16 @@ def held_out_rows(recording: SkinRecording, share: float, seed: int) -> dict[str
 
 
 def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[HeadScore, np.ndarray]:
-    """Score on some rows of a recording, with truth and prediction."""
+    """Score on some rows of a recording, and the squared errors (n,) of these rows."""
     predicted = HeadPrediction(*(part[rows] for part in head.predict(recording.readings, recording.session)))
-    truth = recording.targets[head.target][rows]
+    truth, kind = recording.targets[head.target][rows], TARGETS[head.target]
     error, unfamiliar = predicted.mean - truth, float(np.mean(predicted.unfamiliar))
-    both = np.column_stack([truth, predicted.mean])
-    if TARGETS[head.target].yes_no:
-        yes, p = truth[:, 0] > 0.5, predicted.mean[:, 0]
-        right = float(np.mean((p > 0.5) == yes))
-        curve, off = area_under_curve(p, yes), calibration_error(p, yes)
-        return HeadScore(len(yes), root_mean_square(error), right, curve, off, unfamiliar), both
-    scale = TARGETS[head.target].scale
+    missed = np.sum(error**2, axis=1)
+    rmse = kind.scale * float(np.sqrt(np.mean(missed)))
     total = float(np.sum((truth - truth.mean(0)) ** 2))
     inside = float(np.mean(np.abs(error) <= STDS_OF_90_PERCENT * predicted.std))
-    r2 = 1 - float(np.sum(error**2)) / total if total > 0 else float("nan")
-    rmse, median = scale * root_mean_square(error), scale * float(np.median(np.linalg.norm(error, axis=1)))
-    return HeadScore(len(truth), rmse, median, r2, inside, unfamiliar), both
+    r2 = 1 - float(np.sum(missed)) / total if total > 0 else float("nan")
+    return HeadScore(len(truth), rmse, kind.scale * float(np.median(np.sqrt(missed))), r2, inside, unfamiliar), missed
 
 
 def _known_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRecording:
@@ -172,74 +170,40 @@ def _known_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRe
     return replace(recording, targets={**recording.targets, target: values})
 
 
-def area_under_curve(score: np.ndarray, yes: np.ndarray) -> float:
-    """Probability that a row with yes has the higher score than one without (Mann and Whitney); ties count half."""
-    from scipy.stats import rankdata
-
-    ranks, positives = rankdata(score), int(yes.sum())
-    if not 0 < positives < len(yes):
-        return float("nan")
-    return float((ranks[yes].sum() - positives * (positives + 1) / 2) / (positives * (len(yes) - positives)))
-
-
-def calibration_error(probability: np.ndarray, yes: np.ndarray) -> float:
-    """Expected calibration error: how far stated probabilities lie from what happened, over ten bins."""
-    bins = np.minimum((probability * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
-    parts = [bins == i for i in range(CALIBRATION_BINS) if (bins == i).any()]
-    return float(sum(part.mean() * abs(probability[part].mean() - yes[part].mean()) for part in parts))
-
-
 def caption(target: str) -> str:
     """Caption of a target's table."""
-    unit = TARGETS[target].unit
     published = f"; published: {PUBLISHED_FIGURES[target]}" if target in PUBLISHED_FIGURES else ""
-    return f"{target} ({unit}{published})" if unit else f"{target} (probability{published})"
+    return f"{target} ({TARGETS[target].unit}{published})"
 
 
 def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
     """A row for each way of holding out and each method."""
-    yes_no = TARGETS[target].yes_no
-    header = ["held out", "rows", "method"]
-    header += (
-        ["Brier, root", "share right", "AUROC", "calibration error"]
-        if yes_no
-        else ["RMSE", "median", "R2", "in the 90 % range"]
-    )
-    rows = [[*header, "unfamiliar"]]
+    rows = [["held out", "rows", "method", *SCORES]]
     for name, test in tests.items():
         for method, score in {f"{test.method} (kept)": test.kept, **test.baselines}.items():
-            rows.append([name, str(score.rows), method, *(cell(value) for value in score[1:])])
+            rows.append([name, str(score.rows), method, *map(cell, score[1:])])
     return rows
 
 
 def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]:
     """A sentence for each baseline to which the kept head loses on the rows held out; one if there is none."""
     lost = [
-        f"{target}, {name}: the kept head ({test.method}, {test.kept.rmse:.3f}) loses to {method} ({score.rmse:.3f})."
+        f"{target}, {name}: the kept head ({test.method}, {test.kept.rmse:.3f}) loses to {method} "
+        f"({test.baselines[method].rmse:.3f})."
         for name, test in tests.items()
-        for method, score in test.baselines.items()
-        if score.rmse < 0.98 * test.kept.rmse
-        and loses_beyond_chance(_squared(test.errors), _squared(test.baseline_errors[method]))
+        for method in test.beaten_by
     ]
     return lost or [f"{target}: no baseline beats the kept head on rows held out by more than chance."]
 
 
 def missed_ranges(target: str, scores: dict[str, HeadScore]) -> list[str]:
     """A sentence for each way of holding out in which too few values lie in the stated range."""
-    if TARGETS[target].yes_no:
-        return []
     return [
         f"{target}, {name}: the 90 % range holds {100 * score.inside_90:.0f} % of {score.rows} rows; do not rely on "
         "it there."
         for name, score in scores.items()
         if score.inside_90 < MIN_INSIDE_90
     ]
-
-
-def _squared(both: np.ndarray) -> np.ndarray:
-    """Squared errors (n,) of truth and prediction side by side."""
-    d = both.shape[1] // 2
-    return np.sum((both[:, :d] - both[:, d:]) ** 2, axis=1)
 
 
 def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:
@@ -254,38 +218,3 @@ def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:
         }
         for name, test in tests.items()
     }
-
-
-def _figure(found: dict[str, dict[str, HeadTest]]) -> Figure:
-    figure = Figure(figsize=(3.6 * len(found), 3.4), layout="constrained")
-    panels = figure.subplots(1, len(found), squeeze=False)[0]
-    for axes, (target, tests) in zip(panels, found.items(), strict=True):
-        kind = TARGETS[target]
-        test = tests.get(GROUP_SPLIT) or next(iter(tests.values()))
-        both = kind.scale * test.errors
-        d = both.shape[1] // 2
-        if kind.yes_no:
-            for answer, colour in ((0, style.GREY), (1, style.BLUE)):
-                axes.hist(
-                    both[both[:, 0].round() == answer, 1],
-                    bins=20,
-                    range=(0, 1),
-                    color=colour,
-                    alpha=0.6,
-                    label=f"{answer}",
-                )
-            axes.set(xlabel=f"probability of {target}", ylabel="rows", title=target)
-            axes.legend(title="truth")
-        else:
-            for i in range(d):
-                axes.plot(
-                    both[:, i], both[:, d + i], ".", ms=2, color=style.COLOURS[i], label="xy"[i] if d > 1 else None
-                )
-            ends = [both[:, :d].min(), both[:, :d].max()]
-            axes.plot(ends, ends, color=style.GREY, lw=0.8)
-            axes.set(
-                xlabel=f"measured {target} ({kind.unit})",
-                ylabel=f"predicted ({kind.unit})",
-                title=f"{target}, {test.method}",
-            )
-    return figure

@@ -2,8 +2,8 @@
 
     python -m experiments.fidelity --dataset A                  the report, in minutes
     python -m experiments.fidelity --dataset A B                sessions of one skin, and what one says of the other
+    python -m experiments.fidelity --dataset A --mistakes       also: which mistakes put into it are found?
     python -m experiments.fidelity --dataset A --preset debug   everything once, in seconds
-    python -m experiments.fidelity --simulated-skins 2          simulated skins that are pressed and slid over
 
 A recording is a data set of i2t (a folder or a file), a session of eFlesh as it was recorded, or a table with one row
 for each reading (docs/fidelity.md). Nothing is asked of it: a part that it cannot support says why in a sentence.
@@ -24,12 +24,12 @@ from typing import Any
 # Factors of a few hundred rows are too small to share, as in experiments.train.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
-from experiments.fidelity import causes, curves, describe, dynamics, heads, views
+from experiments.fidelity import causes, curves, describe, dynamics, heads, mistakes
 from experiments.fidelity.arguments import FidelityArgs
-from experiments.fidelity.config import FidelityPreset, fidelity_preset
-from experiments.fidelity.page import write_page
-from experiments.fidelity.sections import Section, print_table, written
+from experiments.fidelity.config import FIDELITY_PRESETS, FidelityPreset
+from experiments.fidelity.sections import Section, say, write_page, written
 from i2t.calibration.heads import SkinRecording, corrected_recording, is_dataset, read_recordings
 from i2t.errors import DataError
 from i2t.unknowns import Finding
@@ -39,25 +39,26 @@ FOUND_BY_CONVERTER = "found in "  # so begins a note of `i2t.convert` on what a 
 
 def run(args: FidelityArgs) -> dict[str, Any]:
     """The report: read, write each part, put them together."""
-    started, preset = time.perf_counter(), fidelity_preset(args)
-    read = _recordings(args, preset)
+    started, preset = time.perf_counter(), choose_preset(FIDELITY_PRESETS, args.preset)
+    read = _recordings(args.dataset)
     recordings = named_apart([recording for _, recording in read])
     begin(args.out, args, preset, None, args.overwrite)
     chapters: dict[str, list[Section]] = {}
     for recording in recordings:
         print(f"\n{recording.name}: {len(recording)} readings")
-        chapters[recording.name] = [_said(section) for section in sections_of(recording, preset, args.seed)]
+        sections = sections_of(recording, preset, args.seed, mistaken=args.mistakes)
+        chapters[recording.name] = [say(section) for section in sections]
     if len(recordings) > 1:
         parts = {
             "What one session says of another": partial(curves.across_sessions, recordings, preset, args.seed),
             "Heads across sessions": partial(heads.heads_across, recordings, preset.heads_across, args.seed),
         }
-        chapters["Across sessions"] = [_said(written(title, work)) for title, work in parts.items()]
+        chapters["Across sessions"] = [say(written(title, work)) for title, work in parts.items()]
     of_path = {path: recording.name for (path, _), recording in zip(read, recordings, strict=True)}
     for path, name in of_path.items():
-        if path is not None and is_dataset(path):
+        if is_dataset(path):
             work = partial(causes.cause_section, path, preset, args.seed)
-            chapters[name].append(_said(written("What may keep a predictor from learning", work)))
+            chapters[name].append(say(written("What may keep a predictor from learning", work)))
     metrics = {
         "source": sorted({recording.source for recording in recordings}),
         "seed": args.seed,
@@ -84,18 +85,14 @@ def named_apart(recordings: list[SkinRecording]) -> list[SkinRecording]:
     return result
 
 
-def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[tuple[Path | None, SkinRecording]]:
-    """Recordings with the path that each was read from; None of simulated ones."""
-    if args.simulated_skins:
-        from experiments.fidelity.slides import simulated_slides
-
-        return [(None, simulated_slides(i, preset.simulated_strokes)) for i in range(args.simulated_skins)]
-    found: list[tuple[Path | None, SkinRecording]] = []
-    for path in args.dataset:
+def _recordings(paths: Sequence[Path]) -> list[tuple[Path, SkinRecording]]:
+    """Recordings with the path that each was read from."""
+    found: list[tuple[Path, SkinRecording]] = []
+    for path in paths:
         try:
             found += [(path, recording) for recording in read_recordings(path)]
         except DataError as error:
-            if len(args.dataset) == 1:
+            if len(paths) == 1:
                 raise
             print(f"left out: {error}", file=sys.stderr)
     if not found:
@@ -103,38 +100,26 @@ def _recordings(args: FidelityArgs, preset: FidelityPreset) -> list[tuple[Path |
     return found
 
 
-def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> Iterator[Section]:
+def sections_of(
+    recording: SkinRecording, preset: FidelityPreset, seed: int, *, mistaken: bool = False
+) -> Iterator[Section]:
     """The report's parts about one recording."""
     findings: list[Finding] = []
     about = written("What it is", partial(describe.describe, recording))
     checks = written("Checks", lambda section: describe.check(recording, section, findings))
-    yield without_repeats(about, findings)
+    if findings:  # what its converter found is found again
+        about.sentences = [sentence for sentence in about.sentences if not sentence.startswith(FOUND_BY_CONVERTER)]
+    yield about
     yield checks
     recording = corrected_recording(recording, findings)
     parts: dict[str, Callable[[Section], None]] = {
-        "Noise and drift": partial(dynamics.noise, recording, preset),
+        "Noise and drift": partial(dynamics.noise, recording),
         "Hysteresis and creep": partial(dynamics.hysteresis, recording, preset),
         "Ceilings": partial(dynamics.ceilings, recording, preset),
         "Calibration curves": partial(curves.calibration_curves, recording, preset, seed),
-        "Heads": partial(heads.head_sections, recording, (), preset.heads, preset.held_out_share, seed),
-        "Readings from views": partial(views.view_section, recording, preset, seed),
+        "Heads": partial(heads.head_sections, recording, preset.heads, preset.held_out_share, seed),
     }
+    if mistaken:
+        parts["Mistakes put in"] = partial(mistakes.mistake_section, recording, preset, seed)
     for title, work in parts.items():
         yield written(title, work)
-
-
-def without_repeats(about: Section, findings: Sequence[Finding]) -> Section:
-    """Description of a recording, without what its converter found and the checks find again."""
-    if findings:
-        about.sentences = [sentence for sentence in about.sentences if not sentence.startswith(FOUND_BY_CONVERTER)]
-    return about
-
-
-def _said(section: Section) -> Section:
-    """Print a section as a person reads it."""
-    print(f"\n{section.title}" + ("" if section.status == "found" else f" ({section.status})"))
-    for sentence in section.sentences:
-        print(f"  {sentence}")
-    for caption, rows in section.tables.items():
-        print_table(caption, rows)
-    return section

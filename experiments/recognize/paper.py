@@ -34,11 +34,9 @@ from experiments.recognize.config import Recognition
 from experiments.recognize.report import CONSTANT, IMAGINE2TOUCH, RULES_GP, EpisodeResults, Results
 from experiments.recognize.trained_run import meshes_by_name, read_simulated_run
 from i2t.files import slug
-from i2t.prediction import checkpoint
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig
-from i2t.prediction.networks import PatchNetwork
-from i2t.prediction.predictor import Predictor
+from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.progress import progress
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumber
 from i2t.recognition.paper_rules import (
@@ -52,7 +50,7 @@ from i2t.recognition.paper_rules import (
     run_loop,
 )
 from i2t.recognition.site_pool import prepare_surfaces, sample_pools
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, Pad, Surface, Touches
+from i2t.types import PATCH_PIXELS, Pad, Surface, Touches
 
 PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
 
@@ -79,14 +77,14 @@ def load_paper_networks(folder: Path) -> PaperNetworks | None:
     epochs = []
     for row, name in IMAGINE2TOUCH.items():
         place = folder / "checkpoint" / slug(name)
-        if not checkpoint.exists(place):
+        if not place.is_dir():
             continue
-        params, norm, about = checkpoint.load(place)
-        if about.model.pixels != PATCH_PIXELS or isinstance(about.model, ModelConfig):
+        predictor = load_predictor(place)
+        model: Any = predictor.model
+        if model.cfg.pixels != PATCH_PIXELS or isinstance(model.cfg, ModelConfig):
             continue  # a network of another camera, or more than the paper's
-        model = PatchNetwork(params, about.model, norm)
-        found[row] = Predictor(model, PATCH_WINDOW, about.model.reach, default_force=1.0, default_depth=0.0)
-        epochs.append(about.epoch)
+        found[row], norm = predictor, model.normalisation
+        epochs.append((predictor.metadata or {})["epochs"])
     if not found:
         return None
     return PaperNetworks(found, np.asarray(norm.reading.mean), np.asarray(norm.reading.std), min(epochs))

@@ -92,6 +92,7 @@ class ReconstructArgs:
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):
             raise ValueError(f"--conditions {unknown[0]}: is none of {', '.join(CONDITIONS)}")
         require_extra("skimage", "a surface")
+        require_extra("manifold3d", "a library of random objects")
 
     @property
     def sizes(self) -> ReconstructSizes:

@@ -8,8 +8,8 @@ import numpy as np
 
 from experiments.reconstruct.arguments import PatchSizes
 from i2t.batching import map_batches
-from i2t.objects import Mesh, catalogue
-from i2t.objects.solids import disk, outline, rectangle
+from i2t.objects import Mesh, catalogue, primitives
+from i2t.objects.drawing import disk, outline, rectangle
 from i2t.progress import progress
 from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
 from i2t.reconstruction.local_shape import PatchLibrary, PressModel
@@ -93,7 +93,7 @@ def draw_shape(seed: int) -> Mesh:
             part = outline([(-size[0] / 2, -size[1] / 3), (size[0] / 2, -size[1] / 3), (0, 2 * size[1] / 3)])
         part = part.rotate(turn).translate(rng.uniform(-3, 3, 2))
         region = part if region is None else region + part
-    return catalogue.stamp(region)
+    return primitives.stamp(region)
 
 
 def press_parts(key: Array, parts: dict[str, Part], library: PatchLibrary, pads: int) -> dict[str, list[Trial]]:

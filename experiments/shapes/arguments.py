@@ -31,4 +31,3 @@ class ShapesArgs:
     def check(self) -> None:
         """Refuse what does not go together, and a data set that is not there."""
         require_dataset("--dataset", self.dataset)
-        self.tasks.check()

@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int, Key
 from i2t import geometry
 from i2t.batching import map_batches
 from i2t.dataset import Dataset
-from i2t.objects import catalogue
+from i2t.objects import catalogue, solids
 from i2t.simulation import touches as simulation
 from i2t.skin.contact import MAX_HEIGHT_M
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
@@ -87,7 +87,7 @@ def stamps(names: Sequence[str] = SHAPES) -> Stamp:
     return Stamp(
         jnp.asarray(np.stack(padded), jnp.float32),
         jnp.asarray(tops, jnp.float32),
-        jnp.asarray(tops, jnp.float32) - catalogue.STAMP_RELIEF_MM / catalogue.MM_PER_M,
+        jnp.asarray(tops, jnp.float32) - solids.STAMP_RELIEF_MM / solids.MM_PER_M,
     )
 
 
@@ -122,7 +122,7 @@ def heights(
         return jnp.all(side >= 0, axis=0) & ~flat
 
     met = jnp.any(jax.vmap(inside)(stamp.face), axis=0)
-    edge = catalogue.STAMP_BASE_MM[0] / catalogue.MM_PER_M / 2
+    edge = solids.STAMP_BASE_MM[0] / solids.MM_PER_M / 2
     over = (jnp.abs(u) <= edge) & (jnp.abs(v) <= edge)
     return jnp.where(met, plane, jnp.inf), jnp.where(over, plane - (stamp.top - stamp.base) / normal[2], jnp.inf)
 

@@ -63,4 +63,3 @@ class StudyArgs:
         if self.study == "mismatch":
             require_extra("skfem", "a pad with free sides")
         chosen_runs(self.trained_run, self.pads)
-        self.tasks.check()

@@ -33,7 +33,7 @@ from i2t.extras import require_extra
 from i2t.files import may_grow_to
 
 LEROBOT_VERSION = "v3.0"
-LEROBOT_INFO, LEROBOT_NOTE = "meta/info.json", "meta/i2t.json"
+LEROBOT_INFO, NOTE = "meta/info.json", "meta/i2t.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_SIZE_MB, FILE_SIZE_MB, CHUNK_FILES = 200, 100, 1000
 FPS = 1
@@ -43,7 +43,7 @@ COUNTERS = ("frame_index", "episode_index", "index", "task_index")
 NEEDS_PYARROW = "LeRobot's format"
 
 
-def write_lerobot(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
+def write(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
     """Write a data set as a LeRobotDataset.
 
     Args:
@@ -87,11 +87,11 @@ def write_lerobot(target: Path, dataset: Dataset, *, overwrite: bool = False) ->
         write_json(folder / "meta/stats.json", {name: _stats(values) for name, values in frames.items()})
         write_json(folder / LEROBOT_INFO, _info(dataset, frames, len(episodes)))
 
-    return write_folder(target, dataset, LEROBOT_NOTE, fill, overwrite=overwrite)
+    return write_folder(target, dataset, NOTE, fill, overwrite=overwrite)
 
 
-def read_lerobot(source: Path) -> Dataset:
-    """Read a folder that `write_lerobot` wrote, or that LeRobot made of one.
+def read(source: Path) -> Dataset:
+    """Read a folder that `write` wrote, or that LeRobot made of one.
 
     Args:
         source: The folder.
@@ -106,10 +106,9 @@ def read_lerobot(source: Path) -> Dataset:
     version = files.read_json(source / LEROBOT_INFO).get("codebase_version")
     if version != LEROBOT_VERSION:
         raise DataError(f"{source / LEROBOT_INFO}: is of version {version}, and {LEROBOT_VERSION} is read; convert it")
-    if not (source / LEROBOT_NOTE).is_file():
+    if not (source / NOTE).is_file():
         raise DataError(
-            f"{source}: has no {LEROBOT_NOTE}, so it is of another program; "
-            "touches need patches and the board of a skin"
+            f"{source}: has no {NOTE}, so it is of another program; touches need patches and the board of a skin"
         )
     fields = {column: field for field, column in NAMED_COLUMNS.items()}
     parts, rows = [], []
@@ -126,7 +125,7 @@ def read_lerobot(source: Path) -> Dataset:
         rows.append(part.pop(ROW_COLUMN))
         parts.append({fields.get(name, name.removeprefix("touch.")): values for name, values in part.items()})
     row = np.concatenate(rows) if rows else np.zeros(0, np.int64)
-    return dataset_of(in_order(parts, row, source), files.read_json(source / LEROBOT_NOTE), source)
+    return dataset_of(in_order(parts, row, source), files.read_json(source / NOTE), source)
 
 
 def _pyarrow() -> tuple[Any, Any]:

@@ -24,14 +24,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 import tyro
 from jaxtyping import Float
 
-from i2t.hardware.reskin.layouts import Format, encode
-from i2t.hardware.reskin.quantization import CONVERTER_COUNTS
+from i2t.emulators import processes
+from i2t.hardware.reskin.layouts import CONVERTER_COUNTS, Format, encode
 from i2t.options import read_options
 from i2t.skin.boards import make_board
 from i2t.types import Board
@@ -265,7 +264,7 @@ def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
     opened: float | None = None  # when the port was first opened
     reset = -np.inf  # when it was opened last
     due = time.monotonic()
-    while not (options.tethered and _has_ended(sys.stdin)):
+    while not (options.tethered and processes.has_ended(sys.stdin)):
         now = time.monotonic()
         elapsed = -1.0 if opened is None else now - opened
         if inbox is not None:
@@ -342,14 +341,9 @@ def _newest_field(inbox: socket.socket, field: np.ndarray) -> np.ndarray:
         return field
 
 
-def _has_ended(stream: TextIO) -> bool:
-    ready, _, _ = select.select([stream], [], [], 0)
-    return bool(ready) and not os.read(stream.fileno(), 1)
-
-
 @contextmanager
-def started(*switches: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Run a board in a process of its own, which ends with the block and with this program.
+def started(*switches: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Run a board next to this process, as in `i2t.emulators.processes.started`.
 
     Args:
         switches: Options of its command line.
@@ -357,21 +351,8 @@ def started(*switches: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     Yields:
         Its port and its process, from which further lines that it prints can be read.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", "i2t.emulators.reskin_board", "--tethered", *switches],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        port = process.stdout.readline().strip()
-        if not port:
-            raise RuntimeError(f"the board did not start: {' '.join(switches)}")
-        yield port, process
-    finally:
-        process.terminate()
-        process.communicate()
+    with processes.started("i2t.emulators.reskin_board", *switches) as running:
+        yield running
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ The configurations of simulated and emulated devices are here too. JAX is import
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
@@ -15,6 +15,8 @@ from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
 if TYPE_CHECKING:
     from i2t.emulators.scene import ObjectScene
     from i2t.types import Pad
+
+Address: TypeAlias = tuple[str, int]  # and port, at which an emulated board listens
 
 DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
 CARRIED_PAD_KEY = 1900  # of the random pad of a further skin on the tool, plus its number

@@ -9,6 +9,7 @@
 Views come in the order of their names. Once all were given, or a file is missing or damaged, `capture` says so.
 """
 
+import json
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_png
+from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_image
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.files import read_toml
 from i2t.hardware.base import CameraBase
@@ -41,14 +42,13 @@ class RecordedDepthCamera(CameraBase):
 
     Args:
         path: Folder of the views.
-        first: Number of the view to begin with.
         loop: Begin again where they end.
         rate: Hz, at which they come.
     """
 
-    def __init__(self, path: str | Path, first: int = 0, loop: bool = False, rate: float = 30.0) -> None:
+    def __init__(self, path: str | Path, loop: bool = False, rate: float = 30.0) -> None:
         super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, rate))
-        self._path, self._first, self._loop = Path(path), first, loop
+        self._path, self._loop = Path(path), loop
         self._names: list[str] | None = None
         self._next = 0
         self._due = 0.0
@@ -58,13 +58,10 @@ class RecordedDepthCamera(CameraBase):
         self.close()
         self._camera, self._scale, self._encoding, least = read_description(self._path)
         names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
-        if len(names) <= self._first:
-            raise DeviceError(
-                f"{self._path / 'depth'} holds {len(names)} views, and number {self._first} is to be the first; "
-                "give a folder with depth/*.png or .tif"
-            )
+        if not names:
+            raise DeviceError(f"{self._path / 'depth'} holds no views; give a folder with depth/*.png or .tif")
         self._features = self._features._replace(nearest=least)
-        self._names, self._next, self._due = names, self._first, 0.0
+        self._names, self._next, self._due = names, 0, 0.0
 
     def close(self) -> None:
         """Stop giving views."""
@@ -82,7 +79,7 @@ class RecordedDepthCamera(CameraBase):
         if self._next >= len(names):
             if not self._loop:
                 raise DeviceError(f"{self._name} has given all its views; connect again for the first")
-            self._next = self._first
+            self._next = 0
         wait = max(0.0, self._due - time.monotonic())
         if wait > timeout:
             time.sleep(timeout)
@@ -103,7 +100,7 @@ class RecordedDepthCamera(CameraBase):
             if not colours.is_dir():
                 return depth, None
             path = (colours / name).with_suffix(".png")
-            _, colour = read_png(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
+            colour = read_image(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
             raise DeviceError(f"{self._name} cannot give {path.name}: {reason}; restore {path}") from error
@@ -122,24 +119,58 @@ def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]
     Raises:
         DeviceError: One sentence that names the file and the field.
     """
-    file = Path(path) / DESCRIPTION
+    try:
+        camera, given = read_lens(path, {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0})
+        return camera, given["scale"], given["encoding"], float(given["nearest"])
+    except (TypeError, ValueError) as error:
+        raise DeviceError(str(error)) from error
+
+
+def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[str, Any]]:
+    """Read the lens in `camera.toml` of a folder.
+
+    Args:
+        path: The folder.
+        others: Further keys of the file with their defaults; None for one that must be there.
+
+    Returns:
+        The lens, and the values of the further keys.
+
+    Raises:
+        ValueError: One sentence that names the file and the field.
+    """
+    file, known = Path(path) / DESCRIPTION, {each.name for each in fields(Camera)}
     try:
         table = read_toml(file)
     except OSError as error:
-        raise DeviceError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
-    except ValueError as error:
-        raise DeviceError(str(error)) from error
+        raise ValueError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
+    unknown = sorted(set(table) - known - set(others))
+    missing = [
+        key for key in (*known - {"model", "coefficients"}, *others) if key not in table and others.get(key) is None
+    ]
     try:
-        extra = table.pop("scale"), table.pop("encoding", str(Encoding.PLAIN)), float(table.pop("nearest", 0.0))
-        names = {each.name for each in fields(Camera)}
-        if not set(table) <= names:
-            raise ValueError(f"it has the unknown key {min(set(table) - names)}")
-        lens: Any = {key: float(table.pop(key)) for key in ("fx", "fy", "cx", "cy")}
-        coefficients = tuple(float(each) for each in table.pop("coefficients", ()))
-        return Camera(**table, **lens, coefficients=coefficients), *extra
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        reason = f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
-        raise DeviceError(f"{file}: {reason}; see i2t.hardware.camera_folder for what it holds") from error
+        if unknown or missing:
+            raise ValueError(f"it has the unknown key {unknown[0]}" if unknown else f"{missing[0]!r} is missing")
+        lens: Any = {key: value for key, value in table.items() if key in known}
+        lens |= {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy")}
+        lens["coefficients"] = tuple(float(each) for each in table.get("coefficients", ()))
+        return Camera(**lens), {key: table.get(key, default) for key, default in others.items()}
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{file}: {' '.join(str(error).split())}; see i2t.hardware.camera_folder") from error
+
+
+def lens_text(camera: Camera, **others: Any) -> str:
+    """A lens as lines of TOML, which `read_lens` reads.
+
+    Args:
+        camera: The lens.
+        **others: Further keys: texts, numbers and lists of them.
+
+    Returns:
+        The lines.
+    """
+    lens = {**asdict(camera), "model": str(camera.model), "coefficients": list(camera.coefficients), **others}
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in lens.items())
 
 
 def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Iterator[View]:
@@ -160,9 +191,7 @@ def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Itera
     path = Path(path)
     for sub in (path, path / "depth"):
         sub.mkdir(parents=True)
-    lens = {**asdict(camera), "model": str(camera.model), "scale": DEPTH_UNIT_M}
-    lines = [f"{key} = {list(value) if isinstance(value, tuple) else _text(value)}" for key, value in lens.items()]
-    (path / DESCRIPTION).write_text("\n".join(lines) + "\n", "utf-8")
+    (path / DESCRIPTION).write_text(lens_text(camera, scale=DEPTH_UNIT_M), "utf-8")
     for number, view in enumerate(views):
         units = np.nan_to_num(np.round(view.depth / DEPTH_UNIT_M), nan=0.0)
         Image.fromarray(np.clip(units, 0, 65535).astype(np.uint16)).save(path / "depth" / f"{number:06d}.png")
@@ -170,7 +199,3 @@ def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Itera
             (path / "colour").mkdir(exist_ok=True)
             Image.fromarray(view.colour).save(path / "colour" / f"{number:06d}.png")
         yield view
-
-
-def _text(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)

@@ -7,6 +7,8 @@ with priors, so that a few presses move them little and none not at all. The sam
 swapped or an axis flipped in between, and whether a part of the skin was magnetized anew. NumPy only.
 """
 
+from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +16,7 @@ from jaxtyping import Float
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from i2t.unknowns.findings import Finding
+from i2t.unknowns.findings import AXES, Finding, corrected_readings
 from i2t.unknowns.smooth import left_out, thinned
 
 ALIGNMENT = "earlier session"
@@ -29,7 +31,7 @@ PRIOR_PRESSES = 3.0  # presses' worth of error that the priors stand for, at lea
 SWAP_ERROR_RATIO = 0.8  # of the squared error: what chips in another order must leave at most
 CHANGED_SKIN_R2 = 0.3  # below it the sessions are not of one skin
 MIN_CHIPS_SINCE = 8  # presses
-_AXES = 3
+MAP_OFFSETS = (0.1, 0.7, 1.4)
 MAP_POWERS = (1.0, 1.5, 2.0)
 MAP_LENGTHS = (3e-3, 6e-3, 12e-3)
 MAP_NOISES = (1e-3, 1e-2, 0.1)
@@ -42,9 +44,7 @@ class SessionMap(NamedTuple):
     load: Float[np.ndarray, " m"]  # m of depth, or N
     weights: Float[np.ndarray, "m c"]
     unit: float  # of the loads
-    offset: float  # load below zero at which nothing is read, in units
-    power: float
-    length: float  # m
+    shape: tuple[float, ...]  # load below zero at which nothing is read (in units), power, and length (m)
     r2: float  # of its own presses, each predicted from the others
 
 
@@ -77,26 +77,20 @@ def fit_session_map(
     at, load, values = position[rows].astype(float), load[rows].astype(float), readings[rows].astype(float)
     unit = max(float(np.quantile(np.abs(load), 0.9)), 1e-9)
     square = ((at[:, None] - at[None]) ** 2).sum(-1)
-    best, chosen = -np.inf, (0.5, 1.5, 6e-3, 1e-2)
     scale = max(float(np.mean(values**2)), 1e-30)
     some = slice(200)
-    for offset in (0.1, 0.7, 1.4):
-        for power in MAP_POWERS:
-            for length in MAP_LENGTHS:
-                for noise in MAP_NOISES:
-                    covariance = _map_covariance(
-                        square[some, some], load[some], load[some], unit, (offset, power, length)
-                    )
-                    covariance = covariance + noise * np.eye(len(covariance))
-                    density = left_out(covariance, values[some] / np.sqrt(scale)).log_density
-                    if density > best:
-                        best, chosen = density, (offset, power, length, noise)
-    offset, power, length, noise = chosen
-    covariance = _map_covariance(square, load, load, unit, (offset, power, length)) + noise * np.eye(len(load))
+
+    def density(shape: tuple[float, float, float, float]) -> float:
+        *form, noise = shape
+        covariance = _map_covariance(square[some, some], load[some], load[some], unit, form)
+        return left_out(covariance + noise * np.eye(len(covariance)), values[some] / np.sqrt(scale)).log_density
+
+    *form, noise = max(product(MAP_OFFSETS, MAP_POWERS, MAP_LENGTHS, MAP_NOISES), key=density)
+    covariance = _map_covariance(square, load, load, unit, form) + noise * np.eye(len(load))
     error = left_out(covariance, values).error
     r2 = 1 - float((error**2).sum() / max(((values - values.mean(0)) ** 2).sum(), 1e-30))
     weights = cho_solve((cholesky(covariance, lower=True), True), values)
-    return SessionMap(at, load, weights, unit=unit, offset=offset, power=power, length=length, r2=r2)
+    return SessionMap(at, load, weights, unit=unit, shape=tuple(form), r2=r2)
 
 
 def predict_session(
@@ -113,8 +107,7 @@ def predict_session(
         Readings (uT).
     """
     square = ((position[:, None] - session.position[None]) ** 2).sum(-1)
-    shape = (session.offset, session.power, session.length)
-    return _map_covariance(square, load, session.load, session.unit, shape) @ session.weights
+    return _map_covariance(square, load, session.load, session.unit, session.shape) @ session.weights
 
 
 def align_session(
@@ -138,13 +131,11 @@ def align_session(
     Returns:
         The alignment; without presses it is none, with the spread of the priors.
     """
-    chips = max(readings.shape[1] // _AXES, 1)
+    chips = max(readings.shape[1] // AXES, 1)
     load_std = session.unit * (LOAD_STD if load_known else 1.0)
     if not len(load):
         shift_std = np.full(2, SHIFT_STD_M)
-        return Alignment(
-            np.zeros(2), 0.0, np.ones(chips), shift_std=shift_std, load_std=load_std, r2=np.nan, r2_unaligned=np.nan
-        )
+        return Alignment(np.zeros(2), 0.0, np.ones(chips), shift_std, load_std, r2=np.nan, r2_unaligned=np.nan)
     rows = thinned(len(load), ALIGNED_PRESSES)
     at, load, values = position[rows].astype(float), load[rows].astype(float), readings[rows].astype(float)
     total = max(float(((values - values.mean(0)) ** 2).sum()), 1e-30)
@@ -153,10 +144,13 @@ def align_session(
     error = np.sqrt(max(1 - session.r2, 0.02) * np.mean(values**2))
     tempered = error * np.sqrt(max(len(load) / PRIOR_PRESSES, 1.0) ** 0.5)
 
-    def residual(theta: np.ndarray) -> np.ndarray:
+    def moved(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         expected = predict_session(session, at + SHIFT_STD_M * theta[:2], load + load_std * theta[2])
-        gain = np.repeat(_gains(expected, values, chips, error), _AXES)
-        log_gain = np.log(np.clip(gain[::_AXES], 1e-2, 1e2)).mean() / SESSION_GAIN_STD
+        return expected, np.repeat(_gains(expected, values, chips, error), AXES)
+
+    def residual(theta: np.ndarray) -> np.ndarray:
+        expected, gain = moved(theta)
+        log_gain = np.log(np.clip(gain[::AXES], 1e-2, 1e2)).mean() / SESSION_GAIN_STD
         return np.concatenate([((values - gain * expected) / tempered).ravel(), theta, [log_gain]])
 
     starts = [0.0] if load_known else [-1.0, -0.5, 0.0, 0.5, 1.0]
@@ -166,12 +160,11 @@ def align_session(
     )
     theta = found.x
     spread = np.sqrt(np.diagonal(np.linalg.pinv(found.jac.T @ found.jac)))
-    expected = predict_session(session, at + SHIFT_STD_M * theta[:2], load + load_std * theta[2])
-    gain = _gains(expected, values, chips, error)
-    left = ((values - np.repeat(gain, _AXES) * expected) ** 2).sum()
+    expected, gain = moved(theta)
     return Alignment(
-        shift=SHIFT_STD_M * theta[:2], load=float(load_std * theta[2]), gain=gain, shift_std=SHIFT_STD_M * spread[:2],
-        load_std=float(load_std * spread[2]), r2=1 - float(left) / total,
+        shift=SHIFT_STD_M * theta[:2], load=float(load_std * theta[2]), gain=gain[::AXES],
+        shift_std=SHIFT_STD_M * spread[:2], load_std=float(load_std * spread[2]),
+        r2=1 - float(((values - gain * expected) ** 2).sum()) / total,
         r2_unaligned=1 - float(((values - before) ** 2).sum()) / total,
     )  # fmt: skip
 
@@ -191,7 +184,7 @@ def aligned_prediction(
         Readings (uT).
     """
     expected = predict_session(session, position + alignment.shift, load + alignment.load)
-    return np.repeat(alignment.gain, _AXES) * expected
+    return np.repeat(alignment.gain, AXES) * expected
 
 
 def lay_over(
@@ -217,75 +210,52 @@ def lay_over(
         The alignment, the readings that it is of, and the findings.
     """
     alignment = align_session(session, position, load, readings, load_known=load_known)
-    findings = alignment_findings(session, alignment, position, load, readings, unit=unit)
-    todo = findings[-1].correction
-    if not todo:
+    if not len(load):
+        said = "The earlier session is taken as it is: there is no press to align it by."
+        return alignment, readings, [Finding(ALIGNMENT, said, False)]
+    since = _chips_since(predict_session(session, position + alignment.shift, load + alignment.load), readings)
+    findings = [_alignment_finding(alignment, len(load), unit), since]
+    if not since.correction:
         return alignment, readings, findings
-    order, signs = np.asarray(todo["chip_order"]), np.asarray(todo["channel_signs"], np.float64)
-    put_back = readings.reshape(len(readings), -1, _AXES)[:, order].reshape(readings.shape) * signs
+    put_back = corrected_readings(readings, since.correction)
     again = align_session(session, position, load, put_back, load_known=load_known)
     if not again.r2 > alignment.r2:
         return alignment, readings, findings[:1]
-    first = alignment_findings(session, again, position, load, put_back, unit=unit)[0]
-    return again, put_back, [first, findings[-1]]
+    return again, put_back, [_alignment_finding(again, len(load), unit), since]
 
 
-def alignment_findings(
-    session: SessionMap,
-    alignment: Alignment,
-    position: Float[np.ndarray, "n 2"],
-    load: Float[np.ndarray, " n"],
-    readings: Float[np.ndarray, "n c"],
-    *,
-    unit: str = "m",
-) -> list[Finding]:
-    """Say how a later session lies on an earlier one, and whether its chips are still where they were.
-
-    Args:
-        session: The earlier one.
-        alignment: Of the later one on it.
-        position: Of the later presses (m).
-        load: Their loads.
-        readings: Theirs (uT).
-        unit: Of the loads: m or N.
-
-    Returns:
-        A finding about the alignment, and one about the chips.
-    """
-    if not len(load):
-        return [Finding(ALIGNMENT, "The earlier session is taken as it is: there is no press to align it by.", False)]
+def _alignment_finding(alignment: Alignment, presses: int, unit: str) -> Finding:
+    """Say how a later session lies on an earlier one."""
     factor, name, unit = (1e3, "height", "mm") if unit == "m" else (1.0, "force", "N")
-    shift, spread = 1e3 * alignment.shift, 1e3 * alignment.shift_std
+    shift, spread = 1e3 * alignment.shift, 1.645e3 * alignment.shift_std
+    load, load_spread = factor * alignment.load, 1.645 * factor * alignment.load_std
     same = alignment.r2 > CHANGED_SKIN_R2
-    evidence = {
-        "r2_as_recorded": alignment.r2_unaligned, "r2_aligned": alignment.r2, "shift_x_mm": shift[0],
-        "shift_y_mm": shift[1], f"{name}_{unit}": factor * alignment.load, "gain": float(np.mean(alignment.gain)),
-        "presses": len(load),
-    }  # fmt: skip
     sentence = (
-        f"The earlier session lies shifted by {shift[0]:+.2f} +- {1.645 * spread[0]:.2f} mm and {shift[1]:+.2f} +- "
-        f"{1.645 * spread[1]:.2f} mm, in {name} by {factor * alignment.load:+.2f} +- "
-        f"{1.645 * factor * alignment.load_std:.2f} {unit}, with gains {np.round(alignment.gain, 2).tolist()}: it "
-        f"explains {alignment.r2:.2f} of the readings so, and {alignment.r2_unaligned:.2f} as recorded"
+        f"The earlier session lies shifted by {shift[0]:+.2f} +- {spread[0]:.2f} mm and {shift[1]:+.2f} +- "
+        f"{spread[1]:.2f} mm, in {name} by {load:+.2f} +- {load_spread:.2f} {unit}, with gains "
+        f"{np.round(alignment.gain, 2).tolist()}: it explains {alignment.r2:.2f} of the readings so, and "
+        f"{alignment.r2_unaligned:.2f} as recorded"
+        f"{'.' if same else '; that is no earlier session of this skin, or the skin has changed.'}"
     )
-    sentence += "." if same else "; that is no earlier session of this skin, or the skin has changed."
-    first = Finding(
-        ALIGNMENT, sentence, identifiable=same, wrong=not same, evidence=evidence,
+    return Finding(
+        ALIGNMENT, sentence, identifiable=same, wrong=not same,
+        evidence={
+            "r2_as_recorded": alignment.r2_unaligned, "r2_aligned": alignment.r2, "shift_x_mm": shift[0],
+            "shift_y_mm": shift[1], f"{name}_{unit}": load, "gain": float(np.mean(alignment.gain)), "presses": presses,
+        },
         correction={
             "shift_m": alignment.shift.tolist(), "load": alignment.load, "gain": alignment.gain.tolist()
         } if same else {},
     )  # fmt: skip
-    expected = predict_session(session, position + alignment.shift, load + alignment.load)
-    return [first, _chips_since(expected, readings)]
 
 
 def _chips_since(expected: np.ndarray, readings: np.ndarray) -> Finding:
     """Test whether chips were swapped or axes flipped since the earlier session."""
     n, channels = readings.shape
-    chips = channels // _AXES
+    chips = channels // AXES
     if n < MIN_CHIPS_SINCE or chips < 2:
         return Finding(ALIGNED_CHIPS, "Whether chips changed places is not identifiable: too few presses.", False)
-    y, e = readings.reshape(n, chips, _AXES), expected.reshape(n, chips, _AXES)
+    y, e = readings.reshape(n, chips, AXES), expected.reshape(n, chips, AXES)
     # What is left of recorded chip p where chip c is expected, each axis with its better sign, the chip with its gain.
     along = np.einsum("ica,ipa->cpa", e, y)
     left = (y**2).sum((0, 2))[None] - np.abs(along).sum(2) ** 2 / np.maximum((e**2).sum((0, 2)), 1e-30)[:, None]
@@ -293,25 +263,22 @@ def _chips_since(expected: np.ndarray, readings: np.ndarray) -> Finding:
     as_recorded, least = float(np.trace(left)), float(left[np.arange(chips), best].sum())
     swapped = least < SWAP_ERROR_RATIO * as_recorded
     order = best if swapped else np.arange(chips)
-    signs = np.ones((chips, _AXES))
+    signs = np.ones((chips, AXES))
     size = np.sqrt((y[:, order] ** 2).sum(0) * (e**2).sum(0))
     signs[along[np.arange(chips), order] < -0.5 * np.maximum(size, 1e-30)] = -1
-    flipped = bool((signs < 0).any())
-    evidence = {"error_as_recorded": as_recorded, "error_best": least}
     said = []
     if swapped:
         said.append(f"chips {' and '.join(str(i) for i in np.flatnonzero(order != np.arange(chips)))} changed places")
-    if flipped:
-        said.append(
-            "these now read the other way: "
-            + ", ".join(f"{'xyz'[axis]} of chip {chip}" for chip, axis in np.argwhere(signs < 0))
-            + (", a chip or a magnet was turned over" if (signs < 0).all(1).any() else "")
-        )
-    sentence = f"Since the earlier session {' and '.join(said)}." if said else "Chips and axes are as they were."
-    correction = {"chip_order": order.tolist(), "channel_signs": signs.ravel().tolist()} if said else {}
+    if (signs < 0).any():
+        turned = ", ".join(f"{'xyz'[axis]} of chip {chip}" for chip, axis in np.argwhere(signs < 0))
+        over = ", a chip or a magnet was turned over" if (signs < 0).all(1).any() else ""
+        said.append(f"these now read the other way: {turned}{over}")
     return Finding(
-        ALIGNED_CHIPS, sentence, identifiable=True, wrong=bool(said), evidence=evidence, correction=correction
-    )
+        ALIGNED_CHIPS,
+        f"Since the earlier session {' and '.join(said)}." if said else "Chips and axes are as they were.",
+        identifiable=True, wrong=bool(said), evidence={"error_as_recorded": as_recorded, "error_best": least},
+        correction={"chip_order": order.tolist(), "channel_signs": signs.ravel().tolist()} if said else {},
+    )  # fmt: skip
 
 
 def _gains(expected: np.ndarray, values: np.ndarray, chips: int, error: float) -> np.ndarray:
@@ -325,7 +292,7 @@ def _gains(expected: np.ndarray, values: np.ndarray, chips: int, error: float) -
 
 
 def _map_covariance(
-    square: np.ndarray, a: np.ndarray, b: np.ndarray, unit: float, shape: tuple[float, float, float]
+    square: np.ndarray, a: np.ndarray, b: np.ndarray, unit: float, shape: Sequence[float]
 ) -> np.ndarray:
     offset, power, length = shape
     growth = np.outer(*(np.maximum((load / unit + offset) / (1 + offset), 0.0) ** power for load in (a, b)))

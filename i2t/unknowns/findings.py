@@ -1,4 +1,4 @@
-"""Findings on the unknowns of a recording, and their way into a data set and back."""
+"""Findings on the unknowns of a recording: their corrections, and their way into a data set and back."""
 
 import json
 import math
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 META_PREFIX = "unknowns of "  # of a data set's meta: one entry for each session
+AXES = 3  # of a chip
 
 
 class RecordedPresses(NamedTuple):
@@ -30,8 +31,7 @@ class RecordedPresses(NamedTuple):
         Returns:
             These presses.
         """
-        height, force, seconds = (None if values is None else values[part] for values in self[2:])
-        return RecordedPresses(self.position[part], self.readings[part], height, force, seconds)
+        return self._replace(**{name: values[part] for name, values in self._asdict().items() if values is not None})
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,85 @@ class Finding:
         return {name: _plain(value) for name, value in asdict(self).items()}
 
 
+def find(findings: Iterable[Finding], name: str) -> Finding | None:
+    """The finding of this name.
+
+    Args:
+        findings: To look in.
+        name: Of the unknown.
+
+    Returns:
+        It, or None.
+    """
+    return next((finding for finding in findings if finding.name == name), None)
+
+
+# --- corrections ---
+
+
+def corrected_presses(presses: RecordedPresses, findings: Iterable[Finding]) -> RecordedPresses:
+    """A recording with what was found put right: units, signs, lag, order and axes of the chips.
+
+    Height zero stays where it is: it is a number, not a mistake of a column.
+
+    Args:
+        presses: As recorded.
+        findings: About it.
+
+    Returns:
+        The presses; with a lag, fewer.
+    """
+    for finding in findings:
+        todo = finding.correction
+        factors = {name: todo.get(f"{name}_factor", 1.0) * todo.get(f"{name}_sign", 1.0) for name in _FACTORS}
+        presses = presses._replace(
+            position=presses.position * factors["length"],
+            readings=corrected_readings(presses.readings, todo),
+            height=None if presses.height is None else presses.height * factors["depth"] * factors["height"],
+            force=None if presses.force is None else presses.force * factors["force"],
+        )
+        label_rows, reading_rows = lag_rows(len(presses.readings), int(todo.get("label_lag_rows", 0)))
+        presses = presses.rows(label_rows)._replace(readings=presses.readings[reading_rows])
+    return presses
+
+
+_FACTORS = ("length", "depth", "height", "force")
+
+
+def corrected_readings(readings: Float[np.ndarray, "n c"], correction: Mapping[str, Any]) -> Float[np.ndarray, "n c"]:
+    """Readings in microtesla, their chips in order and their axes turned.
+
+    Args:
+        readings: As recorded.
+        correction: Of a finding.
+
+    Returns:
+        The same rows.
+    """
+    readings = readings * correction.get("field_factor", 1.0)
+    if "chip_order" in correction:
+        chips = readings.reshape(len(readings), -1, AXES)
+        readings = chips[:, list(correction["chip_order"])].reshape(readings.shape)
+    return readings * np.asarray(correction.get("channel_signs", 1.0), np.float64)
+
+
+def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that belong together where labels are shifted.
+
+    Args:
+        n: Rows of the recording.
+        lag: Rows: the reading of row i belongs to the labels of row i + lag.
+
+    Returns:
+        Rows of the labels, and rows of the readings, of one length.
+    """
+    rows = np.arange(max(0, -lag), n - max(0, lag))
+    return rows + lag, rows
+
+
+# --- the meta of a data set, and the metrics of a run ---
+
+
 def findings_to_meta(session: str, findings: Iterable[Finding]) -> dict[str, str]:
     """Entry of findings in the meta of a data set.
 
@@ -104,29 +183,23 @@ def findings_from_meta(meta: Mapping[str, str]) -> dict[str, list[Finding]]:
     return found
 
 
-def find(findings: Iterable[Finding], name: str) -> Finding | None:
-    """The finding of this name.
+def metrics_of(findings: Iterable[Finding]) -> dict[str, Any]:
+    """Findings for a run's metrics.
 
     Args:
-        findings: To look in.
-        name: Of the unknown.
+        findings: Of a recording.
 
     Returns:
-        It, or None.
+        Their fields by name, as JSON can hold them.
     """
-    return next((finding for finding in findings if finding.name == name), None)
+    return {finding.name: finding.to_json() for finding in findings}
 
 
 def _plain(value: Any) -> Any:
     """Numbers of NumPy as Python's, what is not finite as None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
+    if isinstance(value, list | tuple):
         return [_plain(part) for part in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

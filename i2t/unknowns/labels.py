@@ -3,7 +3,6 @@
 NumPy only. Each function judges recorded presses by one property that any sound skin has; none needs a model of one.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ LAG_UNEXPLAINED = 1.5  # times: what a smooth model leaves unexplained as record
 LAG_GAIN = 0.03  # of R2, at least
 LAG_SHARE = 0.5  # of the R2 that is explained with the lag, which is lost without: where noise hides the rest
 SURE_ERRORS = 4.0  # standard errors of a rank correlation
+MIN_RANKS = 0.15  # rank correlation, at least
 PUSH_SHARE = 0.9  # of the presses that must pull for the force to be turned
 MIN_PUSH_N = 0.05  # less is no press
 MAX_EXTENT_M = 0.5  # of where a skin was pressed: beyond it are millimetres
@@ -31,7 +31,7 @@ MIN_NORM_UT = 2.0  # of the strongest readings: the noise alone of one reading o
 TESLA_BELOW = 2e-3  # in the unit recorded: readings between the two are millitesla
 MAX_NORM_UT = 2e5  # chips end at 1.3e5 uT on each axis
 MAX_FORCE_N = 150.0  # beyond are grams
-MM_PER_M = 1e3
+NEWTONS_PER_GRAM = 9.80665e-3
 
 
 class Scales(NamedTuple):
@@ -54,22 +54,35 @@ def find_lag(presses: RecordedPresses, max_lag: int = 4) -> Finding:
     Returns:
         The finding; the estimate is the lag (rows).
     """
-    labels = _labels(presses)
+    load = presses.height if presses.height is not None and np.isfinite(presses.height).all() else presses.force
+    loads = [] if load is None or not np.isfinite(load).all() else [load]
+    return lag_between(np.column_stack([presses.position, *loads]), presses.readings, max_lag)
+
+
+def lag_between(labels: Float[np.ndarray, "n k"], readings: Float[np.ndarray, "n c"], max_lag: int = 4) -> Finding:
+    """Ask whether readings belong to the labels of an earlier or later row, whatever the labels are.
+
+    Args:
+        labels: Of each row, in any units.
+        readings: Of the same rows (uT).
+        max_lag: As for `find_lag`.
+
+    Returns:
+        The finding, as of `find_lag`.
+    """
     n = len(labels)
     rows = thinned(n - 2 * max_lag, LAG_ROWS) + max_lag
     if len(rows) < MIN_LAG_ROWS:
         return Finding(LAG, f"A lag of the labels is not identifiable: {n} presses are too few.", False)
-    r2 = {lag: smooth_r2(labels[rows + lag], presses.readings[rows]) for lag in range(-max_lag, max_lag + 1)}
+    r2 = {lag: smooth_r2(labels[rows + lag], readings[rows]) for lag in range(-max_lag, max_lag + 1)}
     best = max(r2, key=lambda lag: r2[lag])
     near = [lag for lag in r2 if 0 < abs(lag - best) <= 3]
     contrast = r2[best] - min(r2[lag] for lag in near)
     evidence = {"r2_as_recorded": r2[0], "r2_best": r2[best], "best_lag": float(best), "r2_contrast": contrast}
     if contrast < LAG_GAIN or r2[best] < 0.1:
         why = "readings hardly depend on the labels" if r2[best] < 0.1 else "neighbouring rows are nearly alike"
-        return Finding(
-            LAG, f"A lag of the labels is not identifiable: {why} (R2 {r2[0]:.3f} as recorded, {r2[best]:.3f} at "
-            f"{best:+d} rows).", False, evidence=evidence,
-        )  # fmt: skip
+        said = f"{why} (R2 {r2[0]:.3f} as recorded, {r2[best]:.3f} at {best:+d} rows)"
+        return Finding(LAG, f"A lag of the labels is not identifiable: {said}.", False, evidence=evidence)
     unexplained = (1 - r2[0]) / max(1 - r2[best], 1e-6)
     evidence["unexplained_ratio"] = unexplained
     gain = r2[best] - r2[0]
@@ -99,11 +112,24 @@ def find_height_axis(presses: RecordedPresses) -> Finding:
     if presses.height is None or not np.isfinite(presses.height).any():
         return Finding(HEIGHT_AXIS, "The direction of the height is not identifiable: none was recorded.", False)
     firm = np.isfinite(presses.height)
-    height, norm = presses.height[firm], np.linalg.norm(presses.readings[firm], axis=1)
-    return _sign_of(HEIGHT_AXIS, -height, norm, {"height_sign": -1.0}, (
-        "Readings grow where the height grows: the height points into the skin and is turned",
-        "Readings grow as the height falls: the height points out of the skin",
-    ))  # fmt: skip
+    depth, norm = -presses.height[firm], np.linalg.norm(presses.readings[firm], axis=1)
+    if len(norm) < MIN_LAG_ROWS or np.ptp(depth) == 0 or np.ptp(norm) == 0:
+        said = "The direction of the height is not identifiable: too few presses, or all alike."
+        return Finding(HEIGHT_AXIS, said, False)
+    ranks = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
+    evidence = {"rank_correlation": ranks, "presses": len(norm)}
+    found = f"(rank correlation with the depth {ranks:+.2f})"
+    if abs(ranks) < max(SURE_ERRORS / np.sqrt(len(norm) - 1), MIN_RANKS):
+        said = f"The direction of the height is not identifiable: readings hardly change with it {found}."
+        return Finding(HEIGHT_AXIS, said, False, evidence=evidence)
+    if ranks < 0:
+        said = f"Readings grow where the height grows: the height points into the skin and is turned {found}."
+        return Finding(
+            HEIGHT_AXIS, said, identifiable=True, wrong=True, estimate=-1.0, evidence=evidence,
+            correction={"height_sign": -1.0},
+        )  # fmt: skip
+    said = f"Readings grow as the height falls: the height points out of the skin {found}."
+    return Finding(HEIGHT_AXIS, said, identifiable=True, estimate=1.0, evidence=evidence)
 
 
 def find_force_sign(force: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"] | None = None) -> Finding:
@@ -125,24 +151,17 @@ def find_force_sign(force: Float[np.ndarray, " n"], readings: Float[np.ndarray, 
     pulls = float(np.mean(force[known] < 0))
     median = float(np.median(force[known]))
     evidence = {"share_negative": pulls, "median_force_N": median, "presses": int(known.sum())}
+    negative = f"Forces along tool z are negative in {100 * pulls:.0f} % of the presses (median {median:.2f} N)"
     if pulls > PUSH_SHARE:
         return Finding(
-            FORCE_SIGN,
-            f"Forces along tool z are negative in {100 * pulls:.0f} % of the presses (median {median:.2f} N), as if "
-            "they pulled: they are turned.",
-            identifiable=True, wrong=True, estimate=-1.0, evidence=evidence, correction={"force_sign": -1.0},
+            FORCE_SIGN, f"{negative}, as if they pulled: they are turned.", identifiable=True, wrong=True,
+            estimate=-1.0, evidence=evidence, correction={"force_sign": -1.0},
         )  # fmt: skip
     if pulls > 1 - PUSH_SHARE:
-        return Finding(
-            FORCE_SIGN,
-            f"Forces along tool z are negative in {100 * pulls:.0f} % of the presses (median {median:.2f} N): they are "
-            "hardly along tool z; check the axes that they were recorded in.",
-            identifiable=False, evidence=evidence,
-        )  # fmt: skip
-    return Finding(
-        FORCE_SIGN, f"Presses push: the median force along tool z is {median:.2f} N.", identifiable=True, estimate=1.0,
-        evidence=evidence,
-    )  # fmt: skip
+        said = f"{negative}: they are hardly along tool z; check the axes that they were recorded in."
+        return Finding(FORCE_SIGN, said, identifiable=False, evidence=evidence)
+    said = f"Presses push: the median force along tool z is {median:.2f} N."
+    return Finding(FORCE_SIGN, said, identifiable=True, estimate=1.0, evidence=evidence)
 
 
 def find_units(
@@ -167,57 +186,38 @@ def find_units(
     strong = float(np.quantile(norm, 0.9)) if len(norm) else np.nan
     there = position[np.isfinite(position).all(1)]
     extent = float(np.ptp(there, axis=0).max()) if len(there) else np.nan
-    deep = _largest(depth)
-    hard = _largest(force)
-    said, scales = [], Scales()
-    if extent > MAX_EXTENT_M:
-        said.append(f"positions range over {extent:.3g}, which can be no metres: they are read as millimetres")
-        scales = scales._replace(length=1 / MM_PER_M)
-    elif 1e-6 < extent < MIN_EXTENT_M and _depends(position, readings):
-        said.append(
-            f"positions range over {extent:.3g} m only, and readings depend on them: they are read as a "
-            "thousand times that"
-        )
-        scales = scales._replace(length=MM_PER_M)
-    if 0 < deep < MIN_DEPTH_M:
-        said.append(f"depths reach {deep:.3g} m, which is no press: they are read as a thousand times that")
-        scales = scales._replace(depth=MM_PER_M)
-    if deep > MAX_DEPTH_M:
-        said.append(f"depths reach {deep:.3g}, which can be no metres: they are read as millimetres")
-        scales = scales._replace(depth=1 / MM_PER_M)
-    if 0 < strong < MIN_NORM_UT:
-        unit, factor = ("tesla", 1e6) if strong < TESLA_BELOW else ("millitesla", 1e3)
-        said.append(
-            f"strong readings have the norm {strong:.2g}, less than the noise of a chip in uT: they are read as {unit}"
-        )
-        scales = scales._replace(field=factor)
-    elif strong > MAX_NORM_UT:
-        said.append(f"strong readings have the norm {strong:.2g}, beyond any chip in uT: they are read as nanotesla")
-        scales = scales._replace(field=1e-3)
-    if hard > MAX_FORCE_N:
-        said.append(f"forces reach {hard:.3g}, which no skin bears in newtons: they are read as grams")
-        scales = scales._replace(force=9.80665e-3)
-    evidence = {"extent": extent, "strong_norm": strong, "largest_depth": deep, "largest_force": hard}
+    deep, hard = _largest(depth), _largest(force)
+    narrow = 1e-6 < extent < MIN_EXTENT_M and _depends(position, readings)
+    wide = f"positions range over {extent:.3g}"
+    many, few = f"depths reach {deep:.3g}", f"strong readings have the norm {strong:.2g}"
+    unit, to_microtesla = ("tesla", 1e6) if strong < TESLA_BELOW else ("millitesla", 1e3)
+    # What is out of range, what it is in units of, and what is said of it.
+    suspects = (
+        ("length", extent > MAX_EXTENT_M, 1e-3, f"{wide}, which can be no metres: they are read as millimetres"),
+        ("length", narrow, 1e3, f"{wide} m only, and readings depend on them: they are read as a thousand times that"),
+        ("depth", 0 < deep < MIN_DEPTH_M, 1e3, f"{many} m, which is no press: they are read as a thousand times that"),
+        ("depth", deep > MAX_DEPTH_M, 1e-3, f"{many}, which can be no metres: they are read as millimetres"),
+        (
+            "field", 0 < strong < MIN_NORM_UT, to_microtesla,
+            f"{few}, less than the noise of a chip in uT: they are read as {unit}",
+        ),
+        ("field", strong > MAX_NORM_UT, 1e-3, f"{few}, beyond any chip in uT: they are read as nanotesla"),
+        (
+            "force", hard > MAX_FORCE_N, NEWTONS_PER_GRAM,
+            f"forces reach {hard:.3g}, which no skin bears in newtons: they are read as grams",
+        ),
+    )  # fmt: skip
+    wrong = [(name, factor, said) for name, is_so, factor, said in suspects if is_so]
     sentence = (
-        "Units are not what was stated: " + "; ".join(said) + "."
-        if said
+        f"Units are not what was stated: {'; '.join(said for *_, said in wrong)}."
+        if wrong
         else "Lengths, fields and forces have sizes that fit metres, microtesla and newtons."
     )
-    correction: Mapping[str, float] = {
-        f"{name}_factor": value for name, value in scales._asdict().items() if value != 1
-    }
-    identifiable = np.isfinite(strong)
     return Finding(
-        UNITS, sentence, identifiable=bool(identifiable), wrong=bool(said), evidence=evidence, correction=correction
-    ), scales
-
-
-def _labels(presses: RecordedPresses) -> np.ndarray:
-    """Position and, where it was recorded, height or force of each press."""
-    load = presses.height if presses.height is not None and np.isfinite(presses.height).all() else presses.force
-    if load is None or not np.isfinite(load).all():
-        return presses.position
-    return np.column_stack([presses.position, load])
+        UNITS, sentence, identifiable=bool(np.isfinite(strong)), wrong=bool(wrong),
+        evidence={"extent": extent, "strong_norm": strong, "largest_depth": deep, "largest_force": hard},
+        correction={f"{name}_factor": factor for name, factor, _ in wrong},
+    ), Scales(**{name: factor for name, factor, _ in wrong})  # fmt: skip
 
 
 def _depends(position: np.ndarray, readings: np.ndarray) -> bool:
@@ -231,25 +231,3 @@ def _largest(values: np.ndarray | None) -> float:
     """The 90th percentile of the sizes, 0 where nothing was recorded."""
     known = np.abs(values[np.isfinite(values)]) if values is not None else np.empty(0)
     return float(np.quantile(known, 0.9)) if len(known) else 0.0
-
-
-def _sign_of(
-    name: str, depth: np.ndarray, norm: np.ndarray, correction: Mapping[str, float], said: tuple[str, str]
-) -> Finding:
-    """Test whether readings grow with the depth, by their rank correlation."""
-    n = len(norm)
-    if n < MIN_LAG_ROWS or np.ptp(depth) == 0 or np.ptp(norm) == 0:
-        return Finding(name, f"The {name} is not identifiable: too few presses, or all alike.", False)
-    ranks = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
-    error = 1 / np.sqrt(n - 1)
-    evidence = {"rank_correlation": ranks, "presses": n}
-    if abs(ranks) < SURE_ERRORS * error or abs(ranks) < 0.15:
-        return Finding(
-            name, f"The {name} is not identifiable: readings hardly change with it (rank correlation {ranks:+.2f}).",
-            False, evidence=evidence,
-        )  # fmt: skip
-    wrong = bool(ranks < 0)
-    return Finding(
-        name, f"{said[0] if wrong else said[1]} (rank correlation with the depth {ranks:+.2f}).", identifiable=True,
-        wrong=wrong, estimate=-1.0 if wrong else 1.0, evidence=evidence, correction=correction if wrong else {},
-    )  # fmt: skip

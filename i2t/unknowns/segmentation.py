@@ -12,7 +12,6 @@ which keeps no more than the rows of the longest press.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,42 +26,12 @@ STEADY_SHARE = 0.5  # of a plateau's rows that the steady reading is the median 
 RELEASED_SHARE = 0.1  # of a press's peak, below which it is over once the skin moves no further back
 REST_SCATTER = 2.0  # standard deviations between rows at rest
 MIN_PEAK_SHARE = 0.03  # of the median peak: what is less is the skin recovering
+BEGIN_AT, END_AT = 8.0, 4.0  # distances from rest that a press exceeds, and below which the skin is at rest
+SMOOTH_S = 0.02  # over which rows are averaged before they are compared
+BASELINE_S = 1.0  # at rest, that a baseline is the median of
+SHORTEST_S, LONGEST_S = 0.1, 60.0  # of a press: what is shorter is left out, what lasts longer is a new rest
+GAP_S = 0.1  # presses closer than this are one
 NOISE_BLOCKS = 20  # of rows, whose differences are compared to find those at rest
-
-
-@dataclass(frozen=True, kw_only=True)
-class PressCriteria:
-    """Criteria of a press.
-
-    Args:
-        begin_at: Distance from rest, in standard deviations of a smoothed channel, that a press exceeds.
-        end_at: Distance below which the skin is at rest.
-        min_press_s: Shorter presses are left out (s).
-        min_gap_s: Presses closer than this are one (s).
-        smooth_s: Rows are averaged over this time before they are compared (s).
-        baseline_s: Time at rest that a baseline is the median of (s).
-        max_press_s: What lasts longer is a new rest (s).
-        noise_std: (c,) of a single row of each channel (uT); by default found from differences of rows that follow
-            each other.
-
-    Raises:
-        ValueError: A press would end above where it begins.
-    """
-
-    begin_at: float = 8.0
-    end_at: float = 4.0
-    min_press_s: float = 0.1
-    min_gap_s: float = 0.1
-    smooth_s: float = 0.02
-    baseline_s: float = 1.0
-    max_press_s: float = 60.0
-    noise_std: ArrayLike | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 < self.end_at <= self.begin_at:
-            raise ValueError(
-                f"a press cannot begin at {self.begin_at:g} and end at {self.end_at:g}; end_at is the smaller one"
-            )
 
 
 class SegmentedPresses(NamedTuple):
@@ -95,14 +64,11 @@ class FoundPress(NamedTuple):
 
 
 class SegmentationRules(NamedTuple):
-    """`PressCriteria` of one recording: times are in rows, or in blocks of rows that are averaged."""
+    """Noise and rate of one recording: times in rows, or in blocks of rows that are averaged."""
 
     noise_std: Float[np.ndarray, " c"]  # uT, of a row
     step: float  # s, between rows
     width: int  # rows of a block
-    begin_at: float
-    end_at: float
-    shortest: float  # s
     rest: int  # blocks
     gap: int  # blocks
     longest: int  # blocks
@@ -126,13 +92,12 @@ class OpenRecording(NamedTuple):
     baseline: Float[np.ndarray, " c"] | None  # uT; None before the first rest was seen
 
 
-def segment_presses(time: ArrayLike, readings: ArrayLike, *, criteria: PressCriteria | None = None) -> SegmentedPresses:
+def segment_presses(time: ArrayLike, readings: ArrayLike) -> SegmentedPresses:
     """Find the presses of a recording.
 
     Args:
         time: (n,) when each row was read (s), increasing.
         readings: (n, c) what the board sent (uT), ambient and drift and all.
-        criteria: What is a press; by default `PressCriteria()`.
 
     Returns:
         The presses in the order of time; none where nothing presses.
@@ -145,31 +110,20 @@ def segment_presses(time: ArrayLike, readings: ArrayLike, *, criteria: PressCrit
         presses.reading, presses.start_time
     """
     time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
-    rules = segmentation_rules(time, readings, criteria=criteria)
+    rules = segmentation_rules(time, readings)
     recording, found = find_more(open_recording(rules), time, readings)
     kept = true_presses([*found, *find_last(recording)], rules)
-    channels = readings.shape[1]
-    return SegmentedPresses(
-        start=np.array([press.start for press in kept], int),
-        end=np.array([press.end for press in kept], int),
-        steady_start=np.array([press.steady_start for press in kept], int),
-        steady_end=np.array([press.steady_end for press in kept], int),
-        reading=np.array([press.reading for press in kept]).reshape(-1, channels),
-        baseline=np.array([press.baseline for press in kept]).reshape(-1, channels),
-        start_time=np.array([press.start_time for press in kept], float),
-        end_time=np.array([press.end_time for press in kept], float),
-    )
+    columns = {name: np.array([getattr(press, name) for press in kept]) for name in SegmentedPresses._fields}
+    columns |= {name: columns[name].reshape(-1, readings.shape[1]) for name in ("reading", "baseline")}
+    return SegmentedPresses(**columns)
 
 
-def segmentation_rules(
-    time: ArrayLike, readings: ArrayLike, *, criteria: PressCriteria | None = None
-) -> SegmentationRules:
+def segmentation_rules(time: ArrayLike, readings: ArrayLike) -> SegmentationRules:
     """Rules that define a press in a recording, by the rate and the noise of some of its rows.
 
     Args:
         time: (n,) when each row was read (s), increasing.
         readings: (n, c) uT.
-        criteria: In seconds; by default `PressCriteria()`.
 
     Returns:
         The rules, in rows.
@@ -177,24 +131,12 @@ def segmentation_rules(
     Raises:
         ValueError: Times do not increase, shapes do not belong together, or a value is not finite.
     """
-    criteria = criteria or PressCriteria()
     time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
     _check(time, readings)
     step = float(np.median(np.diff(time)))
-
-    def rows(seconds: float) -> int:
-        return max(1, round(seconds / step))
-
-    width = min(rows(criteria.smooth_s), max(len(time) // MIN_ROWS, 1))
-    seconds_of = criteria.baseline_s, criteria.min_gap_s, criteria.max_press_s
-    rest, gap, longest = (max(1, rows(seconds) // width) for seconds in seconds_of)
-    known = criteria.noise_std
-    noise = _noise(readings) if known is None else np.maximum(np.asarray(known), MIN_NOISE_UT)
-    return SegmentationRules(
-        noise, step, width,
-        begin_at=criteria.begin_at, end_at=criteria.end_at, shortest=criteria.min_press_s,
-        rest=rest, gap=gap, longest=longest,
-    )  # fmt: skip
+    width = min(max(1, round(SMOOTH_S / step)), max(len(time) // MIN_ROWS, 1))
+    rest, gap, longest = (max(1, max(1, round(s / step)) // width) for s in (BASELINE_S, GAP_S, LONGEST_S))
+    return SegmentationRules(_noise(readings), step, width, rest=rest, gap=gap, longest=longest)
 
 
 def open_recording(rules: SegmentationRules, columns: int = 0) -> OpenRecording:
@@ -259,7 +201,7 @@ def true_presses(found: Sequence[FoundPress], rules: SegmentationRules) -> list[
         Those that count.
     """
     enough = MIN_PEAK_SHARE * float(np.median([press.peak for press in found])) if found else 0.0
-    shortest = rules.shortest - 1.5 * rules.step
+    shortest = SHORTEST_S - 1.5 * rules.step
     return [press for press in found if press.end_time - press.start_time >= shortest and press.peak >= enough]
 
 
@@ -297,7 +239,7 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
         if baseline is None:
             baseline = np.median(blocks[: rules.rest], axis=0)
         distance = _distance(blocks[at : at + rules.rest] - baseline, unit)
-        over = np.flatnonzero(distance > rules.begin_at)
+        over = np.flatnonzero(distance > BEGIN_AT)
         if not len(over):
             at += max(1, min(rules.rest // 4, len(distance)))
             baseline = np.median(blocks[max(rest_from, at - rules.rest, 0) : at], axis=0)
@@ -309,7 +251,7 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
             break
         if rests:
             since = max(rest_from, first - rules.longest, 0)
-            back = _distance(blocks[since:first] - baseline, unit) < rules.end_at
+            back = _distance(blocks[since:first] - baseline, unit) < END_AT
             start = since + int(np.flatnonzero(back)[-1]) + 1 if back.any() else since
             found.append(_press(recording, blocks, (start, first + end), baseline))
         at = rest_from = following
@@ -367,11 +309,9 @@ def _release(distance: np.ndarray, rules: SegmentationRules) -> tuple[int, bool,
     peak, least, least_at, known = 0.0, np.inf, 0, False
     for i, d in enumerate(distance.tolist()):
         peak = max(peak, d)
-        if d < max(rules.end_at, RELEASED_SHARE * peak) and d < least:
+        if d < max(END_AT, RELEASED_SHARE * peak) and d < least:
             least, least_at = d, i
-        elif least < np.inf and (
-            i - least_at >= rules.gap or d > least + max(rules.begin_at, RELEASED_SHARE / 2 * peak)
-        ):
+        elif least < np.inf and (i - least_at >= rules.gap or d > least + max(BEGIN_AT, RELEASED_SHARE / 2 * peak)):
             known = True
             break
         if i > rules.longest and least == np.inf:

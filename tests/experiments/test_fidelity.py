@@ -9,7 +9,7 @@ from helpers import random_touches
 from helpers.skin_presses import presses_of_a_skin
 
 from experiments.fidelity import __main__ as fidelity
-from experiments.fidelity import curves, describe, dynamics, forward, heads, run
+from experiments.fidelity import curves, describe, dynamics, forward, heads, mistakes, run
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import press_set
 from experiments.fidelity.sections import CannotTellError, Section, written
@@ -118,12 +118,12 @@ def written_table(path, reverse=False):
 
 @pytest.mark.full
 def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(run, "fidelity_preset", lambda args: TINY)
+    monkeypatch.setattr(run, "choose_preset", lambda presets, name: TINY)
     tables = written_table(tmp_path / "mine <b>.csv"), written_table(tmp_path / "other.csv", reverse=True)
     args = ["--dataset", *tables, "--out", str(tmp_path / "out")]
     assert fidelity.main(args) == 0
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("data:image/png;base64,") >= 6
+    assert page.count("data:image/png;base64,") == 4
     assert 'src="http' not in page
     assert "<b>" not in page
     assert "mine &lt;b&gt;" in page
@@ -160,13 +160,10 @@ def test_a_part_that_fails_costs_no_other(capsys):
     assert written("title", silent).sentences == ["There is nothing."]
 
 
-def test_mistakes_that_were_put_in_are_found(monkeypatch):
-    """By the checks themselves, where no estimate has put anything right."""
-    monkeypatch.setattr(describe, "estimate_unknowns", lambda *args: [])
-
+def test_mistakes_that_were_put_in_are_found():
     def found(recording):
         section = Section("Checks")
-        describe.check(recording, section)
+        describe.check(recording, section, [])
         assert "failures" not in section.numbers
         return section.numbers
 
@@ -174,9 +171,7 @@ def test_mistakes_that_were_put_in_are_found(monkeypatch):
     assert sound["warnings"] == []
     dead = found(HOSTILE["a dead channel"])
     assert dead["constant_channels"] == [4]
-    pulled = found(HOSTILE["forces that pull"])
-    assert pulled["negative_force_share"] == 1
-    assert any("sign" in sentence for sentence in pulled["warnings"])
+    assert any("as if they pulled" in sentence for sentence in found(HOSTILE["forces that pull"])["warnings"])
     copied = SKIN.readings.copy()
     copied[:, 7] = copied[:, 2]
     assert found(replace(SKIN, readings=copied))["equal_channels"] == [(2, 7)]
@@ -240,11 +235,10 @@ def test_a_range_that_holds_too_few_rows_is_said():
     score = heads.HeadScore(rows=40, rmse=0.2, median=0.1, r2=0.9, inside_90=0.68, unfamiliar=0.0)
     (sentence,) = heads.missed_ranges("force", {"random rows": score, "later": score._replace(inside_90=0.85)})
     assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
-    assert heads.missed_ranges("contact", {"random rows": score}) == []  # whose last number but one is another
 
 
 def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
-    """As `experiments.calibrate --previous-session` does, in both directions."""
+    """In both directions."""
     section, big = Section("across"), presses_of_a_skin(600)
     depth = big.targets["depth"][:, 0]
     later = np.flatnonzero(np.arange(600) >= 300)
@@ -276,7 +270,7 @@ def test_the_unit_is_predicted_from_the_steps(factor, unit):
 def test_noise_and_hysteresis_are_measured_as_put_in():
     stream = _stream(600, 6)
     noise, hysteresis = Section("Noise"), Section("Hysteresis")
-    dynamics.noise(stream, TINY, noise)
+    dynamics.noise(stream, noise)
     dynamics.hysteresis(stream, TINY, hysteresis)
     assert noise.numbers["noise"]["xy_uT"] == pytest.approx(1.0, abs=0.25)
     assert noise.numbers["drift"]["median_uT"] == pytest.approx(27, abs=1.5)
@@ -296,7 +290,6 @@ def test_the_ceiling_is_that_of_the_noise_put_in():
     total = np.mean(np.sum((noisy.readings - noisy.readings.mean(0)) ** 2, axis=1))
     assert section.numbers["r2_ceiling"] == pytest.approx(1 - 15 * 4.0**2 / total, abs=0.3 * 15 * 4.0**2 / total)
     assert section.numbers["r2_plain_gp_leave_one_out"] < section.numbers["r2_ceiling"]
-    assert section.numbers["bounds"]["position"]["median"] > 0
 
 
 def test_one_chip_that_remembers_is_named():
@@ -323,16 +316,6 @@ def test_what_is_held_out_is_never_fitted_to():
     assert SKIN.known("depth").all()
 
 
-def test_area_under_the_curve_and_calibration_error_by_counting():
-    rng = np.random.default_rng(0)
-    score, yes = rng.integers(0, 9, 200) / 9, rng.uniform(size=200) < 0.4
-    pairs = [np.sign(a - b) for a in score[yes] for b in score[~yes]]
-    assert heads.area_under_curve(score, yes) == pytest.approx(0.5 + 0.5 * np.mean(pairs))
-    assert np.isnan(heads.area_under_curve(score, np.ones(200, bool)))
-    assert heads.calibration_error(np.full(200, 0.9), np.arange(200) < 180) == pytest.approx(0)
-    assert heads.calibration_error(np.full(200, 0.9), np.arange(200) < 20) == pytest.approx(0.8)
-
-
 def test_heads_are_fitted_by_one_command(tmp_path, capsys):
     from experiments.calibrate import __main__ as calibrate
 
@@ -340,7 +323,12 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
     assert calibrate.main(["--dataset", table, "--targets", "colour", "--out", str(tmp_path / "out")]) not in (0, None)
     assert "is no target" in capsys.readouterr().err
     out = tmp_path / "heads"
-    assert calibrate.main(["--dataset", table, "--targets", "position", "--preset", "debug", "--out", str(out)]) == 0
+    assert (
+        calibrate.main(
+            ["--dataset", table, "--targets", "position", "--preset", "debug", "--mistakes", "--out", str(out)]
+        )
+        == 0
+    )
     predicted = load_head(out / "position.npz").predict(SKIN.readings)
     assert np.median(np.linalg.norm(predicted.mean - SKIN.targets["position"], axis=1)) < 1e-3
     tests = json.loads((out / "metrics.json").read_text())["heads"]["position"]
@@ -348,8 +336,27 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
 
 
 @pytest.mark.full
+def test_mistakes_are_put_into_parts_of_a_recording_and_counted():
+    section = Section("mistakes")
+    mistakes.mistake_section(presses_of_a_skin(170), replace(TINY, mistake_draws=1), 0, section)
+    found = {name: one[0] for name, one in section.numbers["mistakes"].items()}
+    without_force_and_board = {"forces that pull", "two chips swapped", "a stage turned or mirrored"}
+    assert set(found) == set(mistakes.MISTAKES) - without_force_and_board
+    for name in ("labels of another row", "positions in millimetres", "readings in millitesla"):
+        assert found[name] == {"found": True, "known": True, "accused": False}, name
+
+
+@pytest.mark.full
 def test_the_report_of_a_real_session(shared_data, tmp_path):
-    args = ["--dataset", str(shared_data / "eflesh" / "spatial"), "--preset", "debug", "--out", str(tmp_path / "out")]
+    args = [
+        "--dataset",
+        str(shared_data / "eflesh" / "spatial"),
+        "--preset",
+        "debug",
+        "--mistakes",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert fidelity.main(args) == 0
     for chapter in json.loads((tmp_path / "out" / "metrics.json").read_text())["recordings"].values():
         assert all(section["status"] != "failed" and "failures" not in section for section in chapter.values())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from i2t.unknowns.segmentation import PressCriteria, segment_presses
+from i2t.unknowns.segmentation import segment_presses
 
 RATE, NOISE = 400.0, 1.5
 
@@ -78,8 +78,6 @@ def test_what_is_no_recording_is_refused():
     ):
         with pytest.raises(ValueError, match=word):
             segment_presses(times, rows)
-    with pytest.raises(ValueError, match="end_at is the smaller"):
-        PressCriteria(end_at=9.0)
 
 
 def test_ten_real_strokes_are_ten_presses(shared_data):

@@ -79,8 +79,11 @@ def test_an_approach_tells_where_the_readings_begin():
     readings = np.outer((np.maximum(0.2504 - height, 0) / 1e-3) ** 1.5, pattern) + rng.normal(0, 2, (len(height), 15))
     approaches = unknowns.find_approaches(height, readings)
     assert len(approaches) == 3
-    np.testing.assert_allclose([one.zero for one in approaches], 0.2504, atol=0.1e-3)
-    assert unknowns.find_approaches(rng.permutation(height), readings) == []
+    np.testing.assert_allclose(approaches, 0.2504, atol=0.1e-3)
+    found = unknowns.find_height_zero(RecordedPresses(np.zeros((len(height), 2)), readings, height=height))
+    assert found.identifiable
+    assert found.estimate == np.median(approaches)
+    assert not len(unknowns.find_approaches(rng.permutation(height), readings))
 
 
 def test_a_turned_board_keeps_what_its_chips_read_of_one_field():
@@ -168,7 +171,7 @@ def test_swapped_chips_are_found_and_put_back():
     growth = np.maximum(-sound.height, 0) ** 1.75
     findings = unknowns.find_board(one, anyskin_like(), growth=growth)
     assert findings[1].wrong
-    put_back, _ = unknowns.correct_board(one, anyskin_like(), findings)
+    put_back = unknowns.corrected_presses(one, findings)
     np.testing.assert_array_equal(put_back.readings, sound.readings)
     assert not any(finding.wrong for finding in unknowns.find_board(sound, anyskin_like(), growth=growth))
 
@@ -183,7 +186,7 @@ def test_swapped_chips_are_found_and_put_back():
     ],
 )
 def test_a_damaged_recording_is_judged_without_falling_over(name, expected):
-    findings = unknowns.estimate_unknowns(damaged(name, n=200), anyskin_like(), stated_radius=4e-3)
+    findings = unknowns.estimate_unknowns(damaged(name, n=200), anyskin_like())
     wrong = {finding.name for finding in findings if finding.wrong}
     assert expected <= wrong
     assert expected or wrong <= {HEIGHT_ZERO}
@@ -201,5 +204,5 @@ def test_sound_real_recordings_raise_no_alarm(shared_data, kind):
         middle = (at.min(0) + at.max(0)) / 2
         one = RecordedPresses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
         board = unknowns.turn_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
-        findings = unknowns.estimate_unknowns(one, board, stated_radius=4e-3)
+        findings = unknowns.estimate_unknowns(one, board)
         assert not [finding.sentence for finding in findings if finding.wrong]

@@ -1,0 +1,144 @@
+"""Mistakes put into parts of a recording, one at a time: which does `i2t.unknowns` find?
+
+The parts are presses of the recording as the checks put it right, drawn at random and in the order of time; the same
+parts without a mistake show whether a sound recording is accused.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.fidelity.config import FidelityPreset
+from experiments.fidelity.describe import recorded_presses
+from experiments.fidelity.forward import one_tip
+from experiments.fidelity.sections import CannotTellError, Section
+from i2t.calibration.heads import SkinRecording
+from i2t.types import Board
+from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, find
+from i2t.unknowns.chip_field import STAGE, STAGES, SWAPPED
+from i2t.unknowns.heights import HEIGHT_ZERO
+from i2t.unknowns.labels import FORCE_SIGN, HEIGHT_AXIS, LAG, UNITS
+
+PART_PRESSES = 160
+SHIFT_M, ZERO_TOLERANCE_M = 1.2e-3, 0.05e-3  # of a height zero, and how near it must be found
+MAX_LAG = 3
+
+
+class Mistake(NamedTuple):
+    """A recording with a mistake, and the finding that names it."""
+
+    presses: RecordedPresses
+    unknown: str
+    correction: dict[str, Any]
+
+
+class Answer(NamedTuple):
+    """What was found of a mistake."""
+
+    found: bool  # it is named exactly
+    known: bool  # the recording can tell
+    accused: bool  # the part without it
+
+
+def lag(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake:
+    """Labels of another row."""
+    rows = int(rng.integers(1, MAX_LAG + 1)) * int(rng.choice([-1, 1]))
+    labels = {name: values for name, values in one._asdict().items() if values is not None and name != "readings"}
+    rolled = {name: np.roll(values, rows, axis=0) for name, values in labels.items()}
+    return Mistake(one._replace(**rolled), LAG, {"label_lag_rows": rows})
+
+
+def millimetres(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake:
+    """Positions in millimetres."""
+    return Mistake(one._replace(position=1e3 * one.position), UNITS, {"length_factor": 1e-3})
+
+
+def millitesla(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake:
+    """Readings in millitesla."""
+    return Mistake(one._replace(readings=1e-3 * one.readings), UNITS, {"field_factor": 1e3})
+
+
+def pulled(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
+    """Forces of the other sign."""
+    if one.force is None:
+        return None
+    return Mistake(one._replace(force=-one.force), FORCE_SIGN, {"force_sign": -1.0})
+
+
+def into_the_skin(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
+    """Heights that grow with the depth."""
+    if one.height is None:
+        return None
+    return Mistake(one._replace(height=-one.height), HEIGHT_AXIS, {"height_sign": -1.0})
+
+
+def higher(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
+    """Heights counted from elsewhere."""
+    if one.height is None:
+        return None
+    return Mistake(one._replace(height=one.height + SHIFT_M), HEIGHT_ZERO, {"height_zero_m": SHIFT_M})
+
+
+def swapped(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
+    """Two chips in each other's place."""
+    chips = one.readings.shape[1] // 3
+    if board is None or chips < 3:
+        return None
+    order, pair = np.arange(chips), rng.choice(chips, 2, replace=False)
+    order[pair] = order[pair[::-1]]
+    readings = one.readings.reshape(-1, chips, 3)[:, order].reshape(one.readings.shape)
+    return Mistake(one._replace(readings=readings), SWAPPED, {"chip_order": order})
+
+
+def turned(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
+    """Axes of the stage that are not the board's."""
+    if board is None:
+        return None
+    matrix = STAGES[list(STAGES)[int(rng.integers(1, len(STAGES)))]]
+    return Mistake(one._replace(position=one.position @ np.linalg.inv(matrix).T), STAGE, {"board_from_stage": matrix})
+
+
+MISTAKES: dict[str, Callable[[RecordedPresses, Board | None, np.random.Generator], Mistake | None]] = {
+    "labels of another row": lag, "positions in millimetres": millimetres, "readings in millitesla": millitesla,
+    "forces that pull": pulled, "heights into the skin": into_the_skin, "another height zero": higher,
+    "two chips swapped": swapped, "a stage turned or mirrored": turned,
+}  # fmt: skip
+
+
+def mistake_section(recording: SkinRecording, preset: FidelityPreset, seed: int, section: Section) -> None:
+    """Count, for each mistake, in how many parts of the recording it is found, can be told and is seen falsely."""
+    one_tip(recording)
+    if not recording.known("position").any():
+        raise CannotTellError("Mistakes are put into presses whose positions are known.")
+    whole, board = recorded_presses(recording.rows(recording.known("position"))), recording.board
+    if len(whole.position) < PART_PRESSES:
+        raise CannotTellError(f"{len(whole.position)} presses are too few; {PART_PRESSES} make a part.")
+    answers: dict[str, list[Answer]] = {}
+    for draw in range(preset.mistake_draws):
+        rows = np.random.default_rng((seed, draw)).permutation(len(whole.position))[:PART_PRESSES]
+        sound = whole.rows(np.sort(rows))
+        before = estimate_unknowns(sound, board)
+        for number, (name, put_in) in enumerate(MISTAKES.items()):
+            mistake = put_in(sound, board, np.random.default_rng((seed, draw, number)))
+            if mistake is not None:
+                after = estimate_unknowns(mistake.presses, board)
+                answers.setdefault(name, []).append(_answer(mistake, before, after))
+    rows = [["mistake", "found", "can tell", "false alarms"]]
+    for name, found in answers.items():
+        rows.append([name, *(f"{sum(counted)} of {len(found)}" for counted in zip(*found, strict=True))])
+    section.numbers["mistakes"] = {name: [one._asdict() for one in found] for name, found in answers.items()}
+    section.tables[f"parts of {PART_PRESSES} presses each"] = rows
+
+
+def _answer(mistake: Mistake, before: list[Finding], after: list[Finding]) -> Answer:
+    was, found = find(before, mistake.unknown), find(after, mistake.unknown)
+    if was is None or found is None:
+        return Answer(False, False, False)
+    todo = dict(found.correction)
+    if mistake.unknown == HEIGHT_ZERO:  # a number: it must move as the heights do
+        todo = {} if None in (was.estimate, found.estimate) else {"height_zero_m": found.estimate - was.estimate}
+    named = todo.keys() == mistake.correction.keys() and all(
+        np.allclose(todo[key], value, rtol=1e-6, atol=ZERO_TOLERANCE_M) for key, value in mistake.correction.items()
+    )
+    return Answer(bool(named and found.identifiable), found.identifiable, was.wrong)

@@ -1,1 +1,0 @@
-"""A world of other physics, in the layout of the authors' recordings."""

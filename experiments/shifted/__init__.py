@@ -1,1 +1,0 @@
-"""Comparison of calibration with baselines on shifted and damaged recordings."""

@@ -1,1 +1,0 @@
-"""Tests of estimates of what a recording does not say."""
