@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from i2t.viz.rates import plot_confusions as plot_confusions
     from i2t.viz.rates import plot_intervals as plot_intervals
     from i2t.viz.rates import plot_rates as plot_rates
-    from i2t.viz.rates import plot_rates_by_size as plot_rates_by_size
     from i2t.viz.scene import interactive as interactive
     from i2t.viz.scene import map_plotter as map_plotter
     from i2t.viz.scene import object_image as object_image
@@ -51,7 +50,7 @@ _MODULES = {
     "episode_report": ("EpisodeRecord", "plot_episode", "write_episode_report"),
     "style": ("save_figure",),
     "patches": ("draw_map", "draw_patch", "plot_patches"),
-    "rates": ("plot_confusions", "plot_intervals", "plot_rates", "plot_rates_by_size"),
+    "rates": ("plot_confusions", "plot_intervals", "plot_rates"),
     "scene": (
         "interactive",
         "map_plotter",
