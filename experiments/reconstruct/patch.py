@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import PATCH_PRESETS, PatchArgs
-from experiments.reconstruct.patch_scores import choose_thresholds, report_of, score_touch
+from experiments.reconstruct.patch_scores import choose_thresholds, report_of, score_touch, text_table
 from experiments.reconstruct.patch_world import MetSurface, Trial, make_parts, press_parts
 from i2t import viz
 from i2t.progress import progress
@@ -88,7 +88,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
     }
     write_json(args.out / "metrics.json", report)
     viz.save_figure(draw_posteriors(models[0], trials["test"][0], library), args.out / "posteriors.png")
-    print(table(report))
+    print(text_table("simulated", COLUMNS, report["methods"]))
     return report
 
 
@@ -214,15 +214,6 @@ def _score_all(
     weights: Array, force: Array, truth: MetSurface, *, library: PatchLibrary, blur: Array
 ) -> dict[str, Array]:
     return jax.lax.map(partial(score_touch, library=library, blur=blur), (weights, force, truth))
-
-
-def table(report: dict[str, Any]) -> str:
-    """All methods' main numbers as text."""
-    width = max(map(len, report["methods"]))
-    lines = [f"{'simulated':{width}}  " + "  ".join(f"{title:>14}" for title in COLUMNS.values())]
-    for name, found in report["methods"].items():
-        lines.append(f"{name:{width}}  " + "  ".join(f"{found[column][0]:14.3f}" for column in COLUMNS))
-    return "\n".join(lines)
 
 
 def draw_posteriors(model: PressModel, trial: Trial, library: PatchLibrary) -> Figure:

@@ -101,6 +101,16 @@ def weighted_quantile(values: np.ndarray, level: float, weight: np.ndarray) -> n
     return np.asarray(values[order][min(np.searchsorted(total, level * total[-1]), len(values) - 1)])
 
 
+def text_table(head: str, columns: Mapping[str, str], methods: Mapping[str, Mapping[str, Any]]) -> str:
+    """The main numbers of all methods as text; `columns` are titles by the names of scores."""
+    width = max(map(len, (head, *methods)))
+    lines = [f"{head:{width}}" + "".join(f"{title:>15}" for title in columns.values())]
+    for name, found in methods.items():
+        cells = [f"{found[column][0]:15.3f}" if column in found else f"{'-':>15}" for column in columns]
+        lines.append(f"{name:{width}}" + "".join(cells))
+    return "\n".join(lines)
+
+
 def numbers(estimate: Any) -> list[float]:
     """Mean, lower and upper limit, as JSON takes them."""
     return [round(float(part), 4) for part in estimate]

@@ -27,7 +27,7 @@ from scipy.spatial import KDTree
 import i2t
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import TIP_PRESETS, TipArgs, TipSizes
-from experiments.reconstruct.patch_scores import MM, numbers, weighted_quantile
+from experiments.reconstruct.patch_scores import MM, numbers, text_table, weighted_quantile
 from i2t import viz
 from i2t.calibration.heads import SkinRecording, fit_head, read_recordings
 from i2t.dataset import square_blocks
@@ -122,7 +122,11 @@ def run(args: TipArgs) -> dict[str, Any]:
     }
     write_json(args.out / "metrics.json", report)
     viz.save_figure(draw_tips(answers[0], presses.position, recording.source), args.out / "tips.png")
-    print(table(report))
+    columns = {
+        "position_mm_median": "median mm", "position_mm_90": "90 % mm", "within_1mm": "within 1 mm",
+        f"{kind}_error": f"{kind} {'mm' if kind == 'depth' else 'N'}", "coverage_90": "cover 90 %", "bits": "bits",
+    }  # fmt: skip
+    print(text_table(f"{recording.name} ({recording.source})", columns, report["methods"]))
     return report
 
 
@@ -252,8 +256,8 @@ def by_head(recording: SkinRecording, given: LabelledPresses, asked: LabelledPre
 
 def _joined(parts: list[TipsFound]) -> TipsFound:
     """Estimates of the presses of all parts."""
-    columns: Any = zip(*parts, strict=True)
-    return TipsFound(*(None if column[0] is None else np.concatenate(column) for column in columns))
+    columns: list[Any] = [None if column[0] is None else np.concatenate(column) for column in zip(*parts, strict=True)]
+    return TipsFound(*columns)
 
 
 def judge(found: TipsFound, asked: LabelledPresses, kind: str, groups: list[np.ndarray]) -> dict[str, Any]:
@@ -272,24 +276,6 @@ def judge(found: TipsFound, asked: LabelledPresses, kind: str, groups: list[np.n
             said[f"coverage_{100 * level:.0f}"] = numbers(rate_interval(found.credible <= level, groups))
         said["bits"] = numbers(cluster_interval(found.bits, groups))
     return said
-
-
-def table(report: dict[str, Any]) -> str:
-    """The main numbers as text."""
-    kind, counts = report["load_kind"], report["presses"]
-    columns = {
-        "position_mm_median": "median mm", "position_mm_90": "90 % mm", "within_1mm": "within 1 mm",
-        f"{kind}_error": f"{kind} {'mm' if kind == 'depth' else 'N'}", "coverage_90": "cover 90 %", "bits": "bits",
-    }  # fmt: skip
-    lines = [
-        f"{report['recording']} ({report['source']}): {counts['test']} presses in {report['blocks']} blocks, "
-        f"{counts['learnt']} of other blocks learnt from",
-        f"{'':30}" + "".join(f"{title:>13}" for title in columns.values()),
-    ]
-    for name, found in report["methods"].items():
-        cells = [f"{found[column][0]:13.2f}" if column in found else f"{'-':>13}" for column in columns]
-        lines.append(f"{name:30}" + "".join(cells))
-    return "\n".join(lines)
 
 
 def draw_tips(part: FoldAnswer, positions: Float[np.ndarray, "n 2"], source: str) -> Figure:

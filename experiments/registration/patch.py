@@ -2,6 +2,7 @@
 
     python -m experiments.registration patch                     200 cases on primitives, stamps, tools, random shapes
     python -m experiments.registration patch --preset debug      few cases, too few to mean anything
+    python -m experiments.registration frames --help             what a real camera sees of an object
 
 A patch is rendered at a random safe site of every object; the pose is moved by exactly 2 mm and 4 degrees in random
 directions and sought again from `(patch, nearest)` alone, by Levenberg-Marquardt through the renderer's derivatives

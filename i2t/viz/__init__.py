@@ -15,7 +15,7 @@ _MODULES = {
     "episode_report": ("EpisodeRecord", "plot_episode", "write_episode_report"),
     "style": ("save_figure",),
     "patches": ("draw_map", "draw_patch", "plot_patches"),
-    "rates": ("plot_confusions", "plot_intervals", "plot_rates", "plot_rates_by_size"),
+    "rates": ("plot_confusions", "plot_intervals", "plot_rates"),
     "scene": ("object_image", "object_plotter", "plot_object", "why_no_scene"),
     "skins": ("draw_reading", "draw_skin", "plot_press", "plot_readings", "plot_skin_map"),
     "surfaces": ("ShownSurface", "plot_growing_surface", "write_surface_gltf"),

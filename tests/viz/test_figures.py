@@ -64,14 +64,12 @@ def test_every_other_figure_can_be_written(tmp_path):
     at, felt = rng.normal(size=(40, 2)), rng.normal(size=(40, 15))
     touch_map = TouchMap(at, np.arange(40) % 5, at[:5], np.arange(5)[:, None])
     views = viz.TouchViews(rng.uniform(size=(40, 8, 8)), 17e-3, "mask")
-    rows = np.array([[0.5, 0.9, 0.8, 1.0], [1.0, 0.7, 0.6, 0.8]])
     groups = {"random": {"a": [0.5, 0.4, 0.6], "b": [0.7, np.nan, np.nan]}, "angle": {"a": [0.3, 0.2, 0.4]}}
     made = [
         viz.plot_clusters(touch_map, views, felt, ["x"] * 40, BOARD, title="Clusters", simulated=True),
         viz.plot_press(np.full((20, 20), 3e3), np.full((20, 20), 2e-4), BOARD, np.ones(15), "A press", True),
         viz.plot_patches(rng.uniform(0, 4e-3, (1, 48, 48)), ["edge"], "Patch", True),
         viz.plot_channel_errors({"a": np.ones(15)}, np.ones(15), "Errors", True),
-        viz.plot_rates_by_size({"a": rows}, "Noise", "noise", "right", True),
         viz.plot_rates(groups, "Which?", "right", 0.2, True),
         viz.plot_predictions(felt[:, 0], felt[:, 1], np.ones(40), "Chip 0, x", False),
         viz.plot_confusions({"method": np.array([[8, 2], [5, 15]])}, ["a", "b"], "Which?", False),
