@@ -4,8 +4,6 @@ import importlib
 
 import pytest
 
-from experiments.studies.__main__ import RENAMED_STUDIES, RENAMED_STUDY_FLAGS
-
 REFUSED = [
     ("active_touch --objects star mug", "mug"),
     ("active_touch --objects star star", "each named once"),
@@ -26,14 +24,7 @@ REFUSED = [
 ]
 RENAMED = [
     ("calibrate --dataset DIR --earlier DIR", "--previous-session"),
-    ("recognize --live --there hammer", "the subcommand live (python -m experiments.recognize live"),
-    ("recognize live --strange=0.1", "--prior-unknown"),
-    ("recognize live --places 8", "--num-particles"),
-    ("recognize --run runs/study", "--trained-run"),
-    ("recognize --sittings 20", "--episodes"),
     ("train --split run", "--split run is called --split session now"),
-    *((f"studies {old}", f"the study {old} is called {new} now") for old, new in RENAMED_STUDIES.items()),
-    *((f"studies policy {old} 1", new) for old, new in RENAMED_STUDY_FLAGS.items()),
 ]
 
 

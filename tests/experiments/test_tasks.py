@@ -107,7 +107,7 @@ def test_options_that_do_not_go_together_are_refused_before_anything_is_made(
 ):
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setattr(checks, "finished_runs", lambda folder: [folder])
-    study = ["sites"] if command is studies else []
+    study = ["policy"] if command is studies else []
     assert command.main([*study, "--out", str(tmp_path / "out"), *words.split()]) == 2
     assert capsys.readouterr().err.startswith(f"error: {said}")
     assert not (tmp_path / "out").exists()
