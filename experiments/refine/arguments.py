@@ -42,7 +42,7 @@ class RefineArgs:
     @property
     def next_command(self) -> str:
         """Command to try with a finished run."""
-        return with_trained_run("python -m experiments.studies registered")
+        return with_trained_run("python -m experiments.studies policy")
 
     def check(self) -> None:
         """Refuse a folder that is not there."""
