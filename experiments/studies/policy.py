@@ -47,10 +47,10 @@ def evaluate(lab: StudyLab) -> Part:
         ),
     }
     run = partial(run_policy, lab, sites=sites, table=table)
-    keys = key_episodes, key_choice
-    return {"truth": lab.truth()} | {
-        name: run(policy, name, tuple(map(jax.random.clone, keys))) for name, policy in policies.items()
-    }
+    found: Part = {"truth": lab.truth()}
+    for name, policy in policies.items():
+        found[name] = run(policy, name, (jax.random.clone(key_episodes), jax.random.clone(key_choice)))
+    return found
 
 
 def run_policy(

@@ -45,10 +45,12 @@ def beliefs() -> dict[str, np.ndarray]:
 class Table(TouchModel):
     """Says nothing at all on the object that it is asked of first, and SECOND on the other."""
 
-    channels = CHANNELS
-
     def __init__(self, objects: int) -> None:
         self.asked, self.objects = 0, objects
+
+    @property
+    def channels(self) -> int:
+        return CHANNELS
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         mean = np.zeros((len(touches.patch), CHANNELS), np.float32)
