@@ -1,7 +1,6 @@
-"""Sections `startup`, `scaling` and `logs` of the benchmark: work in processes of their own, which say what it took."""
+"""Sections `startup` and `logs` of the benchmark: work in processes of their own, which say what it took."""
 
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,7 +15,6 @@ from experiments.benchmark.contests import Contest
 from i2t.compile_cache import VARIABLE
 
 DEBUG_TRAINING = ("-m", "experiments.train", "--preset", "debug")
-PROCESSES, TOUCHES, SESSION = 2, 144, 36  # of the section scaling
 CHIPS, RATE_HZ = 5, 400.0
 LONG_LOG, SHORT_LOG = 2_000_000, 20_000  # rows
 ROWS_OF_A_PRESS = 1200
@@ -32,30 +30,6 @@ from i2t.convert.commands import main
 code = main(["stream", *sys.argv[1:]])
 print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
 sys.exit(code)
-"""
-# Touches by one of several processes, compiled before the clock starts; the readings' sum says that all are the same.
-SIMULATE = """
-import os, sys, time
-core, processes, number, port, touches, session = map(int, sys.argv[1:])
-cores = sorted(os.sched_getaffinity(0))
-os.sched_setaffinity(0, [cores[core % len(cores)]])  # before JAX counts them
-import jax, numpy as np
-from i2t.compile_cache import use_compile_cache
-from i2t.objects import catalogue
-from i2t.rendering.render import prepare_surface
-from i2t.simulation.touches import SimulationErrors, simulate_touches
-from i2t.skin.pad import nominal_pad
-use_compile_cache()
-if processes > 1:
-    jax.distributed.initialize(f"127.0.0.1:{port}", processes, number)
-surface, pad = prepare_surface(catalogue.make_object("hammer").mesh), nominal_pad()
-for _ in range(2):
-    used = time.process_time()
-    made = simulate_touches(
-        jax.random.key(0), [surface], pad, SimulationErrors(), touches, touches_per_session=session
-    )
-    total = float(np.asarray(made.reading, float).sum())
-print(time.process_time() - used, total)
 """
 
 
@@ -98,50 +72,6 @@ def startup(small: bool) -> Iterator[Contest]:
         seconds("compiled")
         work = "python -m experiments.train --preset debug, again"
         yield Contest(work, lambda: seconds("compiled"), "the first run", first, measured=True)
-
-
-# Touches by several processes that work as one (`i2t.sharding`)
-
-
-def scaling(small: bool) -> Iterator[Contest]:
-    """Processor time of simulated touches by two processes of one core each, next to one process of one core."""
-    touches, session = (4, 2) if small else (TOUCHES, SESSION)
-    work = f"{touches} simulated touches, {PROCESSES} processes of one core, processor time"
-    several, one = (partial(processor_time, count, touches, session) for count in (PROCESSES, 1))
-    yield Contest(work, lambda: several()[0], "one process of one core", lambda: one()[0], measured=True)
-
-
-def processor_time(processes: int, touches: int, session: int) -> tuple[float, float]:
-    """Simulate touches by some processes.
-
-    Args:
-        processes: How many.
-        touches: How many.
-        session: Touches of a session.
-
-    Returns:
-        Seconds of the processors, and the sum of the readings (uT), which all processes have.
-
-    Raises:
-        ValueError: A process failed, or they do not do the same work.
-    """
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port = listener.getsockname()[1]
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-c", SIMULATE, *map(str, (i, processes, i, port, touches, session))],
-            stdout=subprocess.PIPE, text=True,
-        )
-        for i in range(processes)
-    ]  # fmt: skip
-    said = [process.communicate()[0].split()[-2:] for process in started]  # the distributed runtime speaks before
-    if any(process.returncode for process in started):
-        raise ValueError("a process of the section scaling ended; what it said is above")
-    times, sums = np.array(said, float).T
-    if np.ptp(sums):
-        raise ValueError(f"processes read {np.ptp(sums):.3g} uT apart; they do not do the same work")
-    return float(times.sum()), float(sums[0])
 
 
 # The import of a long log

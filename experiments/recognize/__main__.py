@@ -21,7 +21,6 @@ from experiments.recognize.arguments import LiveArgs, SimulateArgs
 from i2t.cli import docstring_of
 from i2t.options import read_options
 
-RECOGNIZE_PROGRAM = "python -m experiments.recognize"
 Command = (
     Annotated[SimulateArgs, tyro.conf.subcommand("simulate", description=docstring_of("experiments.recognize.run"))]
     | Annotated[LiveArgs, tyro.conf.subcommand("live", description=docstring_of("experiments.recognize.live"))]

@@ -41,10 +41,9 @@ from i2t.progress import progress
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumber
 from i2t.recognition.paper_rules import (
     PROPRIOCEPTION,
-    ConstantPredictor,
-    ReadingPredictor,
     Scorer,
     beliefs_by_rule,
+    constant_predictor,
     contact_scorer,
     reading_scorers,
     run_loop,
@@ -168,10 +167,10 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
         raise ValueError(f"{missing_networks(folder, found)}; train them: python -m experiments.train --out {folder}")
     if said := missing_networks(folder, found):
         print(said)
-    predictors: dict[str, ReadingPredictor] = {
+    predictors = {
         **found.networks,
         **kept_predictor(predictor),
-        CONSTANT: ConstantPredictor(found.mean),
+        CONSTANT: constant_predictor(found.mean),
     }
     results: Results = {}
     names = {"primitives": cfg.primitives, "tools": cfg.tools}
@@ -193,7 +192,7 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
     return results
 
 
-def kept_predictor(predictor: Predictor) -> dict[str, ReadingPredictor]:
+def kept_predictor(predictor: Predictor) -> dict[str, Predictor]:
     """The best predictor on predicted pressure of a run, or the one that it kept, by its row's name."""
     method = (predictor.metadata or {}).get("method", "kept predictor")
     return {RULES_GP if isinstance(predictor.model, GPModel) else f"same rules, {method}": predictor}

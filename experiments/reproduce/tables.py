@@ -240,7 +240,7 @@ def means_of_sets(measured: Measured) -> str:
 
 
 def study_table(name: str) -> Table:
-    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.lab.make_table`)."""
+    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`)."""
 
     def render(measured: Measured) -> str:
         found = measured["tables"][name]
@@ -248,25 +248,6 @@ def study_table(name: str) -> Table:
         return markdown([column["name"] for column in found["columns"]], rows)
 
     return render
-
-
-WORLD_METHODS = {
-    "Imagine2touch (paper's network, mask), votes": "paper's network, mask: votes",
-    "Imagine2touch (paper's network, mask), product": "product",
-    "same rules, Gaussian process, votes": "GP: votes",
-    "same rules, Gaussian process, product": "product",
-    "proprioception, votes": "proprioception: votes",
-    "proprioception, product": "product",
-}
-
-
-def worlds_by_method(measured: Measured) -> str:
-    """Accuracies of the main methods side by side, a row for each world."""
-    cells: dict[str, dict[str, str]] = {}
-    for world, method, last, _ in measured["tables"]["worlds"]["rows"]:
-        cells.setdefault(world, {})[method] = estimate(last, 2)
-    rows = [[world, *(found[method] for method in WORLD_METHODS)] for world, found in cells.items()]
-    return markdown(["objects, error of placement", *WORLD_METHODS.values()], rows)
 
 
 def _cell(value: Any, column: Mapping[str, Any]) -> str:
@@ -402,18 +383,12 @@ def _span(found: Sequence[float], decimals: int) -> str:
 
 
 STUDY_TABLES = {
-    "placement": ("conditions",),
     "mismatch": ("methods",),
     "open_set": ("auroc", "accuracy"),
     "sensitivity": ("methods",),
     "new_pad": ("methods",),
-    "registered": ("methods", "view"),
-    "planar": ("curves",),
-    "sites": ("bits",),
     "policy": ("policies", "saved"),
-    "pose_error": ("worlds",),
     "object_count": ("curves",),
-    "constants": ("likelihood", "particles", "scale", "planar"),
 }
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": predictors_of_one_pad},
@@ -439,7 +414,6 @@ TABLES: dict[str, dict[str, Table]] = {
         "stopping": stopping_of_set("all", "fused"),
     },
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
-    "pose_error": {"worlds": worlds_by_method},
     "reconstruct": {"conditions": reconstructions},
     "reconstruct_patch": {"methods": local_shapes},
     "reconstruct_tip": {"methods": tips_of_recording},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.predicted_touches import CHANNELS, OBJECTS, PARTICLES, SITES, likelihood, measured, predicted_touches
 
-from i2t.recognition import belief, planning, policy
+from i2t.recognition import belief, policy
 
 EPISODES = 3
 
@@ -27,7 +27,7 @@ def test_a_random_site_is_untouched_and_safe_and_none_is_drawn_where_none_is(wor
     def draw(touched, safe) -> set[int]:
         keys = jax.random.split(jax.random.key(0), 100)
         rows = jnp.broadcast_to(jnp.asarray(touched), (100, SITES))
-        return set(np.asarray(planning.choose_random_sites(keys, many, touched=rows, safe=safe)).tolist())
+        return set(np.asarray(policy.choose_random_sites(keys, many, touched=rows, safe=safe)).tolist())
 
     none, everywhere = np.zeros(SITES, bool), jnp.ones((SITES, OBJECTS), bool)
     assert draw(none, everywhere) == set(range(SITES))
@@ -48,15 +48,15 @@ def test_the_heuristic_keeps_to_sites_that_are_safe_on_the_object_believed_in(wo
     for seed in range(5):
         for allowed, wanted in ((safe, [0, 1, -1]), (none_informative, [1, 1, -1])):
             keys = jax.random.split(jax.random.key(seed), EPISODES)
-            found = planning.choose_heuristic_sites(keys, sure, weights, touched=touched, safe=allowed, step=1)
+            found = policy.choose_heuristic_sites(keys, sure, weights, touched=touched, safe=allowed, step=1)
             np.testing.assert_array_equal(found, wanted)
 
 
 def test_an_episode_without_a_site_keeps_its_belief(world):
     table, beliefs, errors = world
     touch = jax.tree.map(lambda x: jnp.asarray(x)[None], measured(table, 0, 0))
-    after, p = planning.update_beliefs(beliefs, jnp.array([-1]), touch, table, errors)
+    after, p = policy.update_beliefs(beliefs, jnp.array([-1]), touch, table, errors)
     np.testing.assert_array_equal(after.log_weight, beliefs.log_weight)
     np.testing.assert_allclose(p, 1 / OBJECTS, rtol=1e-6)
-    _, p = planning.update_beliefs(beliefs, jnp.array([0]), touch, table, errors)
+    _, p = policy.update_beliefs(beliefs, jnp.array([0]), touch, table, errors)
     assert p[0, 0] > 0.9
