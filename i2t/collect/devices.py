@@ -124,18 +124,8 @@ class _Lab:
 
     def __init__(self, args: CollectArgs, skins: dict[str, SkinArgs], rig: Rig, stack: ExitStack, begin: float) -> None:
         self.args, self.skins, self.rig, self.stack, self.begin = args, skins, rig, stack, begin
-        world, skin = args.world, args.skin
-        default = DEFAULT_BOARD if skin.kind == "emulated" else None
-        board = (skin.board or default) if skin.kind in ("simulated", "emulated") else None
-        self.world = WorldConfig(
-            world.object,
-            world.unit,
-            world.pad,
-            seed=world.seed,
-            no_pose_error=world.no_pose_error,
-            stiffness=world.stiffness,
-            board=board,
-        )
+        board = {"simulated": args.skin.board, "emulated": args.skin.board or DEFAULT_BOARD}.get(args.skin.kind)
+        self.world = WorldConfig(**vars(args.world), board=board)
 
     @cached_property
     def clock(self) -> Clock:

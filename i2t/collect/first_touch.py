@@ -285,7 +285,7 @@ def _seen_elsewhere(where: str, share: float) -> RigContradictedError:
 def _touch(slow: Procedure, site: Site) -> str:
     """Touch a site slowly; says where it was met, or raises RigContradictedError."""
     settings, tolerance = slow.settings, touch_tolerance(slow)
-    log = EventLog(BytesIO(), slow.clock, {each.name: each.board.num_chips for each in slow.skins})  # no touch of a set
+    log = EventLog(BytesIO(), slow.clock)  # it is no touch of the set
     prepare = slow.path.poses(site)[1]
     slow.move_above(prepare)
     slow.clock.sleep(settings.settle)
