@@ -218,9 +218,9 @@ def test_notes_survive_and_damage_is_named(tmp_path):
     assert notes.read_notes(tmp_path) is None
     notes.write_notes(tmp_path, {"run": "a", "unreachable": {"3": "far"}})
     assert notes.read_notes(tmp_path) == {"run": "a", "unreachable": {"3": "far"}}
-    for damaged, said in (("{", "cannot be read"), ('{"unreachable": {}}', "names no session")):
+    for damaged in ("{", "3"):
         (tmp_path / notes.NOTES).write_text(damaged)
-        with pytest.raises(DataError, match=said):
+        with pytest.raises(DataError, match="cannot be read"):
             notes.read_notes(tmp_path)
 
 
