@@ -27,7 +27,6 @@ from i2t.collect.touch import SkinOnTool, TouchResult, UnreachableError
 from i2t.geometry import so3_exp, transform
 from i2t.hardware.limits import format_position
 from i2t.skin.ambient import (
-    MODELS,
     AmbientField,
     FreePoses,
     ambient_changed,
@@ -240,7 +239,7 @@ def _said(field: AmbientField) -> str:
     earth = ", ".join(f"{value:.1f} +- {error:.1f}" for value, error in zip(field.earth, field.earth_std, strict=True))
     silent = np.flatnonzero(np.isnan(field.offset).any(1))
     missing = f"; without chips {', '.join(map(str, silent))}" if len(silent) else ""
-    return f"({earth}) uT in the base, model {field.model!r} of {', '.join(MODELS)}{missing}"
+    return f"({earth}) uT in the base{missing}"
 
 
 def contradiction(fields: Mapping[str, AmbientField], procedure: Procedure, touch: TouchResult) -> str:
