@@ -6,7 +6,8 @@ Every row times our work and its peer's in turns, on the same machine with the s
 compute the same thing; the table gives the median of each and the median of the turns' ratios (above 1: we are
 faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and `skin`
 need the extra `bench`. Three more sections are run where they are named: `environment`, steps of the environments of
-active touch, `startup`, a command's second run next to its first, and `logs`, the memory and time that the import of a long log takes.
+active touch, `startup`, a command's second run next to its first, and `logs`, the memory and time that the import of
+a long log takes.
 """
 
 import os

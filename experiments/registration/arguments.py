@@ -25,7 +25,7 @@ class PatchPoseArgs:
     @property
     def next_command(self) -> str:
         """Command to try with a finished run."""
-        return with_trained_run("python -m experiments.studies registered")
+        return with_trained_run("python -m experiments.studies policy")
 
     def check(self) -> None:
         """Nothing excludes anything."""

@@ -36,7 +36,7 @@ class SkinArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # reskin, simulated, emulated, replay, or another package's
+    # reskin, simulated, emulated, or another package's
     kind: Annotated[str, tyro.conf.arg(name="skin")] = "simulated"
     port: str | None = None  # serial port of the skin; by default the one board that is plugged in
     # serial number of the skin's board, in place of its port, where several are plugged in
@@ -44,7 +44,6 @@ class SkinArgs:
     # of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml); by
     # default reskin, and for simulated skins the board of --pad. Another package's skin knows its own
     board: str | None = None
-    replay: Path | None = None  # recording to play as the skin
 
 
 @dataclass(frozen=True)

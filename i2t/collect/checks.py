@@ -93,10 +93,6 @@ def check_skin(skin: SkinArgs) -> None:
     Raises:
         ValueError: A file or a board is missing, or an option has no effect; the message names its flag.
     """
-    require_path("--replay", skin.replay, "file or folder")
-    require_with("--replay", skin.replay is not None, "--skin replay", skin.kind == "replay")
-    if skin.kind == "replay" and skin.replay is None:
-        raise ValueError("--skin replay needs a recording to play: pass --replay FILE")
     if skin.board is not None:
         from i2t.skin.boards import make_board
 
@@ -104,5 +100,5 @@ def check_skin(skin: SkinArgs) -> None:
     require_with("--skin-serial", skin.skin_serial is not None, "--skin reskin", skin.kind == "reskin")
     if skin.skin_serial and skin.port:
         raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
-    if skin.port and skin.kind in (SIMULATED, "replay"):
+    if skin.port and skin.kind == SIMULATED:
         raise ValueError(f"--port is of a board, and --skin is {skin.kind}; leave it out, or pass --skin reskin")

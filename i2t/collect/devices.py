@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from i2t.emulators.scene import ObjectScene
 
 EMULATED_ADDRESS = 200  # of the loopback network, at which an emulated controller is started
-SKINS = "reskin, simulated, emulated, replay"
+SKINS = "reskin, simulated, emulated"
 
 
 class Devices(NamedTuple):
@@ -91,8 +91,7 @@ def _carried_args(place: CarriedSkin) -> SkinArgs:
             f"skins.{place.name}.device is {place.device!r}; give one of {SKINS}, a name that an installed package "
             "registers, or package.module:Class"
         )
-    replayed = Path(place.address) if place.device == "replay" else None
-    return SkinArgs(place.device, place.address or None, place.serial_number or None, place.board, replayed)
+    return SkinArgs(place.device, place.address or None, place.serial_number or None, place.board)
 
 
 def _require_together(arm: ArmArgs, skin: SkinArgs, whose: str) -> None:
@@ -112,8 +111,6 @@ def _require_together(arm: ArmArgs, skin: SkinArgs, whose: str) -> None:
 
 def _pad_name(skin: SkinArgs, pad: Path | None) -> str:
     """Name of the skin that presses, in a data set, where none is given."""
-    if skin.kind == "replay":
-        return f"replay of {skin.replay.stem}" if skin.replay else "replay"
     if skin.kind not in ("simulated", "emulated"):
         return "skin"
     return f"simulated, {pad.stem}" if pad else "simulated pad 0"
@@ -124,18 +121,8 @@ class _Lab:
 
     def __init__(self, args: CollectArgs, skins: dict[str, SkinArgs], rig: Rig, stack: ExitStack, begin: float) -> None:
         self.args, self.skins, self.rig, self.stack, self.begin = args, skins, rig, stack, begin
-        world, skin = args.world, args.skin
-        default = DEFAULT_BOARD if skin.kind == "emulated" else None
-        board = (skin.board or default) if skin.kind in ("simulated", "emulated") else None
-        self.world = WorldConfig(
-            world.object,
-            world.unit,
-            world.pad,
-            seed=world.seed,
-            no_pose_error=world.no_pose_error,
-            stiffness=world.stiffness,
-            board=board,
-        )
+        board = {"simulated": args.skin.board, "emulated": args.skin.board or DEFAULT_BOARD}.get(args.skin.kind)
+        self.world = WorldConfig(**vars(args.world), board=board)
 
     @cached_property
     def clock(self) -> Clock:
@@ -218,11 +205,6 @@ def _make_skin(args: SkinArgs, name: str, number: int, lab: _Lab, arm: GuardedAr
     skin: Skin
     if args.kind == "simulated":
         skin = lab.simulated_skin(name, number)
-    elif args.kind == "replay":
-        from i2t.hardware.reskin.driver import Replay
-
-        assert args.replay is not None
-        skin = Replay(args.replay, chips=chips)
     elif args.kind in ("reskin", "emulated"):
         from i2t.hardware.reskin.driver import ReSkin
 

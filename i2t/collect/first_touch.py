@@ -5,8 +5,7 @@
     touch     a slow press of the site that points up most, as any other but with lighter limits and guarded all the way
               down from the way across: the tool must meet the object where the rig has it, and the skin must feel it
 
-What contradicts the rig is one sentence, and nothing else is touched. A camera that shows recorded views, or a skin
-that plays a recording, is not asked.
+What contradicts the rig is one sentence, and nothing else is touched. A camera that shows recorded views is not asked.
 
 Frames: W world, B robot base, T tool, C camera; metres, newtons, microtesla.
 """
@@ -29,7 +28,6 @@ from i2t.objects.solids import Mesh
 from i2t.simulation.depth_camera import render_view
 from i2t.types import Array
 
-RECORDED_SOURCES = ("folder", "replay")  # sources of views that are not of this lab
 FELT_S, FELT_SAMPLES = 0.5, 200  # of which a reading is the mean, whichever is less
 FIRST_SITES, FIRST_LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
 LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
@@ -180,7 +178,7 @@ def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[st
     plan = plan_first_touch(procedure, sampler)
     _check_air(procedure)
     procedure.retreat()
-    if procedure.camera.features.source not in RECORDED_SOURCES:
+    if procedure.camera.features.source != "folder":
         share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
         if share > MAX_WRONG_SHARE:
             raise _seen_elsewhere("in the first looks", share)
@@ -285,7 +283,7 @@ def _seen_elsewhere(where: str, share: float) -> RigContradictedError:
 def _touch(slow: Procedure, site: Site) -> str:
     """Touch a site slowly; says where it was met, or raises RigContradictedError."""
     settings, tolerance = slow.settings, touch_tolerance(slow)
-    log = EventLog(BytesIO(), slow.clock, {each.name: each.board.num_chips for each in slow.skins})  # no touch of a set
+    log = EventLog(BytesIO(), slow.clock)  # it is no touch of the set
     prepare = slow.path.poses(site)[1]
     slow.move_above(prepare)
     slow.clock.sleep(settings.settle)
@@ -308,7 +306,7 @@ def _touch(slow: Procedure, site: Site) -> str:
         )
     change, force = press.readings[TOOL], -float(press.states[-1].wrench[2])
     defect = press_defect(change, force)
-    if defect and slow.skin.features.source != "replay":
+    if defect:
         raise RigContradictedError(f"{slow.skin.features.name}: {defect}")
     size = float(np.sqrt(np.nansum(change**2)))
     return f"first touch: met the object {1e3 * late:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"

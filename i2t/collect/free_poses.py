@@ -25,7 +25,6 @@ from i2t.collect.procedure import Procedure, is_at
 from i2t.collect.settings import AmbientSettings
 from i2t.collect.touch import SkinOnTool, TouchResult, UnreachableError
 from i2t.geometry import so3_exp, transform
-from i2t.hardware.clock import Clock
 from i2t.hardware.limits import format_position
 from i2t.skin.ambient import (
     AmbientField,
@@ -171,37 +170,20 @@ def gather_free_poses(
                 arm.go(goal, path.free_speed, path.settings.acceleration)
 
     go(lifted, transform(_pointing_down(path, lifted), lifted[:3, 3]))
-    stated: list[Array] = []
-    read: list[list[np.ndarray]] = []
+    T_b_t: list[Array] = []
+    read: dict[str, list[np.ndarray]] = {each.name: [] for each in procedure.skins}
     for pose in poses:
         go(pose.upright, pose.tilted)
         procedure.clock.sleep(path.settings.settle)
-        stated.append(np.array(arm.state().T_b_t))
-        read.append(_samples(procedure.skins, procedure.clock, settings.seconds))
+        T_b_t.append(np.array(arm.state().T_b_t))
+        for each in procedure.skins:
+            bursts = math.ceil(settings.seconds * each.skin.features.rate / BURST_SAMPLES)
+            samples = [each.skin.read(BURST_SAMPLES).reading for _ in range(bursts)]
+            read[each.name].append(np.concatenate(samples))
         go(pose.upright)
-    T_b_t = np.stack(stated)
     return {
-        each.name: FreePoses(T_b_t @ each.T_tool_skin, _stacked(samples))
-        for each, samples in zip(procedure.skins, zip(*read, strict=True), strict=True)
+        each.name: FreePoses(np.stack(T_b_t) @ each.T_tool_skin, np.stack(read[each.name])) for each in procedure.skins
     }
-
-
-def _samples(skins: Sequence[SkinOnTool], clock: Clock, seconds: float) -> list[np.ndarray]:
-    """Samples (s, c) uT of each skin, of some seconds, whatever their rates are; they take turns."""
-    end = clock.now() + seconds
-    parts = [[each.skin.read(BURST_SAMPLES).reading] for each in skins]
-    while clock.now() < end:
-        for own, each in zip(parts, skins, strict=True):
-            own.append(each.skin.read(BURST_SAMPLES).reading)
-    return [np.concatenate(own) for own in parts]
-
-
-def _stacked(read: Sequence[np.ndarray]) -> np.ndarray:
-    """Stack samples (p, s, c) uT; poses at which fewer samples came are filled up with NaN."""
-    stacked = np.full((len(read), max(map(len, read)), read[0].shape[1]), np.nan)
-    for pose, samples in enumerate(read):
-        stacked[pose, : len(samples)] = samples
-    return stacked
 
 
 def fitted_ambient(

@@ -26,11 +26,6 @@ from i2t.types import Board
 
 NOTES = ".collection.json"
 MAX_NOTES_BYTES = 2**26  # a line for each site that cannot be reached
-NOTE_KINDS: dict[str, Any] = {
-    **dict.fromkeys(("object", "board", "session", "run", "rig", "skin_serial", "arm_serial", "camera_serial"), str),
-    **dict.fromkeys(("sites", "settings", "unreachable"), dict),
-    **{"seed": int, "devices": list, "pose": (list, type(None))},
-}
 CHANGEABLE_SETTINGS = ("retries", "failures", "patience")  # settings that say when to give up, and nothing of a touch
 
 
@@ -63,31 +58,12 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
     """
     path = folder / NOTES
     try:
-        notes = read_json(path, MAX_NOTES_BYTES)
-        problem = _what_is_wrong(notes)
+        return dict(read_json(path, MAX_NOTES_BYTES))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         reason = str(error).removeprefix(f"{path}: ")
-        raise DataError(f"{path}: cannot be read ({reason}); choose another folder") from error
-    if problem:
-        raise DataError(f"{path}: is damaged ({problem}); restore it from a copy, or pass another --out")
-    return dict(notes)
-
-
-def _what_is_wrong(notes: Any) -> str:
-    """Entry of a folder's notes that no session can have written; "" where there is none."""
-    if not isinstance(notes, dict):
-        return "it holds no table"
-    for name, kinds in NOTE_KINDS.items():
-        if name in notes and not isinstance(notes[name], kinds):
-            return f"{name} is {str(notes[name])[:40]!r}"
-    if "unreachable" not in notes or not {"session", "run"} & notes.keys():
-        return "it names no session"
-    unreachable = notes["unreachable"].items()
-    if not all(number.isdecimal() and len(number) < 10 and isinstance(why, str) for number, why in unreachable):
-        return "unreachable names no sites"
-    return ""
+        raise DataError(f"{path}: cannot be read ({reason}); restore it from a copy, or pass another --out") from error
 
 
 def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int, float], dict[str, Any]]:
@@ -125,7 +101,14 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         session = args.session or f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
         return {}, {**same, "session": session, "unreachable": {}}
     notes = {"board": DEFAULT_BOARD, **{key: same[key] for key in ("settings", "rig", "mesh")}, **notes}
-    notes["session"] = args.session or notes.get("session", notes.get("run"))  # as earlier versions called it
+    try:
+        session = notes["session"] if "session" in notes else notes["run"]  # as earlier versions called it
+        notes["session"] = args.session or str(session)
+        notes["unreachable"] = {str(int(number)): str(why) for number, why in notes["unreachable"].items()}
+    except (LookupError, ValueError, AttributeError) as error:
+        raise DataError(
+            f"{args.out / NOTES}: is damaged ({error!r}); restore it from a copy, or pass another --out"
+        ) from error
     before, now = _by_flag(notes), _by_flag(same)
     different = [key for key, value in now.items() if before.get(key) != value]
     if different:

@@ -66,32 +66,20 @@ class TouchPath:
         """
         if site.number in self.unreachable:
             raise UnreachableError(self.unreachable[site.number])
-        for name, goal in zip(("look", "prepare", "slow down", "end"), self.poses(site), strict=True):
+        poses = self.poses(site)
+        for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
             if not self.rig.limits.contains(goal[:3, 3]):
                 raise UnreachableError(
                     f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
                     "the box"
                 )
         # The lines of a touch: down to look, up, across, down to prepare, to the end.
-        look, prepare, _, end = self.poses(site)
+        look, prepare, _, end = poses
         height = self.transfer_height()
         above_look, above = (_at_height(pose, height) for pose in (look, prepare))
         refused = self._unplanned((above_look, look, above_look, above, prepare, end))
         if refused:
             raise UnreachableError(f"site {site.number}: {refused}")
-
-    def allows(self, goals: Sequence[Array]) -> bool:
-        """Test whether the tool may come down from the way across to the first of some poses, and go on in lines.
-
-        Args:
-            goals: T_b_t (4, 4), m, in order.
-
-        Returns:
-            True where all are in the box and the arm can follow the lines.
-        """
-        if not all(self.rig.limits.contains(goal[:3, 3]) for goal in goals):
-            return False
-        return not self._unplanned((_at_height(goals[0], self.transfer_height()), *goals))
 
     def _unplanned(self, goals: Sequence[Array]) -> str:
         """Reason why the arm cannot follow lines, by its own answer or the rig's; empty if it can or nobody knows."""

@@ -2,8 +2,8 @@
 
 While a touch is under way everything goes to a hidden raw file as well (`.under-way`), so that what was read survives
 even `kill -9`; it is removed once the touch is saved, and moved to `.interrupted/` if it never was. `read_raw` reads
-such a file up to its last whole entry. It has a line of JSON for each entry: first what it is, with the number of chips
-of each skin (that at the tool has an empty name), then `["event", [s, text]]`, `["skin NAME", rows]`, `["arm", row]`.
+such a file up to its last whole entry. It has a line of JSON for each entry: first what it is, then
+`["event", [s, text]]`, `["skin NAME", rows]` (without a name for the one at the tool) and `["arm", row]`.
 
 Devices count seconds that never jump, files hold Unix time: both clocks are read when a touch begins, and their
 difference dates everything in that touch. If the difference is another one at the end, somebody has set the clock: the
@@ -16,6 +16,7 @@ begins, with the arm standing away from the object. All trouble is a DeviceError
 import contextlib
 import json
 import shutil
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -33,7 +34,6 @@ from i2t.errors import DataError, DeviceError
 from i2t.files import not_through_links, read_bytes, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import ArmState, Samples, View, channel_names
-from i2t.skin.boards import MAX_CHIPS
 from i2t.types import PATCH_WINDOW, REACH, Array, Board, Touches
 
 try:
@@ -42,7 +42,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 UNDER_WAY, INTERRUPTED = ".under-way", ".interrupted"
-RAW_FILE_KIND, RAW_FILE_VERSION = "i2t raw", 4
+RAW_FILE_HEADER = b'{"touch": "i2t raw", "version": 4}'
 RESERVE_BYTES = 50 * 2**20  # that must be free before a touch begins: a hundred touches
 CLOCK_JUMP_S = 0.5  # by which the clocks may drift apart during a touch
 MIN_TIME_STEP_S = 1e-6  # between the names of two touches
@@ -101,19 +101,18 @@ class EventLog:
     Args:
         file: Open for writing, unbuffered.
         clock: That dates events.
-        chips: Number of chips of each skin, by its name.
 
     Raises:
         StorageError: The file cannot be written.
     """
 
-    def __init__(self, file: BinaryIO, clock: Clock, chips: Mapping[str, int]) -> None:
+    def __init__(self, file: BinaryIO, clock: Clock) -> None:
         self._file, self._clock = file, clock
         # of each skin, by sample number: time, 3 chips readings, temperatures
-        self.readings: dict[str, dict[int, Float[Array, " k"]]] = {name: {} for name in chips}
+        self.readings: dict[str, dict[int, Float[Array, " k"]]] = defaultdict(dict)
         self.states: list[ArmState] = []
         self.events: list[tuple[float, str]] = []
-        self._write({"touch": RAW_FILE_KIND, "version": RAW_FILE_VERSION, "chips": dict(chips)})
+        self._put(RAW_FILE_HEADER)
 
     def samples(self, samples: Samples, skin: str = "") -> None:
         """Keep and write samples, as in `TouchLog.samples`."""
@@ -133,9 +132,12 @@ class EventLog:
         self.events.append((now, text))
         self._write(["event", [now, text]])
 
-    def _write(self, entry: Any) -> None:
+    def _write(self, entry: list[Any]) -> None:
+        self._put(json.dumps(entry).encode())
+
+    def _put(self, line: bytes) -> None:
         try:
-            self._file.write(json.dumps(entry).encode() + b"\n")
+            self._file.write(line + b"\n")
         except OSError as error:
             raise _not_kept(Path(self._file.name), error) from error
 
@@ -155,35 +157,17 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
         DataError: The file is of another kind, or damaged.
     """
     header, *lines = read_bytes(path).split(b"\n")
-    chips = _chips(path, header)
+    if header != RAW_FILE_HEADER:
+        raise DataError(
+            f"{path}: is no raw file of a touch, or one of an earlier version of i2t, which reads it; give one from "
+            ".interrupted"
+        )
     for number, line in enumerate(lines[:-1], start=2):
         try:
-            kind, values = json.loads(line)
-            if kind == "event":
-                when, text = values
-                yield kind, [float(when), str(text)]
-            elif kind == "arm":
-                yield kind, np.array(values, float).reshape(-1)
-            else:
-                yield kind, np.array(values, float).reshape(len(values), 2 + 4 * chips[kind])
-        except (ValueError, LookupError, TypeError, RecursionError, OverflowError) as error:
+            kind, entry = json.loads(line)
+            yield kind, entry if kind == "event" else np.array(entry, float)
+        except (ValueError, TypeError, RecursionError, OverflowError) as error:
             raise DataError(f"{path}: line {number} is damaged ({error}); what stands before it is whole") from error
-
-
-def _chips(path: str | Path, header: bytes) -> dict[str, int]:
-    """Number of chips of each kind of entry of a skin, by a raw file's header."""
-    try:
-        about = json.loads(header)
-        if about["touch"] == RAW_FILE_KIND and about["version"] < RAW_FILE_VERSION:
-            raise DataError(f"{path}: was written by an earlier version of i2t; read it with that version's read_raw")
-        chips = {f"skin {name}".strip(): int(count) for name, count in about["chips"].items()}
-        if about["touch"] == RAW_FILE_KIND and all(1 <= count <= MAX_CHIPS for count in chips.values()):
-            return chips
-    except DataError:
-        raise
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError):
-        pass
-    raise DataError(f"{path}: is no raw file of a touch; give one from .interrupted")
 
 
 class Recorder:
@@ -277,8 +261,7 @@ class Recorder:
             self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
             raise _not_kept(path, error) from error
-        chips = {name: each.board.num_chips for name, each in self.info.skins.items()}
-        self._log = EventLog(self._raw, self._clock, chips)
+        self._log = EventLog(self._raw, self._clock)
         self._log.event(f"site {site.number}, attempt {attempt + 1}")
         return self._log
 

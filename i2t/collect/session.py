@@ -26,7 +26,7 @@ from i2t.collect.notes import keep_boards, keep_devices, resume, serial_number, 
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
 from i2t.collect.site_plan import SiteSampler, patch_extractor
-from i2t.collect.touch import ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
+from i2t.collect.touch import TOOL, ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
 from i2t.dataset import load_dataset
 from i2t.dataset.card import write_card
 from i2t.depth.camera import Camera
@@ -159,8 +159,8 @@ def _session_info(
 ) -> SessionInfo:
     """Metadata that the data set has of every touch of this session."""
     arm, camera, rig = procedure.arm, procedure.camera, procedure.rig
-    tool, *carried = (
-        SkinInfo(
+    skins = {
+        each.name: SkinInfo(
             each.pad,
             each.board,
             {
@@ -170,22 +170,28 @@ def _session_info(
             },
         )
         for each in devices.skins
-    )
-    numbers = {"arm serial number": serial_number(arm), "camera serial number": serial_number(camera)}
-    about = {"arm": arm.features.name, "rig": notes["rig"], "settings": json.dumps(vars(args.settings))}
-    own = {key: value for key, value in tool.meta.items() if value or key != "board"}
+    }
+    tool = skins.pop(TOOL)
+    about = {
+        "arm": arm.features.name,
+        "arm serial number": serial_number(arm),
+        "camera serial number": serial_number(camera),
+        "rig": notes["rig"],
+        "settings": json.dumps(vars(args.settings)),
+        **tool.meta,
+    }
     return SessionInfo(
-        object=name,
-        pad=tool.pad,
-        session=notes["session"],
-        source=devices.source,
-        board=tool.board,
-        T_w_b=rig.T_world_base,
-        T_w_o=rig.T_world_object,
-        camera=camera.camera,
-        meta={**about, **own, **{key: value for key, value in numbers.items() if value}},
-        skin=rig.skin if carried else "",
-        carried=dict(zip((each.name for each in devices.skins[1:]), carried, strict=True)),
+        name,
+        tool.pad,
+        notes["session"],
+        devices.source,
+        tool.board,
+        rig.T_world_base,
+        rig.T_world_object,
+        camera.camera,
+        {key: value for key, value in about.items() if value or key == "skin serial number"},
+        skin=rig.skin if skins else "",
+        carried=skins,
     )
 
 

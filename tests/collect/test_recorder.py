@@ -108,7 +108,7 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab
     with pytest.raises(DataError, match="no raw file"):
         list(read_raw(raw))
     raw.write_bytes(b'{"touch": "i2t raw", "version": 1}\n')
-    with pytest.raises(DataError, match="written by an earlier version"):
+    with pytest.raises(DataError, match="one of an earlier version"):
         list(read_raw(raw))
 
 
@@ -218,9 +218,9 @@ def test_notes_survive_and_damage_is_named(tmp_path):
     assert notes.read_notes(tmp_path) is None
     notes.write_notes(tmp_path, {"run": "a", "unreachable": {"3": "far"}})
     assert notes.read_notes(tmp_path) == {"run": "a", "unreachable": {"3": "far"}}
-    for damaged, said in (("{", "cannot be read"), ('{"unreachable": {}}', "names no session")):
+    for damaged in ("{", "3"):
         (tmp_path / notes.NOTES).write_text(damaged)
-        with pytest.raises(DataError, match=said):
+        with pytest.raises(DataError, match="cannot be read"):
             notes.read_notes(tmp_path)
 
 

@@ -118,6 +118,11 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
     ):
         with pytest.raises(DataError, match=said):
             notes.resume(now, "hexagon", lab_now, mesh)
+    for damaged in ({"unreachable": {}}, {"session": "a", "unreachable": {"three": "far"}}, {"run": "a"}):
+        notes.write_notes(tmp_path, damaged)
+        with pytest.raises(DataError, match="is damaged"):
+            notes.resume(args, "hexagon", Rig(), BOX)
+    notes.write_notes(tmp_path, begun)
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
     _, begun = notes.resume(patient, "hexagon", Rig(), BOX)
     for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):

@@ -29,7 +29,7 @@ from i2t.calibration.heads import load_head, read_recordings
 from i2t.calibration.model import load_calibration
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.notes import resume
-from i2t.collect.recorder import RAW_FILE_KIND, RAW_FILE_VERSION, read_raw
+from i2t.collect.recorder import RAW_FILE_HEADER, read_raw
 from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset
 from i2t.depth.camera import read_depth
@@ -256,8 +256,8 @@ def eflesh_session(states: Callable[[Path], bytes]) -> Content:
     return {"states.csv.gz": states, "sensor_post_baselines.csv": "0," + ",".join("1" * 15) + "\n"}
 
 
-def raw(entry: str, chips: int = 5) -> str:
-    return json.dumps({"touch": RAW_FILE_KIND, "version": RAW_FILE_VERSION, "chips": {"": chips}}) + f"\n{entry}\n"
+def raw(entry: str) -> str:
+    return f"{RAW_FILE_HEADER.decode()}\n{entry}\n"
 
 
 def stream(last: float) -> bytes:
@@ -380,8 +380,8 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     },
     ("raw", "a.raw"): {
         "a broken event": raw('["event", [1.0'),
-        "half a sample": raw('["skin", [[0.0, 0.0]]]'),
-        "a billion chips": raw('["skin", [[0.0, 0.0]]]', chips=10**9),
+        "samples of two sizes": raw('["skin", [[0.0, 0.0], [0.0]]]'),
+        "no pair": raw('["skin"]'),
     },
     ("replay", "a.raw"): {"no times": stream(float("nan")), "a thousand years": stream(3e10)},
 }
