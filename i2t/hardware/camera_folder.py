@@ -9,7 +9,6 @@
 Views come in the order of their names. Once all were given, or a file is missing or damaged, `capture` says so.
 """
 
-import itertools
 import json
 import time
 from collections.abc import Iterable, Iterator
@@ -51,7 +50,8 @@ class RecordedDepthCamera(CameraBase):
     def __init__(self, path: str | Path, loop: bool = False) -> None:
         super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, NOMINAL_RATE_HZ))
         self._path, self._loop = Path(path), loop
-        self._names: Iterator[str] | None = None
+        self._names: list[str] | None = None
+        self._next = 0
 
     def connect(self) -> None:
         """Read what the folder holds, and begin with its first view; raises DeviceError."""
@@ -67,7 +67,7 @@ class RecordedDepthCamera(CameraBase):
         names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
         if not names:
             raise DeviceError(f"{self._path / 'depth'} holds no views; give a folder with depth/*.png or .tif")
-        self._names = itertools.cycle(names) if self._loop else iter(names)
+        self._names, self._next = names, 0
 
     def close(self) -> None:
         """Stop giving views."""
@@ -81,10 +81,11 @@ class RecordedDepthCamera(CameraBase):
         """
         if self._names is None:
             raise self._not_connected()
-        name = next(self._names, None)
-        if name is None:
+        if self._next >= len(self._names) and not self._loop:
             raise DeviceError(f"{self._name} has given all its views; connect again for the first")
-        return View(time.monotonic(), *self._read(name))
+        view = View(time.monotonic(), *self._read(self._names[self._next % len(self._names)]))
+        self._next += 1
+        return view
 
     def _read(self, name: str) -> tuple[Array, Array | None]:
         path = self._path / "depth" / name

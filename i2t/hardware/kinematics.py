@@ -255,7 +255,7 @@ def _between(one: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
     """Poses on the straight line between two, without the first."""
     turn = so3_log(other[:3, :3] @ one[:3, :3].T)
     apart = other[:3, 3] - one[:3, 3]
-    steps = math.ceil(max(1.0, np.linalg.norm(apart) / STEP_M, np.linalg.norm(turn) / STEP_RAD))
+    steps = math.ceil(max(1.0, float(np.linalg.norm(apart)) / STEP_M, float(np.linalg.norm(turn)) / STEP_RAD))
     shares = [(i + 1) / steps for i in range(steps)]
     return [transform(so3_exp(share * turn) @ one[:3, :3], one[:3, 3] + share * apart) for share in shares]
 

@@ -146,7 +146,7 @@ def _carried(rig: Rig) -> Doubts:
         for name, other in placed.items():
             apart = float(np.linalg.norm(T[:3, 3] - other[:3, 3]))
             same = apart < LEAST_APART_M and T[:3, 2] @ other[:3, 2] > 0
-            yield same, f"{key} puts it {1e3 * apart:.0f} mm from the skin {name}; measure it from the tool's frame"
+            yield same, f"{key} puts it {1e3 * apart:.0f} mm from the skin {name}, where that one is; measure it again"
         placed[skin.name] = T
 
 

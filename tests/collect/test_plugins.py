@@ -17,7 +17,7 @@ from i2t.collect import command
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
 from i2t.collect.devices import make_devices
 from i2t.depth.camera import Camera
-from i2t.hardware import hand_eye, plugins
+from i2t.hardware import camera_folder, hand_eye, plugins
 from i2t.hardware.kinematics import arms
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, load_plugin
 from i2t.hardware.rig import Rig
@@ -144,9 +144,9 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
     arm = acme_devices.AcmeArm(DeviceSetup(Rig.read(lab_file)))
     with arm:
         np.testing.assert_allclose(poses[0, :3], arm.state().T_b_t[:3, 3], atol=1e-6)
-    lens, T_camera_image = hand_eye._lens(tmp_path / "views" / "camera.toml")
+    lens, given = camera_folder.read_lens(tmp_path / "views", {"T_camera_image": None})
     assert (lens.width, lens.height) == (160, 90)
-    np.testing.assert_array_equal(T_camera_image, np.eye(4))
+    np.testing.assert_array_equal(given["T_camera_image"], np.eye(4))
 
 
 @pytest.mark.parametrize(
