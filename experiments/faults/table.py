@@ -4,6 +4,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -22,7 +23,8 @@ class Measure(NamedTuple):
     of: str = ""  # name of the number of which it is a share, both summed over the trials
 
 
-class Fault(NamedTuple):
+@dataclass(frozen=True)
+class Fault:
     """A fault."""
 
     section: str

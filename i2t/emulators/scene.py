@@ -312,19 +312,19 @@ class ContactModel:
             force, (x, y), self.reading = self._line.contact_at(along)
             wrench[:3] = own_turned @ [0.0, 0.0, -force]
             wrench[3:] = own_turned @ [-force * y, force * x, 0.0] + np.cross(at - position, wrench[:3])
-        if self._socket is not None:
-            self._tell(self._socket, self.scene.rest + self.ambient(position, turned) + self.reading)
+        if self._to is not None:
+            self._tell(self._to, self.scene.rest + self.ambient(position, turned) + self.reading)
         return wrench
 
     def _skin_pose(self, position: Array, turned: Array) -> tuple[Array, Array]:
         """Position (3,) m and rotation (3, 3) of the skin in the base, of those of the tool."""
         return position + turned @ self.T_tool_skin[:3, 3], turned @ self.T_tool_skin[:3, :3]
 
-    def _tell(self, to: socket.socket, reading: Array) -> None:
+    def _tell(self, to: Address, reading: Array) -> None:
         """Send a reading to the board, if it is another one."""
-        if not np.array_equal(reading, self._sent):
+        if self._socket is not None and not np.array_equal(reading, self._sent):
             with contextlib.suppress(OSError):
-                to.sendto(struct.pack(f"<{len(reading)}f", *reading), self._to)
+                self._socket.sendto(struct.pack(f"<{len(reading)}f", *reading), to)
                 self._sent = reading
 
     def ambient(self, position: Array, turned: Array) -> Array:

@@ -20,6 +20,7 @@ Serve: TypeAlias = Callable[["Client"], Awaitable[None]]
 
 SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT, FAULT_PORT = 30003, 29999, 30004, 30100
 MAX_UNREAD_BYTES = 1 << 20  # of a client that does not read, which is then dropped
+INPUT_PASSES = 3  # of the loop, in which what has come reaches the program before its next tick
 MAX_LATE_S = 0.1  # that this process may be kept waiting before the robot's time stands still
 SCRIPT_BEGIN, SCRIPT_END = b"def rtde_control():", b"\nend\n"  # of the only program that is known here
 CONTROLLER_VERSION = (5, 11, 0, 108249)
@@ -46,9 +47,11 @@ class Client:
         Args:
             data: The bytes.
         """
-        self.writer.write(data)
-        if self.writer.transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
-            self.writer.transport.abort()
+        transport = self.writer.transport
+        if not transport.is_closing():
+            transport.write(data)
+        if transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
+            transport.abort()
 
     async def packets(self) -> AsyncIterator[tuple[int, bytes]]:
         """RTDE packets, each its type and body; raises ValueError for a size that cannot be."""
@@ -99,6 +102,8 @@ class Server:
         due = time.monotonic()
         while not ended.is_set():
             await asyncio.sleep(max(0.0, due - time.monotonic()))
+            for _ in range(INPUT_PASSES):
+                await asyncio.sleep(0)
             now = time.monotonic()
             due = now if now - due > MAX_LATE_S else due
             while due <= now:
