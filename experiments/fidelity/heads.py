@@ -100,7 +100,7 @@ def test_heads(
         rivals = {method: score_head(baseline, recording, other) for method, baseline in baselines.items()}
         tests[name] = HeadTest(
             head.method,
-            head.record.history,
+            int(head.record.history),
             scored,
             {method: score for method, (score, _) in rivals.items()},
             head.validation,
