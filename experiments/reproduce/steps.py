@@ -65,7 +65,7 @@ STEPS = (
     Step("shapes", "-m experiments.shapes", minutes=30),
     Step("tsne", "-m experiments.tsne", again="--overwrite"),
     Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again="--overwrite"),
-    Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=4, again="--overwrite"),
+    Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=7, again="--overwrite"),
     Step(
         "calibrate",
         "-m experiments.calibrate --dataset data/eflesh --preset short --draws 5",

@@ -11,7 +11,9 @@
 A head is one of the methods of `regression`, or a weighted sum of them (stacked regression; Breiman, Machine Learning
 24, 1996): what has the least error on whole blocks of the skin and on single presses that it was not fitted to; in a
 stream, or where one position is known only, on whole strokes or stretches of time. The mean, a linear map and the k
-nearest readings are among the methods, so that nothing is kept that loses to them there.
+nearest readings are among the methods, so that nothing is kept that loses to them there. What is best where presses
+come back to known places (single presses left out) need not be best elsewhere (blocks left out). Where two methods are
+better than one, a head keeps both, and goes from one to the other with a reading's distance from the known ones.
 
 Spread: the errors on the same blocks say how far off the head is for a reading of this length, this near to what it
 knows. A factor brings nine in ten readings of nine in ten blocks or strokes into the 90 % range: rows of one stroke err
@@ -21,8 +23,9 @@ nine strokes it is that of the worst. A reading that lies farther from all known
 `unfamiliar`: a skin that changed, another tip, or a magnet near by.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,6 +100,8 @@ ALIKE_SHARE = 0.05  # of the rows, whose errors say how far off the head is for 
 ALIKE_ROWS = 30  # at least
 UNFAMILIAR_QUANTILE = 0.999  # of distances between known readings
 UNFAMILIAR_FACTOR = 2.0
+# Shares of single presses, and of blocks, whose distances from known readings end what is near and begin what is far.
+GATES = ((0.5, 0.5), (0.9, 0.5), (0.9, 0.1))
 FEATURES_OF_SPREAD = 0  # index into FEATURE_KINDS
 STREAM_HISTORY = 3  # rows before a reading that a head of a stream may look at: what a skin remembers, how it moves
 
@@ -122,18 +127,12 @@ class SpreadRecord(NamedTuple):
     far: Float[np.ndarray, ""]  # distance from which a reading is unfamiliar
 
 
-class HeadRecord(NamedTuple):
-    """A weighted sum of methods about the mean, m + sum w_i (f_i - m), and its spread, on disk.
-
-    A method without weight is None.
-    """
+class StackRecord(NamedTuple):
+    """A weighted sum of methods about the mean, m + sum w_i (f_i - m); None for a method without weight."""
 
     centre: Float[np.ndarray, " d"]  # m, of the targets
     weights: Float[np.ndarray, " methods"]  # in the order of HEAD_METHODS
     histories: Int[np.ndarray, " methods"]  # rows before a reading that each looks at
-    spread: SpreadRecord
-    values: Int[np.ndarray, ""]  # of a reading of the skin
-    channels: Int[np.ndarray, " used"]  # of a reading, that the head looks at
     mean: Regression | None = None
     linear: Regression | None = None
     nearest: Regression | None = None
@@ -145,10 +144,17 @@ class HeadRecord(NamedTuple):
         every = (self.mean, self.linear, self.nearest, self.gaussian_process)
         return {name: part for name, part in zip(HEAD_METHODS, every, strict=True) if part is not None}
 
-    @property
-    def history(self) -> int:
-        """Rows before a reading that any method looks at."""
-        return int(np.max(self.histories))
+
+class HeadRecord(NamedTuple):
+    """Head on disk."""
+
+    stack: StackRecord
+    spread: SpreadRecord
+    values: Int[np.ndarray, ""]  # of a reading of the skin
+    channels: Int[np.ndarray, " used"]  # of a reading, that the head looks at
+    history: Int[np.ndarray, ""]  # rows before a reading that any of it looks at
+    near_stack: StackRecord | None = None  # for readings that are near to known ones, where it is another
+    gate: Float[np.ndarray, " 2"] | None = None  # distances up to which it is that one, and from which it is `stack`
 
 
 @dataclass(frozen=True)
@@ -170,8 +176,9 @@ class Head:
 
     @property
     def method(self) -> str:
-        """Name of the method, or of a weighted sum of several."""
-        return STACKED_METHODS if len(self.record.parts) > 1 else next(iter(self.record.parts))
+        """Name of the method, or of a weighted sum of several; two names where another is used near known readings."""
+        near, far = self.record.near_stack, _name_of(self.record.stack.parts)
+        return far if near is None else f"{_name_of(near.parts)} near, {far} far"
 
     def predict(
         self, readings: Float[np.ndarray, "n c"], session: Int[np.ndarray, " n"] | None = None
@@ -192,14 +199,18 @@ class Head:
         if readings.ndim != 2 or readings.shape[1] != record.values:
             raise ValueError(f"readings {readings.shape} are not of the {record.values} channels that the head knows")
         session = np.zeros(len(readings), int) if session is None else np.asarray(session)
-        looked = _with_history(readings[:, record.channels], session, record.history)
-        good, d = np.isfinite(looked).all(1), len(record.centre)
+        looked = _with_history(readings[:, record.channels], session, int(record.history))
+        good, d = np.isfinite(looked).all(1), len(record.stack.centre)
         mean, std = np.full((len(readings), d), np.nan), np.full((len(readings), d), np.nan)
         unfamiliar = np.ones(len(readings), bool)
         if good.any():
             now = looked[good][:, : len(record.channels)]
             distance = nearest_known(record.spread.known, record.spread.features(now), 1)[0][:, 0]
-            mean[good] = _weighted_sum(record, looked[good])
+            mean[good] = _predict_stack(record.stack, looked[good], int(record.history))
+            if record.near_stack is not None:
+                assert record.gate is not None
+                near = _predict_stack(record.near_stack, looked[good], int(record.history))
+                mean[good] = _gated(record.gate, distance, near, mean[good])
             std[good], unfamiliar[good] = _spread(record.spread, now, distance), distance > record.spread.far
         return HeadPrediction(mean, std, unfamiliar)
 
@@ -274,25 +285,27 @@ def fit_head(
     tried = [MEAN_TARGET, *(name for name in methods if name != MEAN_TARGET)]
     tried_histories = ((0, STREAM_HISTORY) if is_stream(recording) else (0,)) if history is None else (history,)
     looked = {n: _with_history(recording.readings[:, channels], recording.session, n)[rows] for n in tried_histories}
-    found = {name: _best_trial(name, looked, values, folds, budget) for name in tried}
-    weights, predicted = _weigh(found, values, folds[0])
+    # Settings that are best in each way of holding out.
+    ways = [slice(way, way + 1) for way in range(len(folds))]
+    trials = _Trials(looked, values, folds, budget)
+    sets = [{name: trials.best(name, way) for name in tried} for way in ways]
     readings = recording.readings[rows][:, channels]
-    fields = dict(zip(HEAD_METHODS, HeadRecord._fields[-len(HEAD_METHODS) :], strict=True))
+    distance = _fold_distances(readings, folds)
+    best = _choose(sets, ways, trials, distance)
+    used = [best, *([best.near] if best.near else [])]
+    stack, *near_stack = (_fit_stack(one, trials) for one in used)
     record = HeadRecord(
-        centre=values.mean(0),
-        weights=np.array([weights.get(name, 0.0) for name in HEAD_METHODS]),
-        histories=np.array([found[name].history if name in weights else 0 for name in HEAD_METHODS]),
-        spread=_fit_spread(readings, predicted - values, groups, _fold_distances(readings, folds)),
+        stack=stack,
+        spread=_fit_spread(readings, best.trial.predicted - values, groups, distance),
         values=np.array(recording.readings.shape[1]),
         channels=channels,
-        **{
-            fields[name]: fit_regression(name, found[name].settings, looked[found[name].history], values, budget=budget)
-            for name in weights
-        },
+        history=np.array(max(part.histories.max() for part in (stack, *near_stack))),
+        near_stack=near_stack[0] if near_stack else None,
+        gate=best.gate,
     )
-    validation = {name: trial.error for name, trial in found.items()}
+    validation = {name: min(found[name].error for found in sets) for name in tried}
     head = Head(target, record, validation, metadata or {})
-    validation.setdefault(head.method, _error(predicted, values))
+    validation.setdefault(head.method, best.trial.error)
     return head
 
 
@@ -401,42 +414,94 @@ class _Trial(NamedTuple):
     settings: Settings
     history: int
     predicted: np.ndarray  # (ways, n, d)
-    error: float
+    error: float  # geometric mean over the ways
 
 
-def _best_trial(
-    method: str, looked: dict[int, np.ndarray], values: np.ndarray, folds: np.ndarray, budget: HeadBudget
-) -> _Trial:
-    """A method with the settings and the history that are best on whole folds."""
-    trials = []
-    for history, readings in looked.items():
-        settings = choose_settings(method, readings, values, folds, budget)
-        predicted = cross_predict(method, settings, readings, values, folds, budget=budget)
-        trials.append(_Trial(settings, history, predicted, _error(predicted, values)))
-    return min(trials, key=lambda trial: trial.error)
+class _Candidate(NamedTuple):
+    """Candidate: weights of methods, and perhaps other weights near known readings."""
+
+    trial: _Trial
+    methods: dict[str, _Trial]
+    weights: dict[str, float]
+    near: "_Candidate | None" = None
+    gate: np.ndarray | None = None  # distances up to which it is that one, and from which it is not
 
 
-def _error(predicted: np.ndarray, values: np.ndarray) -> float:
-    """Root mean square error, as the geometric mean over the ways of holding out."""
-    return float(np.exp(np.mean([np.log(max(root_mean_square(way - values), 1e-12)) for way in predicted])))
+class _Trials(NamedTuple):
+    """Data for trials of methods."""
+
+    looked: dict[int, np.ndarray]  # readings with so many rows of history
+    values: np.ndarray
+    folds: np.ndarray
+    budget: HeadBudget
+
+    def best(self, method: str, ways: slice) -> _Trial:
+        """A method with the settings and the history that are best in some ways of holding out."""
+        trials = []
+        for history, readings in self.looked.items():
+            settings = choose_settings(method, readings, self.values, self.folds[ways], self.budget)
+            predicted = cross_predict(method, settings, readings, self.values, self.folds, budget=self.budget)
+            trials.append(_judged(predicted, self.values, settings, history))
+        return min(trials, key=lambda trial: trial.error)
 
 
-def _weigh(found: dict[str, _Trial], values: np.ndarray, fold: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
-    """Weights of the sum of methods, or 1 of the best single one, and its predictions of rows held out. For these the
-    weights of a fold come from the others.
+def _judged(predicted: np.ndarray, values: np.ndarray, settings: Settings = (), history: int = 0) -> _Trial:
+    errors = [max(root_mean_square(way - values), 1e-12) for way in predicted]
+    return _Trial(settings, history, predicted, float(np.exp(np.mean(np.log(errors)))))
+
+
+def _name_of(methods: Mapping[str, Any]) -> str:
+    return STACKED_METHODS if len(methods) > 1 else next(iter(methods))
+
+
+def _one(name: str, trial: _Trial) -> _Candidate:
+    return _Candidate(trial, {name: trial}, {name: 1.0})
+
+
+def _weighted(found: dict[str, _Trial], trials: _Trials, ways: slice) -> _Candidate:
+    """The weighted sum of methods with the least error in some ways of holding out. Weights of a fold come from the
+    others.
     """
-    predicted = np.stack([trial.predicted for trial in found.values()])
+    values, predicted = trials.values, np.stack([trial.predicted for trial in found.values()])
+    fold, chosen = trials.folds[ways][0], predicted[:, ways]
     summed = np.empty(predicted.shape[1:])
     for i in np.unique(fold):
         out = fold == i
-        shares, centre = _stack_weights(predicted[:, :, ~out], values[~out])
+        shares, centre = _stack_weights(chosen[:, :, ~out], values[~out])
         summed[:, out] = centre + np.tensordot(shares, predicted[:, :, out] - centre, 1)
-    shares = _stack_weights(predicted, values)[0]
+    shares = _stack_weights(chosen, values)[0]
     weights = {name: float(share) for name, share in zip(found, shares, strict=True) if share > MIN_WEIGHT}
-    best = min(found, key=lambda name: found[name].error)
-    if len(weights) > 1 and _error(summed, values) < found[best].error:
-        return weights, summed
-    return {best: 1.0}, found[best].predicted
+    if len(weights) < 2:
+        name = min(found, key=lambda name: found[name].error)
+        return _one(name, found[name])
+    return _Candidate(_judged(summed, values), found, weights)
+
+
+def _choose(sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, distance: np.ndarray) -> _Candidate:
+    """Candidate of least error: single methods, weighted sums, or one of these for each of two ways."""
+    values = trials.values
+    singles = [[_one(name, found[name]) for name in found] for found in sets]
+    candidates = [
+        *(one for found in singles for one in found),
+        *(_weighted(found, trials, slice(None)) for found in sets),
+    ]
+    if len(sets) > 1:
+        of_blocks, of_presses = (
+            [*alone, _weighted(found, trials, way)] for way, found, alone in zip(ways, sets, singles, strict=True)
+        )
+        far = min(of_blocks, key=lambda one: root_mean_square(one.trial.predicted[0] - values))
+        for near, shares in product(of_presses, GATES):
+            gate = np.array([np.quantile(distance[way], share) for way, share in zip((1, 0), shares, strict=True)])
+            gate = np.maximum.accumulate(gate)
+            both = _gated(gate, distance, near.trial.predicted, far.trial.predicted)
+            candidates.append(_Candidate(_judged(both, values), far.methods, far.weights, near, gate))
+    return min(candidates, key=lambda one: one.trial.error)
+
+
+def _gated(gate: np.ndarray, distance: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """Prediction near known readings, blended into the prediction far from them."""
+    share = np.clip((distance - gate[0]) / max(gate[1] - gate[0], 1e-12), 0, 1)[..., None]
+    return (1 - share) * near + share * far
 
 
 def _stack_weights(predicted: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -447,14 +512,32 @@ def _stack_weights(predicted: np.ndarray, values: np.ndarray) -> tuple[np.ndarra
     return nnls(columns, wanted.ravel())[0], centre
 
 
-def _weighted_sum(record: HeadRecord, readings: np.ndarray) -> np.ndarray:
-    """Predictions (n, d) from readings with rows of history."""
-    deviation = np.zeros((len(readings), len(record.centre)))
-    for name, part in record.parts.items():
-        i, whole = HEAD_METHODS.index(name), readings.shape[1]
-        looked = readings[:, : whole * (1 + int(record.histories[i])) // (1 + record.history)]
-        deviation += record.weights[i] * (predict_regression(part, looked) - record.centre)
-    return record.centre + deviation
+def _fit_stack(kept: _Candidate, trials: _Trials) -> StackRecord:
+    """Fit each method that has a weight to all rows."""
+    fields = dict(zip(HEAD_METHODS, StackRecord._fields[-len(HEAD_METHODS) :], strict=True))
+    found = {name: kept.methods[name] for name in kept.weights}
+    parts = {
+        fields[name]: fit_regression(
+            name, trial.settings, trials.looked[trial.history], trials.values, budget=trials.budget
+        )
+        for name, trial in found.items()
+    }
+    return StackRecord(
+        centre=trials.values.mean(0),
+        weights=np.array([kept.weights.get(name, 0.0) for name in HEAD_METHODS]),
+        histories=np.array([found[name].history if name in found else 0 for name in HEAD_METHODS]),
+        **parts,
+    )
+
+
+def _predict_stack(stack: StackRecord, readings: np.ndarray, history: int) -> np.ndarray:
+    """Predict by a weighted sum from readings with so many rows of history."""
+    deviation = np.zeros((len(readings), len(stack.centre)))
+    for name, part in stack.parts.items():
+        i = HEAD_METHODS.index(name)
+        looked = readings[:, : readings.shape[1] * (1 + int(stack.histories[i])) // (1 + history)]
+        deviation += stack.weights[i] * (predict_regression(part, looked) - stack.centre)
+    return stack.centre + deviation
 
 
 def _fold_distances(readings: np.ndarray, folds: np.ndarray) -> np.ndarray:

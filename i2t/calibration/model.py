@@ -132,8 +132,8 @@ class Calibration:
             mean, std = (np.asarray(part) for part in _predict(self.gp, at))
         else:
             _check_rows(positions, loads, self.load_kind)
-            mean = None if self.previous is None else self.previous.predict_mean(positions, loads)
-            table = PressTable(positions, loads, mean)
+            previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
+            table = PressTable(positions, loads, previous)
             mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)

@@ -350,6 +350,8 @@ def read_tables(path: Path) -> list[SkinRecording]:
     readings = table.some(names)
     if all(name in table.columns for name in ambient):
         readings = readings - table.some(ambient)
+    else:
+        ambient = []
     targets = {
         target: np.column_stack([scale * table.column(name) for name, scale in kinds if name in table.columns])
         for target, kinds in TABLE_COLUMNS.items()
@@ -363,7 +365,7 @@ def read_tables(path: Path) -> list[SkinRecording]:
         )
     session, _ = table.named("session")
     pad, pads = table.named("pad")
-    name = path.name.split(".")[0]
+    name, notes = path.name.split(".")[0], notes + _unused_columns(table, {*names, *ambient})
     whole = _cleaned(SkinRecording(name, readings, targets, session, table.column("time_s"), notes=tuple(notes)))
     if len(pads) < 2:
         return [_finite(whole, path)]
@@ -413,6 +415,18 @@ def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
             "docs/data.md"
         )
     return names
+
+
+def _unused_columns(table: _LooseTable, readings: set[str]) -> list[str]:
+    """Sentences on columns that were left out."""
+    used = readings | {"time_s", "session", "pad", *HEIGHT_COLUMNS}
+    used |= {name for kinds in TABLE_COLUMNS.values() for name, _ in kinds}
+    notes = []
+    if unknown := [name for name in table.columns if name not in used]:
+        notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")
+    if twice := sorted(name for name, count in Counter(table.text.header).items() if count > 1):
+        notes.append(f"columns {', '.join(twice)} stand twice: the first of each is taken")
+    return notes
 
 
 def read_eflesh_session(folder: Path) -> SkinRecording:

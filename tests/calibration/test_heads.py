@@ -98,6 +98,8 @@ def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(
     neighbours = fit_head(known, "position", budget=SMALL, methods=(methods.NEAREST_READINGS,))
     missed = [np.sum((one.predict(asked).mean - truth) ** 2) for one in (head, neighbours)]
     assert missed[0] < missed[1]
+    assert " near, " in head.method
+    assert head.method.endswith(" far")
     head.save(tmp_path / "head.npz")
     again = load_head(tmp_path / "head.npz")
     assert (again.target, again.method, again.validation) == ("position", head.method, head.validation)

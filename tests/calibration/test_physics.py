@@ -56,7 +56,14 @@ def test_a_pad_is_found_again_and_says_how_far_it_is_off():
     readings = np.asarray(read(pad, *presses) + jnp.float32(rng.normal(size=(60, 15))))
     known, (at, depth), held = Presses(*(part[:30] for part in presses)), (part[30:] for part in presses), readings[30:]
     fitted = physics.fit_pad(
-        known, readings[:30], tip=TIP, board=BOARD, by_force=False, grid=COARSE, max_layer_presses=16, linearizations=2
+        known,
+        jnp.float32(readings[:30]),
+        tip=TIP,
+        board=BOARD,
+        by_force=False,
+        grid=COARSE,
+        max_layer_presses=16,
+        linearizations=2,
     )
     # The fitted pad, pressed by the simulator, reads what the true one does.
     again = read(fitted.pad, at + fitted.layer.tip_offset, depth - fitted.layer.contact_offset)
