@@ -285,7 +285,7 @@ def _check_values(dataset: Dataset) -> None:
         (touches.patch >= -slack).all((1, 2)) & (touches.patch <= dataset.reach + slack).all((1, 2)),
         "leaves 0 to the reach",
     )
-    fields = touches.reading.reshape(n, -1, 3)
+    fields = touches.reading.reshape(n, dataset.board.num_chips, 3)
     whole = np.isfinite(fields).all(2) | np.isnan(fields).all(2)  # a chip is there with all its axes, or missing
     _require_rows("reading", whole.all(1), "is not finite, or a part of a chip is missing")
     _require_rows("reading", np.isfinite(touches.reading).any(1) | (n == 0), "has no chip")

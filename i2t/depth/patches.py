@@ -11,7 +11,7 @@ without having met a triangle, because it started there or came in through a hol
 not known. So a pixel is
 
     seen    its ray meets the surface, or is free to deeper than the reach behind the nearest point
-    filled  it is in a hole between two seen pixels of its row, column or diagonal, at most `fill` apart
+    filled  it is in a hole between two seen pixels of its row, column or diagonal, at most 2 mm apart
     neither it is in a larger hole; its depth reads the reach, as where there is no surface
 
 Frames: W world, C camera (z forward, x along columns, y along rows), T tool; metres.
@@ -70,9 +70,6 @@ def patch_from_depth(
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
-    standoff: float = STANDOFF,
-    grazing: float = GRAZING_ANGLE_RAD,
-    step: float = MAX_DEPTH_STEP_M,
     fill: float = MAX_HOLE_M,
 ) -> DepthPatch:
     """Patch in front of the tool at `T_w_t`, as the camera at `T_w_c` saw it: `render_patch` for depth images.
@@ -89,9 +86,6 @@ def patch_from_depth(
         window: Edge (m) of the patch.
         pixels: Along the edge.
         reach: Depth (m) behind the nearest point to which the patch is clipped.
-        standoff: How far (m) behind the tool's origin rays start.
-        grazing: Smallest angle (rad) between a triangle of surface and the line of sight to it.
-        step: Difference of depth (m) up to which neighbours are surface however steep.
         fill: Widest hole (m) that is bridged.
 
     Returns:
@@ -117,8 +111,8 @@ def patch_from_depth(
     validation.number("fill", fill, "a length (m), 0 for none", least=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
-    sizes = {"window": window, "reach": reach, "standoff": standoff, "grazing": grazing, "step": step, "fill": fill}
-    return _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), sizes=_Sizes(**sizes))
+    sizes = {"window": window, "reach": reach, "fill": fill}
+    return _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
 
 
 def view_from_depth(
@@ -154,31 +148,19 @@ def view_from_depth(
     return DepthView(camera_view(z), known)
 
 
-class _Sizes(NamedTuple):
-    """Lengths (m) and the angle (rad) of `patch_from_depth`."""
-
-    window: float
-    reach: float
-    standoff: float
-    grazing: float
-    step: float
-    fill: float
-
-
-@partial(jax.jit, static_argnames=("camera", "pixels", "sizes"))
+@partial(jax.jit, static_argnames=("camera", "pixels", "window", "reach", "fill"))
 def _patch_from_depth(
-    depth: Array, T_w_c: Array, T_w_t: Array, *, camera: Camera, pixels: int, sizes: _Sizes
+    depth: Array, T_w_c: Array, T_w_t: Array, *, camera: Camera, pixels: int, window: float, reach: float, fill: float
 ) -> DepthPatch:
     """`patch_from_depth`, compiled once for a camera and sizes."""
-    window, reach, standoff, grazing, step, fill = sizes
     # Wide enough that holes at the border are filled as if there were none.
     margin = max(math.ceil(fill / window * pixels) - 1, 0)
     T_c_t = _relative(T_w_c, T_w_t)
     rigid = is_rigid(T_w_c) & is_rigid(T_w_t)
     T_c_t = jnp.where(rigid, T_c_t, jnp.eye(3, 4))
-    rays = _rays(depth, camera, T_c_t, window=window, pixels=pixels, margin=margin, standoff=standoff)
+    rays = _rays(depth, camera, T_c_t, window=window, pixels=pixels, margin=margin)
     inner = (slice(margin, margin + pixels),) * 2
-    met, clear = _follow(rays, _cells(depth, camera, grazing, step), camera, reach, inner)
+    met, clear = _follow(rays, _cells(depth, camera), camera, reach, inner)
     nearest = jnp.min(met[inner])
     seen = ((met < jnp.inf) | (clear >= nearest + reach)) & (nearest < jnp.inf)
     bridged = _bridge(met, seen, window / pixels, fill)
@@ -204,9 +186,7 @@ class _Rays(NamedTuple):
     steps: Array  # (n, n) how many samples it takes; 0 for a ray that is not in sight
 
 
-def _rays(
-    depth: Array, camera: Camera, T_c_t: Array, *, window: float, pixels: int, margin: int, standoff: float
-) -> _Rays:
+def _rays(depth: Array, camera: Camera, T_c_t: Array, *, window: float, pixels: int, margin: int) -> _Rays:
     """Cut (n + 2 margin)^2 rays to what lies in the camera's field of view, between its least and largest depth.
 
     Half spaces a + b s >= 0 of tool z s: Liang and Barsky, "A new concept and method for line clipping", 1984.
@@ -219,7 +199,7 @@ def _rays(
     measured = jnp.isfinite(depth) & (depth > 0)
     near = jnp.min(jnp.where(measured, depth, jnp.inf)) * (1 - 1e-3)
     far = jnp.max(jnp.where(measured, depth, 0)) * (1 + 1e-3)
-    low, high = jnp.full_like(x, -standoff), jnp.full_like(x, jnp.inf)
+    low, high = jnp.full_like(x, -STANDOFF), jnp.full_like(x, jnp.inf)
     bounds: list = [(2, 1.0, 0, 0.0, -near), (2, -1.0, 0, 0.0, far)]
     for axis in (0, 1):
         bounds += [(axis, 1.0, 2, -jnp.nanmin(directions[axis]), 0.0), (axis, -1.0, 2, jnp.nanmax(directions[axis]), 0)]
@@ -241,7 +221,7 @@ def _rays(
     return _Rays(u, v, inverse, height, jnp.where(inside, jnp.ceil(length / STRIDE_PIXELS) + 1, 0))
 
 
-def _cells(depth: Array, camera: Camera, grazing: float, step: float) -> Float[Array, "cells 6"]:
+def _cells(depth: Array, camera: Camera) -> Float[Array, "cells 6"]:
     """For every square of four pixels ((h - 1)(w - 1), 6): their inverse depths (1/m; upper left, upper right, lower
     left, lower right), and whether the triangles of its upper left and its lower right corner are surface.
     """
@@ -260,9 +240,9 @@ def _cells(depth: Array, camera: Camera, grazing: float, step: float) -> Float[A
     def surface(corner: Array, one: Array, other: Array) -> Array:
         normal = jnp.cross(one - corner, other - corner, axis=0)
         facing = jnp.abs(jnp.sum(normal * corner, 0))
-        steep = facing < math.sin(grazing) * jnp.sqrt(jnp.sum(normal**2, 0) * jnp.sum(corner**2, 0))
+        steep = facing < math.sin(GRAZING_ANGLE_RAD) * jnp.sqrt(jnp.sum(normal**2, 0) * jnp.sum(corner**2, 0))
         depths = jnp.stack([corner[2], one[2], other[2]])
-        return ~steep | (jnp.max(depths, 0) - jnp.min(depths, 0) <= step)
+        return ~steep | (jnp.max(depths, 0) - jnp.min(depths, 0) <= MAX_DEPTH_STEP_M)
 
     upper = at_a & at_b & at_c & surface(a, b, c)
     lower = at_d & at_b & at_c & surface(d, c, b)

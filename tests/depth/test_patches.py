@@ -29,7 +29,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 # The outline of a hammer bends: halfway to its side the window holds but its handle's flank. So its head is looked at.
 HAMMER_HEAD = (0.121, 0.005, 0.025)
 
-STATIC = ("camera", "window", "pixels", "reach", "standoff", "grazing", "step", "fill")
+STATIC = ("camera", "window", "pixels", "reach", "fill")
 extract = jax.jit(patch_from_depth, static_argnames=STATIC)
 LOOKING_DISTANCE_M = 104e-3  # from the camera to the tool's origin when the paper's arm looks
 render = jax.jit(render_patch, static_argnames=("window", "pixels", "reach"))
