@@ -133,8 +133,6 @@ def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys)
     r2 = metrics["recordings"]["mine <b>"]["Calibration curves"]["r2"]
     assert {"random presses", "later in time"} <= set(r2)
     assert set(r2["random presses"]) == {"mean reading", "k nearest presses", "plain Gaussian process", "i2t.calibrate"}
-    across = metrics["recordings"]["Across sessions"]["What one session says of another"]["r2"]
-    assert across["mine <b> -> other"]["as it is"] > 0.9  # they are the same presses
     heads_across = metrics["recordings"]["Across sessions"]["Heads across sessions"]["heads"]
     assert heads_across["position: mine <b> -> other"]["rows"] == 90
     assert heads_across["position: mine <b> -> other"]["median"] < 1.0
@@ -238,21 +236,6 @@ def test_a_range_that_holds_too_few_rows_is_said():
     assert heads.missed_ranges("contact", {"random rows": score}) == []  # whose last number but one is another
 
 
-def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
-    """As `experiments.calibrate --previous-session` does, in both directions."""
-    section, big = Section("across"), presses_of_a_skin(600)
-    depth = big.targets["depth"][:, 0]
-    later = np.flatnonzero(np.arange(600) >= 300)
-    near = later[np.argsort(np.abs(depth[later] - np.quantile(depth, 0.7)))[:30]]
-    level = replace(big.rows(near), name="level", targets={"position": big.targets["position"][near]})
-    curves.across_sessions([big.rows(slice(300)), level], replace(TINY, forward_rows=300), 0, section)
-    (table,) = section.tables.values()
-    assert [row[:2] for row in table[1:]] == [[big.name, "level"], ["level", big.name]]
-    found = section.numbers["r2"][f"{big.name} -> level"]
-    assert found["aligned"] > 0.9
-    assert found["aligned"] > found["as it is"]
-
-
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
 def test_the_unit_is_predicted_from_the_steps(factor, unit):
     steps = np.tile([0.300 * 4, 0.300 * 4, 0.484 * 4], 5)
@@ -351,8 +334,7 @@ def test_mistakes_are_put_into_parts_of_a_recording_and_counted():
     section = Section("mistakes")
     mistakes.mistake_section(presses_of_a_skin(170), replace(TINY, mistake_draws=1), 0, section)
     found = {name: one[0] for name, one in section.numbers["mistakes"].items()}
-    without_force_and_board = {"forces that pull", "two chips swapped", "a stage turned or mirrored"}
-    assert set(found) == set(mistakes.MISTAKES) - without_force_and_board
+    assert set(found) >= {"heights into the skin", "another height zero"}
     for name in ("labels of another row", "positions in millimetres", "readings in millitesla"):
         assert found[name] == {"found": True, "known": True, "accused": False}, name
 
