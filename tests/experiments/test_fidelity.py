@@ -317,12 +317,7 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
     assert calibrate.main(["--dataset", table, "--targets", "colour", "--out", str(tmp_path / "out")]) not in (0, None)
     assert "is no target" in capsys.readouterr().err
     out = tmp_path / "heads"
-    assert (
-        calibrate.main(
-            ["--dataset", table, "--targets", "position", "--preset", "debug", "--mistakes", "--out", str(out)]
-        )
-        == 0
-    )
+    assert calibrate.main(["--dataset", table, "--targets", "position", "--preset", "debug", "--out", str(out)]) == 0
     predicted = load_head(out / "position.npz").predict(SKIN.readings)
     assert np.median(np.linalg.norm(predicted.mean - SKIN.targets["position"], axis=1)) < 1e-3
     tests = json.loads((out / "metrics.json").read_text())["heads"]["position"]
