@@ -14,7 +14,7 @@ from experiments.fidelity.forward import one_tip
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.calibration.heads import SkinRecording
 from i2t.types import Board
-from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, find
+from i2t.unknowns import Finding, RecordedPresses, estimate_labels, estimate_unknowns, find
 from i2t.unknowns.chip_field import STAGE, STAGES, SWAPPED
 from i2t.unknowns.findings import corrected_readings
 from i2t.unknowns.heights import HEIGHT_ZERO
@@ -86,12 +86,13 @@ def mistake_section(recording: SkinRecording, preset: FidelityPreset, seed: int,
     if len(whole.position) < PART_PRESSES:
         raise CannotTellError(f"{len(whole.position)} presses are too few; {PART_PRESSES} make a part.")
     answers: dict[str, list[Answer]] = {}
-    for draw in range(preset.mistake_draws):
-        rows = np.random.default_rng((seed, draw)).permutation(len(whole.position))[:PART_PRESSES]
-        sound = whole.rows(np.sort(rows))
+    for draw in range(preset.draws):
+        part = np.random.default_rng((seed, draw)).permutation(len(whole.position))[:PART_PRESSES]
+        sound = whole.rows(np.sort(part))
         before = estimate_unknowns(sound, board)
         for name, mistake in with_mistakes(sound, board, np.random.default_rng((seed, draw))).items():
-            after = estimate_unknowns(mistake.presses, board)
+            of_labels = mistake.unknown in (LAG, UNITS, FORCE_SIGN, HEIGHT_AXIS)  # which are asked first
+            after = estimate_labels(mistake.presses) if of_labels else estimate_unknowns(mistake.presses, board)
             answers.setdefault(name, []).append(_answer(mistake, before, after))
     rows = [["mistake", "found", "can tell", "false alarms"]]
     for name, found in answers.items():
@@ -105,8 +106,8 @@ def _answer(mistake: Mistake, before: list[Finding], after: list[Finding]) -> An
     if was is None or found is None:
         return Answer(False, False, False)
     todo = dict(found.correction)
-    if mistake.unknown == HEIGHT_ZERO:  # a number: it must move as the heights do
-        todo = {} if None in (was.estimate, found.estimate) else {"height_zero_m": found.estimate - was.estimate}
+    if mistake.unknown == HEIGHT_ZERO and was.estimate is not None and found.estimate is not None:
+        todo = {"height_zero_m": found.estimate - was.estimate}  # a number: it must move as the heights do
     named = todo.keys() == mistake.correction.keys() and all(
         np.allclose(todo[key], value, rtol=1e-6, atol=ZERO_TOLERANCE_M) for key, value in mistake.correction.items()
     )

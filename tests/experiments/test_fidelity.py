@@ -327,7 +327,7 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
 @pytest.mark.full
 def test_mistakes_are_put_into_parts_of_a_recording_and_counted():
     section = Section("mistakes")
-    mistakes.mistake_section(presses_of_a_skin(170), replace(TINY, mistake_draws=1), 0, section)
+    mistakes.mistake_section(presses_of_a_skin(170), TINY, 0, section)
     found = {name: one[0] for name, one in section.numbers["mistakes"].items()}
     assert set(found) >= {"heights into the skin", "another height zero"}
     for name in ("labels of another row", "positions in millimetres", "readings in millitesla"):
