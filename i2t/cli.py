@@ -21,7 +21,7 @@ import sys
 import threading
 import typing
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -317,23 +317,6 @@ def _send_again() -> None:
         timer = threading.Timer(SENT_AGAIN_S, signal.raise_signal, (signal.SIGINT,))
     timer.daemon = True
     timer.start()
-
-
-def renamed_flags(args: Sequence[str], renamed: Mapping[str, str]) -> None:
-    """Answer flags of earlier versions with the name they have now.
-
-    Args:
-        args: The command line, without the program's name.
-        renamed: Old flag to new flag or to what to do instead, such as `{"--strange": "--prior-unknown"}`.
-
-    Raises:
-        SystemExit: One of `args` is an old flag; its message says what it is called now.
-    """
-    for arg in args:
-        flag = arg.split("=", 1)[0].replace("_", "-")
-        if flag in renamed:
-            print(f"error: {flag} is called {renamed[flag]} now", file=sys.stderr)
-            raise SystemExit(WRONG_USE)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **_: Any) -> None:

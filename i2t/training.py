@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -102,8 +102,6 @@ class TrainConfig:
     epochs: int = 200
     batch_size: int = 128
     learning_rate: float = 1e-3
-    schedule: Literal["constant", "cosine"] = "cosine"  # cosine falls to 0 at the last epoch
-    weight_decay: float = 0.0  # decoupled, of matrices only
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""
@@ -112,25 +110,18 @@ class TrainConfig:
                 raise ValueError(f"train.{name} is {getattr(self, name)}; it must be at least 1.")
         if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
             raise ValueError(f"train.learning_rate is {self.learning_rate}; it must be a number above 0.")
-        if not (math.isfinite(self.weight_decay) and self.weight_decay >= 0):
-            raise ValueError(f"train.weight_decay is {self.weight_decay}; it must be a number >= 0.")
-        if self.schedule not in get_args(Literal["constant", "cosine"]):
-            raise ValueError(f"train.schedule is {self.schedule!r}; choose constant or cosine.")
 
     def optimizer(self, touches: int) -> optax.GradientTransformation:
-        """AdamW with the schedule of the learning rate.
+        """Adam (Kingma and Ba, 2015), whose learning rate falls to 0 by a cosine.
 
         Args:
             touches: Of the training set, which make an epoch.
 
         Returns:
-            The optimizer; weights decay in matrices only.
+            The optimizer.
         """
-        rate: optax.ScalarOrSchedule = self.learning_rate
-        if self.schedule == "cosine":
-            rate = optax.cosine_decay_schedule(self.learning_rate, self.epochs * -(-touches // self.batch_size))
-        matrices = partial(jax.tree.map, lambda leaf: leaf.ndim > 1)
-        return optax.adamw(rate, weight_decay=self.weight_decay, mask=matrices)
+        steps = self.epochs * -(-touches // self.batch_size)
+        return optax.adam(optax.cosine_decay_schedule(self.learning_rate, steps))
 
 
 def standard(values: Float[Array, "n k"]) -> Standard:

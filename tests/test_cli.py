@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from i2t.cli import INTERRUPTED_BY_USER, NOBODY_READS, WRONG_USE, exit_code_of, renamed_flags
+from i2t.cli import INTERRUPTED_BY_USER, NOBODY_READS, exit_code_of
 from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
 
 WRONG = (
@@ -99,12 +99,3 @@ def test_a_command_may_choose_its_exit_code_and_a_defect_of_the_program_is_not_h
     assert [exit_code_of(lambda code=code: code) for code in (None, 0, 1, "a result")] == [0, 0, 1, 0]
     with pytest.raises(ZeroDivisionError):
         exit_code_of(_raising(ZeroDivisionError()))
-
-
-def test_a_renamed_flag_names_the_new_one(capsys):
-    renamed_flags(["--prior-unknown", "0.1", "strange"], {"--strange": "--prior-unknown"})
-    for old in ("--strange", "--strange=0.1"):
-        with pytest.raises(SystemExit) as ended:
-            renamed_flags([old], {"--strange": "--prior-unknown"})
-        assert ended.value.code == WRONG_USE
-        assert capsys.readouterr().err == "error: --strange is called --prior-unknown now\n"

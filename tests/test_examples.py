@@ -16,7 +16,6 @@ from i2t.convert import presses
 from i2t.convert.commands import main as convert
 from i2t.errors import CheckpointError, DataError
 from i2t.files import slug
-from i2t.prediction import checkpoint
 from i2t.prediction.touch_model import TouchModel
 from tests.helpers.baselines import bare_dataset
 
@@ -166,7 +165,7 @@ def test_a_predictor_of_one_s_own_is_trained_compared_kept_and_loaded_like_any_o
     own, network = "least squares on slopes", "paper's network, depth"
     assert set(metrics["methods"]) == {"mean reading", "ridge on PCA", network, own}
     assert metrics["methods"][own]["r2"] > 0.9
-    model = checkpoint.load(tmp_path / "run" / "checkpoint" / slug(network))[2].model
+    model = i2t.load_predictor(tmp_path / "run" / "checkpoint" / slug(network)).model.cfg
     assert (model.bottleneck, model.auxiliary_weight, model.readings) == (3, 0.5, 6)
 
     assert train.main([*words[:-6], "no_such_module:Slopes", "--out", str(tmp_path / "none")]) == 2

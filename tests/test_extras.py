@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from experiments.common.tasks import TaskOptions
 from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.studies.arguments import StudyArgs
 from i2t.cli import require_writable
 from i2t.convert.commands import main as convert
 from i2t.errors import MissingExtraError
 from i2t.extras import EXTRAS
+from i2t.objects import make_object, random_object
 from i2t.view import command as view
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +29,6 @@ def test_an_experiment_looks_for_its_extra_before_it_works(tmp_path, monkeypatch
     (tmp_path / "metrics.json").write_text("{}")  # of a finished run
     for module, asked in (
         ("skimage", ReconstructArgs()),
-        ("ray", TaskOptions(executor="ray")),
         ("skfem", StudyArgs("mismatch", trained_run=tmp_path)),
     ):
         monkeypatch.setitem(sys.modules, module, None)
@@ -46,6 +45,13 @@ def test_a_command_looks_for_its_extra_before_it_works(tmp_path, monkeypatch, ca
     assert convert(["lerobot", str(tmp_path / "touches"), str(tmp_path / "lerobot")]) == 2
     assert "needs pyarrow, which is missing: pip install" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["touches"]
+
+
+def test_a_random_object_names_what_draws_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "manifold3d", None)
+    assert len(make_object("hammer").mesh.faces) > 1000
+    with pytest.raises(MissingExtraError, match=r"a random object needs manifold3d, .*imagine2touch\[shapes\]"):
+        random_object(0)
 
 
 def test_where_results_go_is_looked_at(tmp_path, monkeypatch):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import i2t
-from experiments.ready_models.__main__ import main
-from experiments.ready_models.eflesh import GRID_DEPTHS, GRID_PLACES
+from experiments.ready_models import GRID_DEPTHS, GRID_PLACES, main
 from i2t import imagine, models
 from i2t.calibration.structured_gp import StructuredGP
 from i2t.errors import SerializationError

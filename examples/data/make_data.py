@@ -13,7 +13,7 @@ import trimesh
 from manifold3d import Manifold
 
 import i2t
-from i2t.objects.solids import chain, mesh_from_solid
+from i2t.objects.drawing import chain, mesh_from_solid
 from i2t.skin.elasticity import GRID
 from i2t.skin.pad import numbered_pad
 

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.common.checks import with_trained_run
-from experiments.common.presets import choose_preset
-from i2t.cli import Count, Seed
+from i2t.cli import Seed
 
 PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 
@@ -22,31 +21,25 @@ class ActiveTouchSizes:
     particles: int = 48  # poses in which the belief thinks of each object
     touches: int = 16  # of an episode
     episodes: int = 240  # of the test, over all its pads
-    iterations: int = 100  # of the policy that sees the posterior
+    iterations: int = 100  # of training the policy
     batch: int = 96  # episodes of each
-    raw_iterations: int = 600  # of the one that sees readings only
-    raw_batch: int = 256
 
 
 PRESETS: dict[str, ActiveTouchSizes] = {
     "paper": ActiveTouchSizes(),
     "debug": ActiveTouchSizes(
-        sites=6, train_pads=3, test_pads=3, placements=3, particles=3, touches=3, episodes=12, iterations=2, batch=4,
-        raw_iterations=2, raw_batch=4,
+        sites=6, train_pads=3, test_pads=3, placements=3, particles=3, touches=3, episodes=12, iterations=2, batch=4
     ),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ActiveTouchArgs:
-    """Compare policies of touching on pads held out, and train two of them."""
+    """Compare policies of touching on pads held out, and train one of them."""
 
     out: Path = Path("runs/active_touch")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
     objects: tuple[str, ...] = PRISMS  # names of the catalogue, at least two
-    episodes: Count | None = None  # instead of the preset's 240, of debug 12
-    iterations: Count | None = None  # instead of the preset's 100 (2) of training with the posterior
-    raw_iterations: Count | None = None  # instead of the preset's 600 (2) of training on readings
     seed: Seed = 0
     overwrite: bool = False  # replace a finished run in --out
 
@@ -64,10 +57,3 @@ class ActiveTouchArgs:
             raise ValueError(f"--objects {unknown[0]}: the catalogue has {', '.join(NAMES)}")
         if len(set(self.objects)) < max(2, len(self.objects)):
             raise ValueError("--objects needs at least two objects, each named once")
-
-    @property
-    def sizes(self) -> ActiveTouchSizes:
-        """Sizes of the preset, except those given."""
-        return choose_preset(
-            PRESETS, self.preset, episodes=self.episodes, iterations=self.iterations, raw_iterations=self.raw_iterations
-        )

@@ -6,13 +6,11 @@
 An object stands where it is believed to, up to 1 mm and 1 degree, and is touched at 16 of 36 sites that are safe on
 every object (`i2t.environments`, outcomes tabulated). Four policies choose sites by one posterior, which knows each pad
 as a calibrated one is known: random, the paper's heuristic, expected information, and a network trained by proximal
-policy optimisation. A fifth, trained the same way, sees readings, forces and poses only: it knows no pad, and makes its
-predictions itself. Training has four pads, the test six others and other placements; intervals are over pads. The
+policy optimisation. Training has four pads, the test six others and other placements; intervals are over pads. The
 published curve of APPLE is printed below, from another benchmark (Tactile-MNIST, another sensor). Everything is
-simulated. Results: metrics.json, config.json, accuracy.png, learning.png. About ten minutes on two cores.
+simulated. Results: metrics.json, config.json, accuracy.png. About ten minutes on two cores.
 """
 
-import time
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,19 +19,18 @@ import numpy as np
 from matplotlib import pyplot
 from matplotlib.figure import Figure
 
-from experiments.active_touch.arguments import ActiveTouchArgs, ActiveTouchSizes
+from experiments.active_touch.arguments import PRESETS, ActiveTouchArgs, ActiveTouchSizes
 from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
 from i2t import viz
 from i2t.environments.beliefs import with_beliefs
 from i2t.environments.core import EnvironmentConfig, EnvironmentParams, TouchEnvironment
-from i2t.environments.learning import LearnedPolicy, LearnerConfig, run_learned, train_policy
+from i2t.environments.learning import LearnerConfig, run_learned, train_policy
 from i2t.environments.policies import BASELINES, run_policy
 from i2t.environments.tables import make_environment, tabulate
 from i2t.prediction.metrics import Estimate
 from i2t.recognition.intervals import rate_interval
 
-LEARNED, RAW = "learned", "learned on readings"
 TABLE_TOUCHES = (1, 2, 3, 4, 5, 8, 12, 16)  # touches of the table
 APPLE = {1: 0.454, 2: 0.549, 3: 0.685, 4: 0.727, 5: 0.794, 16: 0.880}  # accuracy published at ICLR 2026
 
@@ -46,48 +43,37 @@ class Lab(NamedTuple):
     test: EnvironmentParams
 
 
-class Hits(NamedTuple):
-    """Hits of the most probable object, touch by touch."""
-
-    hit: np.ndarray  # (e, t)
-    pad: np.ndarray  # (e,)
-
-
 def run(args: ActiveTouchArgs) -> dict[str, Any]:
-    """Make the environment, train, test every policy; write metrics.json, config.json and figures."""
-    sizes = args.sizes
+    """Make the environment, train, test every policy; write metrics.json, config.json and a figure."""
+    sizes = PRESETS[args.preset]
     begin(args.out, args, sizes, None, args.overwrite)
     key_lab, key_train, key_test = jax.random.split(jax.random.key(args.seed), 3)
-    start = time.perf_counter()
     lab = make_lab(key_lab, args, sizes)
-    seconds = {"environment": time.perf_counter() - start}
-    configs = {
-        LEARNED: LearnerConfig(iterations=sizes.iterations, episodes=sizes.batch),
-        RAW: LearnerConfig(iterations=sizes.raw_iterations, episodes=sizes.raw_batch),
-    }
-    learned: dict[str, LearnedPolicy] = {}
-    found: dict[str, Hits] = {}
+    curves: dict[str, Estimate] = {}
     for name, policy in BASELINES.items():
-        start = time.perf_counter()
-        found[name] = test_policy(jax.random.clone(key_test), policy, lab, sizes)
-        seconds[name] = time.perf_counter() - start
-        print(f"{name}: {seconds[name]:.0f} s", flush=True)
-    for name, config in configs.items():
-        start = time.perf_counter()
-        learned[name] = learn(jax.random.clone(key_train), lab, config, raw=name == RAW)
-        seconds[f"training, {name}"] = time.perf_counter() - start
-        print(f"training, {name}: {seconds[f'training, {name}']:.0f} s", flush=True)
-        found[name] = test_learned(jax.random.clone(key_test), learned[name], lab, config, sizes, raw=name == RAW)
-    curves = {name: rate_interval(hits.hit, [hits.pad]) for name, hits in found.items()}
+        print(name, flush=True)
+        play = jax.jit(partial(run_policy, policy=policy, environment=lab.environment, episodes=sizes.episodes))
+        made = jax.device_get(play(jax.random.clone(key_test), params=lab.test))
+        curves[name] = rate_interval(made.posterior.argmax(-1) == made.object[:, None], [made.pad])
+    print("learned", flush=True)
+    config = LearnerConfig(iterations=sizes.iterations, episodes=sizes.batch)
+    train = jax.jit(partial(train_policy, environment=lab.environment, config=config))
+    learned = jax.block_until_ready(train(key_train, params=lab.train))
+    test = jax.jit(partial(run_learned, environment=lab.environment, config=config, episodes=sizes.episodes))
+    made = jax.device_get(test(key_test, learned, params=lab.test))
+    curves["learned"] = rate_interval(made.prediction.argmax(-1) == made.object[:, None], [made.pad])
     report = {
-        "source": "simulated", "objects": list(args.objects), "episodes": sizes.episodes, "test_pads": sizes.test_pads,
+        "source": "simulated",
+        "objects": list(args.objects),
+        "episodes": sizes.episodes,
+        "test_pads": sizes.test_pads,
         "accuracy": {name: np.stack(each, axis=1).tolist() for name, each in curves.items()},
-        "apple": APPLE, "seconds": seconds, "seed": args.seed,
-        "loss": {name: np.asarray(policy.loss).tolist() for name, policy in learned.items()},
-    }  # fmt: skip
+        "apple": APPLE,
+        "loss": np.asarray(learned.loss).tolist(),
+        "seed": args.seed,
+    }
     write_json(args.out / "metrics.json", report)
     viz.save_figure(draw_accuracy(curves), args.out / "accuracy.png")
-    viz.save_figure(draw_learning(learned, configs, sizes), args.out / "learning.png")
     print(table(curves))
     return report
 
@@ -106,32 +92,6 @@ def make_lab(key: jax.Array, args: ActiveTouchArgs, sizes: ActiveTouchSizes) -> 
         tabulate(key_train, environment, train, sizes.placements),
         tabulate(key_test, environment, test, sizes.placements),
     )
-
-
-def test_policy(key: jax.Array, policy: Any, lab: Lab, sizes: ActiveTouchSizes) -> Hits:
-    """Episodes of a baseline on the test's pads."""
-    play = jax.jit(partial(run_policy, policy=policy, environment=lab.environment, episodes=sizes.episodes))
-    made = jax.device_get(play(key, params=lab.test))
-    return Hits(made.posterior.argmax(-1) == made.object[:, None], made.pad)
-
-
-def learn(key: jax.Array, lab: Lab, config: LearnerConfig, *, raw: bool) -> LearnedPolicy:
-    """Train a policy on the training's pads."""
-    train = jax.jit(partial(train_policy, environment=lab.environment, config=config))
-    return jax.block_until_ready(train(key, params=_seen(lab.train, raw)))
-
-
-def test_learned(
-    key: jax.Array, policy: LearnedPolicy, lab: Lab, config: LearnerConfig, sizes: ActiveTouchSizes, *, raw: bool
-) -> Hits:
-    """Episodes of a learned policy on the test's pads."""
-    play = jax.jit(partial(run_learned, environment=lab.environment, config=config, episodes=sizes.episodes))
-    made = jax.device_get(play(key, policy, params=_seen(lab.test, raw)))
-    return Hits(made.prediction.argmax(-1) == made.object[:, None], made.pad)
-
-
-def _seen(params: EnvironmentParams, raw: bool) -> EnvironmentParams:
-    return params._replace(beliefs=None) if raw else params
 
 
 def table(curves: dict[str, Estimate]) -> str:
@@ -155,20 +115,5 @@ def draw_accuracy(curves: dict[str, Estimate]) -> Figure:
         axes.fill_between(touches, each.low, each.high, color=line.get_color(), alpha=0.15, linewidth=0)
     axes.plot(list(APPLE), list(APPLE.values()), "k:", marker=".", label="APPLE, another benchmark")
     axes.set(xlabel="touches", ylabel="accuracy on held-out pads", ylim=(0, 1), title="Simulated: which object is it?")
-    axes.legend(fontsize=8)
-    return figure
-
-
-def draw_learning(
-    learned: dict[str, LearnedPolicy], configs: dict[str, LearnerConfig], sizes: ActiveTouchSizes
-) -> Figure:
-    """The loss of predictions while policies are trained."""
-    figure, axes = pyplot.subplots(figsize=(6.4, 3.6), layout="constrained")
-    for name, policy in learned.items():
-        steps = np.arange(1, len(policy.loss) + 1) * configs[name].episodes * sizes.touches
-        width = max(1, len(steps) // 50)
-        smooth = np.convolve(np.asarray(policy.loss), np.ones(width) / width, "valid")
-        axes.plot(steps[len(steps) - len(smooth) :], smooth, label=name)
-    axes.set(xlabel="touches of training", ylabel="cross entropy (nats)", xscale="log", title="Simulated: learning")
     axes.legend(fontsize=8)
     return figure

@@ -1,1 +1,1 @@
-"""Speeds, each as a ratio to a named peer in the same run."""
+"""Speeds, each as a ratio to a named peer in the same run: `contests` times a pair, and each other module has pairs."""

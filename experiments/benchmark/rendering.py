@@ -5,8 +5,7 @@ Poses go in and depth comes out, for all of them, with the scene built before; O
 before. Poses are contact frames all over a mesh, turned about their normals at random.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -14,67 +13,61 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 
-from experiments.benchmark.timing import BenchmarkRow, MissingPeerError, compare, interleave
+from experiments.benchmark.contests import Contest, Work
 from i2t.geometry import contact_frame
 from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation import sites
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, Surface
 
-SPHERE = "sphere"
 MAX_DIFFERENCE_M = 1e-5  # m
+BYTES_PER_GB = 1e9
 TURN_S = 0.3  # s that each caster works in each turn
 BESIDE_AN_EDGE = 1e-4  # of all pixels may differ: rays within rounding of an edge, which either side may win
 
 
-@dataclass(frozen=True)
-class Rendering:
-    """Meshes and batches."""
-
-    spheres: tuple[int, ...] = (1, 3, 5, 6)  # times that an icosahedron's faces were cut in four
-    shapes: tuple[str, ...] = ("hexagon", "star", "flower", "cylinder", "hammer", "screwdriver", "spanner", "scissors")
-    batch: int = 256
-    batches: tuple[int, ...] = (1, 16, 1024, 4096)  # others, of the last sphere but one
-    largest: int = 4096  # batch whose memory is measured, on the last sphere
+SPHERES = (1, 3, 5, 6)  # times that an icosahedron's faces were cut in four
+SHAPES = ("hexagon", "star", "flower", "cylinder", "hammer", "screwdriver", "spanner", "scissors")
+BATCH, OTHER_BATCHES = 256, (1, 16, 1024, 4096)  # of all meshes; of the last sphere but one
+LARGEST_BATCH = 4096  # whose memory is measured, on the last sphere
 
 
-def section(setup: Rendering, turns: int) -> list[BenchmarkRow]:
+def rendering(small: bool) -> Iterator[Contest]:
     """Batches over meshes, then over batch sizes, then memory."""
-    rows = []
-    meshes = {f"{SPHERE} of {20 * 4**k} faces": trimesh.creation.icosphere(k, 0.03) for k in setup.spheres}
+    spheres, shapes, batch = ((1,), ("star",), 4) if small else (SPHERES, SHAPES, BATCH)
+    meshes = {f"sphere of {20 * 4**k} faces": trimesh.creation.icosphere(k, 0.03) for k in spheres}
     meshes |= {
-        f"{name}, {len(mesh.faces)} faces": mesh for name in setup.shapes if (mesh := catalogue.make_object(name).mesh)
+        f"{name}, {len(mesh.faces)} faces": mesh for name in shapes if (mesh := catalogue.make_object(name).mesh)
     }
     for name, mesh in meshes.items():
-        rows += contest(name, mesh, setup.batch, turns)
+        yield from contests(name, mesh, batch)
     names = list(meshes)
-    middle = names[max(len(setup.spheres) - 2, 0)]
-    for batch in setup.batches:
-        rows += contest(middle, meshes[middle], batch, turns)
-    last = names[len(setup.spheres) - 1]
-    return [*rows, memory(last, meshes[last], setup.largest)]
+    middle, last = names[max(len(spheres) - 2, 0)], names[len(spheres) - 1]
+    for other in (1,) if small else OTHER_BATCHES:
+        yield from contests(middle, meshes[middle], other)
+    yield memory(last, meshes[last], 8 if small else LARGEST_BATCH)
 
 
-def contest(name: str, mesh: Any, batch: int, turns: int) -> list[BenchmarkRow]:
+def contests(name: str, mesh: Any, batch: int) -> Iterator[Contest]:
     """One mesh and batch size against every peer."""
     surface = jax.tree.map(jnp.asarray, prepare_surface(mesh))
     poses = random_poses(surface, batch)
     render = jax.jit(jax.vmap(render_patch, (None, 0)))
-    casters = {"Open3D": open3d_caster(mesh), "embreex": embreex_caster(mesh)}
+    open3d, embreex = open3d_caster(mesh), embreex_caster(mesh)
     rays = rays_of(poses)
     seen = jax.device_get(render(surface, poses))
-    for peer, cast in casters.items():
+    for peer, cast in (("Open3D", open3d), ("embreex", embreex)):
         check(name, peer, seen.depth, seen.nearest, cast(rays).reshape(batch, PATCH_PIXELS, PATCH_PIXELS))
-    contenders: dict[str, Callable[[], object]] = {"ours": lambda: jax.block_until_ready(render(surface, poses))}
-    contenders |= {peer: lambda cast=cast: cast(rays_of(poses)) for peer, cast in casters.items()}  # type: ignore[misc]
-    contenders["Open3D, rays given"] = lambda: casters["Open3D"](rays)
-    seconds = interleave(contenders, turns, TURN_S)
-    work = f"{name}, batch of {batch}"
-    return [
-        compare("rendering", work, seconds["ours"], peer, seconds[peer])._replace(unit="s a batch")
-        for peer in contenders
-        if peer != "ours"
-    ]
+    peers: dict[str, Work] = {
+        "Open3D": lambda: open3d(rays_of(poses)),
+        "embreex": lambda: embreex(rays_of(poses)),
+        "Open3D, rays given": lambda: open3d(rays),
+    }
+    for peer, work in peers.items():
+        yield Contest(
+            f"{name}, batch of {batch}", lambda: jax.block_until_ready(render(surface, poses)), peer, work,
+            unit="s a batch", steady=TURN_S,
+        )  # fmt: skip
 
 
 def random_poses(surface: Surface, count: int) -> np.ndarray:
@@ -100,11 +93,8 @@ def open3d_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Rays (n, 6) to distances (n,) with Open3D."""
     try:
         import open3d
-    except (ImportError, OSError) as error:
-        raise MissingPeerError(
-            "Section rendering compares with Open3D, which cannot be loaded; run pip install 'imagine2touch[bench]', "
-            "and install the system packages libusb-1.0-0 and libgl1."
-        ) from error
+    except (ImportError, OSError) as error:  # it is installed
+        raise ValueError("Open3D cannot be loaded; install the system packages libusb-1.0-0 and libgl1") from error
     scene = open3d.t.geometry.RaycastingScene()
     tensor: Any = open3d.core.Tensor
     vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
@@ -114,13 +104,9 @@ def open3d_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 def embreex_caster(mesh: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Rays (n, 6) to distances (n,) with embreex, which trimesh uses."""
-    try:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
-    except ImportError as error:
-        raise MissingPeerError(
-            "Section rendering compares with embreex, which is not installed; run pip install 'imagine2touch[bench]'."
-        ) from error
+    from embreex import rtcore_scene
+    from embreex.mesh_construction import TriangleMesh
+
     scene = rtcore_scene.EmbreeScene()
     TriangleMesh(scene, np.asarray(mesh.vertices, np.float32)[np.asarray(mesh.faces)])
 
@@ -144,17 +130,17 @@ def check(name: str, peer: str, depth: np.ndarray, nearest: np.ndarray, distance
         )
 
 
-def memory(name: str, mesh: Any, batch: int) -> BenchmarkRow:
+def memory(name: str, mesh: Any, batch: int) -> Contest:
     """Scratch memory and result of one batch, against the rays and distances that a ray caster is given and returns."""
-    surface = prepare_surface(mesh)
-    shapes = jax.tree.map(lambda field: jax.ShapeDtypeStruct(field.shape, field.dtype), surface)
-    poses = jax.ShapeDtypeStruct((batch, 4, 4), jnp.float32)
-    plan = jax.jit(jax.vmap(render_patch, (None, 0))).lower(shapes, poses).compile().memory_analysis()
-    assert plan is not None  # XLA on CPU and GPU says what it needs
-    ours = plan.temp_size_in_bytes + plan.output_size_in_bytes
-    theirs = batch * PATCH_PIXELS**2 * 7 * 4
-    gigabyte = 1e9
-    return BenchmarkRow(
-        "rendering", f"{name}, batch of {batch}", "GB", ours / gigabyte, "rays and distances", theirs / gigabyte,
-        theirs / ours,
-    )  # fmt: skip
+
+    def ours() -> float:
+        surface = prepare_surface(mesh)
+        shapes = jax.tree.map(lambda field: jax.ShapeDtypeStruct(field.shape, field.dtype), surface)
+        poses = jax.ShapeDtypeStruct((batch, 4, 4), jnp.float32)
+        plan = jax.jit(jax.vmap(render_patch, (None, 0))).lower(shapes, poses).compile().memory_analysis()
+        assert plan is not None  # XLA on CPU and GPU says what it needs
+        return float(plan.temp_size_in_bytes + plan.output_size_in_bytes) / BYTES_PER_GB
+
+    theirs = batch * PATCH_PIXELS**2 * 7 * 4 / BYTES_PER_GB
+    work = f"{name}, batch of {batch}"
+    return Contest(work, ours, "rays and distances", lambda: theirs, unit="GB", measured=True)

@@ -7,15 +7,14 @@ ContactMechanics has no counterpart: the ratio of a reading to its contact is th
 """
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.timing import BenchmarkRow, MissingPeerError, compare, interleave
+from experiments.benchmark.contests import Contest
 from i2t.skin.contact import CONTACT_TOLERANCE, solve
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
@@ -26,96 +25,77 @@ PEER = "ContactMechanics"
 NO_SURFACE_M = 1.0  # behind the nearest point: nothing there
 
 
-@dataclass(frozen=True)
-class SkinBenchmark:
-    """Batches, grids and numbers of dipoles."""
-
-    batch: int = 64
-    cells: tuple[int, ...] = (20, 40, 80)  # along each edge of the pad
-    dipoles: tuple[int, ...] = (20, 40, 80)  # along each edge, under the finest of the grids
-    shapes: tuple[str, ...] = (
-        "ball of 16 mm", "ball of 4.6 mm", "punch", "tilted punch", "stamp T", "tilted stamp", "edge",
-    )  # fmt: skip
-    steady: float = 0.5  # s that each contender works in each turn
+BATCH = 64
+CELLS, DIPOLES = (20, 40, 80), (20, 40, 80)  # along each edge of the pad; dipoles under the finest of the grids
+STEADY_S = 0.5  # that each contender works in each turn
+UNIT = "s a touch"
 
 
-def section(setup: SkinBenchmark, turns: int) -> list[BenchmarkRow]:
+def skin(small: bool) -> Iterator[Contest]:
     """Each shape on the default grid, then all of them on every grid, then readings by the number of dipoles."""
-    pad = nominal_pad()
-    rows = [benchmark_case(pad, GRID, [name], setup, turns)[0] for name in setup.shapes]
-    for cells in setup.cells:
-        rows += benchmark_case(pad, _grid(cells), list(setup.shapes), setup, turns)
-    return rows + dipoles(pad, setup, turns)
+    pad, shapes, batch = nominal_pad(), ["tilted punch"] if small else list(SHAPES), 2 if small else BATCH
+    steady = 0.0 if small else STEADY_S
+    for name in shapes:
+        yield from contests(pad, GRID, [name], batch, steady=steady, kinds=("contacts",))
+    for cells in (20,) if small else CELLS:
+        yield from contests(pad, _grid(cells), shapes, batch, steady=steady)
+    yield from dipoles(pad, shapes, batch, steady, (10,) if small else DIPOLES)
 
 
-def benchmark_case(pad: Pad, grid: Grid, shapes: list[str], setup: SkinBenchmark, turns: int) -> list[BenchmarkRow]:
+def contests(
+    pad: Pad,
+    grid: Grid,
+    shapes: list[str],
+    batch: int,
+    *,
+    steady: float,
+    kinds: Sequence[str] = ("contacts", "readings"),
+) -> Iterator[Contest]:
     """Contacts, and whole readings, against the peer's contacts."""
-    heights, depths = _touches(grid, shapes, setup.batch)
-    contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
-    reading = jax.jit(jax.vmap(lambda pad, height, depth: press(pad, height, depth, grid=grid).reading, (None, 0, 0)))
+    heights, depths = _touches(grid, shapes, batch)
+    run = {
+        "contacts": jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0))),
+        "readings": jax.jit(jax.vmap(partial(_reading, grid=grid, dipoles=None), (None, 0, 0))),
+    }
     work = f"{shapes[0] if len(shapes) == 1 else 'all shapes'}, {grid.cells} x {grid.cells} cells"
     systems = [
-        peer_contact(pad, grid, np.asarray(heights[i], float), float(depths[i])) for i in range(len(shapes))
+        peer_contact(pad, grid, np.asarray(heights[i], float), float(depths[i])) for i in range(min(len(shapes), batch))
     ]  # one of each shape
-    check(work, contact(pad, heights, depths), [system() for system in systems], grid)
-    contenders: dict[str, Callable[[], object]] = {
-        "contacts": lambda: jax.block_until_ready(contact(pad, heights, depths)),
-        "readings": lambda: jax.block_until_ready(reading(pad, heights, depths)),
-        PEER: lambda: [system() for system in systems],
-    }
-    seconds = interleave(contenders, turns, setup.steady)
-    theirs = [value / len(systems) for value in seconds[PEER]]
-    return [
-        compare("skin", f"{kind}: {work}", [value / setup.batch for value in seconds[kind]], PEER, theirs)._replace(
-            unit="s a touch"
-        )
-        for kind in ("contacts", "readings")
-    ]
+    check(work, run["contacts"](pad, heights, depths), [system() for system in systems], grid)
+    for kind in kinds:
+        yield Contest(
+            f"{kind}: {work}", partial(_finish, run[kind], pad, heights, depths), PEER,
+            lambda: [system() for system in systems],
+            our_calls=1 / batch, peer_calls=1 / len(systems), unit=UNIT, steady=steady,
+        )  # fmt: skip
 
 
-def dipoles(pad: Pad, setup: SkinBenchmark, turns: int) -> list[BenchmarkRow]:
+def dipoles(pad: Pad, shapes: list[str], batch: int, steady: float, counts: Sequence[int]) -> Iterator[Contest]:
     """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
-    grid = _grid(max(setup.cells))
-    heights, depths = _touches(grid, list(setup.shapes), setup.batch)
-    run = jax.jit(
-        jax.vmap(
-            lambda pad, height, depth, coarser: press(pad, height, depth, grid=grid, dipoles=coarser).reading,
-            (None, 0, 0, None),
-        ),
-        static_argnums=3,
-    )
+    grid = _grid(max(CELLS))
+    heights, depths = _touches(grid, shapes, batch)
     contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
-    contenders: dict[str, Callable[[], object]] = {
-        str(count): partial(_finish, run, pad, heights, depths, _grid(count)) for count in setup.dipoles
-    }
-    contenders["contact"] = partial(_finish, contact, pad, heights, depths)
-    seconds = interleave(contenders, turns, setup.steady)
-    per_touch = {name: [value / setup.batch for value in values] for name, values in seconds.items()}
-    return [
-        compare(
-            "skin",
+    for count in counts:
+        reading = jax.jit(jax.vmap(partial(_reading, grid=grid, dipoles=_grid(count)), (None, 0, 0)))
+        yield Contest(
             f"readings: {grid.cells} x {grid.cells} cells, {count} x {count} x 5 dipoles",
-            per_touch[str(count)],
-            "the contact alone",
-            per_touch["contact"],
-        )._replace(unit="s a touch")
-        for count in setup.dipoles
-    ]
+            partial(_finish, reading, pad, heights, depths), "the contact alone",
+            partial(_finish, contact, pad, heights, depths),
+            our_calls=1 / batch, peer_calls=1 / batch, unit=UNIT, steady=steady,
+        )  # fmt: skip
+
+
+def _reading(pad: Pad, height: jax.Array, depth: jax.Array, *, grid: Grid, dipoles: Grid | None) -> jax.Array:
+    return press(pad, height, depth, grid=grid, dipoles=dipoles).reading
 
 
 def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Callable[[], np.ndarray]:
     """A contact that ContactMechanics solves when called, giving the pressure (Pa) on the pad's cells."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it says at import that it runs without MPI
-            from ContactMechanics import PeriodicFFTElasticHalfSpace
-            from ContactMechanics.Systems import NonSmoothContactSystem
-            from SurfaceTopography import Topography
-    except ImportError as error:
-        raise MissingPeerError(
-            "Section skin compares with ContactMechanics, which is not installed; "
-            "run pip install 'imagine2touch[bench]'."
-        ) from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it says at import that it runs without MPI
+        from ContactMechanics import PeriodicFFTElasticHalfSpace
+        from ContactMechanics.Systems import NonSmoothContactSystem
+        from SurfaceTopography import Topography
     period, modes = grid.modes * grid.spacing, (grid.modes, grid.modes)
     elastic = PeriodicFFTElasticHalfSpace(
         modes, float(pad.young), (period, period), thickness=float(pad.thickness), poisson=float(pad.poisson)

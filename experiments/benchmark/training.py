@@ -1,37 +1,37 @@
 """Section `training` of the benchmark: our compiled epoch against eager PyTorch."""
 
-import statistics
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.timing import BenchmarkRow, MissingPeerError, compare, interleave
-from i2t import training
+from experiments.benchmark.contests import Contest
+from i2t import training as learning
 from i2t.paper import loss, network
 from i2t.paper.config import PaperConfig
 from i2t.training import Batch, Learner, TrainConfig, TrainState
 
 
-@dataclass(frozen=True)
-class Training:
+class Setup(NamedTuple):
     """An epoch of the paper's network on a set of the paper's size."""
 
     touches: int = 1630
     epochs: int = 10  # timed together, in one turn
-    model: PaperConfig = field(default_factory=PaperConfig)
-    train: TrainConfig = field(default_factory=lambda: TrainConfig(schedule="constant"))
+    model: PaperConfig = PaperConfig()
+    train: TrainConfig = TrainConfig()
 
 
-def section(setup: Training, turns: int) -> list[BenchmarkRow]:
-    """Our compiled epoch against eager PyTorch."""
-    batch = _random_touches(setup)
-    learner = Learner(setup.model, network.init, loss.losses)
-    key = jax.random.key(0)
-    state = jax.jit(training.init, static_argnums=(1, 2, 3))(key, learner, setup.train, setup.touches)
-    epoch = training.compiled(learner, setup.train)
+SMALL = Setup(20, 2, PaperConfig(pixels=6), TrainConfig(batch_size=8, learning_rate=1e-4))
+
+
+def training(small: bool) -> Iterator[Contest]:
+    """Our compiled epoch against eager PyTorch, with either of its ways to step all parameters at once."""
+    setup = SMALL if small else Setup()
+    batch, learner = random_touches(setup), Learner(setup.model, network.init, loss.losses)
+    state = jax.jit(learning.init, static_argnums=(1, 2, 3))(jax.random.key(0), learner, setup.train, setup.touches)
+    epoch = learning.compiled(learner, setup.train)
 
     def ours() -> list[float]:
         """The same epochs each turn, the mean loss of each."""
@@ -41,18 +41,15 @@ def section(setup: Training, turns: int) -> list[BenchmarkRow]:
             totals.append(float(info.train.total[0]))
         return totals
 
-    peers = {name: TorchTraining(setup, state, batch, name) for name in ("fused", "foreach")}
     expected = ours()
-    for peer in peers.values():
+    for adam in ("fused", "foreach"):
+        peer = TorchTraining(setup, state, batch, adam)
         # Float32 sums of some thousand terms in another order, carried through some epochs of Adam.
         np.testing.assert_allclose(peer.epochs(), expected, rtol=1e-3)
-
-    contenders: dict[str, Callable[[], object]] = {"ours": ours}
-    contenders |= {name: peer.epochs for name, peer in peers.items()}
-    seconds = {name: [s / setup.epochs for s in each] for name, each in interleave(contenders, turns).items()}
-    best = min(peers, key=lambda name: statistics.median(seconds[name]))
-    what = f"epoch of {setup.touches} touches, minibatches of {setup.train.batch_size}"
-    return [compare("training", what, seconds["ours"], f"eager PyTorch, {best} Adam", seconds[best])]
+        yield Contest(
+            f"epoch of {setup.touches} touches, minibatches of {setup.train.batch_size}", ours,
+            f"eager PyTorch, {adam} Adam", peer.epochs, our_calls=1 / setup.epochs, peer_calls=1 / setup.epochs,
+        )  # fmt: skip
 
 
 class TorchTraining:
@@ -60,16 +57,9 @@ class TorchTraining:
     minibatch.
     """
 
-    def __init__(self, setup: Training, state: TrainState, batch: Batch, adam: str) -> None:
-        try:
-            import torch
-        except ImportError as error:
-            raise MissingPeerError(
-                "Section training compares with PyTorch, which is not installed; "
-                "run pip install 'imagine2touch[bench]'."
-            ) from error
-        if setup.model != PaperConfig(pixels=setup.model.pixels):
-            raise ValueError("Section training compares the paper's network only; leave --training.model as it is.")
+    def __init__(self, setup: Setup, state: TrainState, batch: Batch, adam: str) -> None:
+        import torch
+
         self.torch, self.setup, self.epoch = torch, setup, 0
         self.key = jax.random.wrap_key_data(state.key[0])
         self.images = torch.tensor(np.asarray(batch.inputs)).flatten(1)
@@ -100,7 +90,7 @@ class TorchTraining:
 
     def _epoch(self) -> float:
         size, touches = self.setup.train.batch_size, self.setup.touches
-        rows, _ = training.minibatches(self.key, jnp.int32(self.epoch), touches, size)
+        rows, _ = learning.minibatches(self.key, jnp.int32(self.epoch), touches, size)
         order = self.torch.tensor(np.asarray(rows).ravel()[:touches])
         self.epoch += 1
         total = self.torch.zeros(())
@@ -115,7 +105,7 @@ class TorchTraining:
         return float(total) / touches
 
 
-def _random_touches(setup: Training) -> Batch:
+def random_touches(setup: Setup) -> Batch:
     """Numbers of the right shapes: what a training costs does not depend on what it learns."""
     rng = np.random.default_rng(0)
     image = rng.random((setup.touches, setup.model.pixels, setup.model.pixels), np.float32)

@@ -3,15 +3,13 @@
 import sys
 from collections.abc import Sequence
 
-from experiments.calibrate.config import CalibrateArgs
+from experiments.calibrate.arguments import CalibrateArgs
 from experiments.common.commands import run_command
-
-RENAMED_FLAGS = {"--earlier": "--previous-session"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    return run_command(CalibrateArgs, argv, "experiments.calibrate.run", renamed=RENAMED_FLAGS)
+    return run_command(CalibrateArgs, argv, "experiments.calibrate.run")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from i2t.geometry import inverse
 from i2t.skin.boards import name_of_board
 from i2t.types import Board, ReturnCode
 
-RANDOM, INSIDE, SECOND_HALF = "random presses", "those of them outside the blocks", "second half in time"
+RANDOM, INSIDE = "random presses", "those of them outside the blocks"
 MM_PER_M = 1e3
 PULLING_SHARE = 0.8  # of loads below zero, from which on the sign is taken to be the other
 DEPTH_OF_UNKNOWN_M = 2e-3  # of every press, where neither depth nor force is known
@@ -61,14 +61,6 @@ class PressSplit(NamedTuple):
 
     tests: dict[str, np.ndarray]  # predicted from the pool
     pool: np.ndarray
-    later_test: np.ndarray  # SECOND_HALF, predicted from later presses with earlier ones as the mean
-    later_pool: np.ndarray
-    earlier_pool: np.ndarray
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Presses of each test."""
-        return {name: len(rows) for name, rows in (self.tests | {SECOND_HALF: self.later_test}).items()}
 
 
 def read_presses(dataset: Dataset, load: str) -> PressRecording:
@@ -137,11 +129,9 @@ def hold_out(
 
 def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, block_mm: float) -> PressSplit:
     """Rows to test on and to train on; rows that are not `usable` are neither."""
-    later = np.arange(len(held)) >= len(held) // 2
     tests = {
         RANDOM: np.flatnonzero(held & usable),
         INSIDE: np.flatnonzero(held & ~blocks & usable),
         f"blocks of {block_mm:g} mm": np.flatnonzero(blocks & usable),
     }
-    pool = np.flatnonzero(~held & ~blocks & usable)
-    return PressSplit(tests, pool, np.flatnonzero(held & later & usable), pool[later[pool]], pool[~later[pool]])
+    return PressSplit(tests, np.flatnonzero(~held & ~blocks & usable))

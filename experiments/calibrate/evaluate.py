@@ -1,36 +1,20 @@
 """Learning curves: every method on the same draws of presses, scored on what is held out."""
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import SECOND_HALF, PressRecording, PressSplit
-from experiments.calibrate.methods import (
-    HEIGHT,
-    NEIGHBOURS,
-    PREVIOUS_ALONE,
-    PREVIOUS_MEAN,
-    RESIDUAL_NOISE,
-    Predictors,
-    interval_scaling,
-    neighbours,
-    predict,
-    select,
-)
-from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT, hyperparameter_grid
+from experiments.calibrate.data import PressRecording, PressSplit
+from experiments.calibrate.methods import CALIBRATED, METHODS, calibrated_with_std
+from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
+from i2t.prediction.metrics import grouped_interval, student_interval
 from i2t.progress import progress
 
 Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of presses -> a value for each draw
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]
-
-
-class PredictionTask(NamedTuple):
-    """Presses to learn from, in the order of one draw, and what is predicted from them."""
-
-    rows: np.ndarray
-    tests: dict[str, np.ndarray]
-    previous_mean: np.ndarray | None = None  # (n, c) uT, of all rows of the recording as a previous session predicts
+INTERVAL = ("mean", "low", "high")
 
 
 class Scores(NamedTuple):
@@ -42,14 +26,34 @@ class Scores(NamedTuple):
 
 
 def learning_curves(
-    predictors: Predictors, split: PressSplit, *, counts: Sequence[int], draws: int, seed: int
+    recording: PressRecording, split: PressSplit, *, counts: Sequence[int], draws: int, seed: int
 ) -> Scores:
     """Scores of every method at every number of presses, a value for each draw."""
-    tasks = (
-        _draw_tasks(predictors, split, counts, (seed, draw))
-        for draw in progress(range(draws), desc="draws", unit="draw")
-    )
-    return _score(predictors, tasks, counts, [*split.tests, SECOND_HALF])
+    names = list(split.tests)
+    scores = Scores({name: {} for name in names}, {name: {} for name in names}, {name: {} for name in names})
+    test = np.concatenate(list(split.tests.values()))
+    ends = np.cumsum([len(rows) for rows in split.tests.values()])
+    for draw in progress(range(draws), desc="draws", unit="draw"):
+        order = np.random.default_rng((seed, draw)).permutation(split.pool)
+        for count in (n for n in counts if n <= len(order)):
+            predicted, inside = predict_all(recording, order[:count], test)
+            for (name, own), end in zip(split.tests.items(), ends, strict=True):
+                part = slice(end - len(own), end)
+                for method, values in predicted.items():
+                    error = ((recording.readings[own] - values[part]) ** 2).sum(1)
+                    append(scores.errors[name], method, count, error)
+                    append(scores.r2[name], method, count, explained(recording.readings[own], error))
+                append(scores.coverage[name], CALIBRATED, count, float(np.mean(inside[part])))
+    return scores
+
+
+def predict_all(
+    recording: PressRecording, rows: np.ndarray, test: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Readings at the test by every method, and which of them (n, c) lie in the 90 % range of `i2t.calibrate`."""
+    predicted = {name: method(recording, rows, test) for name, method in METHODS.items() if name != CALIBRATED}
+    predicted[CALIBRATED], std = calibrated_with_std(recording, rows, test)
+    return predicted, np.abs(recording.readings[test] - predicted[CALIBRATED]) < STDS_WITHIN_90_PERCENT * std
 
 
 def explained(readings: np.ndarray, error: np.ndarray) -> float:
@@ -57,76 +61,58 @@ def explained(readings: np.ndarray, error: np.ndarray) -> float:
     return float(1 - error.sum() / ((readings - readings.mean(0)) ** 2).sum())
 
 
-def _draw_tasks(
-    predictors: Predictors, split: PressSplit, counts: Sequence[int], seed: tuple[int, int]
-) -> list[PredictionTask]:
-    rng = np.random.default_rng(seed)
-    order, later, past = (rng.permutation(rows) for rows in (split.pool, split.later_pool, split.earlier_pool))
-    mean = _previous_mean(predictors, predictors.recording, past[: max(counts)])
-    return [PredictionTask(order, split.tests), PredictionTask(later, {SECOND_HALF: split.later_test}, mean)]
-
-
-def _previous_mean(predictors: Predictors, previous: PressRecording, rows: np.ndarray) -> np.ndarray:
-    """(n, c) uT: every press of the recording as predicted from rows of a previous one."""
-    gp = Predictors(previous).gp(predictors.hyperparameters, rows, previous.readings[rows])
-    every = np.arange(len(predictors.recording.load))
-    return np.asarray(predict(gp, predictors.recording.presses(every))[0], np.float64)
-
-
-def _score(
-    predictors: Predictors, draws: Iterator[list[PredictionTask]], counts: Sequence[int], tests: Sequence[str]
-) -> Scores:
-    readings = predictors.recording.readings
-    scores = Scores({name: {} for name in tests}, {name: {} for name in tests}, {name: {} for name in tests})
-    fits = ((task, count) for tasks in draws for task in tasks for count in counts if count <= len(task.rows))
-    for task, count in fits:
-        rows, test = task.rows[:count], np.concatenate(list(task.tests.values()))
-        if task.previous_mean is None:
-            predicted = {name: method(rows, test) for name, method in predictors.by_name().items()}
-            inside = _coverage(predictors, rows, test)
-        else:
-            predicted, inside = _predictions_from_mean(predictors, rows, test, task.previous_mean), {}
-        ends = np.cumsum([len(part) for part in task.tests.values()])
-        for (name, own), end in zip(task.tests.items(), ends, strict=True):
-            part = slice(end - len(own), end)
-            for method, values in predicted.items():
-                error = ((readings[own] - values[part]) ** 2).sum(1)
-                _append(scores.errors[name], method, count, error)
-                _append(scores.r2[name], method, count, explained(readings[own], error))
-            for method, covered in inside.items():
-                _append(scores.coverage[name], method, count, float(np.mean(covered[part])))
-    return scores
-
-
-def _append(curves: dict, method: str, count: int, value: float | np.ndarray) -> None:
+def append(curves: dict, method: str, count: int, value: float | np.ndarray) -> None:
+    """Add a draw's value to curves."""
     curves.setdefault(method, {}).setdefault(count, []).append(value)
 
 
-def _predictions_from_mean(
-    predictors: Predictors, rows: np.ndarray, test: np.ndarray, mean: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Readings at the test with a previous session's predictions (n, c) as the mean, and without."""
-    recording = predictors.recording
-    left = recording.readings[rows] - mean[rows]
-    # Heights were found by the previous session; the presses select how much of what it leaves is noise.
-    candidates = hyperparameter_grid(predictors.hyperparameters._replace(height_std=0.0), RESIDUAL_NOISE)
-    selected = select(candidates, recording, rows, left)
+def summarise(curves: Curves) -> dict[str, Any]:
+    """Mean over draws with its 95 % interval (Student's t)."""
     return {
-        NEIGHBOURS: neighbours(recording, rows, test),
-        HEIGHT: predictors.structured(rows, test),
-        PREVIOUS_ALONE: mean[test],
-        PREVIOUS_MEAN: mean[test] + predictors.gp_mean(selected, rows, left, test),
+        name: {count: dict(zip(INTERVAL, student_interval(values), strict=True)) for count, values in by_count.items()}
+        for name, by_count in curves.items()
     }
 
 
-def _coverage(predictors: Predictors, rows: np.ndarray, test: np.ndarray) -> dict[str, np.ndarray]:
-    """Masks of the readings (n, c) in the 90 % range, as the GP predicts it and with the interval scaling."""
-    recording, hyperparameters = predictors.recording, predictors.hyperparameters
-    known = recording.readings[rows]
-    mean, std = predict(predictors.gp(hyperparameters, rows, known), recording.presses(test))
-    scaling = interval_scaling(hyperparameters, recording.presses(rows), np.float32(known), recording.chips)
-    error = np.abs(recording.readings[test] - mean)
+def gains(curves: Curves) -> Curves:
+    """By how much R2 of `i2t.calibrate` is above that of each other method, draw by draw."""
+    base = curves[CALIBRATED]
     return {
-        f"{HEIGHT}, as predicted": error < STDS_WITHIN_90_PERCENT * std,
-        f"{HEIGHT}, interval scaling": error < STDS_WITHIN_90_PERCENT * np.asarray(std * scaling[None]),
+        f"{CALIBRATED} - {name}": {n: list(np.subtract(base[n], values)) for n, values in by_count.items()}
+        for name, by_count in curves.items()
+        if name != CALIBRATED
+    }
+
+
+def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) -> dict[str, Any]:
+    """R2 of `i2t.calibrate`, and by how much it is above each other method, with 95 % intervals over whole blocks of
+    the held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would have given.
+    """
+    names, of = np.unique(block, return_inverse=True)
+    inside = (of == np.arange(len(names))[:, None]).astype(float)  # sums over each block
+    left = readings - readings.mean(0)
+    presses, first, second = inside.sum(1), inside @ left, inside @ (left**2).sum(1)
+    missed = {method: {n: inside @ np.mean(draws, axis=0) for n, draws in by.items()} for method, by in errors.items()}
+
+    def share(error: np.ndarray, rows: np.ndarray) -> float:
+        spread = second[rows].sum() - (first[rows].sum(0) ** 2).sum() / presses[rows].sum()
+        return float(error[rows].sum() / spread)
+
+    def r2(error: np.ndarray, rows: np.ndarray) -> float:
+        return 1 - share(error, rows)
+
+    def interval(statistic: Callable[[np.ndarray], float]) -> dict[str, float]:
+        every = np.arange(len(names))
+        return dict(zip(INTERVAL, (statistic(every), *grouped_interval(statistic, every)), strict=True))
+
+    return {
+        "blocks": len(names),
+        "r2": {n: interval(partial(r2, error)) for n, error in missed[CALIBRATED].items()},
+        "differences": {
+            f"{CALIBRATED} - {other}": {
+                n: interval(partial(share, error - missed[CALIBRATED][n])) for n, error in by.items()
+            }
+            for other, by in missed.items()
+            if other != CALIBRATED
+        },
     }

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from experiments.calibrate.config import CalibrateArgs
+from experiments.calibrate.arguments import CalibrateArgs
 from experiments.common.runs import begin, write_json
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers

@@ -6,7 +6,7 @@
 Each finding is one line, `file:line: sentence`. The exit code is 1 if there is any.
 
 Pages: links, files, tests, names, commands and their options exist; Python calls what exists; tables and sentences
-repeat what was measured (docs/results); prose reads below grade 12 and explains or links its terms. Code: a package
+repeat what was measured (docs/results). Code: a package
 imports from lower floors only, nothing imports itself in a circle, and docstrings say what is taken and given. The
 site is built, and a warning is a finding.
 """

@@ -7,7 +7,6 @@ import importlib.util
 import inspect
 import io
 import json
-import os
 import re
 import shlex
 import subprocess
@@ -18,30 +17,14 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest import mock
 
 import i2t
-from experiments.check_docs.reading import COMMENT, FENCE, FORMULA, PICTURE, SYMBOL, reading_grade, sentences_of
-from experiments.licences import NOT_INSTALLED, UNSTATED, dependencies
 from experiments.reproduce.steps import STEPS
 from experiments.reproduce.tables import MARK, table
 
 ROOT = Path(__file__).parents[2]
 COMMAND = re.compile(r"python -m (?:i2t|experiments)[^`\n]*")
 BLOCK = re.compile(r"^```([a-z]*)\n(.*?)^```", re.M | re.S)
-COLUMNS = 80  # of a terminal
-HIGHEST_GRADE = 12
-LONGEST_SENTENCE = 50  # words, numbers and names included
-LISTS = ("glossary", "licences", "reference_api", "reference_commands")  # tables, or made from the code
-# Pages that a reader looks things up in, who knows the words by then.
-REFERENCE = ("CONTRIBUTING", "CHANGELOG", "architecture", "compiled", "scaling", "testing", *LISTS)
-BEFORE_WORDS_ARE_KNOWN = ("start", "tutorial")
-# Pages of a method may enumerate; these may not.
-MAIN = ("README", "CONTRIBUTING", "choosing", "collecting", "data", "gallery", "hardware", "index", "limits",
-        *BEFORE_WORDS_ARE_KNOWN)  # fmt: skip
-EVERYDAY = {"depth", "measured", "nearest", "peer"}  # terms that pages use in their everyday sense too
-OFTEN_EVERYDAY = {"block", "head", "normal", "product", "reach", "shear", "spatial", "target", "travel"}
-UNREAD = (re.compile(r"<!-- table: .*?<!-- end of table -->", re.S), re.compile(r"^ {4,}\S.*$", re.M))
 
 
 class Finding(NamedTuple):
@@ -65,7 +48,6 @@ def findings(root: Path) -> Iterator[Finding]:
             yield from check(page, text)
     yield from steps_printed(root)
     yield from versions(root)
-    yield from licences(root)
     for path in sorted(root.glob("notebooks/*.ipynb")):
         yield from notebook(path, path.read_text())
 
@@ -89,13 +71,6 @@ def figures(page: Path, text: str) -> Iterator[Finding]:
     for found in re.finditer(r"!\[([^\]]*)\]\(([^)]+)\)", text):
         if len(found[1]) <= 20 and "://" not in found[2]:
             yield Finding(page, _line(text, found.start()), f"the figure {found[2]} has no text")
-
-
-def formulas(page: Path, text: str) -> Iterator[Finding]:
-    r"""Arguments stand in braces, without which \frac12 \log is drawn as 12 over log."""
-    for formula in FORMULA.finditer(BLOCK.sub(lambda block: "\n" * block[0].count("\n"), text)):
-        if wrong := re.search(r"\\(?:frac|hat|sqrt)\s*[^{\s]", formula[0]):
-            yield Finding(page, _line(text, formula.start()), f"{wrong[0]} needs braces")
 
 
 def tests(page: Path, text: str) -> Iterator[Finding]:
@@ -158,7 +133,6 @@ def help_of(module: str, part: str = "") -> str:
     main = importlib.import_module(f"{module}.__main__" if package.submodule_search_locations else module).main
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     with (
-        mock.patch.dict(os.environ, {"COLUMNS": str(COLUMNS)}),
         contextlib.redirect_stdout(printed),
         contextlib.redirect_stderr(io.StringIO()),
         contextlib.suppress(SystemExit),
@@ -169,7 +143,7 @@ def help_of(module: str, part: str = "") -> str:
 
 
 def commands(page: Path, text: str) -> Iterator[Finding]:
-    """Commands that are printed exist, are complete, have the options, and their helps fit a terminal."""
+    """Commands that are printed exist, are complete, and have the options."""
     for line, (module, *args) in printed_commands(text):
         said = help_of(module)
         if not said:
@@ -181,8 +155,6 @@ def commands(page: Path, text: str) -> Iterator[Finding]:
         for flag in (arg.split("=")[0] for arg in args if arg.startswith("--") and said):
             if not _mentions(said, flag):
                 yield Finding(page, line, f"{module} has no option {flag}")
-        if module != "i2t" and any(len(each) > COLUMNS for each in said.splitlines()):
-            yield Finding(page, line, f"the help of {module} is wider than {COLUMNS} columns")
 
 
 def _mentions(said: str, word: str) -> bool:
@@ -246,54 +218,6 @@ def steps_printed(root: Path) -> Iterator[Finding]:
             yield Finding(root / "experiments/reproduce/steps.py", 1, f"no page prints python {step.command}")
 
 
-def grade(page: Path, text: str) -> Iterator[Finding]:
-    """A page reads below grade 12, and a main page has no endless sentence."""
-    if page.stem in (*LISTS, "CHANGELOG"):
-        return
-    found = reading_grade(text)
-    if found.grade >= HIGHEST_GRADE:
-        yield Finding(page, 1, f"the page reads at grade {found.grade:.1f}; {HIGHEST_GRADE} is too high")
-    if page.stem.startswith(MAIN):
-        for sentence in sentences_of(text):
-            if len(sentence.split()) > LONGEST_SENTENCE:
-                yield Finding(page, 1, f"a sentence has {len(sentence.split())} words: {sentence[:60]} ...")
-
-
-@cache
-def glossary() -> list[str]:
-    """Terms of the glossary, longest first."""
-    rows = re.findall(r"^\| ([^|]+) \| [^|]+ \|$", (ROOT / "docs" / "glossary.md").read_text(), re.M)[1:]
-    terms = {term.strip(" `") for row in rows for term in re.sub(r" \([^)]*\)", "", row).split(", ")}
-    return sorted(terms - EVERYDAY - {"---"}, key=len, reverse=True)
-
-
-def terms(page: Path, text: str) -> Iterator[Finding]:
-    """The first use of a term is the text of a link, or emphasised where the page explains it."""
-    if page.stem in REFERENCE:
-        return
-    text = re.sub(r"`[^`]*`|^#.*$|\]\([^)]*\)", _blank, _without(text), flags=re.M)
-    everyday = set() if page.stem.startswith(BEFORE_WORDS_ARE_KNOWN) else OFTEN_EVERYDAY
-    for term in glossary():
-        use = re.compile(rf"(?<!\w){re.escape(term)}(?:s|es)?(?!\w)", re.I)
-        if term not in everyday and (first := use.search(text)):
-            before, after = text[: first.start()], text[first.end() :]
-            linked = before.rfind("[") > before.rfind("]") and after.find("]") >= 0
-            if not (linked or (before.endswith("*") and after.startswith("*"))):
-                yield Finding(page, _line(text, first.start()), f"the first {term} is neither linked nor explained")
-            text = use.sub(lambda found: "_" * len(found[0]), text)  # a part of it is no term of its own
-
-
-def _without(text: str) -> str:
-    """Keep only the sentences of a page, each on its line."""
-    for unread in (FENCE, *UNREAD, COMMENT, PICTURE, FORMULA, SYMBOL):
-        text = unread.sub(lambda found: "\n" * found[0].count("\n"), text)
-    return text
-
-
-def _blank(found: re.Match[str]) -> str:
-    return "]" if found[0].startswith("]") else "\n" * found[0].count("\n")
-
-
 def versions(root: Path) -> Iterator[Finding]:
     """The version is one everywhere."""
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
@@ -304,18 +228,6 @@ def versions(root: Path) -> Iterator[Finding]:
     for name, version in stated.items():
         if version != i2t.__version__:
             yield Finding(root / name, 1, f"the version is {version}, that of the package {i2t.__version__}")
-
-
-def licences(root: Path) -> Iterator[Finding]:
-    """The page of licences names every dependency."""
-    page = root / "docs" / "licences.md"
-    text = page.read_text()
-    for each in dependencies(tomllib.loads((root / "pyproject.toml").read_text())["project"]):
-        if f"| {each.name} | {each.needed_by} |" not in text:
-            yield Finding(page, 1, f"{each.name} is missing; run python -m experiments.licences")
-    for words in (NOT_INSTALLED, UNSTATED):
-        if words in text:
-            yield Finding(page, _line(text, text.index(words)), f"a licence is not known ({words})")
 
 
 def advice(page: Path, text: str) -> Iterator[Finding]:
@@ -358,4 +270,4 @@ SITE = {
     "physics": ("<math",),
     "index": ('src="_images/overview.png"',),
 }
-CHECKS = (links, figures, formulas, tests, names, commands, python, tables, grade, terms, advice)
+CHECKS = (links, figures, tests, names, commands, python, tables, advice)

@@ -9,13 +9,11 @@ import importlib
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.common.runs import METRICS, check_folder, check_out, ending_of_run, pictures_in
-from i2t.cli import Ending, check_options, docstring_of, renamed_flags
+from i2t.cli import Ending, check_options, docstring_of
 from i2t.options import read_options
 
 
@@ -58,9 +56,7 @@ class Command(Generic[Checked]):
 
 
 @contextmanager
-def command(
-    kind: type[Checked], argv: Sequence[str] | None, module: str, *, renamed: Mapping[str, str] | None = None
-) -> Iterator[Command[Checked]]:
+def command(kind: type[Checked], argv: Sequence[str] | None, module: str) -> Iterator[Command[Checked]]:
     """Read a command line, run the block with it, and keep how that ended as its `code`.
 
         with command(MyArgs, argv, "experiments.mine.run") as this:
@@ -72,15 +68,11 @@ def command(
         kind: The dataclass of its options.
         argv: The command line without the program's name; None takes the process's.
         module: Name of the module whose docstring is the help, and whose `run` takes the options.
-        renamed: Flags of earlier versions, and what they are called now.
 
     Yields:
         The command.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    if any(each.name == "preset" for each in fields(kind)):  # type: ignore[arg-type]  # a dataclass
-        answer_renamed_value(words, "--preset", RENAMED)
-    renamed_flags(words, renamed or {})
     args = read_options(kind, words, program=program_of(module), description=docstring_of(module), config=())
     with carrying_out(args, words, module) as this:
         yield this
@@ -100,7 +92,6 @@ def run_command(
     argv: Sequence[str] | None,
     module: str,
     *,
-    renamed: Mapping[str, str] | None = None,
     work: Callable[[Checked], Any] | None = None,
 ) -> int:
     """Read a command line, check it, and only then import what does the work.
@@ -109,15 +100,35 @@ def run_command(
         kind: The dataclass of its options.
         argv: The command line without the program's name; None takes the process's.
         module: Name of the module whose docstring is the help, and whose `run` takes the options.
-        renamed: Flags of earlier versions, and what they are called now.
         work: Takes the options in place of that `run`.
 
     Returns:
         The exit code: an int that the work gave, or how it ended.
     """
-    with command(kind, argv, module, renamed=renamed) as this:
+    with command(kind, argv, module) as this:
         args = this.checked()
         this.end.take((work or this.run)(args))
+    return this.code
+
+
+def run_part(parts: Mapping[str, tuple[type[Any], str]], argv: Sequence[str] | None, package: str) -> int:
+    """Run the part of a command that the first word names, or else the first part.
+
+    Args:
+        parts: Options and module of each, as `run_command` takes them, by name.
+        argv: The command line without the program's name; None takes the process's.
+        package: The command's, such as `experiments.registration`.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    name = words.pop(0) if words and words[0] in parts else next(iter(parts))
+    kind, module = parts[name]
+    program = f"{program_of(package)} {name}"
+    args = read_options(kind, words, program=program, description=docstring_of(module), config=())
+    with carrying_out(args, words, module) as this:
+        this.run(this.checked())
     return this.code
 
 

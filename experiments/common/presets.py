@@ -9,14 +9,11 @@ An experiment keeps a dict of those it has, `PRESETS: dict[str, Config]`, and st
 `--preset`, so that `--help` lists them.
 """
 
-import itertools
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
 PRESET_NAMES = ("debug", "short", "paper", "study")
-RENAMED = {"full": "paper", "default": "paper"}  # of earlier versions
 
 Config = TypeVar("Config")
 
@@ -36,28 +33,7 @@ def choose_preset(presets: Mapping[str, Config], name: str, **changes: Any) -> C
         ValueError: The experiment has no such preset.
     """
     if name not in presets:
-        remedy = f"is called {RENAMED[name]} now" if name in RENAMED else f"is none of {', '.join(presets)}"
-        raise ValueError(f"--preset {name} {remedy}")
+        raise ValueError(f"--preset {name} is none of {', '.join(presets)}")
     given = {field: value for field, value in changes.items() if value is not None}
     config: Any = presets[name]
     return replace(config, **given)
-
-
-def answer_renamed_value(argv: Sequence[str] | None, flag: str, renamed: Mapping[str, str]) -> None:
-    """Answer a flag's values of earlier versions with the name they have now.
-
-    Args:
-        argv: The command line without the program's name; None takes the process's.
-        flag: Such as `--preset`.
-        renamed: Old value to new value.
-
-    Raises:
-        SystemExit: The flag has an old value; a message says what it is called now.
-    """
-    args = list(sys.argv[1:] if argv is None else argv)
-    given = [arg.split("=", 1)[1] for arg in args if arg.startswith(f"{flag}=")]
-    given += [after for arg, after in itertools.pairwise(args) if arg == flag]
-    for value in given:
-        if value in renamed:
-            print(f"error: {flag} {value} is called {flag} {renamed[value]} now", file=sys.stderr)
-            raise SystemExit(2)

@@ -22,6 +22,7 @@ CONFIG, METRICS = "config.json", "metrics.json"
 RECOGNITION_ABOUT = "recognition.json"  # what a run on recorded touches keeps for recognition, or why it keeps nothing
 LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
 MAX_PICTURES_NAMED = 6
+PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # whose versions a run notes
 CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours
 # Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
 # methods and conditions, which `i2t.serialization` cannot hold: that is for NamedTuples whose type is known.
@@ -60,8 +61,6 @@ def _interrupted(resumable: Path | None) -> str:
 
 def settings(args: Any) -> dict[str, Any]:
     """Options of a run, from a dataclass, and package versions; paths, workers and resuming are no settings."""
-    from i2t.prediction.checkpoint import PACKAGES  # not above: JAX takes seconds, which a refusal need not wait for
-
     kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite", "tasks")}
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},

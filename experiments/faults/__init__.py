@@ -1,1 +1,1 @@
-"""The sections of `experiments.faults`: each does one kind of harm, many times, and counts what came of it."""
+"""Faults on purpose: `table` says what a fault is, and each other module tries one kind of them."""

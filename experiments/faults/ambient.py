@@ -5,19 +5,23 @@ offsets differ, and noise, slow field and steps as the simulated lab has them. A
 """
 
 from collections.abc import Callable
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from experiments.faults.rows import FaultCounts, FaultRow
-from experiments.faults.simulated import BOARD, make_procedure
+from experiments.faults.closed_form import BOARD, make_procedure
+from experiments.faults.table import Fault, Measure, Trial
 from i2t.collect.free_poses import plan_free_poses
 from i2t.collect.settings import AmbientSettings
 from i2t.emulators.in_process import SLOW_FIELD_S, TICK_S
 from i2t.emulators.room import RoomField, room_field
-from i2t.skin.ambient import BURST, AmbientField, FreePoses, ambient_changed, fit_ambient, subtract_ambient
+from i2t.skin.ambient import BURST, FreePoses, ambient_changed, fit_ambient, subtract_ambient
 from i2t.skin.noise import Noise
+
+Poses: TypeAlias = Callable[[np.random.Generator, int], np.ndarray]  # (p, 4, 4), by their number
 
 FREE_POSES, TURNS = 12, 30
 SECONDS = 2.0  # that the skin is read at a pose
@@ -25,79 +29,51 @@ GAIN_STD, OFFSET_STD_UT = 0.05, 300.0  # of the chips
 GOAL_UT = 2.0
 ALARM_SHARE = 0.01  # at which the test is asked to raise false alarms
 ALARM_TRIALS = 40  # tests for each room
-FIELD_STEP_UT, CHIP_STEP_UT = 10.0, 10.0  # changes that should be seen
+STEP_UT = 10.0  # changes that should be seen
 
 
-def ambient(sizes: FaultCounts) -> list[FaultRow]:
-    """Residuals after turns within the arm's free poses and after any turn, and the test for a change."""
-    inside = [_turned(seed, _free_poses(seed), _tilted_poses) for seed in range(sizes.rooms)]
-    anywhere = [
-        _turned(seed, _any_poses(np.random.default_rng((seed, 1)), FREE_POSES), _any_poses)
-        for seed in range(sizes.rooms)
-    ]
-    rows = []
-    for where, found in (("tilts to 45 degrees", inside), ("any orientation", anywhere)):
-        raw, left, wrong, noise = np.sqrt(np.mean(np.square(found), axis=0))
-        worst = float(np.max([each[1] for each in found]))
-        said = (
-            f"{left:.2f} uT (worst room {worst:.2f}), of which {noise:.2f} are noise of the measurement; prediction "
-            f"off by {wrong:.2f}; with the first pose's reading subtracted instead {raw:.1f}"
-        )
-        tried = f"{TURNS} turns in each of {len(found)} rooms, {FREE_POSES} free poses"
-        rows.append(FaultRow("ambient", f"residual, {where}", tried, said, f"< {GOAL_UT:g} uT", bool(left < GOAL_UT)))
-    return [*rows, *_changes(sizes.rooms)]
+def turned(free_poses: Callable[[int], np.ndarray], poses: Poses, seed: int) -> Trial:
+    """Root mean squares (uT) over turns and channels, in one room.
 
+    Args:
+        free_poses: Poses of the fit, of a seed.
+        poses: Poses in which the skin is read then.
+        seed: Of the room's skin.
 
-def _turned(
-    seed: int, free: np.ndarray, poses: Callable[[np.random.Generator, int], np.ndarray]
-) -> tuple[float, float, float, float]:
-    """Root mean squares (uT) over turns and channels: change of the reading, what is left with the field subtracted,
-    the error of the prediction itself, and the noise of the readings.
+    Returns:
+        The change of the reading, what is left with the field subtracted, the error of the prediction itself, and the
+        noise of the readings.
     """
     rng = np.random.default_rng((seed, 2))
-    chips = _Chips(rng)
+    chips, free = _Chips(rng), free_poses(seed)
     field = fit_ambient(FreePoses(free, chips.samples(rng, free)), BOARD)
     turns = poses(rng, TURNS)
     truth, read = chips.truth(turns), chips.samples(rng, turns).mean(1)
     left = subtract_ambient(field, BOARD, turns, read)
     wrong = subtract_ambient(field, BOARD, turns, truth)
-    return _rms(read - read[0]), _rms(left), _rms(wrong), _rms(read - truth)
+    parts = {"change": read - read[0], "left": left, "prediction off by": wrong, "noise": read - truth}
+    return {"rooms": 1, **{name: float(np.sqrt(np.mean(part**2))) for name, part in parts.items()}}
 
 
-def _changes(rooms: int) -> list[FaultRow]:
-    """False alarms and changes that are seen, by bursts of a touch's size."""
+def changes(seed: int) -> Trial:
+    """False alarms and changes that are seen by bursts of a touch's size, in one room."""
+    rng = np.random.default_rng((seed, 3))
+    chips, free = _Chips(rng), _free_poses(seed)
+    field = fit_ambient(FreePoses(free, chips.samples(rng, free)), BOARD)
     counts = np.zeros(3, int)
-    for seed in range(rooms):
-        rng = np.random.default_rng((seed, 3))
-        chips, free = _Chips(rng), _free_poses(seed)
-        field = fit_ambient(FreePoses(free, chips.samples(rng, free)), BOARD)
-        for _ in range(ALARM_TRIALS):
-            pose = _tilted_poses(rng, 1)
-            counts += _seen(field, pose, chips.samples(rng, pose, BURST * TICK_S))
-    tried = rooms * ALARM_TRIALS
-    share = counts / tried
-    bound = ALARM_SHARE + 4 * np.sqrt(ALARM_SHARE / tried)
-    each = f"{tried} bursts of {BURST} samples"
-    alarms = f"{counts[0]} ({100 * share[0]:.2f} %)"
-    room, chip = (f"{100 * part:.0f} %" for part in share[1:])
-    seen = f"{room} of {FIELD_STEP_UT:g} uT in the room, {chip} of {CHIP_STEP_UT:g} uT in a chip"
-    return [
-        FaultRow("ambient", "false alarms", each, alarms, f"{100 * ALARM_SHARE:g} %", bool(share[0] <= bound)),
-        FaultRow("ambient", "changes seen by one burst", each, seen, "stated", None),
-    ]
-
-
-def _seen(field: AmbientField, pose: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Test whether nothing, a change of the room and one of a chip are called a change."""
-    room = np.tile(pose[0, :3, :3].T @ [FIELD_STEP_UT, 0.0, 0.0], (BOARD.num_chips, 1))
-    chip = np.eye(BOARD.num_readings)[0] * CHIP_STEP_UT
-    changes = (0.0, np.asarray(BOARD.to_board(room)), chip)
-    return np.array(
-        [
-            ambient_changed(field, BOARD, FreePoses(pose, samples + change), false_alarm=ALARM_SHARE).changed
-            for change in changes
-        ]
-    )
+    for _ in range(ALARM_TRIALS):
+        pose = _tilted_poses(rng, 1)
+        samples = chips.samples(rng, pose, BURST * TICK_S)
+        room = np.tile(pose[0, :3, :3].T @ [STEP_UT, 0.0, 0.0], (BOARD.num_chips, 1))
+        for i, change in enumerate((0.0, np.asarray(BOARD.to_board(room)), np.eye(BOARD.num_readings)[0] * STEP_UT)):
+            counts[i] += ambient_changed(
+                field, BOARD, FreePoses(pose, samples + change), false_alarm=ALARM_SHARE
+            ).changed
+    names = ("false alarms", "unseen in the room", "unseen in a chip")
+    return {
+        "bursts": ALARM_TRIALS,
+        **dict(zip(names, map(int, [counts[0], *(ALARM_TRIALS - counts[1:])]), strict=True)),
+    }
 
 
 class _Chips:
@@ -128,7 +104,7 @@ class _Chips:
 
 def _free_poses(seed: int) -> np.ndarray:
     """Poses (p, 4, 4) as a collection would take them."""
-    procedure, _ = make_procedure()
+    procedure = make_procedure()
     settings = AmbientSettings(poses=FREE_POSES, seconds=SECONDS)
     plan = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, settings, seed)
     return np.stack([pose.tilted for pose in plan])
@@ -140,8 +116,8 @@ def _tilted_poses(rng: np.random.Generator, count: int) -> np.ndarray:
     tilt = np.radians(settings.tilt) * np.sqrt(rng.uniform(size=count))
     way, turn = rng.uniform(0, 2 * np.pi, count), np.radians(settings.turn) * rng.uniform(-1, 1, count)
     axes = np.column_stack([np.cos(way), np.sin(way), np.zeros(count)])
-    turned = Rotation.from_euler("x", np.pi) * Rotation.from_rotvec(turn[:, None] * np.array([0.0, 0.0, 1.0]))
-    return _placed(rng, (turned * Rotation.from_rotvec(tilt[:, None] * axes)).as_matrix())
+    upright = Rotation.from_euler("x", np.pi) * Rotation.from_rotvec(turn[:, None] * np.array([0.0, 0.0, 1.0]))
+    return _placed(rng, (upright * Rotation.from_rotvec(tilt[:, None] * axes)).as_matrix())
 
 
 def _any_poses(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -156,5 +132,17 @@ def _placed(rng: np.random.Generator, rotations: np.ndarray) -> np.ndarray:
     return poses
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+LEFT = (
+    Measure("left", GOAL_UT, " uT", of="rooms"), Measure("left", unit="uT"), Measure("change", unit=" uT", of="rooms"),
+    Measure("prediction off by", unit=" uT", of="rooms"), Measure("noise", unit=" uT", of="rooms"),
+)  # fmt: skip
+SEEN = (
+    Measure("false alarms", 2 * ALARM_SHARE, of="bursts"), Measure("unseen in the room", of="bursts"),
+    Measure("unseen in a chip", of="bursts"),
+)  # fmt: skip
+AMBIENT_FAULTS = (
+    Fault("ambient", "tilts to 45 degrees", partial(turned, _free_poses, _tilted_poses), 20, LEFT),
+    Fault("ambient", "any orientation",
+          partial(turned, lambda seed: _any_poses(np.random.default_rng((seed, 1)), FREE_POSES), _any_poses), 20, LEFT),
+    Fault("ambient", "changes seen by one burst", changes, 20, SEEN),
+)  # fmt: skip

@@ -20,10 +20,36 @@ from i2t.types import Array
 
 
 class RigMistake(NamedTuple):
-    """A mistake."""
+    """A mistake in one field of a rig."""
 
     name: str
-    make: Callable[[Rig], Rig]  # of a right rig; raises ValueError where a rig refuses it by itself
+    field: str
+    change: Any  # the wrong value, fields of the value by name, or a function that makes the wrong value of the right
+
+    def make(self, rig: Rig) -> Rig:
+        """The wrong rig.
+
+        Args:
+            rig: The right one.
+
+        Returns:
+            The wrong one.
+
+        Raises:
+            ValueError: A rig refuses it by itself.
+        """
+        value = getattr(rig, self.field)
+        if callable(self.change):
+            wrong = self.change(value)
+        elif isinstance(self.change, dict):
+            wrong = replace(value, **self.change)
+        else:
+            wrong = self.change
+        return replace(rig, **{self.field: wrong})
+
+
+def _pose(place: tuple[float, float, float], degrees: tuple[float, float, float]) -> Array:
+    return transform(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.array(place))
 
 
 def right_rig() -> Rig:
@@ -45,43 +71,12 @@ def right_rig() -> Rig:
     )
 
 
-def _pose(place: tuple[float, float, float], degrees: tuple[float, float, float]) -> Array:
-    return transform(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.array(place))
-
-
-def _tool(name: str, change: Callable[[Array], Array]) -> RigMistake:
-    """A wrong calibration of the skin in the flange; camera and skin were calibrated apart, so the camera stays."""
-    return RigMistake(name, lambda rig: replace(rig, T_flange_tool=change(np.array(rig.T_flange_tool))))
-
-
-def _camera(name: str, change: Callable[[Array], Array]) -> RigMistake:
-    return RigMistake(name, lambda rig: replace(rig, T_tool_camera=change(np.array(rig.T_tool_camera))))
-
-
-def _base(name: str, change: Callable[[Array], Array]) -> RigMistake:
-    return RigMistake(name, lambda rig: replace(rig, T_world_base=change(np.array(rig.T_world_base))))
-
-
-def _object(name: str, change: Callable[[Array], Array]) -> RigMistake:
-    return RigMistake(name, lambda rig: replace(rig, T_world_object=change(np.array(rig.T_world_object))))
-
-
-def _lens(name: str, **changes: Any) -> RigMistake:
-    return RigMistake(name, lambda rig: replace(rig, camera=replace(rig.camera, **changes)))
-
-
-def _limits(name: str, **changes: Any) -> RigMistake:
-    return RigMistake(name, lambda rig: replace(rig, limits=replace(rig.limits, **changes)))
+RIGHT = right_rig()
 
 
 def _shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Array], Array]:
     """Shift a transform by some millimetres, along the axes of the frame to which it maps."""
-
-    def change(T: Array) -> Array:
-        T[:3, 3] += 1e-3 * np.array([x, y, z])
-        return T
-
-    return change
+    return lambda T: transform(T[:3, :3], T[:3, 3] + 1e-3 * np.array([x, y, z]))
 
 
 def _turned(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Array], Array]:
@@ -91,151 +86,126 @@ def _turned(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Array],
 
 def _scaled(factor: float) -> Callable[[Array], Array]:
     """Give lengths in another unit."""
+    return lambda T: transform(T[:3, :3], factor * T[:3, 3])
+
+
+def _transposed(T: Array) -> Array:
+    return transform(T[:3, :3].T, T[:3, 3])
+
+
+def _vector_scaled(factor: float) -> Callable[[Array], Array]:
+    """Take a rotation vector in one unit for one in another."""
 
     def change(T: Array) -> Array:
-        T[:3, 3] *= factor
-        return T
+        vector = factor * Rotation.from_matrix(T[:3, :3]).as_rotvec()
+        return transform(Rotation.from_rotvec(vector).as_matrix(), T[:3, 3])
 
     return change
 
 
-def _transposed(T: Array) -> Array:
-    T[:3, :3] = T[:3, :3].T
-    return T
-
-
-def _degrees_as_radians(T: Array) -> Array:
-    """A rotation vector in degrees that was taken for one in radians."""
-    vector = np.degrees(Rotation.from_matrix(T[:3, :3]).as_rotvec())
-    T[:3, :3] = Rotation.from_rotvec(vector).as_matrix()
-    return T
-
-
-def _radians_as_degrees(T: Array) -> Array:
-    """A rotation vector in radians that was taken for one in degrees."""
-    vector = np.radians(Rotation.from_matrix(T[:3, :3]).as_rotvec())
-    T[:3, :3] = Rotation.from_rotvec(vector).as_matrix()
-    return T
-
-
 def _quaternion_order(T: Array) -> Array:
     """A quaternion (w, x, y, z) that was taken for (x, y, z, w)."""
-    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
-    T[:3, :3] = Rotation.from_quat([w, x, y, z]).as_matrix()
-    return T
+    return transform(Rotation.from_quat(np.roll(Rotation.from_matrix(T[:3, :3]).as_quat(), 1)).as_matrix(), T[:3, 3])
 
 
 def _identity(T: Array) -> Array:
     return np.eye(4)
 
 
-def _half_turn_standing(rig: Rig) -> Rig:
-    """The object stands on its head: turned over, and lifted so that it still stands on the table."""
-    T = rig.T_world_object @ _pose((0.0, 0.0, 0.03), (180.0, 0.0, 0.0))
-    return replace(rig, T_world_object=T)
+def _ros_axes(T: Array) -> Array:
+    return T @ transform(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
 
 
-def _box_in_world(rig: Rig) -> Rig:
+def _box_in_world(limits: MotionLimits) -> MotionLimits:
     """The box was measured in the world, and the file holds it in the base."""
-    corners = np.array([rig.limits.lower, rig.limits.upper]) @ rig.T_world_base[:3, :3].T + rig.T_world_base[:3, 3]
-    return replace(rig, limits=replace(rig.limits, lower=tuple(corners.min(0)), upper=tuple(corners.max(0))))
+    corners = np.array([limits.lower, limits.upper]) @ RIGHT.T_world_base[:3, :3].T + RIGHT.T_world_base[:3, 3]
+    return replace(limits, lower=tuple(corners.min(0)), upper=tuple(corners.max(0)))
 
 
-def _flange_camera(rig: Rig) -> Rig:
-    return replace(rig, T_tool_camera=rig.T_flange_tool @ rig.T_tool_camera)
-
-
-def _object_in_base(rig: Rig) -> Rig:
-    return replace(rig, T_world_object=rig.T_base_world @ rig.T_world_object)
-
-
+DEGREES_AS_RADIANS, RADIANS_AS_DEGREES = _vector_scaled(180 / np.pi), _vector_scaled(np.pi / 180)
+TOOL, CAMERA, BASE, OBJECT = "T_flange_tool", "T_tool_camera", "T_world_base", "T_world_object"
 MISTAKES: tuple[RigMistake, ...] = (
-    _tool("TCP flipped: z into the flange", _turned(x=180.0)),
-    _tool("TCP 50 mm too long", _shifted(z=50.0)),
-    _tool("TCP 50 mm too short", _shifted(z=-50.0)),
-    _tool("TCP 10 mm too long", _shifted(z=10.0)),
-    _tool("TCP 10 mm too short", _shifted(z=-10.0)),
-    _tool("TCP 50 mm aside", _shifted(x=50.0)),
-    _tool("TCP 20 mm aside", _shifted(y=20.0)),
-    _tool("TCP left at the flange", _identity),
-    _tool("TCP in millimetres", _scaled(1e3)),
-    _tool("TCP in centimetres", _scaled(1e2)),
-    _tool("TCP transposed", _transposed),
-    _tool("TCP inverted", inverse),
-    _tool("TCP: degrees for radians", _degrees_as_radians),
-    _tool("TCP: quaternion in another order", _quaternion_order),
-    _tool("TCP turned by half a turn about z", _turned(z=180.0)),
-    _tool("TCP tilted by 15 degrees", _turned(y=15.0)),
-    RigMistake("payload in grams", lambda rig: replace(rig, mass=1e3 * rig.mass)),
-    RigMistake("payload zero", lambda rig: replace(rig, mass=0.0)),
-    RigMistake("payload ten times as much", lambda rig: replace(rig, mass=10 * rig.mass)),
-    RigMistake("payload a kilogram too much", lambda rig: replace(rig, mass=rig.mass + 1.0)),
-    RigMistake("centre of mass in millimetres", lambda rig: replace(rig, centre=(5.0, 0.0, 35.0))),
-    RigMistake("centre of mass behind the flange", lambda rig: replace(rig, centre=(0.005, 0.0, -0.035))),
-    _camera("hand-eye inverted", inverse),
-    _camera("hand-eye transposed", _transposed),
-    _camera("hand-eye in millimetres", _scaled(1e3)),
-    _camera("hand-eye left at the tool", _identity),
-    _camera("camera looks backwards", _turned(x=180.0)),
-    _camera(
-        "camera axes of ROS, x forwards",
-        lambda T: T @ transform(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3)),
-    ),
-    _camera("camera turned by a quarter about its axis", _turned(z=90.0)),
-    _camera("camera mounted the other way round", _turned(z=180.0)),
-    _camera("hand-eye: quaternion in another order", _quaternion_order),
-    _camera("hand-eye: degrees for radians", _degrees_as_radians),
-    _camera("hand-eye: radians for degrees", _radians_as_degrees),
-    _camera("camera 50 mm too far back", _shifted(z=-50.0)),
-    _camera("camera 20 mm aside", _shifted(x=20.0)),
-    RigMistake("camera in the flange instead of the tool", _flange_camera),
-    RigMistake("looking distance in millimetres", lambda rig: replace(rig, looking_distance=120.0)),
-    RigMistake("looking distance in centimetres", lambda rig: replace(rig, looking_distance=12.0)),
-    RigMistake("looking distance of a tenth", lambda rig: replace(rig, looking_distance=0.012)),
-    _lens("fx 1.93, the lens in millimetres", fx=1.93, fy=1.93),
-    _lens("fx of 1.93 alone", fx=1.93),
-    RigMistake(
-        "fx and fy swapped", lambda rig: replace(rig, camera=replace(rig.camera, fx=rig.camera.fy, fy=rig.camera.fx))
-    ),
-    _lens("principal point at the corner", cx=0.0, cy=0.0),
-    _lens("cx and cy swapped", cx=92.0, cy=158.0),
-    _lens("principal point 40 pixels off", cx=198.0),
-    _lens("lens of an image of twice the size", fx=322.4, fy=322.1, cx=316.0, cy=184.0),
-    _lens("lens of an image of half the size", fx=80.6, fy=80.5, cx=79.0, cy=46.0),
-    _lens("width and height swapped", width=180, height=320),
-    _base("base inverted", inverse),
-    _base("base transposed", _transposed),
-    _base("base in millimetres", _scaled(1e3)),
-    _base("base not turned", lambda T: transform(np.eye(3), T[:3, 3])),
-    _base("base turned the other way", _turned(z=180.0)),
-    _base("base: degrees for radians", _degrees_as_radians),
-    _base("base: radians for degrees", _radians_as_degrees),
-    _base("base 100 mm too high", _shifted(z=100.0)),
-    _base("base 20 mm too low", _shifted(z=-20.0)),
-    _base("base 100 mm aside", _shifted(x=100.0)),
-    _object("object upside down", _turned(x=180.0)),
-    RigMistake("object on its head", _half_turn_standing),
-    _object("object on its side", _turned(x=90.0)),
-    _object("object 100 mm off along x", _shifted(x=100.0)),
-    _object("object 100 mm off along y", _shifted(y=-100.0)),
-    _object("object 30 mm aside", _shifted(x=30.0)),
-    _object("object 50 mm too high", _shifted(z=50.0)),
-    _object("object 50 mm too low", _shifted(z=-50.0)),
-    _object("object 10 mm too high", _shifted(z=10.0)),
-    _object("object in millimetres", _scaled(1e3)),
-    _object("object in centimetres", _scaled(1e2)),
-    _object("object inverted", inverse),
-    RigMistake("object in the base instead of the world", _object_in_base),
-    RigMistake(
-        "covariance in square millimetres", lambda rig: replace(rig, object_covariance=1e6 * rig.object_covariance)
-    ),
-    _limits("box not around the object", lower=(-0.60, -0.30, -0.012), upper=(-0.26, 0.04, 0.42)),
-    _limits("box in millimetres", lower=(260.0, -300.0, -12.0), upper=(600.0, 40.0, 420.0)),
-    _limits("corners of the box swapped", lower=(0.60, 0.04, 0.42), upper=(0.26, -0.30, -0.012)),
-    RigMistake("box in the world instead of the base", _box_in_world),
-    _limits("box reaches below the table", lower=(0.26, -0.30, -0.20)),
-    _limits("box with a sign lost", lower=(0.26, 0.30, -0.012), upper=(0.60, 0.64, 0.42)),
-    _limits("speed in mm/s", speed=250.0),
-    _limits("force ten times as much", force=300.0),
-    _limits("longest approach in millimetres", approach_distance=100.0),
-)
+    RigMistake("TCP flipped: z into the flange", TOOL, _turned(x=180.0)),
+    RigMistake("TCP 50 mm too long", TOOL, _shifted(z=50.0)),
+    RigMistake("TCP 50 mm too short", TOOL, _shifted(z=-50.0)),
+    RigMistake("TCP 10 mm too long", TOOL, _shifted(z=10.0)),
+    RigMistake("TCP 10 mm too short", TOOL, _shifted(z=-10.0)),
+    RigMistake("TCP 50 mm aside", TOOL, _shifted(x=50.0)),
+    RigMistake("TCP 20 mm aside", TOOL, _shifted(y=20.0)),
+    RigMistake("TCP left at the flange", TOOL, _identity),
+    RigMistake("TCP in millimetres", TOOL, _scaled(1e3)),
+    RigMistake("TCP in centimetres", TOOL, _scaled(1e2)),
+    RigMistake("TCP transposed", TOOL, _transposed),
+    RigMistake("TCP inverted", TOOL, inverse),
+    RigMistake("TCP: degrees for radians", TOOL, DEGREES_AS_RADIANS),
+    RigMistake("TCP: quaternion in another order", TOOL, _quaternion_order),
+    RigMistake("TCP turned by half a turn about z", TOOL, _turned(z=180.0)),
+    RigMistake("TCP tilted by 15 degrees", TOOL, _turned(y=15.0)),
+    RigMistake("payload in grams", "mass", 600.0),
+    RigMistake("payload zero", "mass", 0.0),
+    RigMistake("payload ten times as much", "mass", 6.0),
+    RigMistake("payload a kilogram too much", "mass", 1.6),
+    RigMistake("centre of mass in millimetres", "centre", (5.0, 0.0, 35.0)),
+    RigMistake("centre of mass behind the flange", "centre", (0.005, 0.0, -0.035)),
+    RigMistake("hand-eye inverted", CAMERA, inverse),
+    RigMistake("hand-eye transposed", CAMERA, _transposed),
+    RigMistake("hand-eye in millimetres", CAMERA, _scaled(1e3)),
+    RigMistake("hand-eye left at the tool", CAMERA, _identity),
+    RigMistake("camera looks backwards", CAMERA, _turned(x=180.0)),
+    RigMistake("camera axes of ROS, x forwards", CAMERA, _ros_axes),
+    RigMistake("camera turned by a quarter about its axis", CAMERA, _turned(z=90.0)),
+    RigMistake("camera mounted the other way round", CAMERA, _turned(z=180.0)),
+    RigMistake("hand-eye: quaternion in another order", CAMERA, _quaternion_order),
+    RigMistake("hand-eye: degrees for radians", CAMERA, DEGREES_AS_RADIANS),
+    RigMistake("hand-eye: radians for degrees", CAMERA, RADIANS_AS_DEGREES),
+    RigMistake("camera 50 mm too far back", CAMERA, _shifted(z=-50.0)),
+    RigMistake("camera 20 mm aside", CAMERA, _shifted(x=20.0)),
+    RigMistake("camera in the flange instead of the tool", CAMERA, lambda T: RIGHT.T_flange_tool @ T),
+    RigMistake("looking distance in millimetres", "looking_distance", 120.0),
+    RigMistake("looking distance in centimetres", "looking_distance", 12.0),
+    RigMistake("looking distance of a tenth", "looking_distance", 0.012),
+    RigMistake("fx 1.93, the lens in millimetres", "camera", {"fx": 1.93, "fy": 1.93}),
+    RigMistake("fx of 1.93 alone", "camera", {"fx": 1.93}),
+    RigMistake("fx and fy swapped", "camera", {"fx": 161.05, "fy": 161.2}),
+    RigMistake("principal point at the corner", "camera", {"cx": 0.0, "cy": 0.0}),
+    RigMistake("cx and cy swapped", "camera", {"cx": 92.0, "cy": 158.0}),
+    RigMistake("principal point 40 pixels off", "camera", {"cx": 198.0}),
+    RigMistake("lens of twice the image", "camera", {"fx": 322.4, "fy": 322.1, "cx": 316.0, "cy": 184.0}),
+    RigMistake("lens of half the image", "camera", {"fx": 80.6, "fy": 80.5, "cx": 79.0, "cy": 46.0}),
+    RigMistake("width and height swapped", "camera", {"width": 180, "height": 320}),
+    RigMistake("base inverted", BASE, inverse),
+    RigMistake("base transposed", BASE, _transposed),
+    RigMistake("base in millimetres", BASE, _scaled(1e3)),
+    RigMistake("base not turned", BASE, lambda T: transform(np.eye(3), T[:3, 3])),
+    RigMistake("base turned the other way", BASE, _turned(z=180.0)),
+    RigMistake("base: degrees for radians", BASE, DEGREES_AS_RADIANS),
+    RigMistake("base: radians for degrees", BASE, RADIANS_AS_DEGREES),
+    RigMistake("base 100 mm too high", BASE, _shifted(z=100.0)),
+    RigMistake("base 20 mm too low", BASE, _shifted(z=-20.0)),
+    RigMistake("base 100 mm aside", BASE, _shifted(x=100.0)),
+    RigMistake("object upside down", OBJECT, _turned(x=180.0)),
+    RigMistake("object on its head", OBJECT, lambda T: T @ _pose((0.0, 0.0, 0.03), (180.0, 0.0, 0.0))),
+    RigMistake("object on its side", OBJECT, _turned(x=90.0)),
+    RigMistake("object 100 mm off along x", OBJECT, _shifted(x=100.0)),
+    RigMistake("object 100 mm off along y", OBJECT, _shifted(y=-100.0)),
+    RigMistake("object 30 mm aside", OBJECT, _shifted(x=30.0)),
+    RigMistake("object 50 mm too high", OBJECT, _shifted(z=50.0)),
+    RigMistake("object 50 mm too low", OBJECT, _shifted(z=-50.0)),
+    RigMistake("object 10 mm too high", OBJECT, _shifted(z=10.0)),
+    RigMistake("object in millimetres", OBJECT, _scaled(1e3)),
+    RigMistake("object in centimetres", OBJECT, _scaled(1e2)),
+    RigMistake("object inverted", OBJECT, inverse),
+    RigMistake("object in the base instead of the world", OBJECT, lambda T: RIGHT.T_base_world @ T),
+    RigMistake("covariance in square millimetres", "object_covariance", lambda covariance: 1e6 * covariance),
+    RigMistake("box not around the object", "limits",
+               {"lower": (-0.60, -0.30, -0.012), "upper": (-0.26, 0.04, 0.42)}),
+    RigMistake("box in millimetres", "limits", {"lower": (260.0, -300.0, -12.0), "upper": (600.0, 40.0, 420.0)}),
+    RigMistake("corners of the box swapped", "limits",
+               {"lower": (0.60, 0.04, 0.42), "upper": (0.26, -0.30, -0.012)}),
+    RigMistake("box in the world instead of the base", "limits", _box_in_world),
+    RigMistake("box reaches below the table", "limits", {"lower": (0.26, -0.30, -0.20)}),
+    RigMistake("box with a sign lost", "limits", {"lower": (0.26, 0.30, -0.012), "upper": (0.60, 0.64, 0.42)}),
+    RigMistake("speed in mm/s", "limits", {"speed": 250.0}),
+    RigMistake("force ten times as much", "limits", {"force": 300.0}),
+    RigMistake("longest approach in millimetres", "limits", {"approach_distance": 100.0}),
+)  # fmt: skip

@@ -20,7 +20,7 @@ from experiments.fidelity.sections import CannotTellError, Section
 from experiments.train.configs import PRESETS
 from experiments.train.loads import HEIGHTS_M, MIN_GAIN, TRIED_TOUCHES, Tried, explained, some_groups, tried_touches
 from experiments.train.prepare import prepare
-from i2t.convert.presses import sphere, tip_patches
+from i2t.convert.press_table import sphere, tip_patches
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse

@@ -25,10 +25,10 @@ FIDELITY_PRESETS: dict[str, FidelityPreset] = {
     "paper": FidelityPreset(),
     "short": FidelityPreset(
         counts=(5, 20, 100), draws=4, method_seconds=30.0, forward_rows=600,
-        heads=HeadBudget(400, 1200, 0, rows=4000),
+        heads=HeadBudget(400, 1200, rows=4000),
     ),
     "debug": FidelityPreset(
         counts=(20,), draws=1, try_causes=False, method_seconds=5.0, test_rows=100, forward_rows=150,
-        heads=HeadBudget(100, 200, 0, rows=400), heads_across=HeadBudget(100, 200, 0, rows=400),
+        heads=HeadBudget(100, 200, rows=400), heads_across=HeadBudget(100, 200, rows=400),
     ),
 }  # fmt: skip

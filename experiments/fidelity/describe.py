@@ -216,11 +216,10 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
     name, load = load_of(recording)
     rows = recording.known("position") & np.isfinite(load)
     if rows.sum() < 2:
-        raise CannotTellError("Lags, repeated rows and changes are looked for where positions and loads are known.")
+        raise CannotTellError("Repeated rows and changes are looked for where positions and loads are known.")
     position = recording.targets["position"][rows]
     warned = check_presses(position, np.abs(load[rows]), recording.readings[rows], by_force=name == "force")
-    # What they say of a lag is estimated below.
-    found += [message[0].upper() + message[1:] for message in warned._replace(label_lag=0).messages()]
+    found += [message[0].upper() + message[1:] for message in warned.messages()]
     numbers |= {
         "repeated_rows": int(warned.repeated.sum()),
         "change_ratio": warned.change_ratio,

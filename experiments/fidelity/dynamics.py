@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from experiments.fidelity.config import FidelityPreset
-from experiments.fidelity.describe import STREAM_GAP_S, changes_in_air
+from experiments.fidelity.describe import changes_in_air
 from experiments.fidelity.forward import (
     PressSet,
     explained_share,
@@ -22,6 +22,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration.heads import SkinRecording
+from i2t.calibration.recordings import STREAM_GAP_S
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise
 from i2t.unknowns.findings import AXES

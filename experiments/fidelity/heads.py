@@ -5,28 +5,34 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import rankdata
 
 from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.heads import BASELINE_HEADS, TARGETS, Head, HeadBudget, HeadPrediction, SkinRecording, fit_head
-from i2t.calibration.heads.head import hold_out_groups, target_rows
+from i2t.calibration.heads import (
+    BASELINE_HEADS,
+    HEAD_TARGETS,
+    STDS_OF_90_PERCENT,
+    TARGETS,
+    Head,
+    HeadBudget,
+    HeadPrediction,
+    SkinRecording,
+    fit_head,
+    hold_out_groups,
+    target_rows,
+)  # fmt: skip
 
 PUBLISHED_FIGURES = {
     "position": "eFlesh 0.5 mm, eflesh-touch 1.22 mm",
     "depth": "eflesh-touch 0.39 mm",
     "force": "eFlesh 0.27 N, eflesh-touch 0.080 N",
     "shear": "eFlesh 0.12 N, eflesh-touch 0.055 N",
-    "slip": "eFlesh 95 %, AnySkin 92 % of slips found (with a tip of their own)",
 }
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
 MIN_HEAD_TEST = 5
-STDS_OF_90_PERCENT = 1.645
 MIN_INSIDE_90 = 0.85  # of values in the 90 % range: where fewer are, a sentence says so
-CALIBRATION_BINS = 10
 BEATEN = 0.98  # of the kept head's error, below which a baseline may be said to beat it
 SCORES = ["RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]
-SCORES_OF_PROBABILITY = ["Brier, root", "share right", "AUROC", "calibration error", "unfamiliar"]
 
 
 class HeadScore(NamedTuple):
@@ -54,7 +60,7 @@ class HeadTest(NamedTuple):
 def head_sections(recording: SkinRecording, budget: HeadBudget, share: float, seed: int, section: Section) -> None:
     """Tests of all targets that a recording supports; a sentence for each other one."""
     found = {}
-    for target in TARGETS:
+    for target in HEAD_TARGETS:
         try:
             found[target] = test_heads(recording, target, budget, share=share, seed=seed)
         except ValueError as error:
@@ -108,7 +114,7 @@ def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: 
     """Heads of each recording on the others, as a skin that was mounted again or worn would be read."""
     rows = [["target", "fitted to", "tested on", "rows", *SCORES]]
     numbers: dict[str, Any] = {}
-    for target, kind in TARGETS.items():
+    for target in HEAD_TARGETS:
         for known in recordings:
             try:
                 head = fit_head(known, target, budget=budget, seed=seed)
@@ -122,7 +128,7 @@ def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: 
                     continue
                 numbers[f"{target}: {known.name} -> {other.name}"] = score._asdict()
                 section.sentences += missed_ranges(target, {f"from {known.name} to {other.name}": score})
-                what = target if kind.yes_no else f"{target} ({kind.unit})"
+                what = f"{target} ({TARGETS[target].unit})"
                 rows.append([what, known.name, other.name, str(score.rows), *map(cell, score[1:])])
     if len(rows) == 1:
         raise CannotTellError(" ".join(section.sentences) or "No two recordings share a target that a head predicts.")
@@ -150,11 +156,6 @@ def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[
     error, unfamiliar = predicted.mean - truth, float(np.mean(predicted.unfamiliar))
     missed = np.sum(error**2, axis=1)
     rmse = kind.scale * float(np.sqrt(np.mean(missed)))
-    if kind.yes_no:
-        yes, p = truth[:, 0] > 0.5, predicted.mean[:, 0]
-        right = float(np.mean((p > 0.5) == yes))
-        scores = (right, area_under_curve(p, yes), calibration_error(p, yes))
-        return HeadScore(len(yes), rmse, *scores, unfamiliar), missed
     total = float(np.sum((truth - truth.mean(0)) ** 2))
     inside = float(np.mean(np.abs(error) <= STDS_OF_90_PERCENT * predicted.std))
     r2 = 1 - float(np.sum(missed)) / total if total > 0 else float("nan")
@@ -168,30 +169,15 @@ def _known_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRe
     return replace(recording, targets={**recording.targets, target: values})
 
 
-def area_under_curve(score: np.ndarray, yes: np.ndarray) -> float:
-    """Probability that a row with yes has the higher score than one without (Mann and Whitney); ties count half."""
-    ranks, positives = rankdata(score), int(yes.sum())
-    if not 0 < positives < len(yes):
-        return float("nan")
-    return float((ranks[yes].sum() - positives * (positives + 1) / 2) / (positives * (len(yes) - positives)))
-
-
-def calibration_error(probability: np.ndarray, yes: np.ndarray) -> float:
-    """Expected calibration error: how far stated probabilities lie from what happened, over ten bins."""
-    bins = np.minimum((probability * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
-    parts = [bins == i for i in range(CALIBRATION_BINS) if (bins == i).any()]
-    return float(sum(part.mean() * abs(probability[part].mean() - yes[part].mean()) for part in parts))
-
-
 def caption(target: str) -> str:
     """Caption of a target's table."""
     published = f"; published: {PUBLISHED_FIGURES[target]}" if target in PUBLISHED_FIGURES else ""
-    return f"{target} ({TARGETS[target].unit or 'probability'}{published})"
+    return f"{target} ({TARGETS[target].unit}{published})"
 
 
 def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
     """A row for each way of holding out and each method."""
-    rows = [["held out", "rows", "method", *(SCORES_OF_PROBABILITY if TARGETS[target].yes_no else SCORES)]]
+    rows = [["held out", "rows", "method", *SCORES]]
     for name, test in tests.items():
         for method, score in {f"{test.method} (kept)": test.kept, **test.baselines}.items():
             rows.append([name, str(score.rows), method, *map(cell, score[1:])])
@@ -211,8 +197,6 @@ def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]
 
 def missed_ranges(target: str, scores: dict[str, HeadScore]) -> list[str]:
     """A sentence for each way of holding out in which too few values lie in the stated range."""
-    if TARGETS[target].yes_no:
-        return []
     return [
         f"{target}, {name}: the 90 % range holds {100 * score.inside_90:.0f} % of {score.rows} rows; do not rely on "
         "it there."

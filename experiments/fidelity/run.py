@@ -1,7 +1,7 @@
 """Question: what is this recording of a skin worth, what can be told from it, and how well?
 
     python -m experiments.fidelity --dataset A                  the report, in minutes
-    python -m experiments.fidelity --dataset A B                sessions of one skin, and heads of one on the other
+    python -m experiments.fidelity --dataset A B                sessions of one skin, and what one says of the other
     python -m experiments.fidelity --dataset A --mistakes       also: which mistakes put into it are found?
     python -m experiments.fidelity --dataset A --preset debug   everything once, in seconds
 
@@ -49,8 +49,11 @@ def run(args: FidelityArgs) -> dict[str, Any]:
         sections = sections_of(recording, preset, args.seed, mistaken=args.mistakes)
         chapters[recording.name] = [say(section) for section in sections]
     if len(recordings) > 1:
-        work = partial(heads.heads_across, recordings, preset.heads_across, args.seed)
-        chapters["Across sessions"] = [say(written("Heads across sessions", work))]
+        parts = {
+            "What one session says of another": partial(curves.across_sessions, recordings, preset, args.seed),
+            "Heads across sessions": partial(heads.heads_across, recordings, preset.heads_across, args.seed),
+        }
+        chapters["Across sessions"] = [say(written(title, work)) for title, work in parts.items()]
     of_path = {path: recording.name for (path, _), recording in zip(read, recordings, strict=True)}
     for path, name in of_path.items():
         if is_dataset(path):

@@ -5,14 +5,11 @@ from pathlib import Path
 from typing import Literal, get_args
 
 FigureName = Literal[
-    "overview", "objects", "patches", "press", "press_curve", "felt_and_imagined", "episode", "touched_object",
-    "calibration_curve", "predictors", "pressures", "field", "reliability", "registration", "rig", "monitor",
-    "from_depth", "prediction_steps", "stamps", "accuracy_curves",
+    "overview", "objects", "patches", "press", "episode", "calibration_curve", "predictors", "registration", "rig",
+    "monitor", "from_depth", "stamps",
 ]  # fmt: skip
 FIGURE_NAMES: tuple[FigureName, ...] = get_args(FigureName)
-OF_A_RUN = frozenset[FigureName](
-    ("overview", "felt_and_imagined", "episode", "touched_object", "predictors", "reliability")
-)  # which the others do without
+OF_A_RUN = frozenset[FigureName](("overview", "episode", "predictors"))  # which the others do without
 
 
 @dataclass(frozen=True)

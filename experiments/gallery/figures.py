@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 import i2t
 from experiments.gallery.arguments import FigureName
 from experiments.gallery.lab_figures import monitor, registration, rig
-from experiments.gallery.page_figures import accuracy_curves, from_depth, prediction_steps, stamps
-from experiments.gallery.skin_figures import field, pressures, reliability
+from experiments.gallery.page_figures import from_depth, stamps
 from experiments.gallery.story import HIDDEN_OBJECT, Draw, Story
 from i2t import viz
 from i2t.batching import map_batches
@@ -85,50 +84,9 @@ def press(story: Story) -> Figure:
     )  # fmt: skip
 
 
-def press_curve(story: Story) -> Figure:
-    """Force and reading of a ball that goes deeper."""
-    depths = np.linspace(0.02e-3, 0.8e-3, 14)
-    pressed = jax.lax.map(lambda d: _press_ball(1e-3, 0.0, d), jnp.asarray(depths, jnp.float32))
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    left = figure.subplots()
-    left.plot(UM * depths, pressed.force, color=BLUE, marker="o", ms=3)
-    left.set_xlabel("indentation (µm)")
-    left.set_ylabel("force (N)", color=BLUE)
-    right = left.twinx()
-    right.plot(UM * depths, np.linalg.norm(pressed.reading, axis=1), color=ORANGE, marker="s", ms=3)
-    right.set_ylabel("norm of the reading (µT)", color=ORANGE)
-    left.set_title(titled("A press curve: force and reading against depth", True))
-    return figure
-
-
-def felt_and_imagined(story: Story) -> Figure:
-    """Touches of an unseen object, from the best to the worst predicted."""
-    quantiles = (0.05, 0.25, 0.5, 0.75, 0.95)
-    rows = story.ranked[[int(q * (len(story.ranked) - 1)) for q in quantiles]]
-    sets = {"felt": story.unseen.reading[rows], "imagined": story.imagined.mean[rows]}
-    labels = [f"error at {q:.0%}" for q in quantiles]
-    return viz.plot_predicted_touches(
-        story.unseen.patch[rows],
-        sets,
-        labels,
-        story.run.dataset.board,
-        f"Touches of the {HIDDEN_OBJECT}, never trained on",
-        True,
-    )
-
-
 def episode(story: Story) -> Figure:
     """An episode of recognition: each touch, what each candidate would show there, and the belief."""
     return viz.plot_episode(story.episode)
-
-
-def touched_object(story: Story) -> Figure:
-    """An object with its touches."""
-    record = story.episode
-    mesh = record.meshes[record.truth]
-    return viz.plot_object(
-        mesh.vertices, mesh.faces, record.T_w_t, f"The touches of one episode: {HIDDEN_OBJECT}", True
-    )
 
 
 def calibration_curve(story: Story) -> Figure:
@@ -236,10 +194,7 @@ def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
 
 
 FIGURES: dict[FigureName, Draw] = {
-    "overview": overview, "objects": objects, "patches": patches, "press": press, "press_curve": press_curve,
-    "felt_and_imagined": felt_and_imagined, "episode": episode, "touched_object": touched_object,
-    "calibration_curve": calibration_curve, "predictors": predictors, "pressures": pressures, "field": field,
-    "reliability": reliability, "registration": registration, "rig": rig, "monitor": monitor,
-    "from_depth": from_depth, "prediction_steps": prediction_steps, "stamps": stamps,
-    "accuracy_curves": accuracy_curves,
+    "overview": overview, "objects": objects, "patches": patches, "press": press, "episode": episode,
+    "calibration_curve": calibration_curve, "predictors": predictors, "registration": registration, "rig": rig,
+    "monitor": monitor, "from_depth": from_depth, "stamps": stamps,
 }  # fmt: skip

@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import i2t
-from experiments.gallery.skin_figures import LOOKING_DOWN
-from experiments.gallery.story import HIDDEN_OBJECT, Story
+from experiments.gallery.story import HIDDEN_OBJECT, LOOKING_DOWN, Story
 from i2t.emulators import reskin_board
 from i2t.geometry import exp, inverse, log
 from i2t.hardware.reskin import monitor as skin_monitor
@@ -93,13 +92,10 @@ def monitor(story: Story) -> Figure:
         lines = skin_monitor.picture(
             skin.info, skin.features.source, skin.counters, shown, rest, scale=MONITOR_SCALE_UT
         )
-        change = shown.reading.mean(0) - rest
-    board = i2t.reskin_board()
     lines = [line.replace(port, "/dev/ttyACM0") for line in lines]
-    chips = skin_monitor.map_picture(board, change, scale=MONITOR_SCALE_UT)
-    figure = Figure(figsize=(8.6, 7.2), facecolor="#101418")
+    figure = Figure(figsize=(8.6, 4.6), facecolor="#101418")
     title = titled("$ python -m i2t.hardware.reskin", True)
-    text = "\n".join([title, "", *lines, "", "the same as a map of the chips (key m)", "", *chips])
+    text = "\n".join([title, "", *lines])
     figure.text(0.02, 0.98, text, family="monospace", fontsize=9, color="#e6e6e6", va="top", linespacing=1.25)
     return figure
 

@@ -1,38 +1,25 @@
-"""Figures of single pages: a patch from a camera, the steps of a prediction, stamps, and curves of recognition."""
+"""Figures of single pages: a patch from a camera, and stamps."""
 
-import json
-from pathlib import Path
-
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
 import i2t
-from experiments.gallery.skin_figures import LOOKING_DOWN
-from experiments.gallery.story import HIDDEN_OBJECT, Story
+from experiments.gallery.story import LOOKING_DOWN, Story
 from i2t import viz
 from i2t.depth.patches import DepthPatch
 from i2t.objects.catalogue import STAMPS
-from i2t.prediction.pressure import PressureModelConfig, predict_pressures
-from i2t.prediction.smoothing import local_planes
 from i2t.simulation.depth_camera import add_depth_noise, render_view, table_triangles
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.types import PATCH_WINDOW, REACH
 from i2t.viz.skins import common_scale
-from i2t.viz.style import COLOURS, MARKERS, MM_PER_M, titled
+from i2t.viz.style import MM_PER_M, titled
 
-RESULTS = Path(__file__).parents[2] / "docs" / "results"  # what the tables of the documents show
 CAMERA = i2t.Camera(640, 360, fx=322.0, fy=322.0, cx=319.5, cy=179.5)
 LOOKING_FROM_M = 0.104
 SEEN, SEEN_AT_M = "star", (12e-3, 4e-3, 30e-3)  # an object, and where on its top the tool would touch
 SHOWN_PIXELS = slice(100, 260), slice(240, 400)  # rows and columns of the image that show the object
 ERROR_LIMIT_MM = 1.0  # at the end of the colours of errors
-PRESSED_SITE = 4  # seed of the site on the hidden object
-PREDICTED_FORCE_N = 1.0
-CURVES = (  # methods of docs/results/recognize.json
-    "fused", "readings", "same rules, Gaussian process, votes", "Imagine2touch (paper's network, mask), votes",
-    "proprioception, votes",
-)  # fmt: skip
+PRESSING_FORCE_N = 1.0
 
 
 def from_depth(story: Story) -> Figure:
@@ -64,43 +51,14 @@ def from_depth(story: Story) -> Figure:
     return figure
 
 
-def prediction_steps(story: Story) -> Figure:
-    """The steps of a prediction: the camera's patch, the patch smoothed, the contact pressure, and the reading."""
-    mesh = i2t.make_object(HIDDEN_OBJECT).mesh
-    _, seen = _view(mesh, i2t.sample_touch_sites(mesh, 1, seed=PRESSED_SITE).T_o_t[0])
-    depth = np.asarray(seen.patch.depth, np.float32)
-    cfg = PressureModelConfig(pitch=PATCH_WINDOW / PATCH_PIXELS)
-    unknown = np.full(1, np.nan, np.float32)
-    pressed = predict_pressures(cfg, depth[None], np.full(1, PREDICTED_FORCE_N, np.float32), unknown)
-    predictor = i2t.load_predictor("nominal")
-    reading, std = predictor.predict(depth, force=PREDICTED_FORCE_N)
-    figure = Figure(figsize=(14, 3.7), layout="constrained")
-    figure.suptitle(titled(f"The steps of a prediction, {PREDICTED_FORCE_N:g} N", True))
-    parts = figure.subplots(1, 4)
-    patch = viz.draw_patch(parts[0], depth)
-    viz.draw_patch(parts[1], np.asarray(local_planes(jnp.asarray(depth))))
-    figure.colorbar(patch, ax=parts[:2], label="mm behind the nearest point", shrink=0.8)
-    load = viz.draw_map(parts[2], np.asarray(pressed.pressure[0]), cfg.window, low=0)
-    figure.colorbar(load, ax=parts[2], label="N on each square millimetre", shrink=0.8)
-    board = i2t.reskin_board()
-    viz.draw_skin(parts[3])
-    scale = common_scale(reading)
-    viz.draw_reading(parts[3], board, np.asarray(reading), scale)
-    titles = ("1  patch of the camera", "2  robust planes", "3  contact pressure", "4  predicted reading")
-    for axes, title in zip(parts, titles, strict=True):
-        axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title)
-    parts[3].set_xlabel(f"x (mm)\nvalues to {np.abs(reading).max():.0f} µT, errors about {np.median(std):.0f} µT")
-    return figure
-
-
 def stamps(story: Story) -> Figure:
     """The five stamps: what lies in front of the skin, and what it reads at one force."""
     meshes = [i2t.make_object(name).mesh for name in STAMPS]
     depth = np.stack([i2t.render_patch(i2t.prepare_surface(mesh), LOOKING_DOWN).depth for mesh in meshes])
-    reading, _ = i2t.load_predictor("nominal").predict(depth, force=PREDICTED_FORCE_N)
+    reading, _ = i2t.load_predictor("nominal").predict(depth, force=PRESSING_FORCE_N)
     scale = common_scale(reading)
     figure = Figure(figsize=(13, 5.4), layout="constrained")
-    figure.suptitle(titled(f"Five stamps and what one skin reads at {PREDICTED_FORCE_N:g} N", True))
+    figure.suptitle(titled(f"Five stamps and what one skin reads at {PRESSING_FORCE_N:g} N", True))
     panels = figure.subplots(2, len(STAMPS))
     for number, (name, column) in enumerate(zip(STAMPS, panels.T, strict=True)):
         patch = viz.draw_patch(column[0], depth[number])
@@ -111,25 +69,6 @@ def stamps(story: Story) -> Figure:
     figure.colorbar(patch, ax=panels[0], label="mm behind the nearest point", shrink=0.8)
     panels[0, 0].set_ylabel("patch: y (mm)")
     panels[1, 0].set_ylabel("reading: y (mm)")
-    return figure
-
-
-def accuracy_curves(story: Story) -> Figure:
-    """Accuracy of five methods among five objects, after each of ten touches."""
-    measured = json.loads((RESULTS / "recognize.json").read_text())
-    methods = measured["sets"]["all"]["methods"]
-    figure = Figure(figsize=(8, 4.4), layout="constrained")
-    axes = figure.subplots()
-    for name, colour, marker in zip(CURVES, COLOURS, MARKERS, strict=False):
-        found = {part: np.array(values) for part, values in methods[name]["accuracy"].items()}
-        touches = np.arange(1, len(found["mean"]) + 1)
-        axes.plot(touches, found["mean"], color=colour, marker=marker, ms=4, label=name)
-        axes.fill_between(touches, found["low"], found["high"], color=colour, alpha=0.15, lw=0)
-    chance = 1 / len(measured["sets"]["all"]["objects"])
-    axes.axhline(chance, color="black", lw=0.8, ls="--", label="chance")
-    axes.set(xlabel="touches", ylabel="right, of five objects", ylim=(0, 1), xticks=touches)
-    axes.legend(fontsize=8, bbox_to_anchor=(1.01, 1), loc="upper left", frameon=False)
-    axes.set_title(titled("Recognition, 95 % over pads", measured["source"] == "simulated"), fontsize=11)
     return figure
 
 

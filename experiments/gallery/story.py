@@ -20,6 +20,7 @@ from i2t.viz.episode_report import EpisodeRecord
 
 HIDDEN_OBJECT = "hammer"  # what stands there in the overview and in the episode
 OTHERS = ("star", "square", "cylinder", "screwdriver")  # that might stand there as well
+LOOKING_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])  # T_o_t of a skin over a stamp
 EPISODE = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
 
 
@@ -45,11 +46,8 @@ class Story:
 
     @cached_property
     def imagined(self) -> Reading:
-        """The predictor's readings of the unseen touches."""
-        return self.imagine(self.unseen)
-
-    def imagine(self, touches: Touches) -> Reading:
-        """The predictor's readings of any touches, not checked again: a wrench sensor's noise may pull."""
+        """The predictor's readings of the unseen touches, not checked again: a wrench sensor's noise may pull."""
+        touches = self.unseen
         given = {"force": touches.force, "nearest": touches.nearest, "depth": touches.depth, "wide": touches.wide}
         return self.run.predictor.predict_views(touches.patch, **given)
 

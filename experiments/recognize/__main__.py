@@ -17,36 +17,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import tyro
 
 from experiments.common.commands import carrying_out
-from experiments.common.presets import RENAMED, answer_renamed_value
 from experiments.recognize.arguments import LiveArgs, SimulateArgs
-from i2t.cli import docstring_of, renamed_flags
+from i2t.cli import docstring_of
 from i2t.options import read_options
 
-RECOGNIZE_PROGRAM = "python -m experiments.recognize"
 Command = (
     Annotated[SimulateArgs, tyro.conf.subcommand("simulate", description=docstring_of("experiments.recognize.run"))]
     | Annotated[LiveArgs, tyro.conf.subcommand("live", description=docstring_of("experiments.recognize.live"))]
 )
-RENAMED_FLAGS = {
-    "--live": "the subcommand live (python -m experiments.recognize live ...)",
-    "--run": "--trained-run",
-    "--sittings": "--episodes",
-    "--paper-sittings": "--paper-episodes",
-    "--there": "--true-object",
-    "--strange": "--prior-unknown",
-    "--decoys": "--num-surrogates",
-    "--touches": "--max-touches",
-    "--error": "--max-error-probability",
-    "--sites": "--num-sites",
-    "--places": "--num-particles",
-}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
-    answer_renamed_value(words, "--preset", RENAMED)
-    renamed_flags(words, RENAMED_FLAGS)
     if words[:1] not in (["simulate"], ["live"], ["--help"], ["-h"]):
         words = ["simulate", *words]
     commands: Any = Command  # a union is no type to mypy

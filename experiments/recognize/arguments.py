@@ -68,14 +68,13 @@ class SimulateArgs:
             require_with(flag, given, "--dataset", recorded)
         simulated = (
             ("--episodes", self.episodes), ("--paper-episodes", self.paper_episodes), ("--pads", self.pads),
-            ("--executor", self.tasks.executor != "serial"),
+            ("--workers", self.tasks.workers > 1),
         )  # fmt: skip
         for flag, value in simulated:
             if recorded and value:
                 raise ValueError(f"{flag} is for simulated episodes, and --dataset brings its own; leave it out")
         if self.objects and self.paper_episodes is not None:
             raise ValueError("--paper-episodes is for the paper's sets, and --objects are others; pass --episodes")
-        self.tasks.check()
         require_objects(self.objects, self.unit)
         require_dataset("--dataset", self.dataset)
         require_pad(self.pad)

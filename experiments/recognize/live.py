@@ -44,7 +44,7 @@ from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.recognition.pad_model import PadModel
 from i2t.recognition.pad_model_files import KnownPad, require_skin
-from i2t.recognition.planning import NUM_CANDIDATES
+from i2t.recognition.policy import NUM_CANDIDATES
 from i2t.recognition.recognizer import (
     MAX_EMPTY_DRAWS,
     ChosenSite,

@@ -4,7 +4,7 @@ It is of one skin, which `i2t.recognition.pad_model_files.require_skin` compares
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -127,16 +127,7 @@ def to_json(known: KnownPad) -> dict[str, object]:
     Returns:
         Its skin, source, objects, number of touches, R2 and chips.
     """
-    origin = known.origin
-    return {
-        "pad": origin.pad,
-        "source": origin.source,
-        "objects": list(origin.objects),
-        "touches": origin.touches,
-        "made_from": origin.made_from,
-        "r2": known.model.r2,
-        "chips": len(known.board.chips),
-    }
+    return {**asdict(known.origin), "r2": known.model.r2, "chips": len(known.board.chips)}
 
 
 def _of_run(folder: Path, cfg: Recognition, errors: SimulationErrors) -> PadSource:

@@ -34,25 +34,22 @@ from experiments.recognize.config import Recognition
 from experiments.recognize.report import CONSTANT, IMAGINE2TOUCH, RULES_GP, EpisodeResults, Results
 from experiments.recognize.trained_run import meshes_by_name, read_simulated_run
 from i2t.files import slug
-from i2t.prediction import checkpoint
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig
-from i2t.prediction.networks import PatchNetwork
-from i2t.prediction.predictor import Predictor
+from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.progress import progress
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumber
 from i2t.recognition.paper_rules import (
     PROPRIOCEPTION,
-    ConstantPredictor,
-    ReadingPredictor,
     Scorer,
     beliefs_by_rule,
+    constant_predictor,
     contact_scorer,
     reading_scorers,
     run_loop,
 )
 from i2t.recognition.site_pool import prepare_surfaces, sample_pools
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, Pad, Surface, Touches
+from i2t.types import PATCH_PIXELS, Pad, Surface, Touches
 
 PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
 
@@ -79,14 +76,14 @@ def load_paper_networks(folder: Path) -> PaperNetworks | None:
     epochs = []
     for row, name in IMAGINE2TOUCH.items():
         place = folder / "checkpoint" / slug(name)
-        if not checkpoint.exists(place):
+        if not place.is_dir():
             continue
-        params, norm, about = checkpoint.load(place)
-        if about.model.pixels != PATCH_PIXELS or isinstance(about.model, ModelConfig):
+        predictor = load_predictor(place)
+        model: Any = predictor.model
+        if model.cfg.pixels != PATCH_PIXELS or isinstance(model.cfg, ModelConfig):
             continue  # a network of another camera, or more than the paper's
-        model = PatchNetwork(params, about.model, norm)
-        found[row] = Predictor(model, PATCH_WINDOW, about.model.reach, default_force=1.0, default_depth=0.0)
-        epochs.append(about.epoch)
+        found[row], norm = predictor, model.normalisation
+        epochs.append((predictor.metadata or {})["epochs"])
     if not found:
         return None
     return PaperNetworks(found, np.asarray(norm.reading.mean), np.asarray(norm.reading.std), min(epochs))
@@ -170,10 +167,10 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
         raise ValueError(f"{missing_networks(folder, found)}; train them: python -m experiments.train --out {folder}")
     if said := missing_networks(folder, found):
         print(said)
-    predictors: dict[str, ReadingPredictor] = {
+    predictors = {
         **found.networks,
         **kept_predictor(predictor),
-        CONSTANT: ConstantPredictor(found.mean),
+        CONSTANT: constant_predictor(found.mean),
     }
     results: Results = {}
     names = {"primitives": cfg.primitives, "tools": cfg.tools}
@@ -195,7 +192,7 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
     return results
 
 
-def kept_predictor(predictor: Predictor) -> dict[str, ReadingPredictor]:
+def kept_predictor(predictor: Predictor) -> dict[str, Predictor]:
     """The best predictor on predicted pressure of a run, or the one that it kept, by its row's name."""
     method = (predictor.metadata or {}).get("method", "kept predictor")
     return {RULES_GP if isinstance(predictor.model, GPModel) else f"same rules, {method}": predictor}

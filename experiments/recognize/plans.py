@@ -1,8 +1,6 @@
-"""Plans of simulated episodes: sets of objects, where they are touched, and how long that takes."""
+"""Plans of simulated episodes: sets of objects, and where they are touched."""
 
-import time
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,17 +10,7 @@ import numpy as np
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t.objects import Mesh
-from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import BeliefModel
-from i2t.recognition.local_surfaces import is_large, reached_boxes
-from i2t.recognition.site_pool import (
-    BATCH_TOUCHES,
-    TouchPlan,
-    plan_informative_touches,
-    plan_random_touches,
-    predict_outcomes,
-    sample_pools,
-)
+from i2t.recognition.site_pool import TouchPlan, plan_informative_touches, plan_random_touches, sample_pools
 from i2t.types import Surface
 
 
@@ -56,32 +44,6 @@ def object_groups(
             },
         ),
     ]
-
-
-def how_long(
-    name: str,
-    surfaces: Sequence[Surface],
-    plan: TouchPlan,
-    models: Mapping[str, BeliefModel],
-    *,
-    particles: Particles,
-    overtravel: float,
-) -> str:
-    """Estimate the time to imagine all touches of a set from a first batch, which is compiled before."""
-    T, twist = np.asarray(plan.sites.T_w_t), particles.twist
-    boxes = reached_boxes(surfaces[:1], twist) if is_large(surfaces) else None
-    some = T[: max(BATCH_TOUCHES // len(twist), 1)]
-    reading_models = [model.reading_model for model in models.values()]
-    imagine = partial(predict_outcomes, surfaces[:1], twist, some, reading_models, overtravel=overtravel, boxes=boxes)
-    imagine()
-    started = time.perf_counter()
-    imagine()
-    count, batch = len(surfaces) * len(T) * len(twist), len(some) * len(twist)
-    minutes = (time.perf_counter() - started) * count / batch / 60
-    return (
-        f"{name}: {plan.chosen.size:,} touches are simulated, and {count:,} imagined in some {max(minutes, 1):.0f} min "
-        f"on this machine (measured on {batch}); fewer --episodes or --num-particles take less"
-    )
 
 
 def plan_touches(

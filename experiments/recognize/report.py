@@ -100,20 +100,6 @@ def load(path: Path) -> Results:
 # --- what episodes have in common ---
 
 
-def with_common_methods(parts: Sequence[Results]) -> list[Results]:
-    """The parts with the methods that all of them have: those of an earlier version, which a resumed run finds, may
-    lack some.
-    """
-    common = {name: set.intersection(*(set(part[name].beliefs) for part in parts)) for name in parts[0]}
-    return [
-        {
-            name: each._replace(beliefs={method: p for method, p in each.beliefs.items() if method in common[name]})
-            for name, each in part.items()
-        }
-        for part in parts
-    ]
-
-
 def pooled(parts: Sequence[Results], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:
     """Beliefs (e, t, objects) and truths (e,) of a set over all pads and seeds."""
     p = np.concatenate([part[name].beliefs[method] for part in parts])
@@ -176,12 +162,6 @@ def summarise(
     summary: dict[str, Any] = {"source": source, **pads_of(parts), "temperatures": written, "sets": {}}
     for name in parts[0]:
         summary["sets"][name] = score_set(parts, name)
-    if {"primitives", "all"} <= set(parts[0]):
-        summary["primitives of all"] = primitives_only(parts)
-    if {"validation", "all"} <= set(parts[0]) and "fused" in parts[0]["all"].beliefs:
-        validation, test = pooled(parts, "validation", "fused"), pooled(parts, "all", "fused")
-        sets = calibrated.conformal_sets(*validation, *test, clusters=clusters_of(parts, "all"))
-        summary["conformal 90 %"] = {"coverage": to_json(sets.coverage), "size": to_json(sets.size)}
     write_json(out / "metrics.json", summary)
     write_figures(parts, out, source != "real")
     return summary
@@ -220,7 +200,6 @@ def score_method(parts: Sequence[Results], name: str, method: str) -> dict[str, 
         "calibration_error": [error.error for error in errors],
         "calibration_error_by_chance": [error.chance for error in errors],
         "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
-        "brier": metrics.brier(p, truth).mean(0).tolist(),
         "confusion": metrics.confusion(p[:, -1], truth).tolist(),
     }
     if method.split(", ")[0] in EVIDENCE:
@@ -241,18 +220,6 @@ def score_objects(
         rows = truth == i
         both = rate_interval(np.stack([hit[rows, -1], hit[rows].mean(1)], 1), rows_of(clusters, rows))
         found[name] = {"last": to_json(estimate_at(both, 0)), "mean": to_json(estimate_at(both, 1))}
-    return found
-
-
-def primitives_only(parts: Sequence[Results]) -> dict[str, Any]:
-    """Accuracy in those episodes of the set of all in which a primitive was there, among the primitives only."""
-    names = parts[0]["all"].names
-    primitives = [names.index(name) for name in parts[0]["primitives"].names]
-    found = {}
-    for method in parts[0]["all"].beliefs:
-        p, truth, rows = metrics.restrict_to(*pooled(parts, "all", method), primitives)
-        clusters = rows_of(clusters_of(parts, "all"), rows)
-        found[method] = to_json(metrics.accuracy(p, truth, clusters=clusters))
     return found
 
 
@@ -314,11 +281,6 @@ def print_tables(summary: dict[str, Any]) -> None:
                 f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
                 + (f"   paper: {published:.2f}" if published else "")
             )
-        if name == "all" and "primitives of all" in summary:
-            print("  episodes of these with a primitive, decided among the primitives only:")
-            for method, accuracy in summary["primitives of all"].items():
-                if not method.endswith(UNPRINTED):
-                    print(f"  {method:46}{_rates(accuracy, columns)}")
         print_objects(entry, touches)
         for pair, values in entry["paired"].items():
             print(f"  {pair}: after {touches} {_signed(values['last'])}, mean {_signed(values['mean'])}")
@@ -353,7 +315,7 @@ def print_mean_over_objects(means: dict[str, Any]) -> None:
 
 
 def print_calibration(summary: dict[str, Any]) -> None:
-    """Print the calibration of the fused belief: stopping, scores and conformal sets."""
+    """Print the calibration of the fused belief: stopping, and scores after each touch."""
     entry = summary["sets"].get("all", next(iter(summary["sets"].values())))
     fused = entry["methods"]["fused"]
     for stop in fused["stopping"]:
@@ -363,12 +325,8 @@ def print_calibration(summary: dict[str, Any]) -> None:
             f"{stop['stopped']['mean']:.0%} that stopped early error {_range(stop['stopped_error'])}, predicted "
             f"{stop['stopped_predicted_error']:.3f}"
         )
-    for name in ("calibration_error", "log_loss", "brier"):
+    for name in ("calibration_error", "log_loss"):
         print(f"{name.replace('_', ' ')} after each touch: " + " ".join(f"{x:.3f}" for x in fused[name]))
-    if "conformal 90 %" in summary:
-        coverage, size = summary["conformal 90 %"]["coverage"]["mean"], summary["conformal 90 %"]["size"]["mean"]
-        rates = [f"{c:.3f} ({n:.1f})" for c, n in zip(coverage, size, strict=True)]
-        print("coverage of conformal 90 % sets (mean size) after each touch: " + " ".join(rates))
 
 
 def _rates(accuracy: dict[str, Any], columns: Sequence[int]) -> str:
@@ -418,21 +376,16 @@ def report_hardest_episode(
 
 
 def write_figures(parts: Sequence[Results], out: Path, simulated: bool) -> None:
-    """Accuracy, reliability and confusion of every set."""
+    """Accuracy and confusion of every set."""
     for name, first in parts[0].items():
         clusters = clusters_of(parts, name)
-        curves, reliable = {}, {}
-        for method in first.beliefs:
-            p, truth = pooled(parts, name, method)
-            curves[method] = metrics.accuracy(p, truth, clusters=clusters)
-            if method in ("fused", "readings and presence", "position and presence"):
-                t = p.shape[1] // 2
-                reliable[method] = metrics.reliability(metrics.confidence(p)[:, t], metrics.hits(p, truth)[:, t])
-        shown = {k: v for k, v in curves.items() if k in EVIDENCE or k.endswith(", votes")}
+        shown = {
+            method: metrics.accuracy(*pooled(parts, name, method), clusters=clusters)
+            for method in first.beliefs
+            if method in EVIDENCE or method.endswith(", votes")
+        }
         viz.save_figure(figures.accuracy(shown, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
         if "fused" in first.beliefs:
-            figure = figures.reliability(reliable, f"Reliability, {name}", simulated)
-            viz.save_figure(figure, out / f"reliability_{name}.png")
             p, truth = pooled(parts, name, "fused")
             counts = metrics.confusion(p[:, -1], truth)
             figure = figures.confusion(counts, first.names, f"Confusion, {name}", simulated)

@@ -40,18 +40,16 @@ from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.plans import ObjectSet, how_long, object_groups, plan_touches
+from experiments.recognize.plans import ObjectSet, object_groups, plan_touches
 from experiments.recognize.report import CONSTANT
 from experiments.recognize.trained_run import TrainedRun, load_meshes, meshes_by_name
 from i2t import dataset as data
+from i2t.prediction.predictor import Predictor
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
-from i2t.recognition.paper_rules import ConstantPredictor, ReadingPredictor, paper_rules
-from i2t.recognition.site_pool import (
-    pose_particles,
-    prepare_surfaces,
-)
+from i2t.recognition.paper_rules import constant_predictor, paper_rules
+from i2t.recognition.site_pool import pose_particles, prepare_surfaces
 from i2t.types import Board, Surface
 
 ORACLE_EVIDENCE = ("readings and presence", "fused")
@@ -63,7 +61,7 @@ class EpisodeWorld(NamedTuple):
     cfg: Recognition
     trained: TrainedRun
     oracle: PadModel
-    predictors: dict[str, ReadingPredictor]  # to which the paper's rules are applied
+    predictors: dict[str, Predictor]  # to which the paper's rules are applied
     particles: Particles
     folder: Path  # of the run
 
@@ -103,7 +101,7 @@ def configure(args: SimulateArgs) -> Recognition:
 
 def report(args: SimulateArgs, parts: list[reporting.Results], source: str, board: Board) -> dict[str, Any]:
     """Scores, figures, tables, and the report of one episode."""
-    parts, temperatures = reporting.calibrate(reporting.with_common_methods(parts))
+    parts, temperatures = reporting.calibrate(parts)
     result = reporting.summarise(parts, temperatures, args.out, source)
     name = next(name for name in ("all", "your objects") if name in parts[0])
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
@@ -135,14 +133,14 @@ def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> repor
     return done
 
 
-def rule_predictors(folder: Path, trained: TrainedRun) -> dict[str, ReadingPredictor]:
+def rule_predictors(folder: Path, trained: TrainedRun) -> dict[str, Predictor]:
     """Predictors to which the paper's rules are applied, by the names of their rows; says what is missing."""
     found = paper.load_paper_networks(folder)
     if said := paper.missing_networks(folder, found):
         print(said)
     networks = {} if found is None else found.networks
     mean = trained.dataset.touches.reading[trained.rows].mean(0)
-    return {**networks, **paper.kept_predictor(trained.predictor), CONSTANT: ConstantPredictor(mean)}
+    return {**networks, **paper.kept_predictor(trained.predictor), CONSTANT: constant_predictor(mean)}
 
 
 def play_set(
@@ -157,8 +155,6 @@ def play_set(
         "": BeliefModel(trained.pad_model.reading_model, trained.pad_model.likelihood),
         ", oracle": BeliefModel(world.oracle.reading_model, world.oracle.likelihood, ORACLE_EVIDENCE),
     }
-    if objects.share > 1:  # meshes of the user's, which may be of any size
-        print(how_long(name, surfaces, plan, models, particles=world.particles, overtravel=cfg.limits.overtravel))
     config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
     episodes = run_episodes(
         key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name

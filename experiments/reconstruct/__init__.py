@@ -1,1 +1,1 @@
-"""An unknown object's surface from a few touches."""
+"""Shape from touch: what one press met, and the surface of an object from many."""

@@ -1,4 +1,4 @@
-"""The options and presets of `python -m experiments.reconstruct`, without JAX."""
+"""The options and presets of `python -m experiments.reconstruct` and of its parts `patch` and `tip`, without JAX."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,11 +6,9 @@ from typing import Literal
 
 from experiments.common.checks import require_dataset
 from experiments.common.presets import choose_preset
-from i2t.cli import Count, Positive, Seed, require_path, require_with
+from i2t.cli import Count, Seed, require_path, require_with
 from i2t.extras import require_extra
 from i2t.objects.named import require_object
-
-MESH_ENDINGS = (".obj", ".stl", ".ply", ".glb")
 
 
 @dataclass(frozen=True)
@@ -22,19 +20,34 @@ class ReconstructSizes:
     test: int = 4  # unseen objects
     touches: int = 20  # on each
     pads: int = 3  # simulated skins, in turn
-    seeds: int = 1  # episodes of each object and condition
     patches: int = 600  # of the library of local surfaces
-    oracle_touches: int = 5  # of the greedy oracle, which is slow
-    oracle_sites: int = 4  # among which it looks ahead
     samples: int = 8000  # points of a surface, by which distances between surfaces are measured
 
 
-PRESETS: dict[str, ReconstructSizes] = {
+SURFACE_PRESETS = {
     "paper": ReconstructSizes(),
-    "debug": ReconstructSizes(
-        train=4, validation=1, test=2, touches=2, pads=1, patches=48, oracle_touches=1, oracle_sites=2, samples=2000
-    ),
-    "study": ReconstructSizes(train=300, validation=8, test=24, patches=2000, oracle_sites=8, samples=20000),
+    "debug": ReconstructSizes(train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=2000),
+}
+
+
+@dataclass(frozen=True)
+class ExplorationCondition:
+    """One way to explore and to read touches."""
+
+    policy: Literal["random", "uncertainty", "reduction"] = "reduction"  # of `i2t.reconstruction.exploration`
+    evidence: Literal["contact", "reading", "image"] = "reading"  # what a touch says besides where it was
+    library: bool = True  # whether shapes of the same family are known
+    view: bool = False  # whether one depth view comes first
+
+
+CONDITIONS = {
+    "random": ExplorationCondition("random"),
+    "uncertainty": ExplorationCondition("uncertainty"),
+    "reduction": ExplorationCondition("reduction"),
+    "contact pose only": ExplorationCondition(evidence="contact"),
+    "perfect tactile image": ExplorationCondition(evidence="image"),
+    "smoothness alone": ExplorationCondition(library=False),
+    "one view first": ExplorationCondition(view=True),
 }
 
 
@@ -43,21 +56,14 @@ class ReconstructArgs:
     """Reconstruct unseen objects from simulated touches and say how good and sure the surface is, or one recorded."""
 
     out: Path = Path("runs/reconstruct")  # folder for what is made
-    preset: Literal["paper", "debug", "study"] = "paper"
+    preset: Literal["paper", "debug"] = "paper"
     dataset: Path | None = None  # recorded touches of an object, whose surface is reconstructed in place of all else
     object: str | None = None  # of --dataset, where it holds several
     arm: Literal["simulated", "emulated"] | None = None  # explores an unknown object, whose surface is reconstructed
     true_object: str | None = None  # what stands before --arm, of the catalogue
     name: str = "reconstructed"  # of the mesh that is made of --dataset, or of what --arm touched
-    meshes: Path | None = None  # folder of mesh files; without it random objects of the catalogue
-    unit: Literal["m", "cm", "mm", "inch"] = "mm"  # of --meshes; each is scaled to a largest side of --side
-    side: tuple[Positive, Positive] = (60e-3, 90e-3)  # m, drawn between these for each mesh
-    reach: Literal["around", "table"] = "around"  # held, so that all sides are reached; or as in the paper's collection
-    train: Count | None = None  # shapes of the library, instead of the preset's 80
     test: Count | None = None  # unseen objects, instead of the preset's 4
     touches: Count | None = None  # on each, instead of the preset's 20
-    pads: Count | None = None  # simulated skins, instead of the preset's 3
-    seeds: Count | None = None  # episodes of each object, instead of the preset's 1
     conditions: tuple[str, ...] = ()  # the names of those to run; all without it
     seed: Seed = 0
     overwrite: bool = False  # replace a finished run in --out
@@ -65,11 +71,10 @@ class ReconstructArgs:
     @property
     def next_command(self) -> str:
         """Command to try with a finished run."""
-        return "python -m experiments.reconstruct_patch"
+        return "python -m experiments.reconstruct patch"
 
     def check(self) -> None:
-        """Refuse a folder that is not there, sides in the wrong order, and conditions that there are not."""
-        require_path("--meshes", self.meshes, "folder")
+        """Refuse what does not go together, what is not there, and conditions that there are not."""
         require_dataset("--dataset", self.dataset)
         one = self.dataset is not None or self.arm is not None
         require_with("--object", self.object is not None, "--dataset", self.dataset is not None)
@@ -78,44 +83,86 @@ class ReconstructArgs:
         require_with("--arm", self.arm is not None, "touches of its own (no --dataset)", self.dataset is None)
         require_with("--name", self.name != "reconstructed", "--dataset or --arm", one)
         require_with("--touches", self.touches is not None, "an arm (no --dataset)", self.dataset is None)
-        for flag in ("test", "pads", "seeds", "conditions"):
-            given = getattr(self, flag) not in (None, ())
-            require_with(f"--{flag}", given, "simulated objects (no --dataset, no --arm)", not one)
+        for flag, given in (("--test", self.test is not None), ("--conditions", bool(self.conditions))):
+            require_with(flag, given, "simulated objects (no --dataset, no --arm)", not one)
         if self.true_object is not None:
             require_object(self.true_object, None, flag="--true-object")
         if not self.name or Path(self.name).name != self.name:
             raise ValueError(f"--name {self.name}: is no name of a file; give a word")
-        if self.side[0] > self.side[1]:
-            raise ValueError(f"--side {self.side[0]:g} {self.side[1]:g}: give the smaller one first")
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):
             raise ValueError(f"--conditions {unknown[0]}: is none of {', '.join(CONDITIONS)}")
         require_extra("skimage", "a surface")
+        require_extra("manifold3d", "a library of random objects")
 
     @property
     def sizes(self) -> ReconstructSizes:
         """Sizes of the preset, except those given."""
-        given = {name: getattr(self, name) for name in ("train", "test", "touches", "pads", "seeds")}
-        return choose_preset(PRESETS, self.preset, **given)
+        return choose_preset(SURFACE_PRESETS, self.preset, test=self.test, touches=self.touches)
 
 
 @dataclass(frozen=True)
-class ExplorationCondition:
-    """One way to explore and to read touches."""
+class PatchSizes:
+    """Sizes of the experiment on patches."""
 
-    policy: str = "reduction"  # of `i2t.reconstruction.exploration`, or "oracle"
-    evidence: Literal["contact", "reading", "image"] = "reading"  # what a touch says besides where it was
-    library: bool = True  # whether shapes of the same family are known
-    view: bool = False  # whether one depth view comes first
+    patches: int = 12_000  # of the library
+    shapes: int = 240  # drawn ones to train on, besides those of the catalogue; of validation and test a fifth each
+    test: int = 160  # contacts with test objects, pressed with every pad
+    validation: int = 64  # contacts with validation objects, likewise
+    pads: int = 3
 
 
-CONDITIONS: dict[str, ExplorationCondition] = {
-    "random": ExplorationCondition("random"),
-    "even": ExplorationCondition("even"),
-    "uncertainty": ExplorationCondition("uncertainty"),
-    "reduction": ExplorationCondition("reduction"),
-    "oracle": ExplorationCondition("oracle"),
-    "contact pose only": ExplorationCondition(evidence="contact"),
-    "perfect tactile image": ExplorationCondition(evidence="image"),
-    "smoothness alone": ExplorationCondition(library=False),
-    "one view first": ExplorationCondition(view=True),
+PATCH_PRESETS = {
+    "paper": PatchSizes(),
+    "short": PatchSizes(patches=4000, shapes=150, test=100, validation=40),
+    "debug": PatchSizes(patches=120, shapes=6, test=8, validation=4, pads=1),
 }
+
+
+@dataclass(frozen=True)
+class PatchArgs:
+    """Infer what a skin met at single presses, and say how far that is right."""
+
+    out: Path = Path("runs/reconstruct_patch")  # folder for what is made
+    preset: Literal["paper", "short", "debug"] = "paper"
+    seed: Seed = 0
+    overwrite: bool = False  # replace a finished run in --out
+
+    @property
+    def next_command(self) -> str:
+        """Command to try with a finished run."""
+        return "python -m experiments.reconstruct"
+
+    def check(self) -> None:
+        """Nothing excludes anything."""
+
+
+@dataclass(frozen=True)
+class TipSizes:
+    """Largest numbers of recorded presses."""
+
+    learnt: int = 800  # of which the skin is calibrated, with those by which constants are chosen
+    test: int = 1200  # of all parts
+    folds: int = 4  # parts of the blocks, each judged by what was learned in the others
+
+
+TIP_PRESETS = {"paper": TipSizes(), "short": TipSizes(300, 600), "debug": TipSizes(60, 24, folds=2)}
+
+
+@dataclass(frozen=True)
+class TipArgs:
+    """Tell from single readings where a skin's calibration tip was, on recorded presses."""
+
+    dataset: Path  # recorded presses of one tip: a set, sessions of eFlesh, or a table
+    out: Path = Path("runs/reconstruct_tip")  # folder for what is made
+    preset: Literal["paper", "short", "debug"] = "paper"
+    seed: Seed = 0
+    overwrite: bool = False  # replace a finished run in --out
+
+    @property
+    def next_command(self) -> str:
+        """Command to try with a finished run."""
+        return "python -m experiments.reconstruct patch"
+
+    def check(self) -> None:
+        """Refuse a recording that is not there."""
+        require_path("--dataset", self.dataset, "path")

@@ -1,22 +1,24 @@
-"""One object explored under one condition, touch after touch."""
+"""One object explored under one condition, touch after touch, and how near its surface comes to the true one."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from experiments.reconstruct.arguments import ExplorationCondition, ReconstructArgs, ReconstructSizes
-from experiments.reconstruct.scores import SurfaceErrors, TrueShape, hidden_points, judge, surface_errors
-from experiments.reconstruct.world import APPROACH_M, EXPLORING_OVERTRAVEL_M, Reality, Session, begin_session
-from i2t.reconstruction.exploration import (
-    AROUND_LIMITS,
-    POLICY_NAMES,
-    ExplorationConfig,
-    PolicyName,
-    choose_touch,
+from experiments.reconstruct.arguments import ExplorationCondition
+from experiments.reconstruct.world import EXPLORING_OVERTRAVEL_M, Reality, Session
+from i2t.objects.solids import Mesh
+from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
+from i2t.reconstruction.signed_distances import (
+    VoxelGrid,
+    extract_mesh,
+    interpolate,
+    sample_surface,
+    signed_distance_grid,
 )
-from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import (
+    Z_90,
     SurfaceEstimate,
     SurfaceModel,
     SurfaceState,
@@ -25,113 +27,111 @@ from i2t.reconstruction.surface import (
     init,
     update,
 )
-from i2t.simulation.site_limits import SiteLimits
 
-REPORTED = (0, 1, 5, 10, 20)  # touches
-ORACLE_POINTS = 500  # of the true surface, by which the oracle judges
+REPORTED = (0, 1, 5, 10, 20)  # touches after which surfaces are judged
+F_SCORE_SHARE = 0.01  # of the diagonal, within which a point counts as found
+ERROR_STRIDE = 10  # of the points of which errors are kept
+MM_PER_M = 1e3
+SCORES = ("chamfer_mm", "iou", "f_score", "coverage", "band_mm")
 
 
-@dataclass(frozen=True)
-class Explorer:
-    """Data that all episodes of a run share."""
+class TrueShape(NamedTuple):
+    """The true shape, to compare reconstructions with."""
 
-    models: dict[bool, SurfaceModel]  # with the library, and of smoothness alone
-    shapes: list[TrueShape]  # of the reality's objects
-    reality: Reality
-    sizes: ReconstructSizes
-    seed: int
-    limits: SiteLimits
+    points: np.ndarray  # (n, 3) m, of the surface
+    tree: cKDTree
+    inside: np.ndarray  # (g,) of the grid
+    diagonal: float  # m
+    floor_mm: float  # Chamfer distance of the true signed distance, put on the grid and taken off it again
+
+
+class SurfaceErrors(NamedTuple):
+    """Absolute signed distances at points of the true surface, where they should be zero."""
+
+    distance: np.ndarray  # m, without its sign
+    std: np.ndarray  # m, as estimated
 
 
 @dataclass
 class Episode:
-    """One object, touched until the touches are used up."""
+    """One object, touched until the touches are used up or no site is safe."""
 
-    scores: dict[int, dict[str, float]]  # after so many touches
-    errors: dict[int, SurfaceErrors]  # at points of the true surface
-    estimates: dict[int, SurfaceEstimate]
     state: SurfaceState
-    stopped: bool  # because no site was safe
+    scores: dict[int, dict[str, float]] = field(default_factory=dict)  # after so many touches
+    errors: dict[int, SurfaceErrors] = field(default_factory=dict)  # at points of the true surface
+    estimates: dict[int, SurfaceEstimate] = field(default_factory=dict)
+    stopped: bool = False  # because no site was safe
 
 
-def site_limits(args: ReconstructArgs) -> SiteLimits:
-    """Limits of safe sites, for an object that is held or one on a table."""
-    return AROUND_LIMITS if args.reach == "around" else SiteLimits()
-
-
-def reported(touches: int) -> tuple[int, ...]:
-    """Numbers of touches after which surfaces are judged."""
-    return tuple(sorted({count for count in REPORTED if count <= touches} | {touches}))
-
-
-def explore(explorer: Explorer, number: int, condition: ExplorationCondition, *, seed: int) -> Episode:
+def explore(
+    model: SurfaceModel,
+    reality: Reality,
+    number: int,
+    truth: TrueShape,
+    condition: ExplorationCondition,
+    *,
+    touches: int,
+    seed: int,
+) -> Episode:
     """Touch one object, whose errors of the lab depend on object and seed only: conditions share them."""
-    model = explorer.models[condition.library]
-    session = begin_session(explorer.reality, number, seed=1000 * explorer.seed + seed)
-    state, _ = init(model)
-    truth, hidden = explorer.shapes[number], None
+    session = Session(reality, number, 1000 * seed)
+    episode = Episode(init(model)[0])
     if condition.view:
-        points, origin = session.view()
-        state, _ = add_view(model, state, points, origin)
-        hidden = hidden_points(truth, points)
-    oracle = condition.policy == "oracle"
-    touches = min(explorer.sizes.touches, explorer.sizes.oracle_touches) if oracle else explorer.sizes.touches
-    policy: PolicyName = next(
-        (name for name in POLICY_NAMES if name == condition.policy), "random"
-    )  # the oracle chooses by itself
-    config = ExplorationConfig(policy, limits=explorer.limits, approach=APPROACH_M, overtravel=EXPLORING_OVERTRAVEL_M)
-    episode = Episode({}, {}, {}, state, False)
+        episode.state, _ = add_view(model, episode.state, *session.view())
+    config = ExplorationConfig(condition.policy, limits=AROUND_LIMITS, overtravel=EXPLORING_OVERTRAVEL_M)
     for done in range(touches + 1):
-        if done in reported(touches):
-            _report(episode, model, done, truth=truth, hidden=hidden)
+        if done in (*REPORTED, touches):
+            estimate = estimate_surface(model, episode.state)
+            errors = surface_errors(estimate, truth)
+            episode.estimates[done], episode.scores[done] = estimate, judge(estimate, truth)
+            episode.errors[done] = SurfaceErrors(*(part[::ERROR_STRIDE] for part in errors))
         if done == touches:
             break
-        step = int(np.random.SeedSequence([explorer.seed, seed, number, done]).generate_state(1)[0])
-        if oracle:
-            after = _best_outcome(explorer, number, episode.state, condition, config=config, session=session, step=step)
-        else:
-            chosen = choose_touch(model, episode.state, config=config, seed=step)
-            after = None
-            if chosen.T_o_t is not None:
-                after, _ = update(model, episode.state, session.touch(chosen.T_o_t, condition.evidence))
-        if after is None:
+        step = int(np.random.SeedSequence([seed, 0, number, done]).generate_state(1)[0])
+        site = choose_touch(model, episode.state, config=config, seed=step).T_o_t
+        if site is None:
             episode.stopped = True
             break
-        episode.state = after
+        episode.state, _ = update(model, episode.state, session.touch(site, condition.evidence))
     return episode
 
 
-def _report(episode: Episode, model: SurfaceModel, done: int, *, truth: TrueShape, hidden: np.ndarray | None) -> None:
-    estimate = estimate_surface(model, episode.state)
-    episode.estimates[done] = estimate
-    episode.scores[done] = judge(estimate, truth, hidden)
-    errors = surface_errors(estimate, truth)
-    episode.errors[done] = SurfaceErrors(errors.distance[::10], errors.std[::10])
+def true_shape(mesh: Mesh, grid: VoxelGrid, samples: int) -> TrueShape:
+    """The true shape, and how near the grid itself allows a reconstruction to come."""
+    points, _ = sample_surface(mesh, samples)
+    distance = signed_distance_grid(mesh, grid)
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    shape = TrueShape(points, cKDTree(points), distance < 0, diagonal, 0.0)
+    there, back = _distances(extract_mesh(grid, distance), shape)
+    return shape._replace(floor_mm=MM_PER_M * 0.5 * (there.mean() + back.mean()))
 
 
-def _best_outcome(
-    explorer: Explorer,
-    number: int,
-    state: SurfaceState,
-    condition: ExplorationCondition,
-    *,
-    config: ExplorationConfig,
-    session: Session,
-    step: int,
-) -> SurfaceState | None:
-    """The greedy oracle: of a few safe sites, each touched, the one after which the surface is nearest the true one.
+def judge(estimate: SurfaceEstimate, truth: TrueShape) -> dict[str, float]:
+    """All scores of one reconstruction."""
+    there, back = _distances(estimate.mesh, truth)
+    within = F_SCORE_SHARE * truth.diagonal
+    precision, recall = (there < within).mean(), (back < within).mean()
+    found, errors = estimate.distance < 0, surface_errors(estimate, truth)
+    return {
+        "chamfer_mm": MM_PER_M * 0.5 * float(there.mean() + back.mean()),
+        "iou": float((found & truth.inside).sum() / max((found | truth.inside).sum(), 1)),
+        "f_score": float(2 * precision * recall / max(precision + recall, 1e-9)),
+        "coverage": float((errors.distance / errors.std < Z_90).mean()),
+        "band_mm": MM_PER_M * Z_90 * float(errors.std.mean()),
+    }
 
-    It measures as the signed distance at points of the true surface, which is cheap.
+
+def surface_errors(estimate: SurfaceEstimate, truth: TrueShape) -> SurfaceErrors:
+    """Errors of an estimate at points of the true surface."""
+    distance, std = (interpolate(estimate.grid, part, truth.points) for part in (estimate.distance, estimate.std))
+    return SurfaceErrors(np.abs(distance), std)
+
+
+def _distances(mesh: Mesh, truth: TrueShape) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the estimated surface to the true one, and back; where nothing was estimated, the object's
+    diagonal.
     """
-    model = explorer.models[condition.library]
-    proposals = choose_touch(model, state, config=config, seed=step).proposals
-    sites = proposals.T_o_t[proposals.safe][: explorer.sizes.oracle_sites]
-    points = explorer.shapes[number].points
-    points = points[:: max(1, len(points) // ORACLE_POINTS)]
-
-    def error(after: SurfaceState) -> float:
-        estimate = estimate_surface(model, after, stride=config.stride)
-        return float(np.abs(interpolate(estimate.grid, estimate.distance, points)).mean())
-
-    outcomes: list[Any] = [update(model, state, session.touch(site, condition.evidence))[0] for site in sites]
-    return min(outcomes, key=error, default=None)
+    if not len(mesh.faces):
+        return np.full(1, truth.diagonal), np.full(1, truth.diagonal)
+    points, _ = sample_surface(mesh, len(truth.points))
+    return truth.tree.query(points[::4])[0], cKDTree(points).query(truth.points[::4])[0]

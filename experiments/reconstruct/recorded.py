@@ -1,29 +1,39 @@
-"""The surface of an object from the touches of a data set: one that was collected, or that recognition met and did not
-know. The mesh that is made may be named to `--objects` of recognition and of collection.
+"""The surface of one object from touches that were recorded, or that an arm makes here.
+
+An arm explores through the procedure that collects data (`i2t.collect.session`): each touch goes where it is expected
+to tell most of the surface, and the touches are kept in OUT/touches. The mesh that is made may be named to `--objects`
+of recognition and of collection.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import trimesh
+from jaxtyping import Float
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import ReconstructArgs
-from experiments.reconstruct.figures import shown_surface
-from experiments.reconstruct.live import explore
-from experiments.reconstruct.scores import MM_PER_M, judge, true_shape
+from experiments.reconstruct.episodes import MM_PER_M, judge, true_shape
+from experiments.reconstruct.report import shown_surface
 from experiments.reconstruct.world import split_objects
 from i2t import viz
+from i2t.collect import session
+from i2t.collect.arguments import ArmArgs, CollectArgs, SkinArgs, WorldArgs
+from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import Site, SiteOutcome
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.geometry import inverse
+from i2t.hardware.rig import Rig
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.solids import Mesh, place_on_table
+from i2t.recognition.recognizer import MAX_EMPTY_DRAWS
+from i2t.reconstruction.exploration import ExplorationConfig, choose_touch
 from i2t.reconstruction.surface import (
-    SurfaceEstimate,
     SurfaceModel,
-    SurfaceState,
     contact_evidence,
     estimate_surface,
     init,
@@ -35,13 +45,10 @@ from i2t.types import STANDOFF, ReturnCode
 
 MIN_CONTACTS = 3  # fewer say almost nothing of a shape
 ROOM_M = 10e-3  # about the contacts, in which the surface is sought
-
-
-class RecordedTouches(NamedTuple):
-    """Touches of one object, in its frame."""
-
-    T_o_t: np.ndarray  # (n, 4, 4) first contact, or where the way through air ended
-    hit: np.ndarray  # (n,)
+UNKNOWN = "unknown"  # name of an explored object, in the data set
+LIVE_OVERTRAVEL_M = 4e-3  # beyond a site: more would end in the table next to a low object
+UNKNOWN_WITHIN_M = 16e-3  # before a site the surface may be: there the slow approach begins
+MAX_FAILURES = 10  # of sites in a row
 
 
 def run(args: ReconstructArgs) -> dict[str, Any]:
@@ -51,34 +58,42 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     path = explore(args) if args.dataset is None else args.dataset
     dataset = load_dataset(path, missing_chips=True)
     name = choose_object(dataset, args.object, path)
-    touches = read_touches(dataset, name)
+    T_o_t, hit = read_touches(dataset, name)
     if args.arm is None:  # a data set that cannot be used leaves no folder behind
         begin(args.out, args, args.sizes, None, args.overwrite)
-    model = prior_of(touches, args)
-    state, estimate = reconstruct(model, touches)
+    model = prior_of(T_o_t[hit], args)
+    state, _ = init(model)
+    before = estimate_surface(model, state)
+    for pose, contact in zip(T_o_t, hit, strict=True):
+        state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=STANDOFF))
+    estimate = estimate_surface(model, state)
     surface = shown_surface(estimate, state.touches)
     if not len(surface.faces):
-        raise DataError(f"{path}: no surface comes out of its {touches.hit.sum()} contacts with {name}")
+        raise DataError(f"{path}: no surface comes out of its {hit.sum()} contacts with {name}")
     std_mm = MM_PER_M * surface.std
     result = {
         "source": dataset.source,
         "object": name,
-        "contacts": int(touches.hit.sum()),
-        "in_air": int((~touches.hit).sum()),
+        "contacts": int(hit.sum()),
+        "in_air": int((~hit).sum()),
         "surface_std_mm": {"median": float(np.median(std_mm)), "p90": float(np.quantile(std_mm, 0.9))},
         "library": model.library.shape[1],
     }
     there = args.true_object or name
     if dataset.source == "simulated" and there in NAMES:
         truth = true_shape(make_object(there).mesh, model.grid, args.sizes.samples)
-        start = judge(estimate_surface(model, init(model)[0]), truth)
-        result["against_the_catalogue"] = {"before": start, "after": judge(estimate, truth)}
+        result["against_the_catalogue"] = {"before": judge(before, truth), "after": judge(estimate, truth)}
     standing = place_on_table(Mesh(surface.vertices, surface.faces))
     result["frame_shift_mm"] = (MM_PER_M * (surface.vertices[0] - standing.vertices[0])).tolist()
     mesh_file = args.out / f"{args.name}.stl"
-    write_stl(mesh_file, standing)
+    with replacing(mesh_file) as temporary:
+        trimesh.Trimesh(standing.vertices, standing.faces, process=False).export(temporary, file_type="stl")
     write_json(args.out / "metrics.json", result)
-    draw(args.out, surface, f"{name} from {len(touches.hit)} touches", dataset.source == "simulated")
+    if reason := viz.write_surface_gltf(surface, args.out / "surface.gltf"):
+        print(reason)
+    title = f"{name} from {len(hit)} touches"
+    figure = viz.plot_growing_surface([surface], None, title, dataset.source == "simulated")
+    viz.save_figure(figure, args.out / "surface.png")
     report(result, mesh_file)
     return result
 
@@ -93,52 +108,33 @@ def choose_object(dataset: Dataset, wanted: str | None, path: Path) -> str:
     return wanted
 
 
+class RecordedTouches(NamedTuple):
+    """Touches of one object, in its frame."""
+
+    T_o_t: np.ndarray  # (n, 4, 4) first contact, or where the way through air ended
+    hit: np.ndarray  # (n,)
+
+
 def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
     """The touches of one object that met it or ended in air, in its frame as it was believed to stand (DataError)."""
     rows = dataset.touches.object == dataset.objects.index(name)
     touches = dataset.select(rows).touches
     T_w_t, hit = (np.asarray(part) for part in contact_poses(touches))
-    used = hit | (touches.code == ReturnCode.AIR)
     placed = np.isfinite(touches.T_w_o).all((1, 2)) & np.isfinite(T_w_t).all((1, 2))
-    if not (used & placed & hit).sum() >= MIN_CONTACTS:
+    kept = placed & (hit | (touches.code == ReturnCode.AIR))
+    if not (kept & hit).sum() >= MIN_CONTACTS:
         raise DataError(
-            f"{name}: {int((used & placed & hit).sum())} touches met it at known poses of tool and object; a surface "
+            f"{name}: {int((kept & hit).sum())} touches met it at known poses of tool and object; a surface "
             f"needs {MIN_CONTACTS} or more"
         )
-    kept = used & placed
     return RecordedTouches(inverse(touches.T_w_o[kept].astype(float)) @ T_w_t[kept].astype(float), hit[kept])
 
 
-def prior_of(touches: RecordedTouches, args: ReconstructArgs) -> SurfaceModel:
-    """Prior of the surface: shapes of --meshes or of the catalogue's random objects, on a grid about the contacts."""
-    met = touches.T_o_t[touches.hit]
-    at = met[:, :3, 3]
+def prior_of(contacts: Float[np.ndarray, "n 4 4"], args: ReconstructArgs) -> SurfaceModel:
+    """Prior of the surface: shapes of the catalogue's random objects, on a grid about the contacts."""
+    at = contacts[:, :3, 3]
     low, high = np.minimum(at.min(0) - ROOM_M, [-40e-3, -40e-3, 0.0]), np.maximum(at.max(0) + ROOM_M, [40e-3] * 3)
-    split = split_objects(args, args.sizes)
-    return surface_model([each.mesh for each in split.train], low=low, high=high)
-
-
-def reconstruct(model: SurfaceModel, touches: RecordedTouches) -> tuple[SurfaceState, SurfaceEstimate]:
-    """Reconstruct the surface from the contacts and the ways through air."""
-    state, _ = init(model)
-    for T_o_t, hit in zip(*touches, strict=True):
-        state, _ = update(model, state, contact_evidence(T_o_t, hit=bool(hit), swept=STANDOFF))
-    return state, estimate_surface(model, state)
-
-
-def write_stl(path: Path, mesh: Mesh) -> None:
-    """A mesh in metres, whole or not at all."""
-    import trimesh
-
-    with replacing(path) as temporary:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary, file_type="stl")
-
-
-def draw(out: Path, surface: viz.ShownSurface, title: str, simulated: bool) -> None:
-    """The surface, coloured by its standard deviation, with the poses that met it."""
-    if reason := viz.write_surface_gltf(surface, out / "surface.gltf"):
-        print(reason)
-    viz.save_figure(viz.plot_growing_surface([surface], None, title, simulated), out / "surface.png")
+    return surface_model([each.mesh for each in split_objects(args.sizes, args.seed).train], low=low, high=high)
 
 
 def report(result: dict[str, Any], path: Path) -> None:
@@ -161,3 +157,67 @@ def report(result: dict[str, Any], path: Path) -> None:
         "object was believed to stand: move the rig's object by that before it is touched again"
     )
     print(f"next: python -m experiments.recognize live --objects star cylinder {path} --unit m")
+
+
+class Exploration:
+    """Exploration that chooses the procedure's sites and learns from the touches made there."""
+
+    def __init__(self, model: SurfaceModel, settings: TouchSettings, *, seed: int, touches: int) -> None:
+        self.model, self.seed, self.touches = model, seed, touches
+        self.rig = Rig()
+        self.T_w_o = np.asarray(self.rig.T_world_object, np.float64)
+        self.failures = 0  # since the last touch
+        self.approach = settings.prepare
+        self.config = ExplorationConfig(overtravel=settings.overtravel)
+        self.state, _ = init(model)
+
+    def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
+        """The next site; None when all touches were made, or where nothing is allowed."""
+        if len(self.state.touches) >= self.touches:
+            return None
+        for draw in range(MAX_EMPTY_DRAWS if self.failures < MAX_FAILURES else 0):
+            step = int(np.random.SeedSequence([self.seed, len(history), draw]).generate_state(1)[0])
+            T_o_t = choose_touch(self.model, self.state, config=self.config, seed=step).T_o_t
+            if T_o_t is not None and self.within(self.T_w_o @ T_o_t):
+                return Site(len(history), self.T_w_o @ T_o_t)
+        print("  stopped: no touch is allowed on what the object may be", flush=True)
+        return None
+
+    def within(self, T_w_t: Float[np.ndarray, "4 4"]) -> bool:
+        """Test whether the arm may go to the end of a press that meets nothing."""
+        end = T_w_t[:3, 3] + self.config.overtravel * T_w_t[:3, 2]
+        return self.rig.limits.contains((self.rig.T_base_world @ np.append(end, 1.0))[:3])
+
+    def learn(self, outcome: SiteOutcome) -> None:
+        """Update the surface with a touch: where it met it, or the way that was free."""
+        touch = outcome.touch
+        self.failures = 0 if touch else self.failures + 1
+        if touch is None:
+            return
+        T_o_t, hit = inverse(self.T_w_o) @ np.asarray(touch.T_w_t, np.float64), touch.code != ReturnCode.AIR
+        if hit:
+            T_o_t[:3, 3] -= touch.depth * T_o_t[:3, 2]
+        self.state, info = update(self.model, self.state, contact_evidence(T_o_t, hit=hit, swept=self.approach))
+        print(f"  as sure of the shape as among {info.effective_shapes:.0f} of the library", flush=True)
+
+
+def explore(args: ReconstructArgs) -> Path:
+    """Touch the object; returns the folder of its touches (ValueError: no touch was made)."""
+    settings = TouchSettings(overtravel=LIVE_OVERTRAVEL_M, near=UNKNOWN_WITHIN_M, surface_tolerance=UNKNOWN_WITHIN_M)
+    model = surface_model([each.mesh for each in split_objects(args.sizes, args.seed).train])
+    exploration = Exploration(model, settings, seed=args.seed, touches=args.sizes.touches)
+    folder = args.out / "touches"
+    collected = CollectArgs(
+        out=folder,
+        touches=args.sizes.touches,
+        arm=ArmArgs(str(args.arm)),
+        skin=SkinArgs(str(args.arm)),
+        world=WorldArgs(str(args.true_object), seed=args.seed),
+        name=UNKNOWN,
+        skip_first_touch=True,  # nobody knows what stands there, so that it would contradict any mesh
+        settings=settings,
+    )
+    code = session.collect(collected, exploration.choose, exploration.learn)
+    if code or not exploration.state.touches:
+        raise ValueError("no touch was made, so nothing is known of the surface")
+    return folder

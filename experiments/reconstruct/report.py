@@ -1,4 +1,4 @@
-"""Numbers of a run, with intervals over objects and pads, and the table that the documents show."""
+"""Numbers of a run with intervals over objects and pads, the table that the documents show, and figures."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,100 +6,57 @@ from typing import Any
 import numpy as np
 
 from experiments.common.intervals import with_interval
-from experiments.reconstruct.arguments import ReconstructSizes
-from experiments.reconstruct.episodes import Episode, Explorer, reported
-from experiments.reconstruct.scores import SCORES
+from experiments.reconstruct.episodes import SCORES, Episode
+from i2t import viz
+from i2t.objects.solids import Object
 from i2t.recognition.intervals import bootstrap_clusters, mean_interval
+from i2t.reconstruction.signed_distances import interpolate
+from i2t.reconstruction.surface import SurfaceEstimate, TouchEvidence
+from i2t.viz.style import COLOURS, GREY, Picture, titled
 
-Episodes = dict[str, dict[tuple[int, int], Episode]]
-GAP_TOUCHES = 5  # after which a policy's share of the gap between random and oracle is reported
+POLICIES = ("random", "uncertainty", "reduction")
+Episodes = dict[str, dict[int, Episode]]  # by condition, and by the number of the object
 
 
-def summarize(episodes: Episodes, explorer: Explorer, sizes: ReconstructSizes) -> dict[str, Any]:
-    """Scores of every condition after 0, 1, 5, 10 and 20 touches."""
-    numbers = sorted({number for number, _ in next(iter(episodes.values()))})
-    floors = [explorer.shapes[number].floor_mm for number in numbers]
+def summarize(episodes: Episodes, pads: int) -> dict[str, Any]:
+    """Scores of every condition after some touches."""
+    numbers = next(iter(episodes.values()))
     return {
-        "source": "simulated",
-        "episodes_of_each_condition": len(next(iter(episodes.values()))),
+        "episodes_of_each_condition": len(numbers),
         "test_objects": len(numbers),
-        "pads": sizes.pads,
-        "grid_floor_mm": float(np.mean(floors)),
-        "conditions": {name: _condition(found, sizes) for name, found in episodes.items()},
-        "share_of_gap": _shares(episodes, sizes),
+        "pads": pads,
+        "conditions": {name: _condition(found, pads) for name, found in episodes.items()},
     }
 
 
-def _condition(found: dict[tuple[int, int], Episode], sizes: ReconstructSizes) -> dict[str, Any]:
+def _condition(found: dict[int, Episode], pads: int) -> dict[str, Any]:
     counts = sorted({count for each in found.values() for count in each.scores})
     return {
         "stopped": sum(each.stopped for each in found.values()),
         "hits": float(np.mean([np.mean([touch.hit for touch in each.state.touches]) for each in found.values()])),
-        "after": {str(count): _after(found, count, sizes) for count in counts},
+        "after": {str(count): _after(found, count, pads) for count in counts},
     }
 
 
-def _after(found: dict[tuple[int, int], Episode], count: int, sizes: ReconstructSizes) -> dict[str, list[float]]:
-    """Means with 95 % intervals over objects and pads; ratios are of means."""
-    kept = {key: each for key, each in found.items() if count in each.scores}
-    clusters = _clusters(list(kept), sizes)
+def _after(found: dict[int, Episode], count: int, pads: int) -> dict[str, list[float]]:
+    """Means with 95 % intervals over objects and pads; the ratio to the start is one of means."""
+    kept = {number: each for number, each in found.items() if count in each.scores}
+    numbers = np.array(list(kept))
+    clusters = [numbers, numbers % pads]
     values = {name: np.array([each.scores[count][name] for each in kept.values()]) for name in SCORES}
     start = np.array([each.scores[0]["chamfer_mm"] for each in kept.values()])
-    rows = {
-        name: _triple(mean_interval(value, clusters)) for name, value in values.items() if not np.isnan(value).any()
-    }
-    rows["ratio"] = _ratio(values["chamfer_mm"], start, clusters)
-    if "hidden_mm" in rows:
-        before = np.array([each.scores[0]["hidden_mm"] for each in kept.values()])
-        rows["hidden_ratio"] = _ratio(values["hidden_mm"], before, clusters)
-    return rows
 
+    def ratio(weights: np.ndarray) -> np.ndarray:
+        return (weights @ values["chamfer_mm"]) / (weights @ start)
 
-def _clusters(keys: Sequence[tuple[int, int]], sizes: ReconstructSizes) -> list[np.ndarray]:
-    """Object and pad of each episode."""
-    return [np.array([number for number, _ in keys]), np.array([sum(key) % sizes.pads for key in keys])]
-
-
-def _ratio(above: np.ndarray, below: np.ndarray, clusters: Sequence[np.ndarray]) -> list[float]:
-    """A ratio of means with its interval."""
-
-    def of(weights: np.ndarray) -> np.ndarray:
-        return (weights @ above) / (weights @ below)
-
-    return _triple(bootstrap_clusters(of, clusters, len(above)))
-
-
-def _shares(episodes: Episodes, sizes: ReconstructSizes) -> dict[str, list[float]]:
-    """Share of the way from random to the greedy oracle that each policy goes, after the same touches."""
-    touches = min(GAP_TOUCHES, sizes.oracle_touches, sizes.touches)
-    if not {"random", "oracle"} <= episodes.keys() or touches not in reported(sizes.touches):
-        return {}
-    keys = list(episodes["random"])
-
-    def distances(name: str) -> np.ndarray:
-        return np.array([_last(episodes[name][key], touches) for key in keys])
-
-    random, oracle = distances("random"), distances("oracle")
-    clusters = _clusters(keys, sizes)
-    shares: dict[str, list[float]] = {}
-    for name in ("even", "uncertainty", "reduction"):
-        if name in episodes:
-            shares[name] = _ratio(random - distances(name), random - oracle, clusters)
-    return shares
-
-
-def _last(episode: Episode, touches: int) -> float:
-    """Distance after so many touches, or after the last before an episode stopped."""
-    return episode.scores[max(count for count in episode.scores if count <= touches)]["chamfer_mm"]
-
-
-def _triple(estimate: Any) -> list[float]:
-    return [float(estimate.mean), float(estimate.low), float(estimate.high)]
+    means = {name: mean_interval(value, clusters) for name, value in values.items()}
+    means["ratio"] = bootstrap_clusters(ratio, clusters, len(numbers))
+    return {name: [float(found.mean), float(found.low), float(found.high)] for name, found in means.items()}
 
 
 def table(report: dict[str, Any]) -> str:
     """The scores in Markdown."""
-    counts = sorted({int(c) for found in report["conditions"].values() for c in found["after"]} - {0})
+    counts = sorted({int(count) for found in report["conditions"].values() for count in found["after"]} - {0})
     heads = " | ".join(f"{count} touch{'es' if count > 1 else ''}" for count in counts)
     lines = [
         f"| condition | start, mm | {heads} | IoU | F-score | in the 90 % band | band, mm |",
@@ -107,23 +64,51 @@ def table(report: dict[str, Any]) -> str:
     ]
     for name, found in report["conditions"].items():
         after = found["after"]
-        ratios = [_cell(after[str(c)]["ratio"]) if str(c) in after else "" for c in counts]
+        ratios = [with_interval(*after[str(c)]["ratio"], digits=2) if str(c) in after else "" for c in counts]
         last = after[max(after, key=int)]
         ends = [f"{last[score][0]:.2f}" for score in ("iou", "f_score", "coverage")] + [f"{last['band_mm'][0]:.1f}"]
         lines.append(f"| {name} | {after['0']['chamfer_mm'][0]:.2f} | {' | '.join(ratios)} | {' | '.join(ends)} |")
-    for name, share in report["share_of_gap"].items():
-        lines.append(f"\n{name}: share of the gap between random and the greedy oracle {_cell(share)}")
-    view = report["conditions"].get("one view first")
-    if view:
-        hidden = [
-            f"{_cell(view['after'][str(c)]['hidden_ratio'])} after {c}"
-            for c in counts
-            if "hidden_ratio" in view["after"].get(str(c), {})
-        ]
-        lines.append(f"\nhidden surface after one view, error over that of the view alone: {', '.join(hidden)}")
-    lines.append(f"\ngrid floor: {report['grid_floor_mm']:.2f} mm")
-    return "\n".join(lines)
+    return "\n".join([*lines, f"\ngrid floor: {report['grid_floor_mm']:.2f} mm"])
 
 
-def _cell(triple: list[float]) -> str:
-    return with_interval(*triple, digits=2)
+def draw_errors(report: dict[str, Any]) -> Picture:
+    """Distance to the true surface against touches, for each condition."""
+    figure = Picture(figsize=(9, 3.6), layout="constrained")
+    policies, others = figure.subplots(1, 2, sharey=True)
+    names = list(report["conditions"])
+    panels = (
+        (policies, [name for name in names if name in POLICIES], "where to touch"),
+        (others, [name for name in names if name not in POLICIES or name == "reduction"], "what is known"),
+    )
+    for axes, chosen, title in panels:
+        for colour, name in zip(COLOURS, chosen, strict=False):
+            after = report["conditions"][name]["after"]
+            touches = sorted(int(count) for count in after)
+            rows = np.array([after[str(count)]["chamfer_mm"] for count in touches])
+            axes.plot(touches, rows[:, 0], "o-", color=colour, label=name, ms=4)
+            axes.fill_between(touches, rows[:, 1], rows[:, 2], color=colour, alpha=0.12, lw=0)
+        axes.axhline(report["grid_floor_mm"], color=GREY, ls=":", lw=1)
+        axes.set(xlabel="touches", title=title, ylim=(0, None))
+        if chosen:
+            axes.legend(fontsize=8)
+    policies.set_ylabel("Chamfer distance, mm")
+    figure.suptitle(titled("Distance to the true surface, 95 % intervals; dotted: the grid's floor", True), fontsize=11)
+    return figure
+
+
+def draw_growing(episode: Episode, item: Object) -> Picture:
+    """The stages of one episode, and the truth."""
+    stages = [
+        shown_surface(estimate, episode.state.touches[:count]) for count, estimate in sorted(episode.estimates.items())
+    ]
+    title = f"An unseen object ({item.name}) under touches"
+    return viz.plot_growing_surface(stages, (item.mesh.vertices, item.mesh.faces), title, True)
+
+
+def shown_surface(estimate: SurfaceEstimate, touches: Sequence[TouchEvidence]) -> viz.ShownSurface:
+    """A surface with its spread at its vertices, and the poses that met it."""
+    mesh = estimate.mesh
+    std = interpolate(estimate.grid, estimate.std, mesh.vertices)
+    poses = np.array([touch.T_o_t for touch in touches if touch.hit]).reshape(-1, 4, 4)
+    label = f"{len(touches)} touch" if len(touches) == 1 else f"{len(touches)} touches"
+    return viz.ShownSurface(label, mesh.vertices, mesh.faces, std, poses)

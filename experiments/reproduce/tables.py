@@ -240,7 +240,7 @@ def means_of_sets(measured: Measured) -> str:
 
 
 def study_table(name: str) -> Table:
-    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.lab.make_table`)."""
+    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`)."""
 
     def render(measured: Measured) -> str:
         found = measured["tables"][name]
@@ -248,25 +248,6 @@ def study_table(name: str) -> Table:
         return markdown([column["name"] for column in found["columns"]], rows)
 
     return render
-
-
-WORLD_METHODS = {
-    "Imagine2touch (paper's network, mask), votes": "paper's network, mask: votes",
-    "Imagine2touch (paper's network, mask), product": "product",
-    "same rules, Gaussian process, votes": "GP: votes",
-    "same rules, Gaussian process, product": "product",
-    "proprioception, votes": "proprioception: votes",
-    "proprioception, product": "product",
-}
-
-
-def worlds_by_method(measured: Measured) -> str:
-    """Accuracies of the main methods side by side, a row for each world."""
-    cells: dict[str, dict[str, str]] = {}
-    for world, method, last, _ in measured["tables"]["worlds"]["rows"]:
-        cells.setdefault(world, {})[method] = estimate(last, 2)
-    rows = [[world, *(found[method] for method in WORLD_METHODS)] for world, found in cells.items()]
-    return markdown(["objects, error of placement", *WORLD_METHODS.values()], rows)
 
 
 def _cell(value: Any, column: Mapping[str, Any]) -> str:
@@ -346,54 +327,33 @@ def predictors_by_object(measured: Measured) -> str:
 # --- shapes from touches ---
 
 _ENDS = (("iou", 2), ("f_score", 2), ("coverage", 2), ("band_mm", 1))  # scores after the last touch, and decimals
-_RATIO, _DISTANCE = ("ratio", 2), ("chamfer_mm", 1)
 
 
-def reconstructions(of: tuple[str, int], start: bool) -> Table:
-    """Scores of every condition after some touches.
-
-    Args:
-        of: The score whose course is shown, and its decimals.
-        start: Whether the distance before the first touch is shown.
-    """
-
-    def render(measured: Measured) -> str:
-        conditions = measured["conditions"]
-        counts = sorted({int(count) for found in conditions.values() for count in found["after"]} - {0})
-        rows = []
-        for name, found in conditions.items():
-            after = found["after"]
-            begun = [number(after["0"]["chamfer_mm"][0], 2)] if start else []
-            course = [estimate(after[str(count)][of[0]], of[1]) if str(count) in after else "" for count in counts]
-            last = after[max(after, key=int)]
-            rows.append([name, *begun, *course, *(number(last[score][0], decimals) for score, decimals in _ENDS)])
-        touches = [f"{count} touch{'es' if count > 1 else ''}" for count in counts]
-        head = ["condition", *(["start, mm"] if start else []), *touches]
-        return markdown([*head, "IoU", "F-score", "in the 90 % band", "band, mm"], rows)
-
-    return render
+def reconstructions(measured: Measured) -> str:
+    """Scores of every condition after some touches: the distance as a share of that at the start, and the last ones."""
+    conditions = measured["conditions"]
+    counts = sorted({int(count) for found in conditions.values() for count in found["after"]} - {0})
+    rows = []
+    for name, found in conditions.items():
+        after = found["after"]
+        begun = number(after["0"]["chamfer_mm"][0], 2)
+        course = [estimate(after[str(count)]["ratio"], 2) if str(count) in after else "" for count in counts]
+        last = after[max(after, key=int)]
+        rows.append([name, begun, *course, *(number(last[score][0], decimals) for score, decimals in _ENDS)])
+    touches = [f"{count} touch{'es' if count > 1 else ''}" for count in counts]
+    return markdown(["condition", "start, mm", *touches, "IoU", "F-score", "in the 90 % band", "band, mm"], rows)
 
 
 _PATCH_SCORES = (
     ("mask_iou", "mask IoU", 2), ("contact_iou", "contact IoU", 2), ("centre_mm_median", "centre, median mm", 2),
-    ("centre_mm_90", "centre, 90 % mm", 1), ("direction_deg_median", "edge, degrees", 0),
-    ("position_mm_median", "edge, mm", 1), ("crps_ratio", "CRPS / prior's", 2), ("coverage_90", "90 % covers", 2),
+    ("centre_mm_90", "centre, 90 % mm", 1), ("crps_ratio", "CRPS / prior's", 2), ("coverage_90", "90 % covers", 2),
 )  # fmt: skip
-_OF_CATALOGUE = ("mask_iou", "contact_iou", "crps_ratio", "coverage_90")
 
 
 def local_shapes(measured: Measured) -> str:
     """Scores of every method that tells a patch from a press."""
     head = ["method", *(title for _, title, _ in _PATCH_SCORES)]
     return markdown(head, _patch_rows(measured["methods"], _PATCH_SCORES))
-
-
-def local_shapes_of_catalogue(measured: Measured) -> str:
-    """Scores of the same methods on the catalogue's test objects alone."""
-    scores = [score for score in _PATCH_SCORES if score[0] in _OF_CATALOGUE]
-    first, *others = (title for _, title, _ in scores)
-    rows = _patch_rows(measured["catalogue"], scores)
-    return markdown(["method", f"of the catalogue's objects: {first}", *others], rows)
 
 
 _TIP_SCORES = (
@@ -423,18 +383,12 @@ def _span(found: Sequence[float], decimals: int) -> str:
 
 
 STUDY_TABLES = {
-    "placement": ("conditions",),
     "mismatch": ("methods",),
     "open_set": ("auroc", "accuracy"),
     "sensitivity": ("methods",),
     "new_pad": ("methods",),
-    "registered": ("methods", "view"),
-    "planar": ("curves",),
-    "sites": ("bits",),
     "policy": ("policies", "saved"),
-    "pose_error": ("worlds",),
     "object_count": ("curves",),
-    "constants": ("likelihood", "particles", "scale", "planar"),
 }
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": predictors_of_one_pad},
@@ -460,9 +414,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "stopping": stopping_of_set("all", "fused"),
     },
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
-    "pose_error": {"worlds": worlds_by_method},
-    "reconstruct": {"conditions": reconstructions(_RATIO, start=True)},
-    "reconstruct_meshes": {"conditions": reconstructions(_DISTANCE, start=False)},
-    "reconstruct_patch": {"methods": local_shapes, "catalogue": local_shapes_of_catalogue},
+    "reconstruct": {"conditions": reconstructions},
+    "reconstruct_patch": {"methods": local_shapes},
     "reconstruct_tip": {"methods": tips_of_recording},
 }

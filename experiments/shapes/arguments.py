@@ -26,9 +26,8 @@ class ShapesArgs:
     @property
     def next_command(self) -> str:
         """Command to try with a finished run."""
-        return "python -m experiments.reconstruct_patch"
+        return "python -m experiments.reconstruct patch"
 
     def check(self) -> None:
         """Refuse what does not go together, and a data set that is not there."""
         require_dataset("--dataset", self.dataset)
-        self.tasks.check()

@@ -1,24 +1,23 @@
-"""The four compared classifiers of stamps, and the splits by which presses are held out.
+"""The compared classifiers of stamps, and the splits by which presses are held out.
 
-  paper's classifier             15 readings into 500, 10 and 5 units
-  paper's classifier + arm       the same with what the arm measured too: position, rotation, force and travel
+  paper's classifier             15 readings into 500, 10 and 5 units (`i2t.paper.classifier`)
   network on imagined presses    15 readings; trained on the presses at hand and on thousands that were imagined on
                                  the skin fitted to them (`experiments.shapes.pad`), noise drawn afresh
   imagined touch                 which stamp, pressed where the arm says with the force it measured, would have read so?
 
-The first three answer from what training presses looked like, the last from what each hypothesis would feel like. Only
-the paper's classifier and the network answer from readings alone.
+The first two answer from readings alone, the last from what each hypothesis would feel like. Minibatches are drawn with
+replacement, so that trainings on different numbers of presses share one compiled program.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int, Key
 
-from experiments.shapes.networks import classify
 from experiments.shapes.pad import (
     LAYERS,
     FittedSkin,
@@ -32,15 +31,15 @@ from experiments.shapes.world import PREFIX, SHAPES
 from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
 from i2t.geometry import inverse
+from i2t.mlp import Layers
+from i2t.paper import classifier
 from i2t.paper.classifier import Classifier
-from i2t.simulation import touches as simulation
 from i2t.skin.elasticity import GRID, Grid
-from i2t.types import Board, Pad, ReturnCode
+from i2t.types import Board, ReturnCode
 
-PAPER, ARM, NETWORK, IMAGINED = (
-    "paper's classifier", "paper's classifier + arm", "network on imagined presses", "imagined touch",
-)  # fmt: skip
-METHODS = (PAPER, ARM, NETWORK, IMAGINED)
+PAPER, NETWORK, IMAGINED = "paper's classifier", "network on imagined presses", "imagined touch"
+METHODS = (PAPER, NETWORK, IMAGINED)
+CAPACITY_ROWS = 2048  # of a training set; capacities are multiples of it
 SPLITS = ("random", "location", "depth", "angle")
 FOLDS = 5
 BLOCK_EDGE_M = 2e-3  # of the squares of positions that are never torn apart
@@ -81,12 +80,12 @@ class StampPresses(NamedTuple):
         return all(bool(np.isfinite(leaf).all()) for leaf in self.poses)
 
 
-def presses_on(dataset: Dataset, pad: int, readings: np.ndarray | None = None) -> StampPresses:
-    """The presses of one pad; `readings` (n, c) of the whole set may take the place of its own."""
+def presses_on(dataset: Dataset, pad: int) -> StampPresses:
+    """The presses of one pad."""
     touches = dataset.touches
     met = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
     rows = np.flatnonzero((touches.pad == pad) & met)
-    y = (touches.reading if readings is None else readings)[rows].astype(np.float64)
+    y = touches.reading[rows].astype(np.float64)
     session = touches.session[rows]
     before = np.concatenate([np.zeros((1, y.shape[1])), y[:-1]])
     before[np.r_[True, session[1:] != session[:-1]]] = 0
@@ -129,8 +128,6 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
             rows = np.flatnonzero(presses.shape == shape)
             part[rows[np.argsort(load[rows], kind="stable")]] = np.arange(len(rows)) * FOLDS // len(rows)
         return part
-    if split != "location":
-        raise ValueError(f"{split!r} is no split; choose one of {', '.join(SPLITS)}")
     if not np.isfinite(presses.position).all():
         return None
     block = square_blocks(presses.position, BLOCK_EDGE_M, origin=(0.0, 0.0))
@@ -144,10 +141,7 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
 
 @dataclass(frozen=True)
 class StampClassificationBenchmark:
-    """One pad's presses and what was worked out about them; its methods share the fitted skins.
-
-    Make one with `make_benchmark`; `dataclasses.replace(benchmark, presses=...)` is the same with other readings.
-    """
+    """One pad's presses and what was worked out about them; its methods share the fitted skins."""
 
     presses: StampPresses
     names: tuple[str, ...]
@@ -159,15 +153,15 @@ class StampClassificationBenchmark:
 
     def methods(self) -> tuple[str, ...]:
         """Names of the methods that these presses allow."""
-        arm = (ARM,) if np.isfinite(self._arm()).all() else ()
-        return (PAPER, *arm, *((NETWORK, IMAGINED) if self.features else ()))
+        return METHODS if self.features else (PAPER,)
 
     def log_probability(self, method: str, train: np.ndarray, test: np.ndarray, seed: int) -> np.ndarray:
         """Log probability (up to a constant) of each shape at the presses `test`, from those of `train`."""
         p, classes = self.presses, len(self.names)
-        if method in (PAPER, ARM):
-            x = p.reading if method == PAPER else np.c_[p.reading, self._arm()]
-            return classify(self.cfg.paper, x[train], p.shape[train], x[test], classes=classes, seed=seed)
+        if method == PAPER:
+            return classify(
+                self.cfg.paper, p.reading[train], p.shape[train], p.reading[test], classes=classes, seed=seed
+            )
         assert self.features is not None
         assert self.library is not None
         skin, readings = self.fitted(train)
@@ -199,7 +193,7 @@ class StampClassificationBenchmark:
         """The skin fitted to labelled presses, and all readings (n, c) uT less the chips' hysteresis."""
         assert self.features is not None
         p = self.presses
-        key = train.tobytes() + p.reading.tobytes()
+        key = train.tobytes()
         if key not in self.fits:
             first = self.features.fit(train, p.reading[train])
             sessions = np.unique(p.session)
@@ -208,11 +202,6 @@ class StampClassificationBenchmark:
             self.fits.clear()  # folds follow each other
             self.fits[key] = (self.features.fit(train, readings[train]), readings)
         return self.fits[key]
-
-    def _arm(self) -> np.ndarray:
-        """Measurements (n, 6) of each press by the arm."""
-        p = self.presses
-        return np.c_[p.position, np.cos(p.rotation), np.sin(p.rotation), p.force, p.depth]
 
 
 def make_benchmark(
@@ -251,20 +240,71 @@ def rows_per_shape(presses: StampPresses, each: int, seed: int) -> np.ndarray:
     )
 
 
-def read_again(dataset: Dataset, pads: list[Pad], errors: simulation.SimulationErrors, seed: int) -> np.ndarray:
-    """Readings (n, c) by another sensor of the same simulated presses, whose ideal readings are known."""
-    touches = dataset.touches
-    assert touches.truth is not None
-    made = np.zeros_like(touches.reading)
-    for session in np.unique(touches.session):
-        rows = np.flatnonzero(touches.session == session)
-        before = np.int32(np.sum(touches.pad[: rows[0]] == touches.pad[rows[0]]))
-        some = jax.tree.map(lambda leaf, rows=rows: jnp.asarray(leaf[rows]), touches)
-        pad = pads[int(touches.pad[rows[0]])]
-        key = jax.random.fold_in(jax.random.key(seed), int(session))
-        ideal = some._replace(reading=some.truth.reading)
-        made[rows] = _apply_sensor_model(key, ideal, pad, errors, presses_before=before).reading
-    return made
+class TrainingSet(NamedTuple):
+    """Standardised inputs and their classes, padded to a capacity."""
+
+    x: Float[Array, "rows d"]
+    y: Int[Array, " rows"]
+    noise_share: Float[Array, "rows d"]  # of the noise, by which each row is disturbed afresh when it is met
+    noise_factor: Float[Array, "d d"]  # turns normal draws into the noise
+    n: Int[Array, ""]  # rows that count, the first
 
 
-_apply_sensor_model: Callable = jax.jit(simulation.apply_sensor_model, static_argnames="errors")
+def classify(
+    cfg: Classifier,
+    x: Float[np.ndarray, "n d"],
+    y: Int[np.ndarray, " n"],
+    at: Float[np.ndarray, "m d"],
+    *,
+    classes: int,
+    seed: int,
+    noise_share: Float[np.ndarray, " n"] | None = None,
+    noise_covariance: Float[np.ndarray, "d d"] | None = None,
+) -> Float[np.ndarray, "m classes"]:
+    """Train on inputs x of classes y, and give log probabilities at other inputs.
+
+    Args:
+        cfg: How to train.
+        x: Inputs.
+        y: Their classes.
+        at: Inputs to classify.
+        classes: Number of classes.
+        seed: Of the training.
+        noise_share: For each row, the share of the noise that is added to it afresh each time it is met.
+        noise_covariance: Of that noise.
+
+    Returns:
+        Log probabilities, the mean over the ensemble's members.
+    """
+    n, d = x.shape
+    mean, std = x.mean(0), x.std(0)
+    std = np.where(std > 0, std, 1)
+    capacity = -(-n // CAPACITY_ROWS) * CAPACITY_ROWS
+    rows, share, labels = np.zeros((capacity, d)), np.zeros((capacity, d)), np.zeros(capacity, np.int32)
+    rows[:n], labels[:n] = (x - mean) / std, y
+    factor = np.zeros((d, d))
+    if noise_share is not None and noise_covariance is not None:
+        share[:n] = noise_share[:, None]
+        factor = np.linalg.cholesky(noise_covariance + 1e-9 * np.eye(d)).T / std
+    known = TrainingSet(jnp.float32(rows), jnp.asarray(labels), jnp.float32(share), jnp.float32(factor), jnp.int32(n))
+    keys = [jax.random.fold_in(jax.random.key(seed), i) for i in range(cfg.members)]
+    log_p = [_log_probability(_train(key, known, cfg, classes), jnp.float32((at - mean) / std)) for key in keys]
+    return np.asarray(jax.nn.logsumexp(jnp.stack(log_p), axis=0) - np.log(cfg.members))
+
+
+@partial(jax.jit, static_argnames=("cfg", "classes"))
+def _train(key: Key[Array, ""], known: TrainingSet, cfg: Classifier, classes: int) -> Layers:
+    inputs = known.x.shape[1]
+
+    def draw(key: Key[Array, ""]) -> tuple[Array, Array]:
+        key_rows, key_noise = jax.random.split(key)
+        rows = jax.random.randint(key_rows, (cfg.batch,), 0, known.n)
+        noise = jax.random.normal(key_noise, (cfg.batch, inputs)) @ known.noise_factor
+        return known.x[rows] + known.noise_share[rows] * noise, known.y[rows]
+
+    return classifier.fit(key, draw, cfg, inputs=inputs, classes=classes)
+
+
+@jax.jit
+def _log_probability(layers: Layers, x: Float[Array, "n d"]) -> Float[Array, "n classes"]:
+    return jax.nn.log_softmax(classifier.logits(layers, x))

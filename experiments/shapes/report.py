@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.common.intervals import with_interval
-from experiments.shapes.methods import METHODS, PAPER
+from experiments.shapes.methods import METHODS
 from i2t import viz
 from i2t.recognition.intervals import Estimate, student_interval, wilson_interval
 
@@ -20,11 +20,6 @@ def summarise(
 
     Folds of one pad share presses to learn from, so that with few pads the intervals are a little too narrow.
     """
-    random = [split["random"] for split in held]
-    sensors: dict[str, Any] = {
-        sensor: {method: _total([part["sensors"][sensor][method] for part in parts], truth, random) for method in rates}
-        for sensor, rates in parts[0]["sensors"].items()
-    }
     new = {
         each: {
             method: _plain(student_interval(np.concatenate([part["new"][each][method] for part in parts])))
@@ -40,7 +35,7 @@ def summarise(
         for split, methods in parts[0]["splits"].items()
         if all(split in part["splits"] for part in parts)
     }
-    return {"splits": splits, "new": new, "sensors": sensors}
+    return {"splits": splits, "new": new}
 
 
 def _scored(
@@ -88,12 +83,6 @@ def report(result: dict[str, Any]) -> None:
         print(f"\na new skin, {each} presses of each shape{kind}")
         for method, value in rates.items():
             print(f"  {method:40}{_interval(value)}")
-    if result["sensors"]:
-        print(f"\nother sensors, random fifths{kind}")
-        for name, rates in result["sensors"].items():
-            print(f"  {name:16}" + "".join(f"{method:>30} {_interval(value)}" for method, value in rates.items()))
-    for name, (value, n) in result["limits"].items():
-        print(f"  {PAPER}, {name}: {value:.3f} ({n:.0f} presses)")
     print(f"{result['seconds']:.0f} s")
 
 
@@ -102,7 +91,7 @@ def _interval(value: list[float]) -> str:
 
 
 def figures(out: Path, result: dict[str, Any]) -> None:
-    """Confusion matrices of the random split, rates of all splits, and rates by the sensor's noise."""
+    """Confusion matrices of the random split, and rates of all splits."""
     simulated = result["source"] != "real"
     matrices = {name: np.array(scored["confusion"]) for name, scored in result["splits"]["random"].items()}
     figure = viz.plot_confusions(matrices, result["shapes"], "Which stamp was it? A random fifth held out", simulated)
@@ -117,18 +106,3 @@ def figures(out: Path, result: dict[str, Any]) -> None:
         rates, "Which stamp was it?", "share of right answers", 1 / len(result["shapes"]), simulated
     )
     viz.save_figure(figure, out / "rates.png")
-    random = result["splits"]["random"]
-    levels = {name: rates for name, rates in result["sensors"].items() if name.endswith("x noise")}
-    for level in list(levels)[:1]:
-        levels["1 x noise"] = {method: random[method]["total"] for method in levels[level]}
-    levels = dict(sorted(levels.items(), key=lambda item: float(item[0].split()[0])))
-    if len(levels) > 1:
-        lines = {
-            method: np.array([[float(name.split()[0]), *rates[method]] for name, rates in levels.items()])
-            for method in next(iter(levels.values()))
-        }
-        figure = viz.plot_rates_by_size(
-            lines, "Which stamp was it? A random fifth held out", "sensor noise, times a real board's",
-            "share of right answers", simulated,
-        )  # fmt: skip
-        viz.save_figure(figure, out / "noise.png")

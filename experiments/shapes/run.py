@@ -14,6 +14,7 @@ config.json, figures, and the presses (data.h5).
 import json
 import os
 import time
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,25 +30,54 @@ from experiments.common.runs import begin, write_json
 from experiments.common.tasks import Task, run_tasks
 from experiments.shapes import report
 from experiments.shapes.arguments import ShapesArgs
-from experiments.shapes.config import PRESETS, ShapeExperiment
-from experiments.shapes.evaluate import limits, new_skin, other_sensors, sensor, splits
 from experiments.shapes.methods import (
+    PAPER,
     SPLITS,
+    Methods,
     StampPresses,
+    classify,
     make_benchmark,
     presses_on,
-    read_again,
+    rows_per_shape,
     shapes_of,
     split_folds,
 )
-from experiments.shapes.world import press_stamps
+from experiments.shapes.world import StampPressConfig, press_stamps
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.errors import DataError
+from i2t.paper.classifier import Classifier
 from i2t.progress import progress
+from i2t.skin.elasticity import Grid
 from i2t.skin.pad import numbered_pad
 
 MIN_PRESSES_PER_SHAPE = 10
+
+
+@dataclass(frozen=True)
+class ShapeExperiment:
+    """Settings of `python -m experiments.shapes`."""
+
+    pads: tuple[int, ...] = (0, 1, 2)  # numbers of the simulated skins
+    presses: int = 1280  # on each, the paper's
+    pressing: StampPressConfig = field(default_factory=StampPressConfig)
+    methods: Methods = field(default_factory=Methods)
+    presses_per_shape: tuple[int, ...] = (5, 20)  # that are known of a new skin
+    draws: int = 5  # of those presses
+
+
+_COARSE = Grid(20, 32)
+PRESETS: dict[str, ShapeExperiment] = {
+    "paper": ShapeExperiment(),
+    "debug": ShapeExperiment(
+        pads=(0, 1),
+        presses=50,
+        pressing=StampPressConfig(grid=_COARSE, friction=False, touches_per_session=25),
+        methods=Methods(Classifier((16, 10), 40), Classifier((16, 10), 40), library=8, layers=1, grid=_COARSE),
+        presses_per_shape=(2,),
+        draws=1,
+    ),
+}
 
 
 class ShapePresses(NamedTuple):
@@ -57,11 +87,10 @@ class ShapePresses(NamedTuple):
     names: tuple[str, ...]  # of the shapes
     pads: list[StampPresses]
     held: list[dict[str, np.ndarray]]  # of each pad and split: in which fold each press is tested
-    other_readings: dict[str, np.ndarray]  # by sensor: what it reads of the same presses
 
 
 def run(args: ShapesArgs) -> dict[str, Any]:
-    """The experiment: presses, then pad by pad the splits, new skins, and what limits them."""
+    """The experiment: presses, then pad by pad the splits and new skins."""
     cfg = choose_preset(PRESETS, args.preset)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     started = time.perf_counter()
@@ -81,7 +110,6 @@ def run(args: ShapesArgs) -> dict[str, Any]:
         "pads": list(dataset.pads),
         "presses": [len(each.shape) for each in presses.pads],
         **report.summarise(parts, [each.shape for each in presses.pads], presses.held, names),
-        "limits": limits(cfg, args.seed) if not args.dataset and cfg.more else {},
         "seconds": round(time.perf_counter() - started, 1),
     }
     report.figures(args.out, result)
@@ -91,7 +119,7 @@ def run(args: ShapesArgs) -> dict[str, Any]:
 
 
 def prepare(args: ShapesArgs, cfg: ShapeExperiment) -> ShapePresses:
-    """The presses that were recorded, or simulated ones and what other sensors would have read of them."""
+    """The presses that were recorded, or simulated ones."""
     dataset = data.load_dataset(args.dataset) if args.dataset else simulated(cfg, args.seed, args.out / "data.h5")
     names = shapes_of(dataset)
     pads = [presses_on(dataset, pad) for pad in range(len(dataset.pads))]
@@ -100,37 +128,9 @@ def prepare(args: ShapesArgs, cfg: ShapeExperiment) -> ShapePresses:
             raise DataError(
                 f"pad {name!r} has {len(presses.shape)} presses of {len(names)} shapes; ten of each at least are needed"
             )
-    other_readings = {}
-    if not args.dataset and dataset.touches.truth is not None:
-        skins = [numbered_pad(number) for number in cfg.pads]
-        sensors = other_sensors(cfg)
-        other_readings = {name: read_again(dataset, skins, errors, args.seed) for name, errors in sensors.items()}
-    return ShapePresses(dataset, names, pads, [folds_of(presses, args.seed) for presses in pads], other_readings)
-
-
-def folds_of(presses: StampPresses, seed: int) -> dict[str, np.ndarray]:
-    """Each split that the presses of a pad allow."""
-    folds = {split: split_folds(presses, split, seed) for split in SPLITS}
-    return {split: fold for split, fold in folds.items() if fold is not None}
-
-
-def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int, path: Path) -> None:
-    """Scores of all methods on one pad, kept in `path`."""
-    write_json(path, evaluate_pad(presses, pad, cfg, seed))
-
-
-def evaluate_pad(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) -> dict[str, Any]:
-    """Scores of all methods on one pad: on each split, as a new skin after the others, and with other sensors."""
-    own, others = presses.pads[pad], presses.pads[:pad] + presses.pads[pad + 1 :]
-    benchmark = make_benchmark(own, presses.dataset.board, presses.names, cfg=cfg.methods, seed=seed)
-    return {
-        "splits": splits(benchmark, presses.held[pad]),
-        "new": new_skin(benchmark, others, cfg, seed),
-        "sensors": {
-            name: sensor(benchmark, presses_on(presses.dataset, pad, readings), seed)
-            for name, readings in presses.other_readings.items()
-        },
-    }
+    folds = [{split: split_folds(presses, split, args.seed) for split in SPLITS} for presses in pads]
+    held = [{split: fold for split, fold in each.items() if fold is not None} for each in folds]
+    return ShapePresses(dataset, names, pads, held)
 
 
 def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:
@@ -142,3 +142,28 @@ def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:
         made = press_stamps(jax.random.key(seed), pads, cfg.presses, cfg.pressing, bar.update)
     data.save_dataset(path, made)
     return made
+
+
+def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int, path: Path) -> None:
+    """Guesses of all methods on one pad, split by split, and their scores where it is a new skin, kept in `path`."""
+    own, others = presses.pads[pad], presses.pads[:pad] + presses.pads[pad + 1 :]
+    classes = len(presses.names)
+    benchmark = make_benchmark(own, presses.dataset.board, presses.names, cfg=cfg.methods, seed=seed)
+    splits = {
+        split: {method: benchmark.guesses(method, part).tolist() for method in benchmark.methods()}
+        for split, part in presses.held[pad].items()
+    }
+    new: dict[str, Any] = {}  # by how many presses of each shape are known of the skin
+    if others:
+        x, y = np.concatenate([o.reading for o in others]), np.concatenate([o.shape for o in others])
+        guess = classify(cfg.methods.paper, x, y, own.reading, classes=classes, seed=seed).argmax(1)
+        new["0"] = {f"{PAPER}, other skins": [float(np.mean(guess == own.shape))]}
+    for each in cfg.presses_per_shape:
+        new[str(each)] = {method: [] for method in benchmark.methods()}
+        for draw in range(cfg.draws):
+            train = rows_per_shape(own, each, seed + draw)
+            test = np.setdiff1d(np.arange(len(own.shape)), train)
+            for method, rates in new[str(each)].items():
+                guess = benchmark.log_probability(method, train, test, seed + draw).argmax(1)
+                rates.append(float(np.mean(guess == own.shape[test])))
+    write_json(path, {"splits": splits, "new": new})

@@ -15,7 +15,7 @@ can reach outside, and needs no renderer: `heights` asks which cells see the fac
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int, Key
 from i2t import geometry
 from i2t.batching import map_batches
 from i2t.dataset import Dataset
-from i2t.objects import catalogue
+from i2t.objects import catalogue, solids
 from i2t.simulation import touches as simulation
 from i2t.skin.contact import MAX_HEIGHT_M
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
@@ -47,6 +47,11 @@ from i2t.views import view_of_heights
 
 PREFIX = "stamp-"  # of the stamps' names in the catalogue
 SHAPES = tuple(name.removeprefix(PREFIX) for name in catalogue.STAMPS)
+MAX_POSITION_M = 2.9e-3  # from the skin's middle along x and y: at any rotation the whole face is on it
+FORCES_N = (1.0, 3.0)  # the paper's range
+STIFFNESS_N_PER_M = 10e3  # of arm and mount in series
+ERRORS = simulation.SimulationErrors()
+PRESSES_AT_ONCE = 16
 
 
 class Stamp(NamedTuple):
@@ -61,14 +66,8 @@ class Stamp(NamedTuple):
 class StampPressConfig:
     """Settings of the presses of the stamps."""
 
-    max_position: float = 2.9e-3  # m, from the skin's middle along x and y: at any rotation the whole face is on it
-    max_rotation: float = 2 * math.pi  # rad
-    force: tuple[float, float] = (1.0, 3.0)  # N, the paper's
-    errors: simulation.SimulationErrors = field(default_factory=simulation.SimulationErrors)
-    stiffness: float = 10e3  # N/m, of arm and mount in series
     grid: Grid = FINE_GRID  # sharp edges
     friction: bool = True
-    readings: int = 1  # of each press, at as many forces; a data set then holds several rows of one press
     touches_per_session: int = 64  # over which the sensor warms, wears and drifts
 
 
@@ -88,7 +87,7 @@ def stamps(names: Sequence[str] = SHAPES) -> Stamp:
     return Stamp(
         jnp.asarray(np.stack(padded), jnp.float32),
         jnp.asarray(tops, jnp.float32),
-        jnp.asarray(tops, jnp.float32) - catalogue.STAMP_RELIEF_MM / catalogue.MM_PER_M,
+        jnp.asarray(tops, jnp.float32) - solids.STAMP_RELIEF_MM / solids.MM_PER_M,
     )
 
 
@@ -123,7 +122,7 @@ def heights(
         return jnp.all(side >= 0, axis=0) & ~flat
 
     met = jnp.any(jax.vmap(inside)(stamp.face), axis=0)
-    edge = catalogue.STAMP_BASE_MM[0] / catalogue.MM_PER_M / 2
+    edge = solids.STAMP_BASE_MM[0] / solids.MM_PER_M / 2
     over = (jnp.abs(u) <= edge) & (jnp.abs(v) <= edge)
     return jnp.where(met, plane, jnp.inf), jnp.where(over, plane - (stamp.top - stamp.base) / normal[2], jnp.inf)
 
@@ -134,13 +133,12 @@ def press_stamp(
     force: Float[Array, ""], cfg: StampPressConfig,
 ) -> Touches:  # fmt: skip
     """One press; the reading is still that of an ideal sensor, and indices are left 0 (see `apply_sensor_model`)."""
-    errors = cfg.errors
     key_arm, key_tilt, key_scalars = jax.random.split(key, 3)
     force_error, travel_error, *slant = jax.random.normal(key_scalars, (4,))
     believed = pose(position, rotation, stamp)
     level = jnp.eye(4).at[2, 3].set(stamp.top)  # the face, about whose middle it tilts
-    missed = geometry.random_motion(key_arm, errors.repeatability, 0.0)
-    tilted = level @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle) @ geometry.inverse(level)
+    missed = geometry.random_motion(key_arm, ERRORS.repeatability, 0.0)
+    tilted = level @ geometry.random_motion(key_tilt, 0.0, ERRORS.approach_angle) @ geometry.inverse(level)
     T_t_o = believed @ missed @ tilted
 
     met = heights(stamp, T_t_o, PAD_WINDOW, cfg.grid.cells)[0]
@@ -148,13 +146,13 @@ def press_stamp(
     pressed = press_force(pad, met, force, cfg.grid)
     reading = pressed.reading
     if cfg.friction:
-        slide = errors.slant * pressed.indentation * jnp.stack(slant)
+        slide = ERRORS.slant * pressed.indentation * jnp.stack(slant)
         # Every other cell: friction's part is small, and four times as quick.
         step = max(cfg.grid.cells // GRID.cells, 1)
         coarse = GRID if step > 1 else cfg.grid
         reading = reading + friction_response(pad, met[::step, ::step], pressed.indentation, slide, grid=coarse)
 
-    travel = pressed.indentation + force / cfg.stiffness
+    travel = pressed.indentation + force / STIFFNESS_N_PER_M
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)
     seen, z = (_wide_heights(stamp, deep @ T) for T in (believed, T_t_o))
     view = view_of_heights(seen)
@@ -165,8 +163,8 @@ def press_stamp(
         wide=view.wide,
         nearest=view.patch.nearest,
         reading=reading,
-        force=force + errors.force * force_error,
-        depth=travel + errors.repeatability * travel_error,
+        force=force + ERRORS.force * force_error,
+        depth=travel + ERRORS.repeatability * travel_error,
         T_w_t=jnp.eye(4),
         T_w_o=deep @ believed,
         object=zero,
@@ -192,27 +190,22 @@ def press_session(
     *,
     presses_before: Int[Array, ""] | int = 0,
 ) -> Touches:
-    """A session: one press each of the stamps `which`, at random positions, rotations and forces, by a real sensor; of
-    each press `cfg.readings` rows, which differ in their forces.
-    """
+    """A session: one press each of the stamps `which`, at random positions, rotations and forces, by a real sensor."""
     n = len(which)
     key_position, key_rotation, key_force, key_touch, key_skin = jax.random.split(key, 5)
-    limit = cfg.max_position
-    positions = jax.random.uniform(key_position, (n, 2), minval=-limit, maxval=limit)
-    rotations = jax.random.uniform(key_rotation, (n,), maxval=cfg.max_rotation)
-    keys = jax.random.split(key_touch, n)
-    which, keys, positions, rotations = (
-        jnp.repeat(each, cfg.readings, axis=0) for each in (which, keys, positions, rotations)
-    )
-    forces = jax.random.uniform(key_force, (len(which),), minval=cfg.force[0], maxval=cfg.force[1])
+    positions = jax.random.uniform(key_position, (n, 2), minval=-MAX_POSITION_M, maxval=MAX_POSITION_M)
+    rotations = jax.random.uniform(key_rotation, (n,), maxval=2 * math.pi)
+    forces = jax.random.uniform(key_force, (n,), minval=FORCES_N[0], maxval=FORCES_N[1])
 
     def one(args: tuple) -> Touches:
         key, stamp, position, rotation, force = args
         return press_stamp(key, jax.tree.map(lambda leaf: leaf[stamp], drawn), pad, position, rotation, force, cfg)
 
-    touches = map_batches(one, (keys, which, positions, rotations, forces), batch_size=16)
+    touches = map_batches(
+        one, (jax.random.split(key_touch, n), which, positions, rotations, forces), batch_size=PRESSES_AT_ONCE
+    )
     touches = touches._replace(object=which)
-    return simulation.apply_sensor_model(key_skin, touches, pad, cfg.errors, presses_before=presses_before)
+    return simulation.apply_sensor_model(key_skin, touches, pad, ERRORS, presses_before=presses_before)
 
 
 def press_stamps(
@@ -222,21 +215,13 @@ def press_stamps(
     cfg: StampPressConfig,
     progress: Callable[[int], None] = lambda n: None,
 ) -> Dataset:
-    """n rows of each pad, presses of all stamps in sessions, as a data set that says it is simulated.
-
-    Raises ValueError for a session that is no whole number of presses.
-    """
-    if cfg.touches_per_session % cfg.readings:
-        raise ValueError(
-            f"sessions of {cfg.touches_per_session} rows hold no whole number of presses of {cfg.readings}"
-        )
+    """n presses on each pad, of all stamps in sessions, as a data set that says it is simulated."""
     drawn, rows = stamps(), cfg.touches_per_session
     parts, session = [], 0
     for number, pad in enumerate(pads):
         for start in range(0, n, rows):
             key_order, key_press = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), start))
-            first, count = start // cfg.readings, rows // cfg.readings
-            shapes = jnp.arange(first, first + count, dtype=jnp.int32) % len(SHAPES)
+            shapes = jnp.arange(start, start + rows, dtype=jnp.int32) % len(SHAPES)
             which = jax.random.permutation(key_order, shapes)
             part = jax.device_get(press_session(key_press, drawn, which, pad, cfg, presses_before=jnp.int32(start)))
             kept = min(rows, n - start)

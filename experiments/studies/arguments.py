@@ -1,6 +1,6 @@
 """The options of `python -m experiments.studies`, without JAX, so that its help and its refusals are there at once."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,29 +9,23 @@ import tyro
 from experiments.common.checks import chosen_runs
 from experiments.common.tasks import TaskOptions
 from experiments.recognize.arguments import PresetName
-from i2t.cli import Count, NotNegative, Seed, require_path
+from i2t.cli import Count, Seed, require_path
 from i2t.extras import require_extra
 
-Study = Literal[
-    "policy", "open_set", "planar", "registered", "new_pad", "pose_error", "sites", "sensitivity", "object_count",
-    "placement", "mismatch", "constants",
-]  # fmt: skip
-OF_ONE_STUDY = {"meshes": "object_count", "pose_errors": "pose_error", "view_noise": "pose_error"}
+StudyName = Literal["policy", "open_set", "new_pad", "sensitivity", "object_count", "mismatch"]
 
 
 @dataclass(frozen=True)
 class StudyArgs:
     """Study recognition by touch."""
 
-    study: tyro.conf.Positional[Study]
+    study: tyro.conf.Positional[StudyName]
     out: Path | None = None  # folder for everything that is made; runs/STUDY unless given
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
     pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
     preset: PresetName = "paper"
     episodes: Count = 20  # of each object and setting, for each pad and seed
     meshes: Path | None = None  # a folder of STL files in metres that join the objects of `object_count`
-    pose_errors: tuple[NotNegative, ...] = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0)  # of `pose_error`: mm and degrees, one sigma
-    view_noise: tuple[NotNegative, ...] = (0.3, 1.0)  # of `pose_error`: mm on each pixel, at a pose error of 1 mm
     seed: Seed = 0
     resume: bool = False  # go on with an unfinished study in --out
     overwrite: bool = False  # replace a finished or unfinished one
@@ -49,18 +43,13 @@ class StudyArgs:
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        for each in fields(self):
-            study = OF_ONE_STUDY.get(each.name, self.study)
-            if study != self.study and getattr(self, each.name) != each.default:
-                raise ValueError(
-                    f"--{each.name.replace('_', '-')} is for the study {study}, and this is {self.study}; leave it out"
-                )
         require_path("--meshes", self.meshes, "folder")
-        if self.meshes is not None and not any(self.meshes.glob("*.[sS][tT][lL]")):
-            raise ValueError(f"--meshes {self.meshes}: holds no STL file; name a folder that does")
         if self.meshes is not None:
+            if self.study != "object_count":
+                raise ValueError(f"--meshes is for the study object_count, and this is {self.study}; leave it out")
+            if not any(self.meshes.glob("*.[sS][tT][lL]")):
+                raise ValueError(f"--meshes {self.meshes}: holds no STL file; name a folder that does")
             require_extra("pyvista", "a scanned mesh of --meshes")
         if self.study == "mismatch":
             require_extra("skfem", "a pad with free sides")
         chosen_runs(self.trained_run, self.pads)
-        self.tasks.check()

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,15 +10,13 @@ import numpy as np
 import trimesh
 
 from experiments.common.runs import Part
-from experiments.recognize import figures
-from experiments.studies.lab import Column, StudyLab, clusters_of, make_table, touches_shown
-from i2t import viz
+from experiments.studies.lab import StudyLab
+from experiments.studies.report import Column, clusters_of, make_table, touches_shown
 from i2t.extras import require_extra
 from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.recognition import metrics
 from i2t.recognition.episodes import posteriors
 from i2t.recognition.intervals import estimate_at
-from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 
 OBJECT_COUNTS, DEBUG_OBJECT_COUNTS = (10, 25, 50), (3,)
@@ -38,19 +35,14 @@ def evaluate(lab: StudyLab) -> Part:
     counts = DEBUG_OBJECT_COUNTS if debug else OBJECT_COUNTS
     meshes = collect_meshes(lab, max(counts))
     names = np.random.default_rng(0).permutation(list(meshes)[: max(counts)])
-    cfg = replace(
-        lab.cfg,
-        touches=DEBUG_TOUCHES if debug else TOUCHES,
-        num_particles=DEBUG_NUM_PARTICLES if debug else NUM_PARTICLES,
-    )
+    touches, particles = (DEBUG_TOUCHES, DEBUG_NUM_PARTICLES) if debug else (TOUCHES, NUM_PARTICLES)
+    cfg = replace(lab.cfg, touches=touches, num_particles=particles)
     found: Part = {}
     for count in counts:
         chosen = tuple(str(name) for name in names[:count])
-        surfaces = prepare_surfaces([meshes[name] for name in chosen])
-        some = replace(lab, names=chosen, surfaces=surfaces, cfg=cfg)
-        found[f"{count} objects"] = evaluate_objects(
-            some, DEBUG_COUNT_EPISODES if debug else max(EPISODES_EACH * lab.episodes, count)
-        )
+        some = replace(lab, names=chosen, surfaces=prepare_surfaces([meshes[name] for name in chosen]), cfg=cfg)
+        episodes = DEBUG_COUNT_EPISODES if debug else max(EPISODES_EACH * lab.episodes, count)
+        found[f"{count} objects"] = evaluate_objects(some, episodes)
     return found
 
 
@@ -58,11 +50,10 @@ def evaluate_objects(lab: StudyLab, count: int) -> Part:
     """Truth and beliefs (e, t, objects) in some episodes with the lab's objects."""
     key_sites, key_episodes = jax.random.split(jax.random.clone(lab.key))
     label, particles = f"{len(lab.names)} objects", lab.particles()
-    plan = lab.plan(key_sites, truth=np.arange(count) % len(lab.names))
-    (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label)
+    plan = lab.plan(key_sites, np.arange(count) % len(lab.names))
+    (table,) = jax.device_put(lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label))
     observations = lab.simulate(key_episodes, plan, label).observations
-    likelihood = lab.pad_model.likelihood
-    p = posteriors(jax.device_put(table), jnp.asarray(plan.chosen), observations, likelihood, particles)
+    p = posteriors(jnp.asarray(plan.chosen), observations, table, lab.pad_model.likelihood, particles)
     return {"truth": plan.truth, "pool": plan.pool, "p": np.asarray(p)}
 
 
@@ -92,18 +83,13 @@ def decimate(mesh: Mesh, faces: int = MAX_FACES) -> Mesh:
     return Mesh(np.asarray(fewer.points, np.float64), np.asarray(fewer.regular_faces, np.int32))
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
+def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy against touches for each number of objects."""
-    result: dict[str, Any] = {}
-    curves = {}
+    rows = []
     for name in parts[0]:
-        p = np.concatenate([part[name]["p"] for part in parts]).astype(np.float64)
-        truth = np.concatenate([part[name]["truth"] for part in parts])
-        curves[name] = metrics.accuracy(p, truth, clusters=clusters_of([part[name] for part in parts], pads))
-        result[name] = {"episodes": len(truth), "accuracy": to_json(curves[name])}
-        print(f"{name:12} " + " ".join(f"{t + 1}: {curves[name].mean[t]:.2f}" for t in range(0, p.shape[1], 3)))
-    shown = touches_shown(max(len(curve.mean) for curve in curves.values()), COUNTED_TOUCHES)
-    rows = [[name, *(estimate_at(curve, t - 1) for t in shown)] for name, curve in curves.items()]
-    result["tables"] = {"curves": make_table(["", *(Column(f"after {t} [95 %]", 2) for t in shown)], rows)}
-    viz.save_figure(figures.accuracy(curves, "Accuracy with more objects", True), out / "accuracy.png")
-    return result
+        p, truth = (np.concatenate([part[name][column] for part in parts]) for column in ("p", "truth"))
+        curve = metrics.accuracy(p, truth, clusters=clusters_of([part[name] for part in parts], pads))
+        shown = touches_shown(p.shape[1], COUNTED_TOUCHES)
+        rows.append([name, *(estimate_at(curve, t - 1) for t in shown)])
+    head = ["", *(Column(f"after {t} [95 %]", 2) for t in shown)]
+    return {"tables": {"curves": make_table(head, rows)}}

@@ -8,7 +8,6 @@ unknown ones.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -16,13 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.recognize import figures
-from experiments.studies.lab import StudyLab, clusters_of, format_estimate, make_table, touches_shown
-from i2t import viz
+from experiments.studies.lab import StudyLab
+from experiments.studies.report import clusters_of, make_table, touches_shown
 from i2t.objects import Mesh, catalogue
-from i2t.recognition import calibrated, metrics, open_set
+from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import posteriors
-from i2t.recognition.intervals import Clusters, estimate_at
+from i2t.recognition.intervals import estimate_at, rate_interval, rows_of
 from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.types import Surface
@@ -36,7 +34,7 @@ DEBUG_OBJECTS = 2  # of each kind
 OPEN_SET_PARTICLES = 64  # of each object, of surrogates too
 PRIOR_UNKNOWN = 0.5
 UNKNOWN_SHARES = (0.01, 0.25, 0.5)  # of the episodes, for which accuracies are reported
-AUROC_TOUCHES, OPEN_SET_KINDS = (1, 3, 5, 10), ("known", "unknown")  # in tables
+AUROC_TOUCHES = (1, 3, 5, 10)  # in tables
 NUM_BINS = 10  # of a calibration error
 
 
@@ -87,16 +85,15 @@ def evaluate_set(
     known, unknown = len(objects.known), len(objects.unknown)
     cfg = replace(lab.cfg, num_particles=min(lab.cfg.num_particles, OPEN_SET_PARTICLES))
     lab = replace(lab, surfaces=surfaces[:known], names=objects.known, cfg=cfg)
-    plan = lab.plan(key_sites, truth=draw_objects(known, unknown, lab.episodes, lab.seed))
+    plan = lab.plan(key_sites, draw_objects(known, unknown, lab.episodes, lab.seed))
     believed = surfaces[:known] + surfaces[known + unknown :]
     lab, there, particles = replace(lab, surfaces=believed), plan.truth, lab.particles()
-    (table,) = lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label)
+    (table,) = jax.device_put(lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label))
     observations = lab.simulate(key_episodes, plan, label, surfaces=surfaces[: known + unknown]).observations
-    likelihood = lab.pad_model.likelihood
-    p = posteriors(jax.device_put(table), jnp.asarray(plan.chosen), observations, likelihood, particles)
+    p = posteriors(jnp.asarray(plan.chosen), observations, table, lab.pad_model.likelihood, particles)
     p = np.asarray(p, np.float64)
     share = (len(believed) - known) / len(believed)  # prior of the unknown class: all objects alike
-    p, p_unknown = open_set.with_unknown_prior(p[..., :known], p[..., known:].sum(-1), share, PRIOR_UNKNOWN)
+    p, p_unknown = calibrated.with_unknown_prior(p[..., :known], p[..., known:].sum(-1), share, PRIOR_UNKNOWN)
     return OpenSetEpisodes(np.where(there < known, there, -1), p, p_unknown, there, plan.pool)
 
 
@@ -107,58 +104,33 @@ def draw_objects(known: int, unknown: int, episodes: int, seed: int) -> np.ndarr
     return np.concatenate([np.arange(count) % known, known + drawn])
 
 
-def report(parts: Sequence[Part], out: Path, pads: Sequence[str]) -> dict[str, Any]:
+def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     """Detection of unknown objects among known ones, and calibration of the unknown class."""
     validation, test = (_pooled([OpenSetEpisodes(**part[name]) for part in parts]) for name in ("validation", "test"))
     scaling = calibrated.fit_platt(validation.p_unknown, validation.truth < 0)
     p, p_unknown = calibrated.apply_platt(test.p, test.p_unknown, scaling)
     # Unknown objects are few, and another one may be told apart less or more easily: they are drawn again, too.
     clusters = clusters_of([part["test"] for part in parts], pads, objects="there")
-    area = open_set.auroc(test.p_unknown, test.truth < 0, clusters=clusters)
-    print("AUROC after each touch: " + " ".join(f"{x:.2f}" for x in area.mean))
-    print("after the last: " + format_estimate(estimate_at(area, -1)))
-    result = {"episodes": len(test.truth), "auroc": to_json(area), "platt": to_json(scaling)}
-    for name, episodes in (("uncalibrated", test), ("calibrated", test._replace(p=p, p_unknown=p_unknown))):
-        result[name] = score_episodes(name, episodes, clusters)
-    result["tables"] = tables_of_detection(result)
-    figure = figures.accuracy({"unknown class": area}, "Detecting unknown objects", True, ylabel="AUROC")
-    viz.save_figure(figure, out / "auroc.png")
-    return result
-
-
-def score_episodes(name: str, episodes: OpenSetEpisodes, clusters: Clusters) -> dict[str, Any]:
-    """Accuracies for several shares of unknown objects, and the calibration error of the unknown class at the end."""
-    truth, p, p_unknown = episodes.truth, episodes.p, episodes.p_unknown
-    scores: dict[str, Any] = {"accuracy": {}}
+    unknown = test.truth < 0
+    area = metrics.auroc(test.p_unknown, unknown, clusters=clusters)
+    truth = np.where(unknown, p.shape[-1], test.truth)
+    rows = []
     for share in UNKNOWN_SHARES:
-        found = open_set.open_set_accuracy(p, p_unknown, truth, share, prior=PRIOR_UNKNOWN, clusters=clusters)
-        scores["accuracy"][str(share)] = to_json(found)
-        known, unknown = (format_estimate(estimate_at(one, -1)) for one in (found.known, found.unknown))
-        print(f"{name}, {share:.0%} unknown: accuracy on known objects {known}, on unknown ones {unknown}")
+        at_share = calibrated.with_unknown_prior(p, p_unknown, PRIOR_UNKNOWN, share)
+        hit = metrics.hits(np.concatenate([at_share[0], at_share[1][..., None]], axis=-1), truth)[:, -1]
+        rates = (rate_interval(hit[some], rows_of(clusters, some)) for some in (~unknown, unknown))
+        rows.append([f"{share:.0%}", *rates])
     last = p_unknown[:, -1]
-    right = (last > 0.5) == (truth < 0)
-    error = metrics.calibration_error(np.maximum(last, 1 - last), right, NUM_BINS)
-    print(f"{name}, calibration error of the unknown class after the last touch: {error.error:.3f}")
-    return scores | {"calibration_error": to_json(error)}
-
-
-def tables_of_detection(result: dict[str, Any]) -> dict[str, Any]:
-    """Rates at which unknown objects are recognised as such, and accuracies at each share of them, calibrated."""
-    area = result["auroc"]
-    at = [
-        [str(t), {key: values[t - 1] for key, values in area.items()}]
-        for t in touches_shown(len(area["mean"]), AUROC_TOUCHES)
-    ]
-    shares = [
-        [f"{float(share):.0%}", *({key: values[-1] for key, values in scores[kind].items()} for kind in OPEN_SET_KINDS)]
-        for share, scores in result["calibrated"]["accuracy"].items()
-    ]
-    return {
-        "auroc": make_table(["touches", "AUROC of the unknown class [95 %]"], at),
-        "accuracy": make_table(
-            ["share of unknown objects", "known objects named right", "unknown objects called unknown"], shares
-        ),
+    error = metrics.calibration_error(np.maximum(last, 1 - last), (last > 0.5) == unknown, NUM_BINS)
+    shown = [[str(t), estimate_at(area, t - 1)] for t in touches_shown(len(area.mean), AUROC_TOUCHES)]
+    head = ["share of unknown objects", "known objects named right", "unknown objects called unknown"]
+    tables = {
+        "auroc": make_table(["touches", "AUROC of the unknown class [95 %]"], shown),
+        "accuracy": make_table(head, rows),
     }
+    return {
+        "episodes": len(truth), "platt": to_json(scaling), "calibration_error": to_json(error), "tables": tables,
+    }  # fmt: skip
 
 
 def _pooled(parts: Sequence[OpenSetEpisodes]) -> OpenSetEpisodes:

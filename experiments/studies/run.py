@@ -2,22 +2,16 @@
 
     python -m experiments.studies policy        which next touch makes one confident soonest?
     python -m experiments.studies open_set      is the object an unknown one?
-    python -m experiments.studies planar        what does it cost not to know where the object stands?
-    python -m experiments.studies registered    what is a view worth that finds an object known to 5 mm only?
     python -m experiments.studies new_pad       how many presses does a pad need that was never recorded?
-    python -m experiments.studies pose_error    how well must poses be known for the paper's rules, and its baseline?
-    python -m experiments.studies sites         how informative is a touch of a flat, an edge and a corner?
     python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
     python -m experiments.studies object_count  10, 25 and 50 objects, the meshes of a folder among them
-    python -m experiments.studies placement     how sure may one be where the placement's error is stated wrong?
     python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
-    python -m experiments.studies constants     would another value of a constant of the belief have been better?
     python -m experiments.studies policy --preset debug      a handful of episodes, to see it run
 
 Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
 the catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
-docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, figures, and what was
-made of each pad and seed (npz), where --resume goes on.
+docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, and what was made of each
+pad and seed (npz), where --resume goes on.
 """
 
 import os
@@ -34,44 +28,26 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, load_part, save_part, write_json
 from experiments.common.tasks import Task, run_tasks
 from experiments.recognize.config import PRESETS
-from experiments.studies import (
-    constants,
-    mismatch,
-    new_pad,
-    object_count,
-    open_set,
-    placement,
-    planar,
-    policy,
-    pose_error,
-    registered,
-    sensitivity,
-    sites,
-)
+from experiments.studies import object_count, open_set, policy, settings
 from experiments.studies.arguments import StudyArgs
-from experiments.studies.lab import StudyLab, prepare_lab, report_methods
+from experiments.studies.lab import StudyLab, evaluate_settings, prepare_lab
+from experiments.studies.report import print_tables, report_settings
 
 
-class StudySteps(NamedTuple):
+class Study(NamedTuple):
     """Steps of a study: for each pad and seed, and for all of them."""
 
     evaluate: Callable[[StudyLab], Part]
-    report: Callable[[Sequence[Part], Path, Sequence[str]], dict[str, Any]]  # of the parts and their pads
+    report: Callable[[Sequence[Part], Sequence[str]], dict[str, Any]]  # of the parts and their pads; has "tables"
 
 
 STUDIES = {
-    "policy": StudySteps(policy.evaluate, policy.report),
-    "open_set": StudySteps(open_set.evaluate, open_set.report),
-    "planar": StudySteps(planar.evaluate, planar.report),
-    "registered": StudySteps(registered.evaluate, registered.report),
-    "pose_error": StudySteps(pose_error.evaluate, pose_error.report),
-    "sites": StudySteps(sites.evaluate, sites.report),
-    "new_pad": StudySteps(new_pad.evaluate, report_methods),
-    "sensitivity": StudySteps(sensitivity.evaluate, report_methods),
-    "object_count": StudySteps(object_count.evaluate, object_count.report),
-    "placement": StudySteps(placement.evaluate, placement.report),
-    "mismatch": StudySteps(mismatch.evaluate, report_methods),
-    "constants": StudySteps(constants.evaluate, constants.report),
+    "policy": Study(policy.evaluate, policy.report),
+    "open_set": Study(open_set.evaluate, open_set.report),
+    "object_count": Study(object_count.evaluate, object_count.report),
+    "new_pad": Study(partial(evaluate_settings, settings=settings.new_pad), report_settings),
+    "sensitivity": Study(partial(evaluate_settings, settings=settings.sensitivity), report_settings),
+    "mismatch": Study(partial(evaluate_settings, settings=settings.mismatch), report_settings),
 }
 
 
@@ -89,9 +65,11 @@ def run(args: StudyArgs) -> dict[str, Any]:
     run_tasks(tasks, args.tasks)
     parts = [load_part(task.finished) for task in tasks]
     pads = [pad_name(folder) for folder in folders]
-    found = STUDIES[args.study].report(parts, out, pads)
+    found = STUDIES[args.study].report(parts, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
+    print(f"{args.study}, simulated, {len(parts)} runs of {', '.join(result['pads'])}:")
+    print_tables(result["tables"])
     return result
 
 

@@ -4,13 +4,11 @@ import sys
 from collections.abc import Sequence
 
 from experiments.common.commands import command
-from experiments.common.presets import answer_renamed_value
 from experiments.train.arguments import TrainArgs
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    answer_renamed_value(argv, "--split", {"run": "session"})
     with command(TrainArgs, argv, "experiments.train.run") as this:
         args = this.checked()
         this.run(args)

@@ -74,4 +74,3 @@ class TrainArgs:
         require_dataset("--dataset", self.dataset)
         require_path("--pad", self.pad, "file")
         require_objects(self.objects, self.unit, least=1, catalogue=False)
-        self.tasks.check()

@@ -14,6 +14,7 @@ from experiments.train.evaluation import Evaluation
 from experiments.train.prepare import Prepared
 from i2t import viz
 from i2t.dataset import Dataset, Split
+from i2t.files import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 from i2t.prediction.predictor import Predictor, save
 
@@ -48,10 +49,14 @@ def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict
         "by_object": by_object(dataset, split, truth, evaluation.predicted),
         "seconds": 0.0,
     }
-    for folder, method in {"predictor": choice.best, ON_PRESSURE: choice.best_on_pressure}.items():
+    kept = {"predictor": choice.best, ON_PRESSURE: choice.best_on_pressure}
+    kept |= {slug(name): name for name, each in evaluation.predictors.items() if "curve" in (each.metadata or {})}
+    for folder, method in kept.items():
         if method is not None:
+            predictor = evaluation.predictors[method]
             metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
-            save(out / "checkpoint" / folder, replace(evaluation.predictors[method], metadata=metadata))
+            metadata |= {"epochs": len(curve)} if (curve := (predictor.metadata or {}).get("curve")) else {}
+            save(out / "checkpoint" / folder, replace(predictor, metadata=metadata))
     figures(
         out, dataset, split,
         predicted=evaluation.predicted, best=choice.best, curves=curves_of(evaluation.predictors), noise=noise,

@@ -28,7 +28,6 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -52,8 +51,6 @@ from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling, simulated_dataset
 from i2t import dataset as data
 from i2t.dataset import Dataset
-from i2t.errors import CheckpointError
-from i2t.prediction import checkpoint
 from i2t.prediction.methods import find_methods
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.types import Pad
@@ -96,7 +93,7 @@ def run_one(
     prepared = prepare(touches_of(args, cfg, seed, pad, out), cfg, args.split, seed, args.softness)
     print(summary_of(prepared))
     touches, split = prepared.touches, prepared.split
-    touches = replace(touches, paper=args.paper, training=cfg.training, folder=out / "checkpoint")
+    touches = replace(touches, paper=args.paper, training=cfg.training)
     if args.dataset:
         print(recognition_data.keep(out, touches.dataset, split.train, meshes))
 
@@ -114,9 +111,6 @@ def run_one(
     notes = [*prepared.notes, *pressure_note(evaluation.choice, args.dataset)]
     about = {"seed": seed, "pad": str(args.pad) if args.pad else pad, "notes": notes}
     report(out, prepared, evaluation, about=about, started=started)
-    for network in (out / "checkpoint").iterdir():
-        with suppress(CheckpointError):  # whatever else a method keeps there
-            checkpoint.drop_state(network)
 
 
 def touches_of(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> Dataset:

@@ -18,7 +18,6 @@ class TsneArgs:
     dataset: Path | None = None  # touches in place of simulated ones
     kind: Literal["mask", "depth"] = "mask"  # what a view is
     seed: Seed = 0
-    network: bool = True  # train the paper's network, for its bottleneck
     overwrite: bool = False  # replace a run in --out
 
     @property

@@ -1,9 +1,11 @@
 """Calibration of one skin from a few of its presses.
 
 `calibrate` predicts all other presses of the same tip, `check_presses` finds what in recorded presses contradicts any
-sound skin, and `segment_presses` finds presses in a continuous recording. Behind them: `population_gp` is the model,
-`structured_gp` the same with hyperparameters that are given, and `model` what a user holds and keeps on disk; `physics`
-fits a pad to presses, `localize` says where a known tip pressed, and `baseline_network` learns from many other skins.
+sound skin, and `segment_presses` finds presses in a continuous recording. Behind them: `model` is what a user holds and
+keeps on disk, `population_gp` the model (its covariance in `kernel`, its members in `prior`, what it weighs them by in
+`left_out`), and `structured_gp` the same with hyperparameters that are given; `plain_gp` is their baseline. `physics`
+fits a pad to presses. `heads` go from readings to position, depth and force, by the methods of `regression` and from
+what `recordings` reads.
 """
 
 from i2t.calibration.checks import DataWarnings, check_presses

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 MAX_SENSITIVITY_UT_PER_N = 500.0  # real boards show 78-122 with a plastic tip, 6-10 times more with one of steel
-MIN_PRESSES = 100  # for a lag and a change
+MIN_PRESSES = 100  # for a change
 MIN_PAIRS = 40  # of neighbours, for a change
 AXES_PER_CHIP = 3  # of a chip
 
@@ -18,8 +18,6 @@ class DataWarnings(NamedTuple):
     """Conflicts of recorded presses with the model."""
 
     repeated: Bool[np.ndarray, " n"]  # rows that repeat the reading before them
-    label_lag: int  # rows by which the labels come late; best explains the readings
-    r2_by_lag: dict[int, float]  # R2 of neighbours for each lag
     change_ratio: float  # squared difference of neighbours in other halves of time over that in the same half
     changed: bool  # beyond chance; False where the halves do not overlap (the ratio is then NaN)
     changed_chips: tuple[int, ...] = ()  # chips that changed by themselves, where the whole skin did not
@@ -35,12 +33,6 @@ class DataWarnings(NamedTuple):
         if self.repeated.any():
             found.append(
                 f"{self.repeated.sum()} rows repeat the reading before them: the board sent nothing new; drop them"
-            )
-        if self.label_lag:
-            found.append(
-                f"readings agree best with labels of {self.label_lag:+d} rows (R2 of neighbours "
-                f"{self.r2_by_lag[self.label_lag]:.2f}, {self.r2_by_lag[0]:.2f} as recorded): the label column is "
-                "shifted"
             )
         if self.changed:
             found.append(
@@ -66,10 +58,8 @@ def check_presses(
     readings: Float[np.ndarray, "n c"],
     *,
     by_force: bool = False,
-    max_lag: int = 4,
-    min_r2_gain: float = 0.05,
 ) -> DataWarnings:
-    """Look for repeated rows, a shifted label column and a changed skin.
+    """Look for repeated rows, a changed skin and a tip of steel; `i2t.unknowns` looks for what is stated wrongly.
 
     With fewer than 100 presses nothing but repeated rows and, where the load is a force, a tip of steel is looked for.
 
@@ -78,9 +68,6 @@ def check_presses(
         loads: Depths (m) or forces (N).
         readings: Readings (uT), three channels for each chip.
         by_force: Whether the loads are forces.
-        max_lag: Rows by which labels may be shifted. With lag k the reading of row i belongs to the labels of row
-            i + k.
-        min_r2_gain: A lag is reported if the R2 of neighbours grows by more than this.
 
     Returns:
         What was found.
@@ -91,32 +78,13 @@ def check_presses(
     per_force = np.linalg.norm(readings[firm], axis=1) / loads[firm] if by_force else np.array(np.nan)
     sensitivity = float(np.median(per_force))
     if np.sum(~repeated) < MIN_PRESSES:
-        return DataWarnings(repeated, 0, {}, float("nan"), changed=False, sensitivity_ut_per_n=sensitivity)
+        return DataWarnings(repeated, float("nan"), changed=False, sensitivity_ut_per_n=sensitivity)
 
-    def shifted(lag: int) -> tuple[np.ndarray, np.ndarray]:
-        """Labels and readings that belong together with this lag, repeated rows left out."""
-        rows = np.arange(max(0, -lag), len(labels) - max(0, lag))
-        return labels[rows + lag][~repeated[rows]], readings[rows][~repeated[rows]]
-
-    r2 = {lag: _neighbours_r2(*shifted(lag)) for lag in range(-max_lag, max_lag + 1)}
-    best = max(r2, key=lambda lag: r2[lag])
-    lag = best if r2[best] > r2[0] + min_r2_gain else 0
-    at, values = shifted(lag)
+    at, values = labels[~repeated], readings[~repeated]
     ratio, changed = _change(at, values)
     by_chip = np.split(values, values.shape[1] // AXES_PER_CHIP, axis=1)
     alone = () if changed else tuple(i for i, chip in enumerate(by_chip) if _change(at, chip)[1])
-    return DataWarnings(
-        repeated, lag, r2, ratio, changed=changed, changed_chips=alone, sensitivity_ut_per_n=sensitivity
-    )
-
-
-def _neighbours_r2(labels: np.ndarray, readings: np.ndarray, k: int = 4) -> float:
-    """R2 of the mean of the k nearest other presses."""
-    from scipy.spatial import cKDTree
-
-    near = cKDTree(labels).query(labels, k + 1)[1]
-    error = readings - readings[near[:, 1:]].mean(1)
-    return float(1 - (error**2).sum() / ((readings - readings.mean(0)) ** 2).sum())
+    return DataWarnings(repeated, ratio, changed=changed, changed_chips=alone, sensitivity_ut_per_n=sensitivity)
 
 
 def _change(labels: np.ndarray, readings: np.ndarray) -> tuple[float, bool]:

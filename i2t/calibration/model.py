@@ -26,7 +26,8 @@ from i2t import serialization, validation
 from i2t.calibration import population_gp, structured_gp
 from i2t.calibration.candidates import board_candidates
 from i2t.calibration.checks import AXES_PER_CHIP
-from i2t.calibration.population_gp import PopulationGP, PressTable, left_out
+from i2t.calibration.left_out import Conditioned
+from i2t.calibration.population_gp import PopulationGP, PressTable
 from i2t.calibration.structured_gp import Presses, StructuredGP, StructuredGPHyperparameters
 from i2t.models import ready_path
 from i2t.types import Array, Board
@@ -36,24 +37,12 @@ POPULATION_FILE_KIND = "i2t calibrated skin"
 MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
-PREVIOUS_READING, TEMPERATURE = "previous_readings", "temperature"  # terms that act in proportion on a reading
 NO_BOARD_NAME, GIVEN_BOARD = "none", "the given board"
-LINEAR_TERMS, MEAN_TEMPERATURE = "linear_terms", "mean_temperature_C"  # in the metadata
+LINEAR_TERMS = "linear_terms"  # in the metadata of files of an earlier version, which are refused
 
 LoadKind: TypeAlias = Literal["depth", "force", "both", "none"]
 LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
     "depth": ("depth",), "force": ("force",), "both": ("depth", "force"), "none": (),
-}  # fmt: skip
-
-# Names in files of the first version, and what they are called now.
-_OLD_NAMES = {
-    "process": "gp", "widening": "interval_scaling", "hyper": "hyperparameters", "raised": "corrected_presses",
-    "chips": "chip_positions", "earlier": "previous_session", "place": "position", "unit": "unit_load",
-    "offset": "load_offset", "power": "load_power", "length": "map_length", "steady": "map_variance",
-    "bend": "bend_variance", "bend_width": "bend_load_width", "standing": "static_variance",
-    "constant": "constant_variance", "noise": "noise_variance", "height": "height_std", "reach": "chip_reach",
-    "floor": "far_amplitude", "period": "lattice_period", "height_width": "height_load_width",
-    "repeating": "periodic_share",
 }  # fmt: skip
 
 _fit, _predict = jax.jit(structured_gp.fit), jax.jit(structured_gp.predict)
@@ -124,18 +113,12 @@ class Calibration:
         self,
         positions: ArrayLike | None,
         loads: ArrayLike | float | None = None,
-        *,
-        previous_readings: ArrayLike | None = None,
-        temperature: ArrayLike | float | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predict readings, with uncertainty.
 
         Args:
             positions: (n, 2) or (2,) positions of the tip in the tool frame (m); None where the calibration has none.
             loads: (n,) or () depths (m) or forces (N), (n, 2) or (2,) of both, None of neither.
-            previous_readings: (n, c) or (c,) of the press before each (uT), where the calibration was given them; by
-                default nothing is kept from it.
-            temperature: (n,) or () degrees Celsius, where the calibration was given them; by default their mean.
 
         Returns:
             Mean and standard deviation (uT), noise included, (n, c) or (c,) each.
@@ -145,15 +128,12 @@ class Calibration:
         """
         positions, loads, single = _as_rows(positions, loads, self.load_kind)
         if isinstance(self.gp, StructuredGP):
-            if previous_readings is not None or temperature is not None:
-                raise ValueError("this calibration knows no previous readings and no temperature; leave them out")
             at = _checked_presses(positions, loads[:, 0], self.load_kind)
             mean, std = (np.asarray(part) for part in _predict(self.gp, at))
         else:
             _check_rows(positions, loads, self.load_kind)
-            table = PressTable(positions, loads, self._linear(len(positions), previous_readings, temperature))
-            if self.previous is not None:
-                table = table._replace(previous_mean=self.previous.predict_mean(positions, loads))
+            mean = None if self.previous is None else self.previous.predict_mean(positions, loads)
+            table = PressTable(positions, loads, mean)
             mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
@@ -192,21 +172,9 @@ class Calibration:
         serialization.save(path, POPULATION_FILE_KIND, record, about)
 
     @cached_property
-    def _conditioned(self) -> list[left_out.Conditioned]:
+    def _conditioned(self) -> list[Conditioned]:
         assert isinstance(self.gp, PopulationGP)
         return population_gp.condition(self.gp)
-
-    def _linear(self, n: int, previous_readings: ArrayLike | None, temperature: ArrayLike | float | None) -> np.ndarray:
-        """Values of the linear terms of n readings, in the calibration's order; 0 where one is not given."""
-        assert isinstance(self.gp, PopulationGP)
-        c, names = self.gp.readings.shape[1], self.metadata.get(LINEAR_TERMS, [])
-        values_of = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
-        for name, values in values_of.items():
-            if values is not None and name not in names:
-                raise ValueError(f"this calibration was made without {name}; calibrate with it, or leave it out")
-        mean = self.metadata.get(MEAN_TEMPERATURE, 0.0)
-        parts = [_linear_term(name, values_of[name], mean, (n, c)) for name in names]
-        return np.stack(parts, axis=2) if parts else np.zeros((n, c, 0))
 
 
 def calibrate(
@@ -216,8 +184,6 @@ def calibrate(
     *,
     load_kind: LoadKind,
     board: Board | None = None,
-    previous_readings: ArrayLike | None = None,
-    temperature: ArrayLike | None = None,
     previous_session: Calibration | None = None,
     hyperparameters: StructuredGPHyperparameters | None = None,
     metadata: dict[str, Any] | None = None,
@@ -235,9 +201,6 @@ def calibrate(
         load_kind: Whether `loads` are depths, forces, both (first column the depth), or not known.
         board: The sensor board, c / 3 chips: each channel's amplitude may then fall with the distance from its chip, as
             far as the presses bear it out. By default boards of a name are tried.
-        previous_readings: (n, c) readings of the press before each (uT), for chips that remember it; rows of NaN where
-            nothing came before.
-        temperature: (n,) of the skin or board (degrees Celsius).
         previous_session: An earlier session of the same skin, aligned with this one: the presses decide how much of its
             predictions is kept as the mean.
         hyperparameters: Of the structured Gaussian process, in place of a population's.
@@ -253,7 +216,6 @@ def calibrate(
         calibration = i2t.calibrate(positions, forces, readings, load_kind="force", board=i2t.reskin_board())
     """
     positions, loads, readings = _checked(positions, loads, readings, load_kind, board)
-    n, c = readings.shape
     boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     if hyperparameters is not None:
         if load_kind not in MAX_LOAD or previous_session is not None:
@@ -264,31 +226,25 @@ def calibrate(
         named = () if board is None else (GIVEN_BOARD,)
         scaling = _interval_scaling(*fitted_to, on)
         return Calibration(_fit(*fitted_to, on), scaling, load_kind, metadata or {}, boards=named)
-    about = dict(metadata or {})
-    values_of = {PREVIOUS_READING: previous_readings, TEMPERATURE: temperature}
-    names = [name for name, values in values_of.items() if values is not None]
-    if names:
-        about[LINEAR_TERMS] = names
-    if temperature is not None:
-        about[MEAN_TEMPERATURE] = float(np.nanmean(np.asarray(temperature, np.float64)))
-    linear = [_linear_term(name, values_of[name], about.get(MEAN_TEMPERATURE, 0.0), (n, c)) for name in names]
-    table = PressTable(positions, loads, np.stack(linear, axis=2) if linear else np.zeros((n, c, 0)))
+    table = PressTable(positions, loads)
     if previous_session is not None:
         if isinstance(previous_session.gp, StructuredGP) or previous_session.previous is not None:
             raise ValueError("an earlier session must itself be calibrated without one and without hyperparameters")
-        if previous_session.gp.readings.shape[1] != c or previous_session.load_kind != load_kind:
+        if previous_session.gp.readings.shape[1] != readings.shape[1] or previous_session.load_kind != load_kind:
             raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
     chips = np.stack(list(boards.values())) if boards else None
     gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
-    return Calibration(gp, population_gp.interval_scaling(gp), load_kind, about, previous_session, boards=tuple(boards))
+    return Calibration(
+        gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, previous_session, tuple(boards)
+    )
 
 
 def load_calibration(path: Path | str) -> Calibration:
     """Load a calibration from its file.
 
     Args:
-        path: A file that `Calibration.save` wrote, by any version so far; or the name of a ready model, "eflesh"
+        path: A file that `Calibration.save` wrote; or the name of a ready model, "eflesh"
             (`i2t.models`), of one real skin.
 
     Returns:
@@ -302,8 +258,10 @@ def load_calibration(path: Path | str) -> Calibration:
     """
     path = ready_path(path, "calibration.npz")
     if serialization.file_kind(path) == POPULATION_FILE_KIND:
-        return _load_population(path)
-    record, about = serialization.load(path, FILE_KIND, CalibrationRecord, renamed=_OLD_NAMES)
+        of_population, about = serialization.load(path, POPULATION_FILE_KIND, PopulationRecord)
+        with serialization.fitting(path):
+            return _population_calibration(path, of_population, about)
+    record, about = serialization.load(path, FILE_KIND, CalibrationRecord)
     with serialization.fitting(path):
         return _calibration(path, record, about)
 
@@ -312,7 +270,7 @@ def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, A
     """A calibration from its record on disk, if its parts fit."""
     record = jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), record)
     gp, n = record.gp, len(record.gp.presses.load)
-    whole = gp.weights.shape[0] == n and gp.cholesky.shape[-2:] == (n, n)
+    whole = gp.weights.shape[0] == n and gp.cholesky.shape[-2:] == (n, n) and gp.previous_session is None
     groups, channels = len(gp.cholesky), gp.weights.shape[1]
     if not whole or (groups != 1 and AXES_PER_CHIP * groups != channels) or about.get("load") not in MAX_LOAD:
         raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
@@ -320,29 +278,9 @@ def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, A
     return Calibration(gp, record.interval_scaling, about["load"], about["about"], boards=boards)
 
 
-def hyperparameters_to_json(hyperparameters: StructuredGPHyperparameters) -> dict[str, float]:
-    """Hyperparameters as plain numbers, to be written down.
-
-    Args:
-        hyperparameters: Of the Gaussian process.
-
-    Returns:
-        Their values by name.
-    """
-    return {name: float(value) for name, value in hyperparameters._asdict().items()}
-
-
-def _load_population(path: Path | str) -> Calibration:
-    record, about = serialization.load(path, POPULATION_FILE_KIND, PopulationRecord)
-    with serialization.fitting(path):
-        return _population_calibration(path, record, about)
-
-
 def _population_calibration(path: Path | str, record: PopulationRecord, about: dict[str, Any]) -> Calibration:
     """A calibration by the population from its record on disk, if its parts fit."""
-    load_kind = about.get("load", "")
-    gp = population_gp.of_any_version(record.gp)
-    boards = _board_names(gp, about.get("boards"))
+    load_kind, gp, boards = about.get("load", ""), record.gp, tuple(about.get("boards") or ())
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)
         and part.weights.shape == (len(part.components.log_share), part.readings.shape[1])
@@ -350,20 +288,16 @@ def _population_calibration(path: Path | str, record: PopulationRecord, about: d
         for part in (gp, record.previous)
         if part is not None
     )
-    fits = fits and len(boards) == (0 if gp.chip_positions is None else len(gp.chip_positions))
-    if not fits:
+    if not fits or len(boards) != (0 if gp.chip_positions is None else len(gp.chip_positions)):
         raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
+    if about["about"].get(LINEAR_TERMS):
+        raise serialization.SerializationError(
+            f"{path}: its predictions need the reading before or the temperature; calibrate again, with neither"
+        )
     previous = None
     if record.previous is not None:
-        of_previous = population_gp.of_any_version(record.previous)
-        names = _board_names(of_previous, about.get("previous_boards"))
-        previous = Calibration(of_previous, np.ones(1), load_kind, boards=names)
+        previous = Calibration(record.previous, np.ones(1), load_kind, boards=tuple(about.get("previous_boards") or ()))
     return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous, boards=boards)
-
-
-def _board_names(gp: PopulationGP, written: list[str] | None) -> tuple[str, ...]:
-    """Names of a mixture's boards; files of the first versions hold none."""
-    return tuple(written or () if gp.chip_positions is None else written or (GIVEN_BOARD,))
 
 
 def _chips(board: Board) -> np.ndarray:
@@ -441,22 +375,6 @@ def _check_rows(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Non
             raise ValueError(
                 f"a {kind} must lie between 0 and {largest:g} {LOAD_UNITS[kind]}; correct it or leave the press out"
             )
-
-
-def _linear_term(
-    name: str, values: ArrayLike | float | None, mean_temperature: float, shape: tuple[int, int]
-) -> np.ndarray:
-    """Values (n, c) of one linear term; 0 where it is not known."""
-    if values is None:
-        return np.zeros(shape)
-    term = validation.numbers(name, values, "numbers, one or one for each press").astype(np.float64)
-    if name == TEMPERATURE:
-        term = np.broadcast_to((term.reshape(-1, 1) if term.ndim else term) - mean_temperature, shape)
-    elif term.shape == shape[1:]:
-        term = term[None]
-    if term.shape != shape:
-        raise ValueError(f"{name} of shape {term.shape} does not go with {shape[0]} presses of {shape[1]} channels")
-    return np.where(np.isfinite(term), term, 0.0)
 
 
 def _checked_presses(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Presses:

@@ -16,12 +16,9 @@ Williams, "Gaussian Processes for Machine Learning", equations 5.10 to 5.12), so
 GP of short length smooths the heights, and the fit is repeated with them.
 
 With few presses the hyperparameters cannot be fitted and are fixed: `DEPTH_HYPERPARAMETERS` and
-`FORCE_HYPERPARAMETERS`. `select_hyperparameters` may scale them by cross-validation on the presses, never by evidence,
-which misleads where the prior is wrong in detail.
+`FORCE_HYPERPARAMETERS`.
 """
 
-from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import NamedTuple
 
 import jax
@@ -85,8 +82,8 @@ DEPTH_HYPERPARAMETERS = StructuredGPHyperparameters(
     bend_length=2e-3, bend_load_width=7e-3, static_variance=0.03, constant_variance=2e-3, noise_variance=4.5e-3,
     height_std=0.17e-3, height_length=1.8e-3, chip_reach=10e-3, far_amplitude=0.2, height_load_width=8e-3,
 )  # fmt: skip
-# Found on 24 simulated boards pressed with a spherical tip of 4 mm to 0.2 to 1 N (`experiments.calibrate_pads
-# --population`): a map of two lengths, that of the layer's thickness and twice as much, hardly bent by the load. What
+# Found on 24 simulated boards pressed with a spherical tip of 4 mm to 0.2 to 1 N, by a coordinate search on R2 of
+# presses left out: a map of two lengths, that of the layer's thickness and twice as much, hardly bent by the load. What
 # does not depend on the force is kept from a guess: simulated boards have none, real ones may.
 FORCE_HYPERPARAMETERS = StructuredGPHyperparameters(
     unit_load=1.0, load_offset=0.24, load_power=1.4, map_length=2.1e-3, map_variance=1.0, bend_variance=5.2,
@@ -108,7 +105,7 @@ class StructuredGP(NamedTuple):
     scale: Float[Array, " c"]  # uT
     height_cholesky: Float[Array, "n n"]
     height_weights: Float[Array, " n"]
-    previous_session: "StructuredGP | None"  # its predictions are the mean
+    previous_session: "StructuredGP | None" = None  # only in files of an earlier version, which are refused
 
 
 class LeaveOneOut(NamedTuple):
@@ -180,26 +177,25 @@ def fit(
     presses: Presses,
     readings: Float[Array, "n c"],
     chip_positions: Float[Array, "chips 2"] | None = None,
-    previous_session: StructuredGP | None = None,
 ) -> StructuredGP:
     """Condition the GP on n presses and their readings.
 
     Args:
-        hyperparameters: Of the GP. With a previous session the heights are those it found: give `height_std` 0.
+        hyperparameters: Of the GP.
         presses: Positions (m) and loads (m or N).
         readings: Their readings (uT); with chips three channels for each, in the chips' order.
         chip_positions: Positions of the chips (m), for amplitudes that fall with the distance from them.
-        previous_session: A GP whose predictions are the mean; the GP is conditioned on what it leaves of the readings.
 
     Returns:
         The conditioned GP.
     """
-    target = readings if previous_session is None else readings - predict(previous_session, presses)[0]
     unit_load, corrected = hyperparameters.unit_load, presses
     spread = _height_covariance(hyperparameters, presses, presses)
     for _ in range(HEIGHT_FITS):
         known = (corrected.load - presses.load) / unit_load
-        seen, variance = _measured_heights(leave_one_out(hyperparameters, corrected, target, chip_positions), target)
+        seen, variance = _measured_heights(
+            leave_one_out(hyperparameters, corrected, readings, chip_positions), readings
+        )
         height_cholesky = jnp.linalg.cholesky(spread + jnp.diag(variance))
         height_weights = jax.scipy.linalg.cho_solve((height_cholesky, True), known + seen)
         height = jnp.matmul(spread, height_weights, precision="highest")
@@ -207,7 +203,7 @@ def fit(
     system = _system(hyperparameters, corrected, chip_positions)
     # Group by group: batched factors that run side by side may wait for ever for the threads that each other holds.
     cholesky = jax.lax.map(jnp.linalg.cholesky, system)
-    weights = _ungrouped(jax.lax.map(lambda both: _solve(*both), (cholesky, _grouped(target, len(system)))))
+    weights = _ungrouped(jax.lax.map(lambda both: _solve(*both), (cholesky, _grouped(readings, len(system)))))
     return StructuredGP(
         hyperparameters=hyperparameters,
         presses=presses,
@@ -215,10 +211,9 @@ def fit(
         chip_positions=chip_positions,
         cholesky=cholesky,
         weights=weights,
-        scale=_channel_scale(target, weights),
+        scale=_channel_scale(readings, weights),
         height_cholesky=height_cholesky,
         height_weights=height_weights,
-        previous_session=previous_session,
     )
 
 
@@ -249,8 +244,6 @@ def predict(gp: StructuredGP, presses: Presses) -> tuple[Float[Array, "n c"], Fl
     )
     variance = jnp.maximum(own - jnp.sum(explained**2, axis=1), 0) + h.noise_variance
     variance = jnp.repeat(variance, len(gp.scale) // len(e), axis=0).T * gp.scale[None] ** 2
-    if gp.previous_session is not None:
-        mean = mean + predict(gp.previous_session, presses)[0]
     return mean, jnp.sqrt(variance + slope**2 * height_variance[:, None])
 
 
@@ -289,33 +282,6 @@ def leave_one_out(
     scale = _channel_scale(readings, _ungrouped(weights))
     std = _ungrouped(jnp.broadcast_to(jnp.sqrt(1 / own), y.shape)) * scale[None]
     return LeaveOneOut(_ungrouped(y - weights / own), std, _ungrouped(slope), scale)
-
-
-def leave_one_out_errors(
-    hyperparameters: StructuredGPHyperparameters,
-    presses: Presses,
-    readings: Float[Array, "n c"],
-    chip_positions: Float[Array, "chips 2"] | None = None,
-) -> Float[Array, " n"]:
-    """Squared error of each press as predicted from all others, heights included.
-
-    Args:
-        hyperparameters: Of the GP.
-        presses: Positions (m) and loads (m or N).
-        readings: Their readings (uT).
-        chip_positions: Positions of the chips (m), as in `fit`.
-
-    Returns:
-        Errors in units of the readings' variance: one minus their mean is R2.
-    """
-    found = leave_one_out(hyperparameters, presses, readings, chip_positions)
-    seen, variance = _measured_heights(found, readings)
-    spread = _height_covariance(hyperparameters, presses, presses)
-    inverse = _solve(jnp.linalg.cholesky(spread + jnp.diag(variance)), jnp.eye(len(seen)))
-    height = seen - jnp.matmul(inverse, seen, precision="highest") / jnp.diagonal(inverse)
-    error = readings - found.mean - found.slope * height[:, None]
-    total = jnp.sum((readings - jnp.mean(readings, axis=0, keepdims=True)) ** 2) / len(readings)
-    return jnp.sum(error**2, axis=1) / total
 
 
 def interval_scaling(
@@ -359,65 +325,12 @@ def interval_scaling(
     return (n * jnp.quantile(ratios, 0.9, axis=0) + shared * together) / (n + shared)
 
 
-def hyperparameter_grid(
-    hyperparameters: StructuredGPHyperparameters, factors: Mapping[str, Sequence[float]]
-) -> StructuredGPHyperparameters:
-    """All products of the given factors on the named hyperparameters.
-
-    Args:
-        hyperparameters: What is scaled.
-        factors: Factors to try on each hyperparameter, by its name.
-
-    Returns:
-        Candidates, stacked along a leading axis; `hyperparameters` itself comes first.
-    """
-    base = {name: getattr(hyperparameters, name) for name in factors}
-    scaled = [
-        hyperparameters._replace(**{name: base[name] * factor for name, factor in zip(base, chosen, strict=True)})
-        for chosen in product(*factors.values())
-    ]
-    stacked = zip(hyperparameters, *scaled, strict=True)
-    return StructuredGPHyperparameters(*(jnp.asarray(values, jnp.float32) for values in stacked))
-
-
-def select_hyperparameters(
-    candidates: StructuredGPHyperparameters,
-    presses: Presses,
-    readings: Float[Array, "n c"],
-    chip_positions: Float[Array, "chips 2"] | None = None,
-) -> StructuredGPHyperparameters:
-    """The candidate with the least leave-one-out error, or the first where none is better by one standard error.
-
-    The standard error is that of the paired difference over presses (Breiman et al., "Classification and Regression
-    Trees", 1984, section 3.4.3): few presses do not move the defaults by chance.
-
-    Args:
-        candidates: Hyperparameters stacked along a leading axis (`hyperparameter_grid`).
-        presses: Positions (m) and loads (m or N).
-        readings: Their readings (uT).
-        chip_positions: Positions of the chips (m), as in `fit`.
-
-    Returns:
-        One of the candidates.
-    """
-    errors = jax.lax.map(lambda one: leave_one_out_errors(one, presses, readings, chip_positions), candidates)
-    difference = errors - errors[:1]
-    mean = jnp.mean(difference, axis=1)
-    sure = mean + jnp.std(difference, axis=1) / jnp.sqrt(len(readings) - 1.0 + 1e-6) < 0
-    best = jnp.argmin(jnp.where(sure & jnp.isfinite(mean), mean, 0.0).at[0].set(0.0))
-    return jax.tree.map(lambda values: values[best], candidates)
-
-
 def _squared_distance(a: Float[Array, "a 2"], b: Float[Array, "b 2"]) -> Float[Array, "a b"]:
     return jnp.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=-1)
 
 
 def _height_covariance(h: StructuredGPHyperparameters, a: Presses, b: Presses) -> Float[Array, "a b"]:
     """Covariance of heights, in unit loads squared."""
-    return (jnp.asarray(h.height_std) / h.unit_load) ** 2 * _height_correlation(h, a, b)
-
-
-def _height_correlation(h: StructuredGPHyperparameters, a: Presses, b: Presses) -> Float[Array, "a b"]:
     near = jnp.exp(-_squared_distance(a.position, b.position) / (2 * h.height_length**2))
     period, known = jnp.where(h.lattice_period > 0, h.lattice_period, 1.0), h.lattice_period > 0
     # MacKay's periodic kernel, which near zero is the same as the other.
@@ -426,7 +339,8 @@ def _height_correlation(h: StructuredGPHyperparameters, a: Presses, b: Presses) 
     share = jnp.where(known, h.periodic_share, 0.0)
     changing = h.height_load_width > 0
     load_distance = jnp.abs(a.load[:, None] - b.load[None, :]) / jnp.where(changing, h.height_load_width, 1.0)
-    return ((1 - share) * near + share * repeated) * jnp.where(changing, jnp.exp(-load_distance), 1.0)
+    correlation = ((1 - share) * near + share * repeated) * jnp.where(changing, jnp.exp(-load_distance), 1.0)
+    return (jnp.asarray(h.height_std) / h.unit_load) ** 2 * correlation
 
 
 def _predicted_heights(gp: StructuredGP, presses: Presses) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

@@ -2,15 +2,14 @@
 effect.
 """
 
-from pathlib import Path
-
-from i2t.cli import require_path, require_with
+from i2t.cli import check_options, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
-from i2t.errors import DeviceError
 from i2t.hardware.ur.config import check_watch
 from i2t.objects.named import require_object
+from i2t.simulation.site_limits import check_site_limits
 
 SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
+MAX_OBJECT_M = 3.0  # of an object's pose in the world
 
 
 def check_collect_args(args: CollectArgs) -> None:
@@ -22,6 +21,9 @@ def check_collect_args(args: CollectArgs) -> None:
     Raises:
         ValueError: A file or an object is missing, or an option has no effect; the message names its flag.
     """
+    check_options(args)
+    check_site_limits(args.sites)
+    _check_pose(args.lab.pose)
     if args.out.exists() and not args.out.is_dir():
         raise ValueError(f"--out {args.out}: is a file; name a folder")
     require_path("--rig", args.lab.rig, "file or folder")
@@ -34,6 +36,16 @@ def check_collect_args(args: CollectArgs) -> None:
     require_object(args.world.object, args.world.unit, flag="--object")
 
 
+def _check_pose(pose: tuple[float, ...] | None) -> None:
+    limits = 3 * (MAX_OBJECT_M,) + 3 * (360.0,)
+    if pose is None or all(abs(value) <= most for value, most in zip(pose, limits, strict=True)):
+        return
+    raise ValueError(
+        f"--pose is {' '.join(f'{value:g}' for value in pose)}; give x y z in m, each within {MAX_OBJECT_M:g} m, and "
+        "turns about x y z in degrees, each within 360"
+    )
+
+
 def check_arm(arm: ArmArgs) -> None:
     """Refuse options of an arm that do not go together.
 
@@ -41,12 +53,14 @@ def check_arm(arm: ArmArgs) -> None:
         arm: The options.
 
     Raises:
-        ValueError: An option has no effect; the message names its flag.
+        ValueError: An option is missing or has no effect; the message names its flag.
     """
     if arm.host and arm.kind == SIMULATED:
         raise ValueError(
             "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"
         )
+    if arm.kind == "ur" and not arm.host:
+        raise ValueError("a UR arm needs the address of its controller; pass --host")
     check_watch(arm.state_timeout, arm.watchdog_rate)  # of a UR arm, real or emulated
 
 
@@ -79,10 +93,6 @@ def check_skin(skin: SkinArgs) -> None:
     Raises:
         ValueError: A file or a board is missing, or an option has no effect; the message names its flag.
     """
-    require_path("--replay", skin.replay, "file or folder")
-    require_with("--replay", skin.replay is not None, "--skin replay", skin.kind == "replay")
-    if skin.kind == "replay" and skin.replay is None:
-        raise ValueError("--skin replay needs a recording to play: pass --replay FILE")
     if skin.board is not None:
         from i2t.skin.boards import make_board
 
@@ -90,20 +100,5 @@ def check_skin(skin: SkinArgs) -> None:
     require_with("--skin-serial", skin.skin_serial is not None, "--skin reskin", skin.kind == "reskin")
     if skin.skin_serial and skin.port:
         raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
-    if skin.port and skin.kind in (SIMULATED, "replay"):
+    if skin.port and skin.kind == SIMULATED:
         raise ValueError(f"--port is of a board, and --skin is {skin.kind}; leave it out, or pass --skin reskin")
-    if skin.replay is not None:
-        _require_recording(skin.replay, skin.board)
-
-
-def _require_recording(path: Path, board: str | None) -> None:
-    """Refuse a file in which no frames of the board are."""
-    # Not above: NumPy, which other refusals need not wait for.
-    from i2t.hardware.reskin.driver import Replay
-    from i2t.skin.boards import DEFAULT_BOARD, make_board
-
-    try:
-        with Replay(path, chips=make_board(board or DEFAULT_BOARD).num_chips):
-            pass
-    except DeviceError as error:
-        raise ValueError(f"--replay: {error}") from error

@@ -15,24 +15,13 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from i2t.cli import exit_code_of, renamed_flags
+from i2t.cli import exit_code_of
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.checks import check_collect_args
 from i2t.options import read_options
 
 # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
 ENDING_SIGNALS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-RENAMED_COLLECT_FLAGS = {
-    "--run": "--session",
-    "--exact": "--no-pose-error",
-    "--stale": "--state-timeout",
-    "--watchdog": "--watchdog-rate",
-    "--settings.past-goal": "--settings.overtravel",
-    "--settings.uneven": "--settings.nonuniform-share",
-    "--settings.mean-of": "--settings.averaged-samples",
-    "--settings.seen": "--settings.min-visible-share",
-    "--settings.nearer": "--settings.surface-tolerance",
-}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,7 +33,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    renamed_flags(sys.argv[1:] if argv is None else argv, RENAMED_COLLECT_FLAGS)
     args = read_options(CollectArgs, argv, program="python -m i2t.collect", description=__doc__)
 
     def work() -> int:

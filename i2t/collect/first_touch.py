@@ -2,35 +2,32 @@
 
     air       what the arm feels while it touches nothing and nothing has been zeroed: a payload that is wrong
     looks     the camera over some sites; near each the depth must be that of the mesh where the rig has it
-    touch     a slow press of the site that points up most, guarded all the way down from the way across: the tool must
-              meet the object where the rig has it, and the skin must feel it
+    touch     a slow press of the site that points up most, as any other but with lighter limits and guarded all the way
+              down from the way across: the tool must meet the object where the rig has it, and the skin must feel it
 
-What contradicts the rig is one sentence, and nothing else is touched. A camera that shows recorded views, or a skin
-that plays a recording, is not asked.
+What contradicts the rig is one sentence, and nothing else is touched. A camera that shows recorded views is not asked.
 
 Frames: W world, B robot base, T tool, C camera; metres, newtons, microtesla.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
+from io import BytesIO
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from i2t.collect.procedure import Procedure
-from i2t.collect.touch import Site, UnreachableError
+from i2t.collect.recorder import EventLog
+from i2t.collect.touch import TOOL, Site, TouchFailedError, UnreachableError
 from i2t.depth.camera import Camera, Distortion
 from i2t.errors import DeviceError
-from i2t.hardware.poses import shifted_along_z
-from i2t.hardware.protocols import ArmState, Samples, Skin
 from i2t.hardware.skin_health import press_defect
 from i2t.objects.solids import Mesh
 from i2t.simulation.depth_camera import render_view
-from i2t.skin.ambient import mean_known
 from i2t.types import Array
 
-RECORDED_SOURCES = ("folder", "replay")  # sources of views that are not of this lab
 FELT_S, FELT_SAMPLES = 0.5, 200  # of which a reading is the mean, whichever is less
 FIRST_SITES, FIRST_LOOKS = 32, 3  # sites among which those are chosen, and how many are looked at
 LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
@@ -41,6 +38,7 @@ MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
 TOUCH_TOLERANCE_M = 4e-3  # of where the object is met; with a placement that is stated worse, three times its error
 LIGHT_FORCE_N = 3.0  # that ends the first touch: above what a UR's sensor errs in motion
 FIRST_TOUCH_SPEED_M_S = 5e-3
+MAX_PREPARE_M = 0.3  # before a site, as settings allow
 MAX_AIR_FORCE_N = 6.0  # felt in the air before anything is zeroed: more is a payload off by 0.6 kg
 
 CHECK_CAMERA = "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (python -m i2t.place)"
@@ -67,20 +65,11 @@ class SitedObject(Protocol):
         """
 
 
-class SlowTouch(NamedTuple):
-    """A line down to a site and past it, which box and arm allow to its end."""
-
-    site: Site
-    above: Array  # T_b_t (4, 4), m, where the guarded way begins
-    prepare: Array  # T_b_t (4, 4), m
-    past: float  # m past the site, where it ends at the latest
-
-
 class FirstTouchPlan(NamedTuple):
-    """Sites to look at and to touch."""
+    """Sites to look at, of which the first is touched, and the procedure whose settings make that touch a slow one."""
 
     looks: tuple[Site, ...]
-    touch: SlowTouch
+    slow: Procedure
 
 
 def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPlan:
@@ -114,18 +103,18 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
     middle = places[:, :2].mean(0)
     best_first = np.argsort(-(np.round(up, 2) - np.linalg.norm(places[:, :2] - middle, axis=1)), kind="stable")
     pasts = (touch_tolerance(procedure), procedure.settings.overtravel)
-    touches = (_slow_touch(procedure, sites[i], past) for past in dict.fromkeys(pasts) for i in best_first)
-    touch = next((each for each in touches if each is not None), None)
-    if touch is None:
+    tried = ((i, _slowed(procedure, sites[i], past)) for past in dict.fromkeys(pasts) for i in best_first)
+    first, slow = next(((i, each) for i, each in tried if each is not None), (0, None))
+    if slow is None:
         raise UnreachableError(
             f"a slow touch, from {1e3 * procedure.settings.prepare:.0f} mm before a site to {1e3 * pasts[1]:.0f} mm "
             f"past it, can be made at none of {len(sites)}; lower settings.prepare, or pass --skip-first-touch"
         )
-    chosen = [next(i for i, site in enumerate(sites) if site is touch.site)]
+    chosen = [first]
     while len(chosen) < min(FIRST_LOOKS, len(sites)):
         away = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(1)
         chosen.append(int(np.argmax(away)))
-    return FirstTouchPlan(tuple(sites[i] for i in chosen), touch)
+    return FirstTouchPlan(tuple(sites[i] for i in chosen), slow)
 
 
 def touch_tolerance(procedure: Procedure) -> float:
@@ -141,19 +130,34 @@ def touch_tolerance(procedure: Procedure) -> float:
     return max(TOUCH_TOLERANCE_M, 3 * float(np.sqrt(variances.max())))
 
 
-def _slow_touch(procedure: Procedure, site: Site, past: float) -> SlowTouch | None:
-    """The line to a site and past it (m), begun as high as box and arm allow; None where they allow none."""
-    path, limits = procedure.path, procedure.rig.limits
-    if procedure.settings.prepare + past > limits.approach_distance:
+def _slowed(procedure: Procedure, site: Site, past: float) -> Procedure | None:
+    """The procedure with settings of a slow touch of a site, which ends so far (m) past it: it is guarded from as high
+    as box and arm allow, and presses from where others prepare. None where they allow none.
+    """
+    path, settings, limits = procedure.path, procedure.settings, procedure.rig.limits
+    if not settings.prepare + past <= limits.approach_distance:
         return None
     prepare = path.poses(site)[1]
-    end = shifted_along_z(prepare, procedure.settings.prepare + past)
     up = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
-    room = min((path.transfer_height() - prepare[2, 3]) / up, limits.approach_distance)
+    room = min((path.transfer_height() - prepare[2, 3]) / up, limits.approach_distance, MAX_PREPARE_M)
+    count = int(np.clip(FELT_S * procedure.skin.features.rate, settings.ambient, FELT_SAMPLES))
     for part in (1.0, 0.5, 0.0):
-        above = shifted_along_z(prepare, -part * room)
-        if path.allows((above, prepare, end)):
-            return SlowTouch(site, above, prepare, past)
+        slow = replace(
+            settings,
+            prepare=min(settings.prepare + part * max(room, 0.0), MAX_PREPARE_M),
+            near=settings.prepare,
+            overtravel=past,
+            press=min(FIRST_TOUCH_SPEED_M_S, settings.approach),
+            force=LIGHT_FORCE_N,
+            ambient=count,
+            contact=count,
+        )
+        try:
+            slowed = replace(procedure, settings=slow)
+            slowed.path.check(site)
+            return slowed
+        except UnreachableError:
+            continue
     return None
 
 
@@ -174,13 +178,13 @@ def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[st
     plan = plan_first_touch(procedure, sampler)
     _check_air(procedure)
     procedure.retreat()
-    if procedure.camera.features.source not in RECORDED_SOURCES:
+    if procedure.camera.features.source != "folder":
         share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
         if share > MAX_WRONG_SHARE:
             raise _seen_elsewhere("in the first looks", share)
         report(f"first looks: {100 * share:.0f} % of the object's pixels are not where the rig has them")
     try:
-        report(_touch(procedure, plan.touch))
+        report(_touch(plan.slow, plan.looks[0]))
     except RigContradictedError:
         procedure.retreat()
         raise
@@ -276,78 +280,33 @@ def _seen_elsewhere(where: str, share: float) -> RigContradictedError:
     )
 
 
-def _touch(procedure: Procedure, touch: SlowTouch) -> str:
+def _touch(slow: Procedure, site: Site) -> str:
     """Touch a site slowly; says where it was met, or raises RigContradictedError."""
-    settings, tolerance = procedure.settings, touch_tolerance(procedure)
-    procedure.move_above(touch.above)
-    procedure.clock.sleep(settings.settle)
-    procedure.arm.zero_wrench()
-    far = float((touch.prepare[:3, 3] - touch.above[:3, 3]) @ touch.prepare[:3, 2])
-    carried = {each.name: _mean_of(procedure, each.skin) for each in procedure.carried}
-    ambient = _mean_reading(procedure)
-    expected, gone = far + settings.prepare, 0.0
-    for distance, speed in (
-        (far, settings.approach),
-        (settings.prepare + touch.past, min(FIRST_TOUCH_SPEED_M_S, settings.approach)),
-    ):
-        if distance <= 1e-4:
-            continue
-        met = procedure.arm.approach(
-            distance,
-            speed,
-            procedure.stop_conditions({"": ambient, **carried}, _NoLog()),
-            force=LIGHT_FORCE_N,
-            torque=settings.torque,
-            acceleration=settings.acceleration,
-        )
-        gone += met.distance
-        if met.reason != "distance":
-            break
+    settings, tolerance = slow.settings, touch_tolerance(slow)
+    log = EventLog(BytesIO(), slow.clock)  # it is no touch of the set
+    prepare = slow.path.poses(site)[1]
+    slow.move_above(prepare)
+    slow.clock.sleep(settings.settle)
     remedy = "check T_flange_tool, T_world_base and T_world_object"
-    if met.reason == "distance":
+    try:
+        slow.prepare(prepare, log)
+    except TouchFailedError as error:
+        raise RigContradictedError(f"the first slow touch: {error}; {remedy}, and look what is in the way") from error
+    press = slow.press(log)
+    late = press.result.distance - settings.near
+    if press.result.reason == "distance":
         raise RigContradictedError(
-            f"the first slow touch met nothing up to {1e3 * touch.past:.0f} mm past where the rig has the object; "
-            f"{remedy}"
+            f"the first slow touch met nothing up to {1e3 * settings.overtravel:.0f} mm past where the rig has the "
+            f"object; {remedy}"
         )
-    if abs(gone - expected) > tolerance:
+    if not abs(late) <= tolerance:
         raise RigContradictedError(
-            f"the first slow touch met something {1e3 * (expected - gone):.0f} mm before the object should begin; "
-            f"{remedy}, and look what is in the way"
+            f"the first slow touch met something {-1e3 * late:.0f} mm before the object should begin; {remedy}, and "
+            "look what is in the way"
         )
-    return _felt(procedure, ambient, 1e3 * (gone - expected))
-
-
-def _felt(procedure: Procedure, ambient: Array, late_mm: float) -> str:
-    """Response of the skin to the first touch, in a sentence; raises RigContradictedError."""
-    procedure.clock.sleep(procedure.settings.hold)
-    change = _mean_reading(procedure) - ambient
-    force = -float(procedure.arm.state().wrench[2])
+    change, force = press.readings[TOOL], -float(press.states[-1].wrench[2])
+    defect = press_defect(change, force)
+    if defect:
+        raise RigContradictedError(f"{slow.skin.features.name}: {defect}")
     size = float(np.sqrt(np.nansum(change**2)))
-    if procedure.skin.features.source != "replay":
-        defect = press_defect(change, force)
-        if defect:
-            raise RigContradictedError(f"{procedure.skin.features.name}: {defect}")
-    return f"first touch: met the object {late_mm:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"
-
-
-class _NoLog:
-    """Takes samples and states, and keeps none: the first touch is no touch of the set."""
-
-    def samples(self, samples: Samples, skin: str = "") -> None:
-        """Take samples of a skin."""
-
-    def state(self, state: ArmState) -> None:
-        """Take a state of the arm."""
-
-    def event(self, text: str) -> None:
-        """Take an event."""
-
-
-def _mean_reading(procedure: Procedure) -> Array:
-    return _mean_of(procedure, procedure.skin)
-
-
-def _mean_of(procedure: Procedure, skin: Skin) -> Array:
-    """Mean of enough samples, half a second, that noise cannot pass for a press nor hide one."""
-    count = int(np.clip(FELT_S * skin.features.rate, procedure.settings.ambient, FELT_SAMPLES))
-    return mean_known(skin.read(count).reading, axis=0)
+    return f"first touch: met the object {1e3 * late:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"

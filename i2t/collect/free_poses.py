@@ -5,32 +5,43 @@ place lies inside the rig's box and `clearance` above the height at which the to
 tilt the tool away from pointing down, and turn it about its own axis, by no more than the settings say; between two
 poses the tool is put upright where it stands, moved and turned upright, and tilted again, so that on the way it is
 tilted no further either. Among many such poses those are taken that tell most about the field (a D-optimal design,
-chosen greedily).
+chosen greedily). The field of each skin is kept in the folder of the touches, and compared with what the skin reads
+before each touch.
 
-Frames: W world, B robot base, T tool; metres and radians.
+Frames: W world, B robot base, T tool, S skin; metres and radians.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from i2t.collect.path import TouchPath
-from i2t.collect.procedure import is_at
+from i2t.collect.procedure import Procedure, is_at
 from i2t.collect.settings import AmbientSettings
-from i2t.collect.touch import UnreachableError
+from i2t.collect.touch import SkinOnTool, TouchResult, UnreachableError
 from i2t.geometry import so3_exp, transform
-from i2t.hardware.clock import Clock
-from i2t.hardware.limits import MotionLimits, format_position
-from i2t.hardware.protocols import GuardedArm, Skin
-from i2t.skin.ambient import FreePoses
+from i2t.hardware.limits import format_position
+from i2t.skin.ambient import (
+    AmbientField,
+    FreePoses,
+    ambient_changed,
+    fit_ambient,
+    load_ambient,
+    save_ambient,
+    subtract_ambient,
+)
 from i2t.types import Array
 
 CANDIDATES = 400  # poses among which the best are chosen
 BURST_SAMPLES = 10  # that are read at once
 INFORMATION_FLOOR = 1e-3  # of a pose, before the first is chosen
+AMBIENT_FILE = ".ambient.npz"  # hidden, as it is no touch
+TOUCH_FALSE_ALARM = 1e-3  # of touches, at which a field that has not changed is called changed
 
 
 class FreePose(NamedTuple):
@@ -70,128 +81,15 @@ def plan_free_poses(
     chosen = _most_informative(tilted, settings.poses)
     poses = [FreePose(transform(upright[i], places[i]), transform(tilted[i], places[i])) for i in chosen]
     for pose in poses:
-        _require_free(path.rig.limits, pose, low)
+        _require_free(path, pose.tilted, low[2])
     return poses
-
-
-def gather_free_poses(
-    arm: GuardedArm,
-    skin: Skin,
-    clock: Clock,
-    path: TouchPath,
-    poses: Sequence[FreePose],
-    *,
-    settings: AmbientSettings,
-    on_pose: Callable[[int], None] | None = None,
-) -> FreePoses:
-    """Take the poses, with the skin read at each; the tool ends upright, above everything.
-
-    Args:
-        arm: Connected, retreated from whatever it touched.
-        skin: Connected.
-        clock: That the devices share.
-        path: As for `plan_free_poses`.
-        poses: As that planned them.
-        settings: How long the skin is read.
-        on_pose: Hears the number of poses that are done.
-
-    Returns:
-        Poses as the arm reports them, with their samples.
-
-    Raises:
-        UnreachableError: The tool stands where it may not be lifted from; nothing has moved.
-        DeviceError: The arm met something or stopped, or the skin fell silent.
-    """
-    found = gather_of_skins(arm, {"": (skin, np.eye(4))}, clock, path, poses, settings=settings, on_pose=on_pose)
-    return found[""]
-
-
-def gather_of_skins(
-    arm: GuardedArm,
-    skins: Mapping[str, tuple[Skin, Float[Array, "4 4"]]],
-    clock: Clock,
-    path: TouchPath,
-    poses: Sequence[FreePose],
-    *,
-    settings: AmbientSettings,
-    on_pose: Callable[[int], None] | None = None,
-) -> dict[str, FreePoses]:
-    """Take the poses as `gather_free_poses`, with several skins on the tool at once.
-
-    Args:
-        arm: As there.
-        skins: Each connected, with its frame T_tool_skin (4, 4), by name.
-        clock: As there.
-        path: As there.
-        poses: As there.
-        settings: As there.
-        on_pose: As there.
-
-    Returns:
-        Of each skin its own poses in the base, with its samples.
-
-    Raises:
-        UnreachableError: As there.
-        DeviceError: As there.
-    """
-    speed, acceleration = path.free_speed, path.settings.acceleration
-    low = _free_box(path, settings)[0][2]
-    start = np.array(arm.state().T_b_t)
-    lifted = np.array(start)
-    lifted[2, 3] = max(low, lifted[2, 3])
-    for pose in (*(part for each in poses for part in each), lifted):
-        if not path.rig.limits.contains(pose[:3, 3]):
-            raise UnreachableError(
-                f"a free pose would be at {format_position(pose[:3, 3])} m, outside the box; move the tool above the "
-                "object with the pendant, or raise the box"
-            )
-
-    def go(*goals: Array) -> None:
-        for goal in goals:
-            if not is_at(arm.state(), goal):
-                arm.go(goal, speed, acceleration)
-
-    go(lifted, transform(_pointing_down(path, lifted), lifted[:3, 3]))
-    stated: list[Array] = []
-    read: dict[str, list[np.ndarray]] = {name: [] for name in skins}
-    for number, pose in enumerate(poses):
-        go(pose.upright, pose.tilted)
-        clock.sleep(path.settings.settle)
-        stated.append(np.array(arm.state().T_b_t))
-        samples = _samples([skin for skin, _ in skins.values()], clock, settings.seconds)
-        for name, rows in zip(skins, samples, strict=True):
-            read[name].append(rows)
-        go(pose.upright)
-        if on_pose is not None:
-            on_pose(number + 1)
-    T_b_t = np.stack(stated)
-    return {name: FreePoses(T_b_t @ pose, _stacked(read[name])) for name, (_, pose) in skins.items()}
-
-
-def _samples(skins: Sequence[Skin], clock: Clock, seconds: float) -> list[np.ndarray]:
-    """Samples (s, c) uT of each skin, of some seconds, whatever their rates are; they take turns."""
-    end = clock.now() + seconds
-    parts = [[skin.read(BURST_SAMPLES).reading] for skin in skins]
-    while clock.now() < end:
-        for own, skin in zip(parts, skins, strict=True):
-            own.append(skin.read(BURST_SAMPLES).reading)
-    return [np.concatenate(own) for own in parts]
-
-
-def _stacked(read: list[np.ndarray]) -> np.ndarray:
-    """Stack samples (p, s, c) uT; poses at which fewer samples came are filled up with NaN."""
-    most = max(map(len, read))
-    stacked = np.full((len(read), most, read[0].shape[1]), np.nan)
-    for pose, samples in enumerate(read):
-        stacked[pose, : len(samples)] = samples
-    return stacked
 
 
 def _free_box(path: TouchPath, settings: AmbientSettings) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corner (3,) m of where free poses may be, in the base."""
     lower, upper = path.rig.limits.box
     low = path.transfer_height() + settings.clearance
-    if low > upper[2]:
+    if not low <= upper[2]:
         raise UnreachableError(
             f"free poses would begin at {low:.3f} m in the base, {1e3 * settings.clearance:.0f} mm above the way "
             f"across, and the box ends at {upper[2]:.3f} m; raise the box, or leave out the free poses"
@@ -233,8 +131,133 @@ def _most_informative(rotations: np.ndarray, count: int) -> list[int]:
     return chosen
 
 
-def _require_free(limits: MotionLimits, pose: FreePose, low: np.ndarray) -> None:
-    """Refuse a pose that is not where free poses may be; nothing takes its place."""
-    for part in pose:
-        if not limits.contains(part[:3, 3]) or part[2, 3] < low[2] - 1e-9:
-            raise UnreachableError(f"a free pose would be at {format_position(part[:3, 3])} m, where it may not be")
+def _require_free(path: TouchPath, T_b_t: np.ndarray, low: float) -> None:
+    """Refuse a pose that is outside the box, or below a height (m); nothing takes its place."""
+    if not (path.rig.limits.contains(T_b_t[:3, 3]) and T_b_t[2, 3] >= low - 1e-9):
+        raise UnreachableError(
+            f"a free pose would be at {format_position(T_b_t[:3, 3])} m, outside the box or too low; move the tool "
+            "above the object with the pendant, or raise the box"
+        )
+
+
+def gather_free_poses(
+    procedure: Procedure, poses: Sequence[FreePose], settings: AmbientSettings
+) -> dict[str, FreePoses]:
+    """Take the poses, with all skins read at each; the tool ends upright, above everything.
+
+    Args:
+        procedure: Its devices are connected, and the tool has retreated from whatever it touched.
+        poses: As `plan_free_poses` planned them.
+        settings: How long the skins are read.
+
+    Returns:
+        Of each skin, by its name, its poses in the base as the arm reports them, with its samples.
+
+    Raises:
+        UnreachableError: The tool stands where it may not be lifted from, or a pose is not free; nothing has moved.
+        DeviceError: The arm met something or stopped, or a skin fell silent.
+    """
+    arm, path = procedure.arm, procedure.path
+    low = _free_box(path, settings)[0][2]
+    lifted = np.array(arm.state().T_b_t)
+    lifted[2, 3] = max(low, lifted[2, 3])
+    for pose in (*(each.tilted for each in poses), lifted):
+        _require_free(path, pose, low)
+
+    def go(*goals: Array) -> None:
+        for goal in goals:
+            if not is_at(arm.state(), goal):
+                arm.go(goal, path.free_speed, path.settings.acceleration)
+
+    go(lifted, transform(_pointing_down(path, lifted), lifted[:3, 3]))
+    T_b_t: list[Array] = []
+    read: dict[str, list[np.ndarray]] = {each.name: [] for each in procedure.skins}
+    for pose in poses:
+        go(pose.upright, pose.tilted)
+        procedure.clock.sleep(path.settings.settle)
+        T_b_t.append(np.array(arm.state().T_b_t))
+        for each in procedure.skins:
+            bursts = math.ceil(settings.seconds * each.skin.features.rate / BURST_SAMPLES)
+            samples = [each.skin.read(BURST_SAMPLES).reading for _ in range(bursts)]
+            read[each.name].append(np.concatenate(samples))
+        go(pose.upright)
+    return {
+        each.name: FreePoses(np.stack(T_b_t) @ each.T_tool_skin, np.stack(read[each.name])) for each in procedure.skins
+    }
+
+
+def fitted_ambient(
+    procedure: Procedure, settings: AmbientSettings, out: Path, *, seed: int = 0
+) -> dict[str, AmbientField]:
+    """The ambient fields for the touches that follow: newly fitted ones, or those of the folder.
+
+    Args:
+        procedure: Its devices are connected.
+        settings: How many free poses are taken; with none the earlier fields of the folder are used.
+        out: Folder of the touches, in which the fields are kept.
+        seed: Of the poses.
+
+    Returns:
+        The field of each skin that has one, by the skin's name.
+
+    Raises:
+        ValueError: The rig's box leaves no room for free poses, the arm's limits forbid their speed, or the folder's
+            field is damaged or another board's.
+        DeviceError: A device fails.
+    """
+    paths = {each.name: out / (f".ambient-{each.name}.npz" if each.name else AMBIENT_FILE) for each in procedure.skins}
+    boards = {each.name: each.board for each in procedure.skins}
+    fields = {name: load_ambient(path, boards[name])[0] for name, path in paths.items() if path.exists()}
+    if not settings.poses:
+        for name, field in fields.items():
+            print(f"ambient field of {paths[name]}: {_said(field)}")
+        return fields
+    procedure.path.check_settings()
+    poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, settings, seed)
+    procedure.retreat()
+    print(f"{len(poses)} free poses ...", flush=True)
+    free = gather_free_poses(procedure, poses, settings)
+    for each in procedure.skins:
+        fields[each.name] = _newly_fitted(free[each.name], each, paths[each.name], burst=procedure.settings.ambient)
+    return fields
+
+
+def _newly_fitted(free: FreePoses, skin: SkinOnTool, path: Path, *, burst: int) -> AmbientField:
+    """The field of a skin from its free poses, kept in its file."""
+    field = fit_ambient(free, skin.board, burst=burst)
+    turned = np.sqrt(np.nanmean((free.reading - np.nanmean(free.reading, axis=0)) ** 2))
+    left = np.sqrt(np.nanmean(subtract_ambient(field, skin.board, free.T_b_t, free.reading) ** 2))
+    print(f"ambient field{f' of {skin.name}' if skin.name else ''}: {_said(field)}")
+    print(f"               changes readings by {turned:.1f} uT from pose to pose, and by {left:.1f} uT once subtracted")
+    features = skin.skin.features
+    fitted = f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
+    save_ambient(path, field, {"skin": features.name, "source": features.source, "fitted": fitted})
+    return field
+
+
+def _said(field: AmbientField) -> str:
+    earth = ", ".join(f"{value:.1f} +- {error:.1f}" for value, error in zip(field.earth, field.earth_std, strict=True))
+    silent = np.flatnonzero(np.isnan(field.offset).any(1))
+    missing = f"; without chips {', '.join(map(str, silent))}" if len(silent) else ""
+    return f"({earth}) uT in the base{missing}"
+
+
+def contradiction(fields: Mapping[str, AmbientField], procedure: Procedure, touch: TouchResult) -> str:
+    """Contradiction of the fitted fields by what the skins read before a touch.
+
+    Args:
+        fields: Of the skins that have one, by their names.
+        procedure: That made the touch.
+        touch: With what the skins read.
+
+    Returns:
+        What contradicts; "" where nothing does.
+    """
+    sentences = []
+    for each in procedure.skins:
+        if each.name in fields:
+            felt = touch.skins[each.name]
+            pose = FreePoses((procedure.rig.T_base_world @ felt.T_w_s)[None], felt.ambient[None, None])
+            change = ambient_changed(fields[each.name], each.board, pose, false_alarm=TOUCH_FALSE_ALARM)
+            sentences += [f"{each.name}: {change.sentence}" if each.name else change.sentence] if change.changed else []
+    return "; ".join(sentences)

@@ -5,27 +5,18 @@ What is outside is refused and never moved inside. Frames: W world, B robot base
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, UnreachableError
 from i2t.geometry import inverse
-from i2t.hardware.collision import REACTION_S, fastest_speed, overrun_force
+from i2t.hardware.collision import fastest_speed
 from i2t.hardware.kinematics import arms, plan
 from i2t.hardware.limits import BRAKING_M_S2, format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.rig import Rig
 from i2t.types import Array
-
-
-class PressBounds(NamedTuple):
-    """Greatest forces at the end of a press (N)."""
-
-    force: float  # whatever the skin does: force told it to stop
-    stall: float  # what comes while the computer stalls, until the arm stops by itself; NaN where only it knows when
-    silence: float  # what comes until a skin that fell silent has stopped the press
 
 
 @dataclass(frozen=True)
@@ -75,32 +66,20 @@ class TouchPath:
         """
         if site.number in self.unreachable:
             raise UnreachableError(self.unreachable[site.number])
-        for name, goal in zip(("look", "prepare", "slow down", "end"), self.poses(site), strict=True):
+        poses = self.poses(site)
+        for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
             if not self.rig.limits.contains(goal[:3, 3]):
                 raise UnreachableError(
                     f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
                     "the box"
                 )
         # The lines of a touch: down to look, up, across, down to prepare, to the end.
-        look, prepare, _, end = self.poses(site)
+        look, prepare, _, end = poses
         height = self.transfer_height()
         above_look, above = (_at_height(pose, height) for pose in (look, prepare))
         refused = self._unplanned((above_look, look, above_look, above, prepare, end))
         if refused:
             raise UnreachableError(f"site {site.number}: {refused}")
-
-    def allows(self, goals: Sequence[Array]) -> bool:
-        """Test whether the tool may come down from the way across to the first of some poses, and go on in lines.
-
-        Args:
-            goals: T_b_t (4, 4), m, in order.
-
-        Returns:
-            True where all are in the box and the arm can follow the lines.
-        """
-        if not all(self.rig.limits.contains(goal[:3, 3]) for goal in goals):
-            return False
-        return not self._unplanned((_at_height(goals[0], self.transfer_height()), *goals))
 
     def _unplanned(self, goals: Sequence[Array]) -> str:
         """Reason why the arm cannot follow lines, by its own answer or the rig's; empty if it can or nobody knows."""
@@ -120,16 +99,13 @@ class TouchPath:
             UnreachableError: The way across the object is outside the box.
         """
         settings, limits = self.settings, self.rig.limits
-        for name in ("speed", "approach", "press", "retreat"):
-            if getattr(settings, name) > limits.speed:
-                raise ValueError(
-                    f"{name} is {getattr(settings, name):g} m/s, above the rig's limit, {limits.speed:g}; lower it"
-                )
-        if settings.acceleration > limits.acceleration:
-            raise ValueError(
-                f"acceleration is {settings.acceleration:g} m/s^2, above the rig's limit, {limits.acceleration:g}; "
-                "lower it"
-            )
+        for name, most, unit in (
+            *((name, limits.speed, "m/s") for name in ("speed", "approach", "press", "retreat")),
+            ("acceleration", limits.acceleration, "m/s^2"),
+        ):
+            value = getattr(settings, name)
+            if not value <= most:
+                raise ValueError(f"{name} is {value:g} {unit}, above the rig's limit, {most:g}; lower it")
         for distance in (settings.prepare - settings.near, settings.near + settings.overtravel):
             if distance > 0:
                 limits.check_approach(distance, settings.force, settings.torque)
@@ -141,7 +117,7 @@ class TouchPath:
         """Refuse a guarded motion that runs past the rig's limit once the settings' force has told it to stop."""
         limits, force = self.rig.limits, self.settings.force
         ends = limits.collision_force(speed, force)
-        if ends > limits.force:
+        if not ends <= limits.force:
             allowed = fastest_speed(limits.force - force, limits.stiffness, braking=BRAKING_M_S2)
             raise ValueError(
                 f"{name} is {speed:g} m/s: told to stop at {force:g} N it would end at {ends:.0f} N, at "
@@ -159,25 +135,6 @@ class TouchPath:
         """Speed (m/s) of retreats, bounded likewise."""
         return min(self.settings.retreat, self.rig.limits.free_speed)
 
-    def press_bounds(self, watch_s: float | None) -> PressBounds:
-        """Greatest forces at the end of a press, by the formula of `i2t.hardware.collision`.
-
-        Args:
-            watch_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
-
-        Returns:
-            The bounds.
-        """
-        settings, limits = self.settings, self.rig.limits
-
-        def more(late: float) -> float:
-            delay = REACTION_S + late
-            return overrun_force(settings.press, limits.stiffness, braking=BRAKING_M_S2, delay=delay)
-
-        return PressBounds(
-            settings.force + more(0.0), more(np.nan if watch_s is None else watch_s), more(settings.silence)
-        )
-
     def transfer_height(self) -> float:
         """Height of the tool from site to site: `clearance` above the object's highest point.
 
@@ -189,7 +146,7 @@ class TouchPath:
         """
         low, high = self.rig.limits.lower[2], self.rig.limits.upper[2]
         height = self.top - self.rig.T_world_base[2, 3] + self.settings.clearance
-        if height > high:
+        if not height <= high:
             raise UnreachableError(
                 f"between sites the tool would go across at {height:.3f} m in the base, "
                 f"{1e3 * self.settings.clearance:.0f} mm above the object, and the box ends at {high:.3f} m; raise the "

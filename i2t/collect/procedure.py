@@ -4,16 +4,20 @@
     prepare   the skin `prepare` before the site, its z along the site's; the wrench is zeroed where nothing is touched
     approach  to `near` before the site, quickly: whatever is met here was not expected, and the touch has failed
     ambient   the mean of some samples at rest
-    press     on, slowly, until the skin, force, torque or the distance is enough; then the mean of some samples
+    press     on, slowly, until a skin, force, torque or the distance is enough; then the mean of some samples
     retreat   back to where it prepared; between sites the tool goes up, across and down
 
 Every motion is one of an arm that guards itself (`i2t.hardware.protocols.GuardedArm`). Where it goes is
 checked before the first motion (`i2t.collect.path`). A press that met nothing where the camera sees a surface has
 failed. Which site is next is asked of a plain callable, `choose(history) -> site`. Numbers are those of the paper and
-its code where it has them, except where `TouchSettings` says why. Further skins on the tool (`i2t.collect.carried`) are
-read wherever the skin at the tool is, and each may stop an approach.
+its code where it has them, except where `TouchSettings` says why.
 
-Frames: W world, B robot base, T tool, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
+All skins on the tool are read, and each may stop an approach. A skin has felt a press if its change differs between
+its chips by half of what stops a press. One that felt nothing met air, whatever ended the press; where none did, the
+touch is that of the skin at the tool. The arm measures one force for all: it is a skin's own where no other felt the
+press, and unknown (NaN) else.
+
+Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
 
 import contextlib
@@ -24,30 +28,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.collect.carried import (
-    AnyStopCondition,
-    RestReading,
-    SkinLog,
-    SkinOnTool,
-    carried_touch,
-    compared,
-    felt,
-    own_code,
-    rest_reading,
-)
-from i2t.collect.event_log import TouchLog
 from i2t.collect.path import TouchPath
 from i2t.collect.settings import TouchSettings
-from i2t.collect.stopping import SkinStopCondition, StopRule, onset_distance
+from i2t.collect.stopping import StopCondition, felt, onset_distance
 from i2t.collect.touch import (
-    CarriedTouch,
+    TOOL,
     ChooseSite,
     ExtractPatch,
     MissedContactError,
     SeenPatch,
     Site,
     SiteOutcome,
+    SkinOnTool,
+    SkinTouch,
     TouchFailedError,
+    TouchLog,
     TouchRecorder,
     TouchResult,
     UnreachableError,
@@ -68,7 +63,7 @@ from i2t.hardware.protocols import (
     View,
 )
 from i2t.hardware.rig import Rig
-from i2t.skin.ambient import AmbientField, mean_known
+from i2t.skin.ambient import mean_known
 from i2t.types import Array, Board, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
@@ -77,18 +72,21 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
     "torque": ReturnCode.WRENCH,
     "distance": ReturnCode.AIR,
 }
+MIN_CHIP_SHARE = 0.5  # of the chips, that must answer for an approach
 RECONNECT_WAIT_S = 0.2  # between attempts to connect
 POSE_TOLERANCES = (1e-3, 0.01)  # m, and of a rotation's elements: so near a pose the tool is there
 RETREAT_SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)  # of `prepare`, that a retreat tries to go back along the tool's axis
 
 
-class _Press(NamedTuple):
-    """Press that has ended."""
+class Press(NamedTuple):
+    """Press that has ended, with the tool still in contact."""
 
     result: ApproachResult
     started: float  # s
-    rest: Mapping[str, RestReading]  # of each skin, "" for the one at the tool
-    conditions: AnyStopCondition  # with what they saw
+    stop: StopCondition  # with what the skins saw
+    states: list[ArmState]  # before and after the samples in contact
+    readings: dict[str, Array]  # (c,) uT, the change of each skin, by its name
+    felt_by: list[str]  # names of the skins that felt it, of that at the tool where none did
 
 
 @dataclass
@@ -106,7 +104,6 @@ class Procedure:
         settings: How a touch is made.
         clock: That the devices share.
         unreachable: Sites that the arm may not go to, by number, and why.
-        ambient_field: Fitted from free poses; None if there is none.
         carried: Further skins on the tool, connected.
     """
 
@@ -120,8 +117,12 @@ class Procedure:
     settings: TouchSettings = field(default_factory=TouchSettings)
     clock: Clock = field(default_factory=MonotonicClock)
     unreachable: dict[int, str] = field(default_factory=dict)
-    ambient_field: AmbientField | None = None
     carried: Sequence[SkinOnTool] = ()
+
+    @property
+    def skins(self) -> tuple[SkinOnTool, ...]:
+        """The skins on the tool, first the one that presses."""
+        return (SkinOnTool(TOOL, self.skin, self.board), *self.carried)
 
     def run(self, choose: ChooseSite, recorder: TouchRecorder) -> Iterator[SiteOutcome]:
         """Touch the chosen sites, until none is chosen.
@@ -210,61 +211,17 @@ class Procedure:
         """
         look, prepare, _, _ = self.path.poses(site)
         self.path.check(site)
-        counters_before = {name: skin.counters for name, skin, _ in self._skins()}
+        before = {each.name: each.skin.counters for each in self.skins}
         view, T_w_c = self._look(site, look, log)
-        self._prepare(prepare, log)
-        press = self._press(log)
-        states, readings = self._measure(press, log)
-
+        self.prepare(prepare, log)
+        press = self.press(log)
         log.event("retreat")
         self.arm.go(prepare, self.path.retreat_speed, self.settings.acceleration)
-        T_b_t = states[-1].T_b_t
-        T_w_t = self.rig.T_world_base @ T_b_t
-        reason, rest = press.result.reason, press.rest[""]
-        felt_by = [name for name, _, board in self._skins() if felt(readings[name], board, self._rule)]
-        code = RETURN_CODES[reason]
-        own = own_code(code, "" in felt_by, not felt_by)
-        depth = np.nan
-        if own != ReturnCode.AIR:
-            depth = onset_distance(*press.conditions.own.press(press.started, T_b_t), rest.ambient, readings[""])
-        seen = self.extract_patch(view, self.camera.camera, T_w_c, T_w_t)
-        if code == ReturnCode.AIR:
-            self._check_air(seen)
-        counters = {name: _counted_since(skin.counters, counters_before[name]) for name, skin, _ in self._skins()}
-        force = -float(np.mean([state.wrench[2] for state in states]))
-        return TouchResult(
-            site=site,
-            attempt=attempt,
-            code=own,
-            reason=reason,
-            T_w_t=T_w_t,
-            ambient=rest.ambient,
-            reading=readings[""],
-            force=force if set(felt_by) <= {""} else np.nan,
-            depth=depth,
-            seen=seen,
-            view=view,
-            T_w_c=T_w_c,
-            counters=counters[""],
-            expected_ambient=rest.expected,
-            ambient_change=rest.change,
-            carried={
-                each.name: carried_touch(
-                    each,
-                    press.rest[each.name],
-                    press.conditions.carried[each.name],
-                    reading=readings[each.name],
-                    T_w_b=self.rig.T_world_base,
-                    states=states,
-                    started=press.started,
-                    code=code,
-                    felt_by=felt_by,
-                    seen=self.extract_patch(view, self.camera.camera, T_w_c, T_w_t @ each.T_tool_skin),
-                    counters=counters[each.name],
-                )
-                for each in self.carried
-            },
-        )
+        skins = {each.name: self._skin_touch(each, press, view, T_w_c, before[each.name]) for each in self.skins}
+        reason = press.result.reason
+        if RETURN_CODES[reason] == ReturnCode.AIR:
+            self._check_air(skins[TOOL].seen)
+        return TouchResult(site, attempt, reason, skins, view, T_w_c)
 
     def _look(self, site: Site, look: Array, log: TouchLog) -> tuple[View, Array]:
         """A view of the site that the rig does not contradict, and T_w_c (4, 4) where it was taken."""
@@ -276,8 +233,17 @@ class Procedure:
         self._check_view(self.extract_patch(view, self.camera.camera, T_w_c, site.T_w_t))
         return view, T_w_c
 
-    def _prepare(self, prepare: Array, log: TouchLog) -> None:
-        """Zero the wrench before the site, and go near it; raises TouchFailedError if something is met there."""
+    def prepare(self, prepare: Array, log: TouchLog) -> None:
+        """Zero the wrench before a site, and go near it.
+
+        Args:
+            prepare: T_b_t (4, 4), m, before the site.
+            log: That hears of everything.
+
+        Raises:
+            TouchFailedError: Something is met there.
+            DeviceError: A device fails.
+        """
         settings = self.settings
         log.event("prepare")
         if not is_at(self.arm.state(), prepare):
@@ -291,123 +257,103 @@ class Procedure:
                 f"something was met {1e3 * (settings.prepare - met.distance):.0f} mm before the site"
             )
 
-    def _press(self, log: TouchLog) -> _Press:
-        """Take the ambient and press until something says stop."""
-        settings = self.settings
-        log.event("ambient")
-        ambient = self._rest_readings(log)
-        rest = self._compared(ambient, log)
-        log.event("press")
-        started = self.clock.now()
-        result, conditions = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
-        stopped_by = " and ".join(name or self.rig.skin for name in conditions.stopped)
-        which = f" {stopped_by}" if self.carried and stopped_by else ""
-        log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}{which}")
-        return _Press(result, started, rest, conditions)
-
-    def _skins(self) -> Iterator[tuple[str, Skin, Board]]:
-        """Each skin by its name, "" for the one at the tool."""
-        yield "", self.skin, self.board
-        for each in self.carried:
-            yield each.name, each.skin, each.board
-
-    @property
-    def _rule(self) -> StopRule:
-        """Rule by which the change of a reading stops a press."""
-        settings = self.settings
-        return StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
-
-    def _rest_readings(self, log: TouchLog) -> dict[str, Array]:
-        """(c,) uT of each skin at rest, by its name."""
-        return {
-            name: rest_reading(skin, board, self.settings.ambient, SkinLog(log, name) if name else log)
-            for name, skin, board in self._skins()
-        }
-
-    def _compared(self, ambient: Mapping[str, Array], log: TouchLog) -> dict[str, RestReading]:
-        """Each skin's ambient, with what its fitted field predicts here."""
-        if self.ambient_field is None and all(each.ambient_field is None for each in self.carried):
-            return {name: RestReading(reading, None, None) for name, reading in ambient.items()}
-        T_b_t = self.arm.state().T_b_t
-        rest = {"": compared(ambient[""], self.ambient_field, self.board, T_b_t, log)}
-        for each in self.carried:
-            T_b_s = T_b_t @ each.T_tool_skin
-            rest[each.name] = compared(ambient[each.name], each.ambient_field, each.board, T_b_s, log, name=each.name)
-        return rest
-
-    def _measure(self, press: _Press, log: TouchLog) -> tuple[list[ArmState], dict[str, Array]]:
-        """States of the arm before and after the samples in contact, and the change (c,) uT of each skin's mean."""
-        self.clock.sleep(self.settings.hold)
-        states, readings = [self.arm.state()], {}
-        for name, skin, _ in self._skins():
-            contact = skin.read(self.settings.contact)
-            (SkinLog(log, name) if name else log).samples(contact)
-            readings[name] = mean_known(contact.reading, axis=0) - press.rest[name].ambient
-        states.append(self.arm.state())
-        for state in states:
-            log.state(state)
-        return states, readings
-
-    def stop_conditions(self, ambient: Mapping[str, Array], log: TouchLog) -> AnyStopCondition:
-        """The stop condition of an approach, asked of all skins.
+    def press(self, log: TouchLog) -> Press:
+        """Take the ambient, press until something says stop, and read the skins in contact.
 
         Args:
-            ambient: (c,) uT of each skin before it, by its name, "" for the one at the tool.
             log: That hears of everything.
 
         Returns:
-            The condition; the skins must be connected.
+            The press; the tool is still in contact.
+
+        Raises:
+            DeviceError: A device fails.
         """
-        own = SkinStopCondition(self.skin, self.board, self._rule, ambient[""], log)
-        return AnyStopCondition(
-            own,
-            {
-                each.name: SkinStopCondition(
-                    each.skin,
-                    each.board,
-                    self._rule,
-                    ambient[each.name],
-                    SkinLog(log, each.name),
-                    T_tool_skin=each.T_tool_skin,
+        settings = self.settings
+        log.event("ambient")
+        ambient = self._rest_readings(log)
+        log.event("press")
+        started = self.clock.now()
+        result, stop = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
+        stopped_by = " and ".join(name or self.rig.skin for name in stop.stopped_by)
+        which = f" {stopped_by}" if self.carried and stopped_by else ""
+        log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}{which}")
+        self.clock.sleep(settings.hold)
+        states, readings = [self.arm.state()], {}
+        for name, mean in self._means(settings.contact, log).items():
+            readings[name] = mean - ambient[name]
+        states.append(self.arm.state())
+        for state in states:
+            log.state(state)
+        felt_by = [each.name for each in self.skins if felt(readings[each.name], each.board, settings)]
+        return Press(result, started, stop, states, readings, felt_by or [TOOL])
+
+    def _skin_touch(
+        self, on_tool: SkinOnTool, press: Press, view: View, T_w_c: Array, before: SkinCounters
+    ) -> SkinTouch:
+        """What a skin felt in a press; `before` are its counters before the touch."""
+        name, condition = on_tool.name, press.stop.of[on_tool.name]
+        T_b_s = press.states[-1].T_b_t @ on_tool.T_tool_skin
+        T_w_s = self.rig.T_world_base @ T_b_s
+        code = RETURN_CODES[press.result.reason] if name in press.felt_by else ReturnCode.AIR
+        force = depth = np.nan
+        if press.felt_by == [name]:
+            along = on_tool.T_tool_skin[:3, 2]
+            force = -float(np.mean([state.wrench[:3] @ along for state in press.states]))
+        if code != ReturnCode.AIR:
+            depth = onset_distance(*condition.press(press.started, T_b_s), condition.ambient, press.readings[name])
+        seen = self.extract_patch(view, self.camera.camera, T_w_c, T_w_s)
+        counters = _counted_since(on_tool.skin.counters, before)
+        return SkinTouch(T_w_s, code, condition.ambient, press.readings[name], force, depth, seen, counters)
+
+    def _means(self, count: int, log: TouchLog) -> dict[str, Array]:
+        """(c,) uT, the mean of the next samples of each skin, by its name."""
+        means = {}
+        for each in self.skins:
+            samples = each.skin.read(count)
+            log.samples(samples, each.name)
+            means[each.name] = mean_known(samples.reading, axis=0)
+        return means
+
+    def _rest_readings(self, log: TouchLog) -> dict[str, Array]:
+        """(c,) uT of each skin at rest, by its name; NaN for a chip that does not answer."""
+        means = self._means(self.settings.ambient, log)
+        for each in self.skins:
+            answering = int(np.isfinite(means[each.name]).sum()) // 3
+            if answering < MIN_CHIP_SHARE * each.board.num_chips:
+                raise DeviceError(
+                    f"only {answering} of {each.board.num_chips} chips of {each.skin.features.name} answer, too few to "
+                    "feel a press; check the board's cables"
                 )
-                for each in self.carried
-            },
-        )
+        return means
 
     def _approach(
         self, distance: float, speed: float, ambient: Mapping[str, Array], log: TouchLog
-    ) -> tuple[ApproachResult, AnyStopCondition]:
-        """Go along tool z under the skins' stop conditions."""
+    ) -> tuple[ApproachResult, StopCondition]:
+        """Go along tool z under the skins' stop condition."""
         settings = self.settings
-        conditions = self.stop_conditions(ambient, log)
+        stop = StopCondition(self.skins, settings, ambient, log)
         if distance <= 0:
             state = self.arm.state()
-            return ApproachResult("distance", None, state, state, 0.0), conditions
-        result = self.arm.approach(
-            distance,
-            speed,
-            conditions,
-            force=settings.force,
-            torque=settings.torque,
-            acceleration=settings.acceleration,
-        )
-        return result, conditions
+            return ApproachResult("distance", None, state, state, 0.0), stop
+        limits = {"force": settings.force, "torque": settings.torque, "acceleration": settings.acceleration}
+        return self.arm.approach(distance, speed, stop, **limits), stop
 
     def _check_view(self, seen: SeenPatch) -> None:
         """Refuse a site that the camera contradicts."""
-        if seen.visible_share < self.settings.min_visible_share:
+        if not seen.visible_share >= self.settings.min_visible_share:
             raise TouchFailedError(
                 f"the camera saw {100 * seen.visible_share:.0f} % of the site's surroundings; is it covered, or shiny?"
             )
-        if seen.nearest < -self.settings.surface_tolerance:
+        if not seen.nearest >= -self.settings.surface_tolerance:
             raise TouchFailedError(
                 f"the camera sees a surface {-1e3 * seen.nearest:.1f} mm before the site: register the object again, "
                 "or clear the table"
             )
 
-    def _check_air(self, seen: SeenPatch) -> None:
+    def _check_air(self, seen: SeenPatch | None) -> None:
         """Refuse a press that met nothing although it went through what the camera sees."""
-        if seen.nearest < -self.settings.air_tolerance:
+        if seen is not None and seen.nearest < -self.settings.air_tolerance:
             raise MissedContactError(
                 f"the press met nothing, but the camera sees a surface {-1e3 * seen.nearest:.1f} mm before its end: "
                 "check that the arm measures force, and the camera's calibration"
@@ -468,7 +414,7 @@ class Procedure:
         self.arm.go(back, self.path.free_speed, self.settings.acceleration)
 
     def recover(self) -> None:
-        """Recover from a failure: stand, retreat, and reconnect skin and camera where they fail.
+        """Recover from a failure: stand, retreat, and reconnect skins and camera where they fail.
 
         Raises:
             DeviceError: The arm, or after `patience` another device, needs a person.
@@ -477,8 +423,8 @@ class Procedure:
         self.arm.state()
         self.retreat()
         give_up = self.clock.now() + self.settings.patience
-        for _, skin, _ in self._skins():
-            self._reconnect(skin, partial(skin.read, 1), give_up)
+        for each in self.skins:
+            self._reconnect(each.skin, partial(each.skin.read, 1), give_up)
         self._reconnect(self.camera, self.camera.capture, give_up)
 
     def _reconnect(self, device: Skin | DepthCamera, speak: Callable[[], object], give_up: float) -> None:
@@ -497,8 +443,7 @@ class Procedure:
 
 def _without_images(touch: TouchResult) -> TouchResult:
     """A touch as a history keeps it: images would fill the memory."""
-    carried: dict[str, CarriedTouch] = {name: each._replace(seen=None) for name, each in touch.carried.items()}
-    return touch._replace(seen=None, view=None, carried=carried)
+    return touch._replace(view=None, skins={name: each._replace(seen=None) for name, each in touch.skins.items()})
 
 
 def _counted_since(now: SkinCounters, before: SkinCounters) -> SkinCounters:

@@ -2,7 +2,8 @@
 
 While a touch is under way everything goes to a hidden raw file as well (`.under-way`), so that what was read survives
 even `kill -9`; it is removed once the touch is saved, and moved to `.interrupted/` if it never was. `read_raw` reads
-such a file up to its last whole entry.
+such a file up to its last whole entry. It has a line of JSON for each entry: first what it is, then
+`["event", [s, text]]`, `["skin NAME", rows]` (without a name for the one at the tool) and `["arm", row]`.
 
 Devices count seconds that never jump, files hold Unix time: both clocks are read when a touch begins, and their
 difference dates everything in that touch. If the difference is another one at the end, somebody has set the clock: the
@@ -14,26 +15,25 @@ begins, with the arm standing away from the object. All trouble is a DeviceError
 
 import contextlib
 import json
-import os
 import shutil
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 import numpy as np
+from jaxtyping import Float
 
 from i2t import dataset
-from i2t.collect.event_log import EventLog, StorageError, storage_error
-from i2t.collect.touch import CarriedTouch, Site, TouchResult
+from i2t.collect.touch import TOOL, Site, SkinTouch, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
-from i2t.dataset.files import sync_folder
 from i2t.depth.camera import Camera
-from i2t.errors import DataError
-from i2t.files import not_through_links, read_json
+from i2t.errors import DataError, DeviceError
+from i2t.files import not_through_links, read_bytes, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.protocols import ArmState, SkinCounters, View, channel_names
+from i2t.hardware.protocols import ArmState, Samples, View, channel_names
 from i2t.types import PATCH_WINDOW, REACH, Array, Board, Touches
 
 try:
@@ -41,19 +41,23 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-UNDER_WAY, INTERRUPTED, NOTES = ".under-way", ".interrupted", ".collection.json"
+UNDER_WAY, INTERRUPTED = ".under-way", ".interrupted"
+RAW_FILE_HEADER = b'{"touch": "i2t raw", "version": 4}'
 RESERVE_BYTES = 50 * 2**20  # that must be free before a touch begins: a hundred touches
 CLOCK_JUMP_S = 0.5  # by which the clocks may drift apart during a touch
-MAX_NOTES_BYTES = 2**26  # of a folder's notes: a line for each site that cannot be reached
-NOTE_KINDS: dict[str, Any] = {
-    **dict.fromkeys(("object", "board", "session", "run", "rig", "skin_serial", "arm_serial", "camera_serial"), str),
-    **dict.fromkeys(("sites", "settings", "unreachable"), dict),
-    **{"seed": int, "devices": list, "pose": (list, type(None))},
-}
 MIN_TIME_STEP_S = 1e-6  # between the names of two touches
 DEPTH_SCALE_M = 1e-4  # of a unit in depth images
 POSE_CHANNELS = tuple(f"T_w_t[{i},{j}]" for i in range(4) for j in range(4))
 WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for axis in "xyz"))
+
+
+@dataclass(frozen=True)
+class SkinInfo:
+    """Metadata that the touches of a session have in common for one skin."""
+
+    pad: str
+    board: Board
+    meta: Mapping[str, str] = field(default_factory=dict)  # that differs from that of the session
 
 
 @dataclass(frozen=True)
@@ -70,16 +74,100 @@ class SessionInfo:
     camera: Camera
     meta: Mapping[str, str] = field(default_factory=dict)
     skin: str = ""  # name of the skin at the tool, where there are further ones
-    carried: Mapping[str, "CarriedSkinInfo"] = field(default_factory=dict)  # by the names of further skins
+    carried: Mapping[str, SkinInfo] = field(default_factory=dict)  # by the names of further skins
+
+    @property
+    def skins(self) -> dict[str, SkinInfo]:
+        """Metadata of each skin, by its name in a touch."""
+        named = {dataset.SKIN_NAME: self.skin} if self.carried else {}
+        further = {
+            name: SkinInfo(each.pad, each.board, {**each.meta, dataset.SKIN_NAME: name})
+            for name, each in self.carried.items()
+        }
+        return {TOOL: SkinInfo(self.pad, self.board, named), **further}
 
 
-@dataclass(frozen=True)
-class CarriedSkinInfo:
-    """Metadata that the touches of a session have in common for a further skin."""
+class StorageError(DeviceError):
+    """Recorded data cannot be kept: the disk is full or not ours, or the clock was set."""
 
-    pad: str
-    board: Board
-    meta: Mapping[str, str] = field(default_factory=dict)  # that differs from the one at the tool
+
+def _not_kept(path: Path, error: OSError) -> StorageError:
+    return StorageError(f"{unwritable(path, error)}, and go on where it stopped")
+
+
+class EventLog:
+    """The log of a touch (`i2t.collect.touch.TouchLog`), in memory and in a file.
+
+    Args:
+        file: Open for writing, unbuffered.
+        clock: That dates events.
+
+    Raises:
+        StorageError: The file cannot be written.
+    """
+
+    def __init__(self, file: BinaryIO, clock: Clock) -> None:
+        self._file, self._clock = file, clock
+        # of each skin, by sample number: time, 3 chips readings, temperatures
+        self.readings: dict[str, dict[int, Float[Array, " k"]]] = defaultdict(dict)
+        self.states: list[ArmState] = []
+        self.events: list[tuple[float, str]] = []
+        self._put(RAW_FILE_HEADER)
+
+    def samples(self, samples: Samples, skin: str = "") -> None:
+        """Keep and write samples, as in `TouchLog.samples`."""
+        rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
+        self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
+        self._write([f"skin {skin}".strip(), rows.tolist()])
+
+    def state(self, state: ArmState) -> None:
+        """Keep and write a state of the arm, as in `TouchLog.state`."""
+        self.states.append(state)
+        row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
+        self._write(["arm", row.tolist()])
+
+    def event(self, text: str) -> None:
+        """Keep and write what happened now, as in `TouchLog.event`."""
+        now = self._clock.now()
+        self.events.append((now, text))
+        self._write(["event", [now, text]])
+
+    def _write(self, entry: list[Any]) -> None:
+        self._put(json.dumps(entry).encode())
+
+    def _put(self, line: bytes) -> None:
+        try:
+            self._file.write(line + b"\n")
+        except OSError as error:
+            raise _not_kept(Path(self._file.name), error) from error
+
+
+def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
+    """Entries of a raw file, up to the last whole one.
+
+    Args:
+        path: Such as a file of `.interrupted`.
+
+    Yields:
+        ("event", [s, text]), ("skin", (n, 2 + 4 chips): number, s, readings in uT, temperatures in degrees Celsius),
+        ("skin NAME", the same of a further skin) and ("arm", (29 + joints,): s, 16 of T_b_t, the joints, 6 of the
+        velocity, 6 of the wrench).
+
+    Raises:
+        DataError: The file is of another kind, or damaged.
+    """
+    header, *lines = read_bytes(path).split(b"\n")
+    if header != RAW_FILE_HEADER:
+        raise DataError(
+            f"{path}: is no raw file of a touch, or one of an earlier version of i2t, which reads it; give one from "
+            ".interrupted"
+        )
+    for number, line in enumerate(lines[:-1], start=2):
+        try:
+            kind, entry = json.loads(line)
+            yield kind, entry if kind == "event" else np.array(entry, float)
+        except (ValueError, TypeError, RecursionError, OverflowError) as error:
+            raise DataError(f"{path}: line {number} is damaged ({error}); what stands before it is whole") from error
 
 
 class Recorder:
@@ -110,7 +198,7 @@ class Recorder:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = open(self.folder / ".lock", "a", opener=not_through_links)  # noqa: SIM115
         except OSError as error:
-            raise storage_error(self.folder, error) from error
+            raise _not_kept(self.folder, error) from error
         try:
             _lock_file(self._lock)
         except OSError:
@@ -140,7 +228,7 @@ class Recorder:
             probe.write_bytes(b"x")
             probe.unlink()
         except OSError as error:
-            raise storage_error(self.folder, error) from error
+            raise _not_kept(self.folder, error) from error
         if free < self._reserve:
             raise StorageError(
                 f"{self.folder}: only {free / 2**20:.0f} MiB are free where {self._reserve / 2**20:.0f} are wanted; "
@@ -172,9 +260,8 @@ class Recorder:
         try:
             self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
-            raise storage_error(path, error) from error
-        carried = {name: each.board.num_chips for name, each in self.info.carried.items()}
-        self._log = EventLog(self._raw, self._clock, self.info.board.num_chips, carried)
+            raise _not_kept(path, error) from error
+        self._log = EventLog(self._raw, self._clock)
         self._log.event(f"site {site.number}, attempt {attempt + 1}")
         return self._log
 
@@ -195,8 +282,6 @@ class Recorder:
         try:
             path = dataset.write_touch(self.folder, _record(touch, self._log, self.info, self._offset), at)
         except DataError as error:
-            if isinstance(error.__cause__, OSError):
-                raise storage_error(self.folder, error.__cause__) from error
             raise StorageError(str(error)) from error
         self._newest = at
         self.saved.append(path)
@@ -252,35 +337,28 @@ def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float
     """Everything of a touch; `to_wall` (s) turns the devices' time into Unix time."""
     view = touch.view
     assert view is not None
-    counters = _counted("skin", touch.counters)
-    series = _skin_series(touch, log.readings[""], info.board.num_chips, log.events[0][0], to_wall)
-    for name, carried in touch.carried.items():
-        chips = info.carried[name].board.num_chips
-        own = _skin_series(carried, log.readings[name], chips, log.events[0][0], to_wall)
-        series |= {f"{label} {name}": each for label, each in own.items()}
-        seen = carried.seen.visible_share if carried.seen is not None else 0.0
-        counters |= {**_counted(f"skin {name}", carried.counters), f"skin {name} seen percent": round(100 * seen)}
+    counters = {"site": touch.site.number, "attempt": touch.attempt + 1}
+    sets: dict[str, Dataset] = {}
+    series = _arm_series(log.states, info.T_w_b, to_wall)
+    for name, about in info.skins.items():
+        felt, behind = touch.skins[name], f" {name}" if name else ""
+        own = _skin_series(felt, log.readings[name], about.board.num_chips, log.events[0][0], to_wall)
+        sets[name] = _one_row(felt, info, about, samples=own["tactile"])
+        series |= {f"{label}{behind}": each for label, each in own.items()}
+        counted = felt.counters._asdict().items()
+        counters |= {f"skin{behind} {label}": int(value) for label, value in counted if label != "rate"}
+        if name and felt.seen is not None:
+            counters[f"skin {name} seen percent"] = round(100 * felt.seen.visible_share)
+    place = tuple(name.replace("w_t", "w_c") for name in POSE_CHANNELS)
+    series["camera"] = Series(np.array([view.time + to_wall]), touch.T_w_c.reshape(1, 16), place, "1, m")
     return Record(
-        touch=_dataset(touch, info, series["tactile"]),
-        skins={name: _carried_dataset(touch, name, info, series[f"tactile {name}"]) for name in touch.carried},
+        touch=sets.pop(TOOL),
+        skins=sets,
         images=_images(view),
-        series={
-            **series,
-            **_arm_series(log.states, info.T_w_b, to_wall),
-            "camera": Series(
-                np.array([view.time + to_wall]),
-                touch.T_w_c.reshape(1, 16),
-                tuple(name.replace("w_t", "w_c") for name in POSE_CHANNELS),
-                "1, m",
-            ),
-        },
+        series=series,
         events=tuple((time + to_wall, text) for time, text in log.events),
-        counters=counters | {"site": touch.site.number, "attempt": touch.attempt + 1},
+        counters=counters,
     )
-
-
-def _counted(of: str, counters: SkinCounters) -> dict[str, int]:
-    return {f"{of} {name}": int(value) for name, value in counters._asdict().items() if name != "rate"}
 
 
 def _images(view: View) -> dict[str, Image]:
@@ -292,20 +370,16 @@ def _images(view: View) -> dict[str, Image]:
 
 
 def _skin_series(
-    touch: TouchResult | CarriedTouch, readings: Mapping[int, Array], chips: int, began: float, to_wall: float
+    touch: SkinTouch, readings: Mapping[int, Array], chips: int, began: float, to_wall: float
 ) -> dict[str, Series]:
-    """Readings, temperatures, the ambient reading, and what the field fitted from free poses predicts in its place."""
+    """Readings, temperatures, and the ambient reading."""
     rows = np.array([readings[number] for number in sorted(readings)]).reshape(-1, 1 + 4 * chips)
-    begun = np.array([began + to_wall])
     time, values = rows[:, 0] + to_wall, rows[:, 1:].astype(np.float32)
     channels = channel_names(chips)
-    expected = touch.expected_ambient
-    predicted = {} if expected is None else {"ambient_predicted": Series(begun, expected[None], channels, "uT")}
     return {
         "tactile": Series(time, values[:, : 3 * chips], channels, "uT"),
         "temperature": Series(time, values[:, 3 * chips :], tuple(f"chip{i}" for i in range(chips)), "degrees Celsius"),
-        "ambient": Series(begun, touch.ambient[None], channels, "uT"),
-        **predicted,
+        "ambient": Series(np.array([began + to_wall]), touch.ambient[None], channels, "uT"),
     }
 
 
@@ -324,30 +398,8 @@ def _arm_series(logged: list[ArmState], T_w_b: Array, to_wall: float) -> dict[st
     }
 
 
-def _dataset(touch: TouchResult, info: SessionInfo, samples: Series) -> Dataset:
-    """The touch as a data set of one row."""
-    named = {dataset.SKIN_NAME: info.skin} if info.carried else {}
-    meta = {**info.meta, **named}
-    return _one_row(touch, touch.T_w_t, info, pad=info.pad, board=info.board, meta=meta, samples=samples)
-
-
-def _carried_dataset(touch: TouchResult, name: str, info: SessionInfo, samples: Series) -> Dataset:
-    """Data set of one row with what a further skin read in the touch."""
-    carried, about = touch.carried[name], info.carried[name]
-    meta = {**info.meta, **about.meta, dataset.SKIN_NAME: name}
-    return _one_row(carried, carried.T_w_s, info, pad=about.pad, board=about.board, meta=meta, samples=samples)
-
-
-def _one_row(
-    touch: TouchResult | CarriedTouch,
-    T_w_s: Array,
-    info: SessionInfo,
-    *,
-    pad: str,
-    board: Board,
-    meta: Mapping[str, str],
-    samples: Series,
-) -> Dataset:
+def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: Series) -> Dataset:
+    """What a skin felt, as a data set of one row."""
     seen = touch.seen
     assert seen is not None
     touches = Touches(
@@ -357,7 +409,7 @@ def _one_row(
         reading=touch.reading[None],
         force=np.array([touch.force]),
         depth=np.array([touch.depth]),
-        T_w_t=T_w_s[None],
+        T_w_t=touch.T_w_s[None],
         T_w_o=info.T_w_o[None],
         object=np.zeros(1),
         pad=np.zeros(1),
@@ -365,16 +417,17 @@ def _one_row(
         code=np.array([int(touch.code)]),
         time=samples.time[-1:] if len(samples.time) else None,  # of the end of the press
     )
+    made_by = {"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera))}
     return Dataset(
         touches,
         objects=(info.object,),
-        pads=(pad,),
+        pads=(about.pad,),
         sessions=(info.session,),
-        board=board,
+        board=about.board,
         source=info.source,
         window=PATCH_WINDOW,
         reach=REACH,
-        meta={"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera)), **meta},
+        meta={**made_by, **info.meta, **about.meta},
     )
 
 
@@ -427,63 +480,3 @@ def site_number_of(path: Path) -> int:
     if "site" not in counters:
         raise DataError(f"{path}: was not recorded by i2t.collect.session; give the collection a folder of its own")
     return counters["site"]
-
-
-def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
-    """Keep what a session must know when it is resumed, whole or not at all.
-
-    Args:
-        folder: Of the touches.
-        notes: What can be written as JSON.
-
-    Raises:
-        StorageError: They cannot be written.
-    """
-    temporary = folder / f"{NOTES}.tmp"
-    try:
-        with open(temporary, "w", opener=not_through_links) as file:
-            json.dump(notes, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(folder / NOTES)
-        sync_folder(folder)
-    except OSError as error:
-        raise storage_error(folder / NOTES, error) from error
-
-
-def read_notes(folder: Path) -> dict[str, Any] | None:
-    """Read the notes that `write_notes` kept.
-
-    Args:
-        folder: Of the touches.
-
-    Returns:
-        The notes, None if there are none.
-
-    Raises:
-        DataError: They are damaged.
-    """
-    try:
-        notes = read_json(folder / NOTES, MAX_NOTES_BYTES)
-        problem = _what_is_wrong(notes)
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        reason = str(error).removeprefix(f"{folder / NOTES}: ")
-        raise DataError(f"{folder / NOTES}: cannot be read ({reason}); choose another folder") from error
-    if problem:
-        raise DataError(f"{folder / NOTES}: is damaged ({problem}); restore it from a copy, or choose another folder")
-    return dict(notes)
-
-
-def _what_is_wrong(notes: Any) -> str:
-    """Entry of a folder's notes that no session can have written; "" where there is none."""
-    if not isinstance(notes, dict):
-        return "it holds no table"
-    for name, kinds in NOTE_KINDS.items():
-        if name in notes and not isinstance(notes[name], kinds):
-            return f"{name} is {str(notes[name])[:40]!r}"
-    unreachable = notes.get("unreachable", {})
-    if not all(number.isdecimal() and len(number) < 10 and isinstance(why, str) for number, why in unreachable.items()):
-        return "unreachable names no sites"
-    return ""

@@ -1,60 +1,44 @@
-"""Stop of a press by the skin, and beginning of that press.
+"""Stop of a press by the skins on the tool, and beginning of that press.
 
-A press ends where the mean change of some samples is large enough, and differs enough between chips: a change that all
-chips see alike, turned to common axes, is a field of the room. Afterwards the contact onset is found by following the
-samples back to zero change.
+A press ends where the mean change of some samples of a skin is large enough, and differs enough between chips: a change
+that all chips see alike, turned to common axes, is a field of the room. Afterwards the contact onset is found by
+following the samples back to zero change.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from i2t.collect.event_log import TouchLog
+from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import SkinOnTool, TouchLog
 from i2t.errors import DeviceError
-from i2t.hardware.protocols import ArmState, Skin
+from i2t.hardware.protocols import ArmState
 from i2t.skin.ambient import mean_known
 from i2t.types import Array, Board
 
 ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted
 MIN_ONSET_SAMPLES = 3
 AT_REST_SILENCE_S = 0.4  # that a skin may be silent while the arm still stands
-
-
-class StopRule(NamedTuple):
-    """Rule by which the change of a reading stops a press."""
-
-    skin_change: float  # uT, norm of the change of a reading
-    nonuniform_share: float  # of it must differ between chips
-    averaged_samples: int
-    silence: float  # s without a sample, after which the press fails
+FELT_SHARE = 0.5  # of the change that stops a press, above which a skin has felt it
 
 
 class SkinStopCondition:
-    """The stop condition of the skin, asked with every state of an approach; it keeps what it saw.
+    """The stop condition of one skin, asked with every state of an approach; it keeps what it saw.
 
     Args:
-        skin: Connected.
-        board: Of the skin.
-        rule: Which change is enough.
+        on_tool: The skin, connected.
+        settings: Which change is enough.
         ambient: (3 chips,) uT, the reading before contact.
-        log: That hears of every sample and state.
-        T_tool_skin: (4, 4) of a further skin on the tool; None for the one in the tool's frame.
+        log: That hears of every sample; None if nothing is kept.
     """
 
     def __init__(
-        self,
-        skin: Skin,
-        board: Board,
-        rule: StopRule,
-        ambient: Float[Array, " c"],
-        log: TouchLog,
-        *,
-        T_tool_skin: Float[Array, "4 4"] | None = None,
+        self, on_tool: SkinOnTool, settings: TouchSettings, ambient: Float[Array, " c"], log: TouchLog | None
     ) -> None:
-        self._skin, self._board, self._rule, self._ambient, self._log = skin, board, rule, ambient, log
-        self._T_tool_skin = np.eye(4) if T_tool_skin is None else T_tool_skin
-        self._number = int(skin.latest(max(rule.silence, AT_REST_SILENCE_S)).number[-1])
+        self.ambient = ambient
+        self._on_tool, self._settings, self._log = on_tool, settings, log
+        self._number = int(on_tool.skin.latest(max(settings.silence, AT_REST_SILENCE_S)).number[-1])
         self._last: list[Array] = []
         self._times: list[Array] = []
         self._readings: list[Array] = []
@@ -74,56 +58,113 @@ class SkinStopCondition:
             DeviceError: A chip has stopped answering.
         """
         self._hear(state)
-        rule = self._rule
-        if len(self._last) < rule.averaged_samples:
+        settings = self._settings
+        if len(self._last) < settings.averaged_samples:
             return None
-        change = mean_known(np.array(self._last), axis=0) - self._ambient
+        change = mean_known(np.array(self._last), axis=0) - self.ambient
         self._check_chips(change)
-        size = float(np.sqrt(np.nansum(change**2)))
-        nonuniform = float(np.sqrt(np.nansum(nonuniform_field(change, self._board) ** 2)))
-        enough = size > rule.skin_change and nonuniform > rule.nonuniform_share * rule.skin_change
+        size, nonuniform = _size(change), _size(nonuniform_field(change, self._on_tool.board))
+        enough = size > settings.skin_change and nonuniform > settings.nonuniform_share * settings.skin_change
         return size if enough else None
 
     def _check_chips(self, change: Array) -> None:
         """Raise DeviceError if a chip that answered before the press does not any more: what it feels is not known."""
-        lost = np.isfinite(self._ambient) & ~np.isfinite(change)
+        lost = np.isfinite(self.ambient) & ~np.isfinite(change)
         if lost.any():
             raise DeviceError(
-                f"chip {int(np.argmax(lost)) // 3} of {self._skin.features.name} stopped answering during an approach; "
-                "check its cable and its solder"
+                f"chip {int(np.argmax(lost)) // 3} of {self._on_tool.skin.features.name} stopped answering during an "
+                "approach; check its cable and its solder"
             )
 
     def _hear(self, state: ArmState) -> None:
         """Take new samples; raises DeviceTimeoutError if the skin is silent."""
-        fresh = self._skin.since(self._number)
-        self._log.state(state)
-        self._states.append((state.time, (state.T_b_t @ self._T_tool_skin)[:3, 3]))
+        skin = self._on_tool.skin
+        fresh = skin.since(self._number)
+        self._states.append((state.time, (state.T_b_t @ self._on_tool.T_tool_skin)[:3, 3]))
         if not len(fresh.number):
-            self._skin.latest(self._rule.silence)
+            skin.latest(self._settings.silence)
             return
-        self._log.samples(fresh)
+        if self._log is not None:
+            self._log.samples(fresh, self._on_tool.name)
         self._number = int(fresh.number[-1])
         self._times.append(fresh.time)
         self._readings.append(fresh.reading)
-        self._last = [*self._last, *fresh.reading][-self._rule.averaged_samples :]
+        self._last = [*self._last, *fresh.reading][-self._settings.averaged_samples :]
 
     def press(self, started: float, T_b_s: Float[Array, "4 4"]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
         """Samples of a press, and where the skin was when they were taken.
 
         Args:
             started: s, when the press began.
-            T_b_s: (4, 4) skin in base where it ended: the tool, if it is the skin in the tool's frame.
+            T_b_s: (4, 4) skin in base where it ended.
 
         Returns:
             Readings (n, 3 chips) uT, and how far (n,) m the skin was before that end, along its z.
         """
         if not self._readings or not self._states:
-            return np.zeros((0, self._board.num_readings)), np.zeros(0)
+            return np.zeros((0, self._on_tool.board.num_readings)), np.zeros(0)
         times, readings = np.concatenate(self._times), np.concatenate(self._readings)
         state_times = np.array([time for time, _ in self._states])
         before = np.array([(T_b_s[:3, 3] - position) @ T_b_s[:3, 2] for _, position in self._states])
         during = times >= started
         return readings[during], np.interp(times[during], state_times, before)
+
+
+class StopCondition:
+    """Stops an approach as soon as one of the skins on the tool does.
+
+    Args:
+        skins: Connected.
+        settings: Which change is enough.
+        ambient: (3 chips,) uT of each skin before contact, by its name.
+        log: That hears of every sample and state; None if nothing is kept.
+    """
+
+    def __init__(
+        self,
+        skins: Sequence[SkinOnTool],
+        settings: TouchSettings,
+        ambient: Mapping[str, Float[Array, " c"]],
+        log: TouchLog | None,
+    ) -> None:
+        self.of = {each.name: SkinStopCondition(each, settings, ambient[each.name], log) for each in skins}
+        self.stopped_by: list[str] = []  # names of the skins that stopped it
+        self._log = log
+
+    def __call__(self, state: ArmState) -> float | None:
+        """Test whether a skin has changed enough.
+
+        Args:
+            state: The arm's newest.
+
+        Returns:
+            The change (uT) of the first skin that has, else None.
+
+        Raises:
+            DeviceTimeoutError: A skin is silent.
+            DeviceError: A chip has stopped answering.
+        """
+        if self._log is not None:
+            self._log.state(state)
+        answers = {name: condition(state) for name, condition in self.of.items()}
+        self.stopped_by = [name for name, answer in answers.items() if answer is not None]
+        return answers[self.stopped_by[0]] if self.stopped_by else None
+
+
+def felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -> bool:
+    """Test whether a skin has felt a press.
+
+    Args:
+        change: (3 chips,) uT, of its reading.
+        board: Of the skin.
+        settings: Which change stops a press.
+
+    Returns:
+        True where its change differs between chips by half of what stops a press; with settings that ask for no
+        difference, where all of its change does.
+    """
+    differing = nonuniform_field(change, board) if settings.nonuniform_share else change
+    return _size(differing) > FELT_SHARE * settings.skin_change
 
 
 def nonuniform_field(change: Float[Array, " c"], board: Board) -> Float[Array, "chips 3"]:
@@ -173,3 +214,7 @@ def onset_distance(
         return float("nan")
     slope, onset = np.polyfit(share[rising], before[rising], 1)
     return float(max(0.0, onset)) if slope < 0 else float("nan")
+
+
+def _size(change: Array) -> float:
+    return float(np.sqrt(np.nansum(change**2)))

@@ -1,20 +1,33 @@
-"""Touch of a session: its site, its outcome, its errors, and its recorder.
+"""Touch of a session: its site, the skins on the tool, its outcome, its errors, and its recorder.
 
-Frames: W world, B robot base, T tool, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
+Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
+import numpy as np
 from jaxtyping import Float
 
-from i2t.collect.event_log import TouchLog
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
-from i2t.hardware.protocols import SkinCounters, StopReason, View
-from i2t.skin.ambient import AmbientChange
-from i2t.types import Array, ReturnCode
+from i2t.hardware.protocols import ArmState, Samples, Skin, SkinCounters, StopReason, View
+from i2t.types import Array, Board, ReturnCode
+
+TOOL = ""  # name of the skin at the tool, which presses, in a touch
+
+
+@dataclass
+class SkinOnTool:
+    """A skin on the tool: the one that presses, or a further one."""
+
+    name: str  # in a touch and in files; TOOL for the one at the tool
+    skin: Skin
+    board: Board
+    T_tool_skin: Float[Array, "4 4"] = field(default_factory=lambda: np.eye(4))
+    pad: str = ""  # its name in the data set
+    note: str = ""  # on the places of its board's chips
 
 
 class Site(NamedTuple):
@@ -25,7 +38,7 @@ class Site(NamedTuple):
 
 
 class SeenPatch(NamedTuple):
-    """Patch in front of the skin, as the camera saw it."""
+    """Patch in front of a skin, as the camera saw it."""
 
     patch: Float[Array, "48 48"]  # m
     wide: Float[Array, "72 72"]  # m
@@ -33,40 +46,53 @@ class SeenPatch(NamedTuple):
     visible_share: float  # of the patch's pixels, that were measured
 
 
-class CarriedTouch(NamedTuple):
-    """Reading of a further skin on the tool in one touch."""
+class SkinTouch(NamedTuple):
+    """What one skin on the tool felt in a touch."""
 
     T_w_s: Float[Array, "4 4"]  # of the skin at the end of the press
-    code: ReturnCode  # that of the touch where this skin felt it, else AIR
+    code: ReturnCode  # that of the press where this skin felt it, else AIR
     ambient: Float[Array, " c"]  # uT
     reading: Float[Array, " c"]  # uT, mean in contact minus ambient
     force: float  # N, along the skin's z; NaN where not this skin alone felt the press
     depth: float  # m past first contact; NaN where this skin felt nothing, or it cannot be told
-    seen: SeenPatch | None  # before this skin, in the same view
+    seen: SeenPatch | None  # before this skin; None in a history, where images would fill the memory
     counters: SkinCounters  # of this touch alone
-    expected_ambient: Float[Array, " c"] | None = None  # uT, by the field fitted from free poses
-    ambient_change: AmbientChange | None = None  # whether the ambient contradicts that field
 
 
 class TouchResult(NamedTuple):
-    """A touch as it was made."""
+    """A touch as it was made. What it says of itself is said of the skin at the tool."""
 
     site: Site
     attempt: int
-    code: ReturnCode
     reason: StopReason
-    T_w_t: Float[Array, "4 4"]  # at the end of the press
-    ambient: Float[Array, " c"]  # uT
-    reading: Float[Array, " c"]  # uT, mean in contact minus ambient
-    force: float  # N, along tool z; NaN where a further skin felt the press too
-    depth: float  # m past first contact; NaN where nothing was met
-    seen: SeenPatch | None  # from the pose at the end; None in a history, where images would fill the memory
-    view: View | None
+    skins: Mapping[str, SkinTouch]  # by their names
+    view: View | None  # None in a history
     T_w_c: Float[Array, "4 4"]  # from where it was taken
-    counters: SkinCounters  # of this touch alone
-    expected_ambient: Float[Array, " c"] | None = None  # uT, by the field fitted from free poses
-    ambient_change: AmbientChange | None = None  # whether the ambient contradicts that field
-    carried: Mapping[str, CarriedTouch] = MappingProxyType({})  # of further skins, by their names
+
+    @property
+    def code(self) -> ReturnCode:
+        """How the press ended."""
+        return self.skins[TOOL].code
+
+    @property
+    def T_w_t(self) -> Float[Array, "4 4"]:
+        """Pose of the tool at the end of the press."""
+        return self.skins[TOOL].T_w_s
+
+    @property
+    def reading(self) -> Float[Array, " c"]:
+        """Change (uT) of the reading in contact."""
+        return self.skins[TOOL].reading
+
+    @property
+    def force(self) -> float:
+        """N along tool z; NaN where a further skin felt the press too."""
+        return self.skins[TOOL].force
+
+    @property
+    def depth(self) -> float:
+        """m past first contact."""
+        return self.skins[TOOL].depth
 
 
 class SiteOutcome(NamedTuple):
@@ -76,6 +102,42 @@ class SiteOutcome(NamedTuple):
     code: ReturnCode
     reason: str
     touch: TouchResult | None = None
+
+
+@runtime_checkable
+class TouchLog(Protocol):
+    """Log that takes measurements and events while a touch is made."""
+
+    def samples(self, samples: Samples, skin: str = "") -> None:
+        """Keep samples of a skin; the same sample may come twice.
+
+        Args:
+            samples: As the skin gave them.
+            skin: Name of a further skin; empty for the one at the tool, the only one of most labs.
+
+        Raises:
+            DeviceError: They could not be written.
+        """
+
+    def state(self, state: ArmState) -> None:
+        """Keep a state of the arm.
+
+        Args:
+            state: As the arm gave it.
+
+        Raises:
+            DeviceError: It could not be written.
+        """
+
+    def event(self, text: str) -> None:
+        """Keep what happened now.
+
+        Args:
+            text: A few words.
+
+        Raises:
+            DeviceError: It could not be written.
+        """
 
 
 @runtime_checkable

@@ -25,6 +25,9 @@ class ConversionLog:
 
     skip_bad: bool
     lines: list[str] = field(default_factory=list)
+    damaged_rows: int = 0
+    first_damage: str = ""
+    silent_rows: int = 0  # left out, as a chip did not answer
 
     def info(self, line: str) -> None:
         """Note a sentence, once.
@@ -48,6 +51,31 @@ class ConversionLog:
             raise error
         self.info(f"left out: {error}")
 
+    def skip_row(self, error: DataError) -> None:
+        """Raise an error, or leave out a row of a table for it and count it.
+
+        Args:
+            error: What is wrong with the row.
+
+        Raises:
+            DataError: The error, unless `skip_bad`.
+        """
+        if not self.skip_bad:
+            raise error
+        self.damaged_rows, self.first_damage = self.damaged_rows + 1, self.first_damage or str(error)
+
+    def sentences(self) -> list[str]:
+        """All notes, with the number of damaged rows.
+
+        Returns:
+            The sentences.
+        """
+        counted = {
+            f"left out: {self.damaged_rows} damaged rows; the first: {self.first_damage}": self.damaged_rows,
+            f"left out: {self.silent_rows} rows in which a chip did not answer": self.silent_rows,
+        }
+        return [*self.lines, *(said for said, count in counted.items() if count)]
+
     def close(self, dataset: Dataset) -> Converted:
         """Put the notes into the data set's provenance.
 
@@ -57,8 +85,9 @@ class ConversionLog:
         Returns:
             The data set with its notes, and the notes.
         """
-        meta = dict(dataset.meta) | {"notes": " | ".join(self.lines)}
-        return Converted(replace(dataset, meta=meta), tuple(self.lines))
+        notes = self.sentences()
+        meta = dict(dataset.meta) | {"notes": " | ".join(notes)}
+        return Converted(replace(dataset, meta=meta), tuple(notes))
 
 
 def data_error(path: Path, problem: str) -> DataError:

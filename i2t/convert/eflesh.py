@@ -13,20 +13,25 @@ both sides of first contact, depth counts from where readings begin; where all g
 """
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from i2t.convert import EFLESH_WINDOW_M, TIP_RADIUS_M
-from i2t.convert.checked import SessionCheck, check_session
 from i2t.convert.common import ConversionLog, Converted, data_error, read_numbers
-from i2t.convert.presses import sphere, tip_patches
-from i2t.dataset import Dataset, concatenate, missing_context
+from i2t.convert.press_table import (
+    PressTable,
+    SessionCheck,
+    check_session,
+    join_tables,
+    presses_dataset,
+    round_tip,
+    sphere,
+)
 from i2t.errors import DataError
 from i2t.skin import boards
-from i2t.types import REACH, Board, ReturnCode, Touches
+from i2t.types import REACH, Board
 from i2t.unknowns import RecordedPresses, find_units, findings_to_meta, turn_board
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
@@ -87,25 +92,34 @@ def convert(
         "assumed: values are microtesla (their steps are the chip's); board order as AnySkin's, chips as aligned, the "
         "board turned by a quarter on the stage, as the readings of the `spatial` session show"
     )
-    options = _Options(radius, window, reach, zero=zero, centre=centre, pad=pad, board=board, as_stated=as_stated)
-    parts: list[Dataset] = []
+    options = _Options(radius, zero=zero, centre=centre, pad=pad, board=board, as_stated=as_stated)
+    parts: list[PressTable] = []
+    checks: list[SessionCheck] = []
     for session in sessions:
         try:
-            parts += _session(session, options, notes)
+            tables, check = _session(session, options, notes)
+            parts, checks = [*parts, *tables], [*checks, check]
         except DataError as error:
             notes.skip(error)
     if not parts:
-        left_out = " | ".join(notes.lines)
-        raise DataError(f"{source}: no press is left to convert ({left_out}); widen --window-mm or restore it")
-    return notes.close(concatenate(_of_one_board(parts, notes)))
+        raise DataError(
+            f"{source}: no press is left to convert ({' | '.join(notes.lines)}); restore it from the source"
+        )
+    dataset = presses_dataset(
+        join_tables(parts), round_tip("probe", sphere(radius)), _common_board(checks, notes), notes, whose=source,
+        window=window, reach=reach,
+        meta={"converter": "eflesh", "tip_radius_m": f"{radius:g}"} | {k: v for c in checks for k, v in c.meta.items()},
+    )  # fmt: skip
+    return notes.close(dataset)
 
 
-def _of_one_board(parts: list[Dataset], notes: ConversionLog) -> list[Dataset]:
-    """Data sets with one board: the described one where the sessions do not agree on how it lies."""
-    if all(np.allclose(a, b) for part in parts for a, b in zip(part.board, parts[0].board, strict=True)):
-        return parts
+def _common_board(checks: list[SessionCheck], notes: ConversionLog) -> Board:
+    """The board of all sessions: the described one where they do not agree on how it lies."""
+    first = checks[0].board
+    if all(np.allclose(a, b) for check in checks for a, b in zip(check.board, first, strict=True)):
+        return first
     notes.info("left out: how the board lies, in which the sessions differ; it is taken as described in all of them")
-    return [replace(part, board=_board()) for part in parts]
+    return _board()
 
 
 def _board() -> Board:
@@ -117,8 +131,6 @@ class _Options(NamedTuple):
     """Options for reading sessions, as the arguments of `convert`."""
 
     radius: float  # m
-    window: float  # m
-    reach: float  # m
     zero: float | None  # m
     centre: tuple[float, float] | None  # m
     pad: str | None
@@ -126,87 +138,49 @@ class _Options(NamedTuple):
     as_stated: bool
 
 
-class _Probe(NamedTuple):
-    """States of the probe."""
-
-    x: np.ndarray  # (n,) m, on the skin
-    y: np.ndarray  # (n,) m
-    height: np.ndarray  # (n,) m above first contact; NaN where it is not recorded
-    load: np.ndarray  # (n,) N; NaN where it was not read
-    time: np.ndarray  # (n,) s, Unix time of the state
-
-
-def _session(folder: Path, options: _Options, notes: ConversionLog) -> list[Dataset]:
-    """A data set for each board of a session."""
+def _session(folder: Path, options: _Options, notes: ConversionLog) -> tuple[list[PressTable], SessionCheck]:
+    """The presses of a session, a table for each board, and what was found out about it."""
     states = _table(folder, "states", (4, 5), notes)
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
     states, values = _matched(folder, states, values, notes)
-    sheared = values.shape[1] > 1 + EFLESH_READINGS
-    if sheared:
-        check, reference = _check_sheared(folder.name, states, values, options, notes), None
-    else:
-        check, reference = _check_pressed(folder.name, states, values, options, notes)
-    label_rows, reading_rows = check.rows(len(states))
-    states, values = states[label_rows], values[reading_rows]
-    values = np.column_stack([values[:, :1], check.fields(values[:, 1:])])
-    probe = _sheared(folder.name, states, options, notes) if reference is None else _pressed(states, reference, check)
-    half = options.window / 2
-    inside = (np.abs(probe.x) <= half) & (np.abs(probe.y) <= half)
-    if not inside.all():
-        notes.info(
-            f"left out of {folder.name}: {np.sum(~inside)} presses outside the window of {1e3 * options.window:g} mm"
-        )
-    if not inside.any():
-        return []
-    session, sessions = _strokes(folder.name, states[inside])
-    touches = _touches(_Probe(*(part[inside] for part in probe)), session, options)
-    readings = values[inside, 1:].reshape(len(session), -1, EFLESH_READINGS)
-    names = [f"{folder.name}/board {i}" for i in range(2)] if sheared else [folder.name]
-    return [
-        Dataset(
-            touches=touches._replace(reading=readings[:, i]),
-            objects=("probe",),
-            pads=(options.pad or name,),
-            sessions=sessions,
-            board=check.board,
-            source="real",
-            window=options.window,
-            reach=options.reach,
-            meta={"converter": "eflesh", "tip_radius_m": f"{options.radius:g}"} | check.meta,
-        )
-        for i, name in enumerate(names)
-        if not sheared or options.board in (None, i)
-    ]
-
-
-class _Reference(NamedTuple):
-    """Origin of a session's positions and heights, in the robot's axes."""
-
-    centre: np.ndarray  # (2,) m
-    zero: float  # m, of first contact; NaN where it is unknown
-
-
-def _check_pressed(
-    name: str, states: np.ndarray, values: np.ndarray, options: _Options, notes: ConversionLog
-) -> tuple[SessionCheck, _Reference]:
-    """Estimate what a session of presses from above does not say."""
-    position, middle = _positions(states)
-    presses = RecordedPresses(
-        position[:, :2] - middle[:2], values[:, 1:], height=position[:, 2], force=_load(states), seconds=states[:, 0]
-    )
-    check = check_session(
-        name, presses, _board(), notes, stated_zero=options.zero, as_stated=options.as_stated,
+    n, name, position = len(states), folder.name, 1e-3 * states[:, 1:4]
+    table = PressTable(
+        position[:, :2], position[:, 2], _load(states), values[:, 1:], states[:, 0],
+        np.full(n, options.pad or name), _strokes(name, states),
     )  # fmt: skip
-    heights = _heights(position, check)
+    if values.shape[1] == 1 + EFLESH_READINGS:
+        table, check = _pressed(name, table, options, notes)
+        return [table], check
+    table, check = _sheared(name, table, options, notes)
+    both = [
+        table._replace(readings=readings, pad=np.full(n, options.pad or f"{name}/board {i}"))
+        for i, readings in enumerate(np.split(table.readings, 2, axis=1))
+        if options.board in (None, i)
+    ]
+    return both, check
+
+
+def _pressed(name: str, table: PressTable, options: _Options, notes: ConversionLog) -> tuple[PressTable, SessionCheck]:
+    """A session in which the probe presses one skin from above."""
+    middle, check = _middle(table.position), SessionCheck(_board())
+    if not options.as_stated:
+        presses = RecordedPresses(
+            table.position - middle, table.readings, height=table.height, force=table.force, seconds=table.time
+        )
+        check = check_session(
+            name, presses, _board(), notes, stated_zero=options.zero
+        )  # fmt: skip
+    heights = table.height * check.factor("depth_factor", "height_sign")
     zero = _zero(name, heights, options, check, notes)
-    scale = check.factors.get("length_factor", 1.0)
-    reference = _Reference(scale * middle[:2] if options.centre is None else np.asarray(options.centre), zero)
-    stored = {
-        "centre_m": reference.centre.tolist(),
+    centre = check.factor("length_factor") * middle if options.centre is None else np.asarray(options.centre)
+    reference = {
+        "centre_m": centre.tolist(),
         "zero_m": zero if np.isfinite(zero) else None,
         "lowest_z_m": float(heights.min()),
     }
-    return check._replace(meta=check.meta | {REFERENCE + name: json.dumps(stored)}), reference
+    table = check.apply(table)
+    table = table._replace(position=table.position - centre, height=table.height - zero)
+    return table, check._replace(meta={**check.meta, REFERENCE + name: json.dumps(reference)})
 
 
 def _zero(name: str, heights: np.ndarray, options: _Options, check: SessionCheck, notes: ConversionLog) -> float:
@@ -229,31 +203,29 @@ def _zero(name: str, heights: np.ndarray, options: _Options, check: SessionCheck
     return top
 
 
-def _heights(position: np.ndarray, check: SessionCheck) -> np.ndarray:
-    """(n,) m along the skin's outward normal."""
-    return check.factors.get("depth_factor", 1.0) * check.factors.get("height_sign", 1.0) * position[:, 2]
+def _sheared(name: str, table: PressTable, options: _Options, notes: ConversionLog) -> tuple[PressTable, SessionCheck]:
+    """A session in which the probe moves along two skins: the robot's z is the direction of shear, and how deep it
+    presses is not recorded. Of what it does not say only the units are looked at.
+    """
+    check = SessionCheck(_board())
+    if not options.as_stated:
+        found, scales = find_units(table.position, table.readings)
+        if found.wrong:
+            notes.info(f"corrected in {name}: {found.sentence}")
+        check = check._replace(factors={"field_factor": scales.field}, meta=findings_to_meta(name, [found]))
+    table = check.apply(table)
+    centre = _middle(table.position) if options.centre is None else np.asarray(options.centre)
+    x, y = (table.position - centre).T
+    notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
+    notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
+    unknown = np.full(len(x), np.nan)
+    along = np.column_stack([x + table.height - _middle(table.height), y])
+    return table._replace(position=along, height=unknown, force=unknown), check
 
 
-def _check_sheared(
-    name: str, states: np.ndarray, values: np.ndarray, options: _Options, notes: ConversionLog
-) -> SessionCheck:
-    """Estimate what a session of shear does not say: only units are looked at."""
-    board = _board()
-    if options.as_stated:
-        return SessionCheck((), {}, lag=0, order=None, signs=None, board=board, meta={})
-    found, scales = find_units(_positions(states)[0][:, :2], values[:, 1:])
-    if found.wrong:
-        notes.info(f"corrected in {name}: {found.sentence}")
-    factors, meta = {"field_factor": scales.field}, findings_to_meta(name, [found])
-    return SessionCheck((found,), factors, lag=0, order=None, signs=None, board=board, meta=meta)
-
-
-def _pressed(states: np.ndarray, reference: _Reference, check: SessionCheck) -> _Probe:
-    """A session in which the probe presses one skin from above."""
-    position, _ = _positions(states)
-    x, y = (check.factors.get("length_factor", 1.0) * position[:, :2] - reference.centre).T
-    load = _load(states) * check.factors.get("force_factor", 1.0) * check.factors.get("force_sign", 1.0)
-    return _Probe(x, y, _heights(position, check) - reference.zero, load, states[:, 0])
+def _middle(values: np.ndarray) -> np.ndarray:
+    """The middle of the range of values."""
+    return (values.min(0) + values.max(0)) / 2
 
 
 def _load(states: np.ndarray) -> np.ndarray:
@@ -261,46 +233,6 @@ def _load(states: np.ndarray) -> np.ndarray:
     if states.shape[1] != 5:
         return np.full(len(states), np.nan)
     return np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
-
-
-def _sheared(name: str, states: np.ndarray, options: _Options, notes: ConversionLog) -> _Probe:
-    """A session in which the probe moves along two skins: the robot's z is the direction of shear, and how deep it
-    presses is not recorded.
-    """
-    position, middle = _positions(states)
-    x, y = (position[:, :2] - (middle[:2] if options.centre is None else options.centre)).T
-    notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
-    notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
-    unknown = np.full(len(states), np.nan)
-    return _Probe(x + position[:, 2] - middle[2], y, unknown, unknown, states[:, 0])
-
-
-def _positions(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The probe's positions (n, 3) m, and the middle (3,) of their range."""
-    position = 1e-3 * states[:, 1:4]
-    return position, (position.min(0) + position.max(0)) / 2
-
-
-def _touches(probe: _Probe, session: np.ndarray, options: _Options) -> Touches:
-    """Touches of a probe without their readings."""
-    n = len(probe.x)
-    T_w_o = np.tile(np.eye(4), (n, 1, 1))
-    T_w_o[:, :3, 3] = np.column_stack([probe.x, probe.y, np.nan_to_num(probe.height)])
-    return Touches(
-        patch=tip_patches(sphere(options.radius), probe.x, probe.y, options.window, options.reach),
-        wide=missing_context(n),
-        nearest=probe.height,
-        reading=np.empty((n, EFLESH_READINGS)),
-        force=probe.load,
-        depth=np.maximum(-probe.height, 0),
-        T_w_t=np.tile(np.eye(4), (n, 1, 1)),
-        T_w_o=T_w_o,
-        object=np.zeros(n),
-        pad=np.zeros(n),
-        session=session,
-        code=np.where(probe.height > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
-        time=probe.time,
-    )
 
 
 def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionLog) -> np.ndarray:
@@ -343,14 +275,13 @@ def _matched(
     return states[nearest[same]], values[same]
 
 
-def _strokes(name: str, states: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Runs of a session: a session of single presses is one; where the probe was followed all the way, each stroke down
-    and up is.
+def _strokes(name: str, states: np.ndarray) -> np.ndarray:
+    """Sessions (n,) by name: a session of single presses is one; where the probe was followed all the way, each stroke
+    down and up is.
     """
-    if states.shape[1] == 4 or not len(states):
-        return np.zeros(len(states), np.int32), (name,)
+    if states.shape[1] == 4:
+        return np.full(len(states), name)
     z = states[:, 3]
     at_top = z > z.max() - 0.1 * np.ptp(z)
     begins = np.concatenate([[False], (np.diff(states[:, 0]) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
-    run = np.cumsum(begins)
-    return run, tuple(f"{name}/stroke {i + 1:02d}" for i in range(run[-1] + 1))
+    return np.array([f"{name}/stroke {number:02d}" for number in 1 + np.cumsum(begins)])

@@ -234,6 +234,37 @@ def require_free_folder(target: Path, mark: str, *, overwrite: bool) -> None:
         raise DataError(f"{target}: holds an export already; give another folder or pass --overwrite")
 
 
+def write_npz(path: Path, dataset: Dataset) -> Path:
+    """Write a data set as arrays, atomically.
+
+    The file holds every field of the touches under its name (`truth_...` for the truth), the names, board, window,
+    reach, source, and provenance as `meta_keys` and `meta_values`.
+
+    Args:
+        path: Of the new file; its folder is made.
+        dataset: The data set.
+
+    Returns:
+        `path`.
+
+    Raises:
+        DataError: Its folder cannot be written to; FullDiskError if the disk is full, or failed.
+    """
+    touches = dataset.touches._asdict()
+    truth = touches.pop("truth")
+    arrays: dict[str, Any] = {name: values for name, values in touches.items() if values is not None}
+    if truth is not None:
+        arrays |= {TRUTH + name: values for name, values in truth._asdict().items()}
+    arrays |= {kind: np.array(getattr(dataset, kind), np.str_) for kind in NAME_LISTS}
+    arrays |= {f"board_{name}": values for name, values in dataset.board._asdict().items()}
+    arrays |= {name: np.array(getattr(dataset, name)) for name in ("window", "reach", "source")}
+    arrays["meta_keys"] = np.array(list(dataset.meta), np.str_)
+    arrays["meta_values"] = np.array(list(dataset.meta.values()), np.str_)
+    with files.replacing(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+    return path
+
+
 def write_json(path: Path, values: Any) -> None:
     """Write JSON that any reader takes: no NaN.
 

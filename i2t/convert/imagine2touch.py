@@ -13,15 +13,13 @@ samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quate
 Assumed, for the recordings do not say: the tool frame is the one of the recorded poses; image rows run along tool y and
 columns along tool x; forces are in the robot base's axes and act on the tool, so that the force along tool z is minus
 their component along it. Objects' poses are unknown (NaN). What contradicts that is found and put right, with a
-sentence: forces that pull, or that push only in the other axes; positions in millimetres, rotations in degrees or with
-the scalar first, a tool axis that points away from the object, images in another unit, fields in millitesla.
+sentence: forces that pull, or that push only in the other axes; positions in millimetres, images in another unit,
+fields in millitesla.
 """
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from i2t.convert import CAMERA_OFFSET_M, npy, samples
 from i2t.convert.common import ConversionLog, Converted, data_error
 from i2t.dataset import Dataset, concatenate, missing_context
-from i2t.depth.camera import read_tif
+from i2t.depth.camera import read_image
 from i2t.errors import DataError
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
 from i2t.unknowns import find_force_sign, find_units, findings_to_meta
@@ -42,7 +40,6 @@ MAX_PATCH_M = 1e3  # beyond any image, in any unit
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
 MAX_ARM_REACH_M = 5.0  # of a tool's position: beyond it are millimetres
 MOST_TOUCHES = 0.9  # of the informative ones, for a recording to be read otherwise than it is documented
-MAX_POSE_ERROR = math.radians(15)  # a motion less far off tool z is explained by errors of the arm and its pose
 MIN_INFORMATIVE_TOUCHES = 3
 MIN_PUSHES = 8  # touches with a force, for their sign to be turned
 IMAGE_UNITS = {10.0: "0.1 mm", 100.0: "0.01 mm", 0.1: "cm", 1000.0: "um"}  # how many of a unit go into a millimetre
@@ -102,7 +99,6 @@ def convert(
         tool_forces=tool_forces,
         pad=pad,
         as_stated=as_stated,
-        meanings={4: AS_DOCUMENTED} if as_stated else _meanings(folders, notes),
     )
     parts: list[_Run] = []
     for folder in folders:
@@ -161,7 +157,6 @@ class _Options(NamedTuple):
     tool_forces: bool
     pad: str
     as_stated: bool
-    meanings: Mapping[int, "_Meaning"]  # of rotations, by their number of values
 
 
 def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> _Run:
@@ -249,27 +244,24 @@ def _poses(stem: Path, n: int, options: "_Options", notes: ConversionLog) -> _Po
             "read as millimetres"
         )
         final, prepare = unit * final, unit * prepare
-    rotations = _rotations(stem, n, options, notes)
+    rotations = _rotations(stem, n, notes)
     T_w_t = np.full((n, 4, 4), np.nan)
     posed = np.isfinite(final).all(1) & np.isfinite(rotations).all((1, 2))
     T_w_t[posed] = np.eye(4)
     T_w_t[posed, :3, :3] = rotations[posed]
     T_w_t[posed, :3, 3] = final[posed]
-    approach, aside = _along(final - prepare, T_w_t[:, :3, 2])
+    moved = final - prepare
+    approach = np.sum(moved * T_w_t[:, :3, 2], axis=1)
+    aside = np.linalg.norm(moved - approach[:, None] * T_w_t[:, :3, 2], axis=1)
     if (approach < 0).any():
         notes.info(
-            f"{stem}: {np.sum(approach < 0)} presses go against tool z, so this may be another frame than the tool's"
+            f"{stem}: {np.sum(approach < 0)} presses go against tool z, so this may be another frame than the tool's, "
+            "or quaternions have the scalar first"
         )
     approach = np.where((aside <= MAX_LOOK_OFFSET_M) & (approach >= 0), approach, np.nan)
     if np.isnan(approach).any():
         notes.info(f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches, not seen along their approach")
     return _Poses(T_w_t, approach)
-
-
-def _along(moved: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths of a motion (n, 3) along axes (n, 3), and aside."""
-    approach = np.sum(moved * axis, axis=1)
-    return approach, np.linalg.norm(moved - approach[:, None] * axis, axis=1)
 
 
 def _distance(position: np.ndarray) -> float:
@@ -283,117 +275,16 @@ def _position_unit(position: np.ndarray) -> float:
     return 1e-3 if _distance(position) > MAX_ARM_REACH_M else 1.0
 
 
-class _Meaning(NamedTuple):
-    """One way to read the rotations of a set."""
-
-    said: str
-    matrices: Callable[[np.ndarray], np.ndarray]  # of rows of finite values
-
-
-def _quaternions(values: np.ndarray, *, scalar_first: bool = False, over: bool = False) -> np.ndarray:
-    rotations = Rotation.from_quat(np.roll(values, -1, axis=1) if scalar_first else values).as_matrix()
-    return rotations @ np.diag([1.0, -1.0, -1.0]) if over else rotations
-
-
-def _angles(values: np.ndarray, *, axes: str, degrees: bool) -> np.ndarray:
-    if not axes:
-        return Rotation.from_rotvec(values, degrees=degrees).as_matrix()
-    return Rotation.from_euler(axes, values, degrees=degrees).as_matrix()
-
-
-AS_DOCUMENTED = _Meaning("quaternions have the scalar last", _quaternions)
-_FIRST = "quaternions have the scalar first"
-_OVER = "tool z points away from the object: the tool is turned over about its x"
-MEANINGS: dict[int, tuple[_Meaning, ...]] = {  # by the number of values, what is documented or likelier first
-    4: (
-        AS_DOCUMENTED,
-        _Meaning(_OVER, partial(_quaternions, over=True)),
-        _Meaning(_FIRST, partial(_quaternions, scalar_first=True)),
-        _Meaning(f"{_FIRST}, and {_OVER}", partial(_quaternions, scalar_first=True, over=True)),
-    ),
-    3: tuple(
-        _Meaning(f"rotations are {kind} in {unit}", partial(_angles, axes=axes, degrees=unit == "degrees"))
-        for unit in ("radians", "degrees")
-        for kind, axes in (
-            ("vectors", ""), ("angles about fixed x, y and z", "xyz"), ("angles about moving z, y and x", "ZYX")
-        )
-    ),
-}  # fmt: skip
-
-
-def _meanings(folders: Sequence[Path], notes: ConversionLog) -> dict[int, _Meaning]:
-    """Meaning of the rotations of all runs, by their number of values: one program wrote them all, so that all runs
-    decide together. Touches move along tool z. The documented reading gives way only where half of the touches go
-    clearly elsewhere and nearly all agree with another: of nearly upright touches both orders of a quaternion tell the
-    same axis, and which fits better is chance.
-    """
-    found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {4: [], 3: []}
-    for folder in folders:
-        for run in _runs(folder):
-            stem = folder / f"{folder.name}_poses" / f"experiment_{run}"
-            values, final, prepare = (_loose(stem, name) for name in ("rotations", "final_contact", "prepare_contact"))
-            if values.shape[1] in found and final.shape == prepare.shape == (len(values), 3):
-                moved = _position_unit(final) * (final - prepare)
-                far = np.linalg.norm(moved, axis=1) > 2 * MAX_LOOK_OFFSET_M
-                far &= np.isfinite(values).all(1) & (np.linalg.norm(values, axis=1) > 0)
-                found[values.shape[1]].append((values[far], moved[far]))
-    decided = {4: AS_DOCUMENTED}
-    for size, parts in found.items():
-        if sum(len(values) for values, _ in parts) < MIN_INFORMATIVE_TOUCHES:
-            continue
-        values, moved = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-        share = {meaning: _share_along(moved, meaning.matrices(values)) for meaning in MEANINGS[size]}
-        if size == 4 and np.median(_angle_to_axis(moved, AS_DOCUMENTED.matrices(values))) < MAX_POSE_ERROR:
-            continue
-        best = next((meaning for meaning in MEANINGS[size] if share[meaning] > MOST_TOUCHES), None)
-        if best is not None and best is not AS_DOCUMENTED:
-            decided[size] = best
-            runs = f"{len(parts)} runs" if len(parts) > 1 else "1 run"
-            notes.info(
-                f"corrected: {best.said}, as {round(share[best] * len(moved))} of {len(moved)} touches of {runs} move "
-                f"along tool z so"
-                + (f", and {round(share[AS_DOCUMENTED] * len(moved))} as documented" if size == 4 else "")
-            )
-    return decided
-
-
-def _loose(stem: Path, name: str) -> np.ndarray:
-    """(n, d) numbers of a file of poses; (0, 0) where it holds none, which its run says when it is read."""
-    path = npy.find(stem.with_name(f"{stem.name}_{name}"))
-    try:
-        values = np.zeros((0, 0)) if path is None else np.array(npy.read(path), np.float64)
-    except (DataError, TypeError, ValueError):
-        values = np.zeros((0, 0))
-    return np.where(np.abs(values) < MAX_POSE_VALUE, values, np.nan) if values.ndim == 2 else np.zeros((0, 0))
-
-
-def _share_along(moved: np.ndarray, rotations: np.ndarray) -> float:
-    """Share of the touches whose motion (n, 3) is along tool z of rotations (n, 3, 3)."""
-    approach, aside = _along(moved, rotations[:, :, 2])
-    return float(np.mean((approach > 0) & (aside <= MAX_LOOK_OFFSET_M)))
-
-
-def _angle_to_axis(moved: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """Angles (n,) rad between motions (n, 3) and tool z of rotations (n, 3, 3)."""
-    approach, aside = _along(moved, rotations[:, :, 2])
-    return np.arctan2(aside, approach)
-
-
-def _rotations(stem: Path, n: int, options: "_Options", notes: ConversionLog) -> np.ndarray:
-    """Rotations (n, 3, 3) of the tool, NaN where unknown, as those of the whole set are meant."""
-    values = _optional(stem, "rotations", (n, 4), notes, other=None if options.as_stated else (n, 3))
+def _rotations(stem: Path, n: int, notes: ConversionLog) -> np.ndarray:
+    """Rotations (n, 3, 3) of the tool, NaN where unknown."""
+    values = _optional(stem, "rotations", (n, 4), notes)
     result = np.full((n, 3, 3), np.nan)
     known = np.isfinite(values).all(1)
-    if not known.any():
-        return result
-    size = values.shape[1]
-    if size not in options.meanings:
-        path = npy.find(stem.with_name(f"{stem.name}_rotations")) or stem
-        raise data_error(path, f"has the shape {values.shape} where {n} touches need {(n, 4)}")
     crooked = np.abs(np.linalg.norm(values, axis=1) - 1) > QUATERNION_NORM_TOLERANCE
-    if size == 4 and crooked.any():
+    if crooked.any():
         raise data_error(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
-    result[known] = options.meanings[size].matrices(values[known])
+    if known.any():
+        result[known] = Rotation.from_quat(values[known]).as_matrix()
     return result
 
 
@@ -445,15 +336,9 @@ def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tup
 
 
 def _optional(
-    stem: Path,
-    name: str,
-    shape: tuple[int, ...],
-    notes: ConversionLog,
-    *,
-    unknown: float = math.nan,
-    other: tuple[int, ...] | None = None,
+    stem: Path, name: str, shape: tuple[int, ...], notes: ConversionLog, *, unknown: float = math.nan
 ) -> np.ndarray:
-    """A file of numbers of this shape, or of the other, or the unknown value where there is no file."""
+    """A file of numbers of this shape, or the unknown value where there is no file."""
     wanted = stem.with_name(f"{stem.name}_{name}")
     path = npy.find(wanted)
     if path is None:
@@ -464,8 +349,6 @@ def _optional(
         numbers = np.array(values, np.float64)
     except (TypeError, ValueError) as error:
         raise data_error(path, f"does not hold numbers of the shape {shape}") from error
-    if other is not None and numbers.shape == other:
-        shape = other
     if numbers.size != math.prod(shape) or len(numbers) != shape[0]:
         raise data_error(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
     if not (np.abs(numbers) < MAX_POSE_VALUE).all():
@@ -480,7 +363,7 @@ def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:
     if not path.is_file():
         raise data_error(path, "is missing")
     try:
-        image = read_tif(path)
+        image = read_image(path)
     except DataError:
         raise
     except (OSError, ValueError) as error:

@@ -9,7 +9,6 @@ Format: https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ from i2t.extras import require_extra
 from i2t.files import may_grow_to
 
 LEROBOT_VERSION = "v3.0"
-LEROBOT_INFO, LEROBOT_NOTE = "meta/info.json", "meta/i2t.json"
+LEROBOT_INFO, NOTE = "meta/info.json", "meta/i2t.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_SIZE_MB, FILE_SIZE_MB, CHUNK_FILES = 200, 100, 1000
 FPS = 1
@@ -43,7 +42,7 @@ COUNTERS = ("frame_index", "episode_index", "index", "task_index")
 NEEDS_PYARROW = "LeRobot's format"
 
 
-def write_lerobot(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
+def write(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
     """Write a data set as a LeRobotDataset.
 
     Args:
@@ -62,24 +61,20 @@ def write_lerobot(target: Path, dataset: Dataset, *, overwrite: bool = False) ->
     episodes = episodes_of(dataset)
 
     def fill(folder: Path) -> None:
-        rows_of_episodes = []
-        begun = 0
-        for file_number, group in enumerate(_grouped(episodes, frames)):
-            chunk, number = divmod(file_number, CHUNK_FILES)
-            parts = []
-            for episode, rows in group:
-                part = {name: values[rows] for name, values in frames.items()}
-                part["frame_index"] = np.arange(len(rows))
-                part["timestamp"] = np.arange(len(rows), dtype=np.float32) / FPS
-                part["index"] = begun + np.arange(len(rows))
-                part["episode_index"] = np.full(len(rows), episode)
-                rows_of_episodes.append(_episode(dataset, part, rows, chunk=chunk, number=number))
-                begun += len(rows)
-                parts.append(part)
-            whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-            path = folder / DATA_PATH.format(chunk_index=chunk, file_index=number)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            pq.write_table(pa.table({name: _arrow(pa, values) for name, values in whole.items()}), path)
+        parts, rows_of_episodes, begun = [], [], 0
+        for episode, (_, rows) in enumerate(episodes):
+            part = {name: values[rows] for name, values in frames.items()}
+            part["frame_index"] = np.arange(len(rows))
+            part["timestamp"] = np.arange(len(rows), dtype=np.float32) / FPS
+            part["index"] = begun + np.arange(len(rows))
+            part["episode_index"] = np.full(len(rows), episode)
+            rows_of_episodes.append(_episode(dataset, part, rows))
+            begun += len(rows)
+            parts.append(part)
+        whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
+        path = folder / DATA_PATH.format(chunk_index=0, file_index=0)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({name: _arrow(pa, values) for name, values in whole.items()}), path)
         _write_tasks(pa, pq, folder, dataset)
         path = folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
         path.parent.mkdir(parents=True)
@@ -87,11 +82,11 @@ def write_lerobot(target: Path, dataset: Dataset, *, overwrite: bool = False) ->
         write_json(folder / "meta/stats.json", {name: _stats(values) for name, values in frames.items()})
         write_json(folder / LEROBOT_INFO, _info(dataset, frames, len(episodes)))
 
-    return write_folder(target, dataset, LEROBOT_NOTE, fill, overwrite=overwrite)
+    return write_folder(target, dataset, NOTE, fill, overwrite=overwrite)
 
 
-def read_lerobot(source: Path) -> Dataset:
-    """Read a folder that `write_lerobot` wrote, or that LeRobot made of one.
+def read(source: Path) -> Dataset:
+    """Read a folder that `write` wrote, or that LeRobot made of one.
 
     Args:
         source: The folder.
@@ -106,10 +101,9 @@ def read_lerobot(source: Path) -> Dataset:
     version = files.read_json(source / LEROBOT_INFO).get("codebase_version")
     if version != LEROBOT_VERSION:
         raise DataError(f"{source / LEROBOT_INFO}: is of version {version}, and {LEROBOT_VERSION} is read; convert it")
-    if not (source / LEROBOT_NOTE).is_file():
+    if not (source / NOTE).is_file():
         raise DataError(
-            f"{source}: has no {LEROBOT_NOTE}, so it is of another program; "
-            "touches need patches and the board of a skin"
+            f"{source}: has no {NOTE}, so it is of another program; touches need patches and the board of a skin"
         )
     fields = {column: field for field, column in NAMED_COLUMNS.items()}
     parts, rows = [], []
@@ -126,7 +120,7 @@ def read_lerobot(source: Path) -> Dataset:
         rows.append(part.pop(ROW_COLUMN))
         parts.append({fields.get(name, name.removeprefix("touch.")): values for name, values in part.items()})
     row = np.concatenate(rows) if rows else np.zeros(0, np.int64)
-    return dataset_of(in_order(parts, row, source), files.read_json(source / LEROBOT_NOTE), source)
+    return dataset_of(in_order(parts, row, source), files.read_json(source / NOTE), source)
 
 
 def _pyarrow() -> tuple[Any, Any]:
@@ -148,31 +142,14 @@ def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
     }
 
 
-def _grouped(
-    episodes: list[tuple[str, np.ndarray]], frames: dict[str, np.ndarray]
-) -> Iterator[list[tuple[int, np.ndarray]]]:
-    """Episodes with their numbers, as many as a file should hold."""
-    size = sum(values[:1].nbytes for values in frames.values())
-    group: list[tuple[int, np.ndarray]] = []
-    for number, (_, rows) in enumerate(episodes):
-        if group and size * (len(rows) + sum(len(each) for _, each in group)) > FILE_SIZE_MB * 2**20:
-            yield group
-            group = []
-        group.append((number, rows))
-    if group:
-        yield group
-
-
-def _episode(
-    dataset: Dataset, part: dict[str, np.ndarray], rows: np.ndarray, *, chunk: int, number: int
-) -> dict[str, Any]:
+def _episode(dataset: Dataset, part: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
     """A row of the table of episodes."""
     about: dict[str, Any] = {
         "episode_index": int(part["episode_index"][0]),
         "tasks": [_task(dataset.objects[i]) for i in np.unique(part["task_index"])],
         "length": len(rows),
-        "data/chunk_index": chunk,
-        "data/file_index": number,
+        "data/chunk_index": 0,
+        "data/file_index": 0,
         "dataset_from_index": int(part["index"][0]),
         "dataset_to_index": int(part["index"][-1]) + 1,
         "meta/episodes/chunk_index": 0,

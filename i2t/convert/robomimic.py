@@ -19,33 +19,35 @@ from i2t.dataset import Dataset
 from i2t.dataset.files import inspect_file, write_hdf5
 from i2t.errors import DataError
 
-ROBOMIMIC_ENDING = ".hdf5"
 NOTE_OF_FILE, ROW = "i2t", "row"
 VALID_EVERY = 10  # every tenth session is named in mask/valid, where there are as many
 MAX_OBJECTS_OF_FILE = 2**20  # groups and arrays: some twenty for each session
 GYM_TYPE = 2  # of an environment, as robomimic numbers them: it knows no kind for recorded touches
 
 
-def write_robomimic(path: Path, dataset: Dataset) -> Path:
+def write(path: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
     """Write a data set as robomimic reads it, atomically.
 
     Args:
         path: Of the file.
         dataset: Touches.
+        overwrite: Whether an earlier file is replaced.
 
     Returns:
         The path.
 
     Raises:
-        DataError: The file cannot be written.
+        DataError: The file is there already, or cannot be written.
     """
+    if path.exists() and not overwrite:
+        raise DataError(f"{path}: exists already; choose another name or pass --overwrite")
     with files.replacing(path) as temporary:
         write_hdf5(temporary, lambda file: _fill(file, dataset))
     return path
 
 
-def read_robomimic(path: Path) -> Dataset:
-    """Read a file that `write_robomimic` wrote.
+def read(path: Path) -> Dataset:
+    """Read a file that `write` wrote.
 
     Args:
         path: Of the file.

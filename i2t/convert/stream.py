@@ -21,8 +21,17 @@ import numpy as np
 
 from i2t.convert import presses
 from i2t.convert.common import ConversionLog, Converted
-from i2t.convert.presses import MAX_TABLE_VALUE, MOST_NAMED, NAME_COLUMNS, PLACES, TIME
-from i2t.convert.tables import FIELD_COLUMN, HEIGHT_COLUMNS, TableRows, TextTable, open_text_table
+from i2t.convert.presses import PLACES
+from i2t.convert.tables import (
+    HEIGHT_COLUMNS,
+    NAME_COLUMNS,
+    TIME,
+    TableRows,
+    TextTable,
+    field_columns,
+    open_text_table,
+    sound_rows,
+)
 from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.progress import progress
@@ -45,12 +54,11 @@ PRESS_DECIMALS = 6  # of the table's numbers
 
 
 class _Columns(NamedTuple):
-    """The columns of a log that are read, by their numbers."""
+    """The columns of a log that are read."""
 
-    names: dict[str, int]  # pad and session, as far as it has them
-    values: list[int]  # of the board
-    labels: dict[str, int]  # what else a press takes over
-    time: int
+    names: list[str]  # pad and session, as far as it has them
+    values: list[str]  # of the board
+    labels: list[str]  # what else a press takes over
     notes: list[str]  # on the others
 
 
@@ -103,27 +111,6 @@ class _Search:
         self.recording, self.found = find_more(empty, time, readings, labels)
         self.early = []
         return self.recording
-
-
-@dataclass
-class _Damage:
-    """Damage of rows: it ends the conversion, or is counted."""
-
-    skip_bad: bool
-    rows: int = 0
-    silent: int = 0  # in which a chip did not answer
-    first: str = ""
-
-    def row(self, error: DataError) -> None:
-        """Refuse a row, or leave it out."""
-        if not self.skip_bad:
-            raise error
-        self.rows, self.first = self.rows + 1, self.first or str(error)
-
-    def sentences(self) -> list[str]:
-        """Sentences on what was left out."""
-        said = [f"left out: {self.rows} damaged rows; the first: {self.first}"] if self.rows else []
-        return said + ([f"left out: {self.silent} rows in which a chip did not answer"] if self.silent else [])
 
 
 def convert(
@@ -205,15 +192,14 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False) -> T
     """
     table = open_text_table(source)
     columns = _columns(source, table, board.num_chips)
-    damage = _Damage(skip_bad)
+    notes = ConversionLog(skip_bad, [*table.notes, *columns.notes])
     found: list[tuple[tuple[str, ...], FoundPress]] = []
     rows = parts = 0
-    for search in _searches(_rows(source, table, columns, damage), source, damage):
+    for search in _searches(_rows(source, table, columns, notes), source, notes):
         found += [(search.names, press) for press in search.presses()]
         rows, parts = rows + search.rows, parts + 1
     if not found:
         raise DataError(f"{source}: nothing presses in its {rows} rows; give a log that begins at rest and has presses")
-    notes = ConversionLog(skip_bad, [*table.notes, *columns.notes, *damage.sentences()])
     pieces = f" of {parts} parts, between which it paused or another session began" if parts > 1 else ""
     notes.info(f"found: {len(found)} presses in {rows} rows{pieces}")
     height = next((name for name in columns.labels if name in HEIGHT_COLUMNS), None)
@@ -223,11 +209,8 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False) -> T
             "left its rest"
         )
     labels = ["depth_mm" if name == height else name for name in columns.labels]
-    values = [table.header[i] for i in columns.values]
-    return TextTable(
-        [*columns.names, TIME, *labels, *values], [_press_row(names, press, columns, height) for names, press in found],
-        notes.lines,
-    )  # fmt: skip
+    header = [*columns.names, TIME, *labels, *columns.values]
+    return TextTable(header, [_press_row(names, press, columns, height) for names, press in found], notes.sentences())
 
 
 def _press_row(
@@ -236,7 +219,7 @@ def _press_row(
     """A press's line in the log, and its fields."""
     steady = press.steady[1:].copy()
     if height is not None:
-        at = list(columns.labels).index(height)
+        at = columns.labels.index(height)
         steady[at] = press.at_start[1 + at] - steady[at]
     numbers = [press.start_time, *steady.tolist(), *press.reading.tolist()]
     return int(press.at_start[0]), [*names, *("" if np.isnan(x) else f"{x:.{PRESS_DECIMALS}f}" for x in numbers)]
@@ -245,88 +228,40 @@ def _press_row(
 def _columns(source: Path, table: TableRows, chips: int) -> _Columns:
     """Columns of a log; a table without time or without the values of the board is refused."""
     header = table.header
-    if len(set(header)) != len(header):
-        raise DataError(f"{source}: a column name stands twice in the first line; rename one")
-    values = [f"b{chip}{axis}_uT" for chip in range(chips) for axis in "xyz"]
-    if missing := [name for name in (TIME, *values) if name not in header]:
-        named = ", ".join(missing[:MOST_NAMED]) + (" ..." if len(missing) > MOST_NAMED else "")
-        raise DataError(
-            f"{source}: column {named} is missing, so this is no log of a board of {chips} chips; name columns as in "
-            "docs/data.md"
-        )
-    if beyond := [name for name in header if FIELD_COLUMN.fullmatch(name) and name not in values]:
-        raise DataError(
-            f"{source}: column {', '.join(beyond)} is of no chip of the board, which has {chips}; name it with --board"
-        )
+    remedy = f"so this is no log of a board of {chips} chips: name columns as in docs/data.md"
+    values = field_columns(source, header, chips, [TIME], remedy)
     labels = [name for name in (*PLACES, "force_N") if name in header]
     if "depth_mm" not in header:
         labels += [name for name in HEIGHT_COLUMNS if name in header][:1]
     names = [name for name in NAME_COLUMNS if name in header]
     unread = [name for name in header if name not in {TIME, *values, *labels, *names}]
     notes = [f"left out: columns {', '.join(unread)}, which are not read in a log"] if unread else []
-    return _Columns(
-        {name: header.index(name) for name in names}, [header.index(name) for name in values],
-        {name: header.index(name) for name in labels}, header.index(TIME), notes,
-    )  # fmt: skip
+    return _Columns(names, values, labels, notes)
 
 
-def _rows(source: Path, table: TableRows, columns: _Columns, damage: _Damage) -> Iterator[_Rows]:
-    """The rows of a log, some at a time."""
-    wanted = [columns.time, *columns.values, *columns.labels.values()]
+def _rows(source: Path, table: TableRows, columns: _Columns, notes: ConversionLog) -> Iterator[_Rows]:
+    """The rows of a log in which every chip answered, some at a time."""
+    wanted = [TIME, *columns.values, *columns.labels]
+    end = 1 + len(columns.values)
     with progress(desc=source.name, unit="row", unit_scale=True) as bar:
         while some := list(islice(table.rows, ROWS_READ_AT_ONCE)):
             bar.update(len(some))
-            whole = _whole(source, some, len(table.header), damage)
-            numbers = _numbers([[cells[i] for i in wanted] for _, cells in whole], len(wanted))
-            kept = _sound(source, whole, numbers, [table.header[i] for i in wanted], damage)
-            end = 1 + len(columns.values)
-            silent = np.isnan(numbers[:, 1:end]).any(1)
-            damage.silent += int((kept & silent).sum())
-            which = np.flatnonzero(kept & ~silent)
-            names = [tuple(whole[k][1][i].strip() for i in columns.names.values()) for k in which]
-            lines = np.array([whole[k][0] for k in which], float)
-            part = numbers[which]
-            yield _Rows(names, part[:, 0], part[:, 1:end], np.column_stack([lines, part[:, end:]]))
+            rows, numbers = sound_rows(source, table.header, some, wanted, _needed, notes)
+            heard = ~np.isnan(numbers[:, 1:end]).any(1)
+            rows, numbers = [row for row, kept in zip(rows, heard, strict=True) if kept], numbers[heard]
+            names = [tuple(cells[table.header.index(name)].strip() for name in columns.names) for _, cells in rows]
+            lines = np.array([line for line, _ in rows], float)
+            labels = np.column_stack([lines, numbers[:, end:]])
+            notes.silent_rows += int((~heard).sum())
+            yield _Rows(names, numbers[:, 0], numbers[:, 1:end], labels)
 
 
-def _whole(
-    source: Path, some: list[tuple[int, list[str]]], fields: int, damage: _Damage
-) -> list[tuple[int, list[str]]]:
-    """Rows that have a field for each column."""
-    for number, cells in some:
-        if len(cells) != fields:
-            damage.row(DataError(f"{source}: line {number} has not {fields} fields; give one for each column"))
-    return [row for row in some if len(row[1]) == fields]
+def _needed(empty: np.ndarray) -> np.ndarray:
+    """Fields that may not be empty: the time, which comes first."""
+    return np.arange(empty.shape[1]) < np.ones((len(empty), 1))
 
 
-def _numbers(texts: list[list[str]], columns: int) -> np.ndarray:
-    """(n, columns) numbers: NaN where nothing stands, infinite where no number does."""
-    try:
-        return np.array([[text or "nan" for text in row] for row in texts], float).reshape(-1, columns)
-    except ValueError:
-        return np.array([[_number(text) for text in row] for row in texts]).reshape(-1, columns)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text) if text.strip() else np.nan
-    except ValueError:
-        return np.inf
-
-
-def _sound(
-    source: Path, rows: list[tuple[int, list[str]]], numbers: np.ndarray, names: list[str], damage: _Damage
-) -> np.ndarray:
-    """Mask of rows that hold plausible numbers and a time."""
-    wrong = np.abs(numbers) >= MAX_TABLE_VALUE
-    wrong[:, 0] = ~np.isfinite(numbers[:, 0])  # Unix time is larger than any other number
-    for k in np.flatnonzero(wrong.any(1)):
-        name = names[int(np.flatnonzero(wrong[k])[0])]
-        damage.row(DataError(f"{source}: line {rows[k][0]} has no such number in column {name}; correct it"))
-    return ~wrong.any(1)
-
-
-def _searches(chunks: Iterator[_Rows], source: Path, damage: _Damage) -> Iterator[_Search]:
+def _searches(chunks: Iterator[_Rows], source: Path, notes: ConversionLog) -> Iterator[_Search]:
     """A search for each part of a log that belongs together, after its last row."""
     search: _Search | None = None
     last = np.nan  # s, of the row before
@@ -336,7 +271,7 @@ def _searches(chunks: Iterator[_Rows], source: Path, damage: _Damage) -> Iterato
                 if search is not None:
                     yield search
                 search, last = _Search(named.names[0]), np.nan
-            rows = _in_order(source, named, last, damage)
+            rows = _in_order(source, named, last, notes)
             if not len(rows.time):
                 continue
             steps = np.diff(rows.time, prepend=rows.time[0] if np.isnan(last) else last)
@@ -359,12 +294,12 @@ def _of_one_name(rows: _Rows) -> Iterator[_Rows]:
             yield rows.part(start, end)
 
 
-def _in_order(source: Path, rows: _Rows, last: float, damage: _Damage) -> _Rows:
+def _in_order(source: Path, rows: _Rows, last: float, notes: ConversionLog) -> _Rows:
     """Rows whose time is later than that of all rows before them."""
     latest = np.fmax.accumulate(np.concatenate([[last], rows.time[:-1]]))
     late = rows.time <= latest  # not where there is no row before
     for k in np.flatnonzero(late):
-        damage.row(
+        notes.skip_row(
             DataError(
                 f"{source}: at line {rows.labels[k, 0]:.0f} time does not increase; sort the rows, or name "
                 "the sessions in a column session"

@@ -8,12 +8,14 @@ which refuses what is damaged, and `i2t.calibration.heads`, which keeps what can
 
 import csv
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from i2t.convert.common import data_error, read_text
+import numpy as np
+
+from i2t.convert.common import ConversionLog, data_error, read_text
 from i2t.errors import DataError
 from i2t.files import read_lines
 
@@ -33,6 +35,10 @@ UNITS: dict[str, tuple[str, dict[str, float]]] = {  # of each quantity: ours, an
 WORDS = {name: name for name in ("session", "pad", "contact", "slip")} | {"run": "session"}
 HEIGHT_COLUMNS = ("z_mm", "height_mm")  # of the tip, in place of a depth
 SHOWN_NAMES = 6  # of a table that is not understood
+MAX_NAMED = 5  # columns that a sentence names
+MAX_TABLE_VALUE = 1e9  # of any number, in its unit
+TIME = "time_s"
+NAME_COLUMNS = ("pad", "session")
 
 
 class TextTable(NamedTuple):
@@ -45,12 +51,7 @@ class TextTable(NamedTuple):
     @property
     def beginning(self) -> str:
         """The first names, for a sentence that refuses the table."""
-        if not self.header:
-            return "it holds no name of a column"
-        if all(_is_number(name) for name in self.header):
-            return "its first line holds numbers and no names"
-        more = " ..." if len(self.header) > SHOWN_NAMES else ""
-        return f"its first line names {', '.join(self.header[:SHOWN_NAMES])}{more}"
+        return beginning_of(self.header)
 
 
 class TableRows(NamedTuple):
@@ -90,6 +91,123 @@ def open_text_table(path: Path) -> TableRows:
         DataError: it cannot be read, or is no table; of a later row when that row is asked for.
     """
     return TableRows(*_table(path, _lines(path)))
+
+
+def field_columns(
+    path: Path, header: list[str], chips: int, needed: Sequence[str], remedy: str = "name columns as in docs/data.md"
+) -> list[str]:
+    """Names of the columns of a board's values; a table without them, or with those of another board, is refused.
+
+    Args:
+        path: of the file, for messages.
+        header: names of its columns.
+        chips: of the board.
+        needed: other columns that it must have.
+        remedy: what to do where a column is missing.
+
+    Returns:
+        b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
+
+    Raises:
+        DataError: a column is missing, stands twice, or is of no chip of the board.
+    """
+    values = [f"b{chip}{axis}_uT" for chip in range(chips) for axis in "xyz"]
+    if missing := [name for name in (*needed, *values) if name not in header]:
+        named = ", ".join(missing[:MAX_NAMED]) + (" ..." if len(missing) > MAX_NAMED else "")
+        raise DataError(f"{path}: column {named} is missing ({beginning_of(header)}); {remedy}")
+    if beyond := [name for name in header if FIELD_COLUMN.fullmatch(name) and name not in values]:
+        raise DataError(
+            f"{path}: column {', '.join(beyond)} is of no chip of the board, which has {chips}; name it with --board"
+        )
+    if len(set(header)) != len(header):
+        raise DataError(f"{path}: a column name stands twice in the first line; rename one")
+    return values
+
+
+def sound_rows(
+    path: Path,
+    header: list[str],
+    rows: Sequence[tuple[int, list[str]]],
+    columns: Sequence[str],
+    needed: Callable[[np.ndarray], np.ndarray],
+    notes: ConversionLog,
+) -> tuple[list[tuple[int, list[str]]], np.ndarray]:
+    """Rows that hold plausible numbers, and the numbers; others are damage.
+
+    Args:
+        path: of the file, for messages.
+        header: names of its columns.
+        rows: lines and fields.
+        columns: whose numbers are wanted.
+        needed: says of a mask (n, columns) of fields that are empty which of these may not be.
+        notes: that hear of damage.
+
+    Returns:
+        The rows that are left, and their numbers (n, columns), NaN where nothing stands.
+
+    Raises:
+        DataError: a row is damaged, and may not be left out.
+    """
+    for number, cells in rows:
+        if len(cells) != len(header):
+            notes.skip_row(DataError(f"{path}: line {number} has not {len(header)} fields; give one for each column"))
+    rows = [row for row in rows if len(row[1]) == len(header)]
+    at = [header.index(name) for name in columns]
+    numbers = _numbers([[cells[i] for i in at] for _, cells in rows], len(at))
+    wrong = (np.abs(numbers) >= MAX_TABLE_VALUE) & (np.array(columns) != TIME)  # Unix time is larger than all else
+    wrong |= np.isinf(numbers) | (np.isnan(numbers) & needed(np.isnan(numbers)))
+    for k in np.flatnonzero(wrong.any(1)):
+        (line, cells), j = rows[k], int(np.flatnonzero(wrong[k])[0])
+        said = f"line {line} has {cells[at[j]]!r} in column {columns[j]}, which is no such number"
+        notes.skip_row(DataError(f"{path}: {said}; correct it"))
+    sound = ~wrong.any(1)
+    return [row for row, kept in zip(rows, sound, strict=True) if kept], numbers[sound]
+
+
+def names_in(header: list[str], cells: list[str], kind: str) -> str:
+    """The pad or session of a row.
+
+    Args:
+        header: names of the columns.
+        cells: of the row.
+        kind: of `NAME_COLUMNS`.
+
+    Returns:
+        Its name; the kind itself where it has none.
+    """
+    return (cells[header.index(kind)] if kind in header else "").strip() or kind
+
+
+def beginning_of(header: list[str]) -> str:
+    """The first names of a table, for a sentence that refuses it.
+
+    Args:
+        header: names of its columns.
+
+    Returns:
+        What its first line holds.
+    """
+    if not header:
+        return "it holds no name of a column"
+    if all(_is_number(name) for name in header):
+        return "its first line holds numbers and no names"
+    more = " ..." if len(header) > SHOWN_NAMES else ""
+    return f"its first line names {', '.join(header[:SHOWN_NAMES])}{more}"
+
+
+def _numbers(texts: list[list[str]], columns: int) -> np.ndarray:
+    """(n, columns) numbers: NaN where nothing stands, infinite where no number does."""
+    try:
+        return np.array([[text or "nan" for text in row] for row in texts], float).reshape(-1, columns)
+    except ValueError:
+        return np.array([[_number(text) for text in row] for row in texts]).reshape(-1, columns)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text) if text.strip() else np.nan
+    except ValueError:
+        return np.inf
 
 
 def _lines(path: Path) -> Iterator[str]:

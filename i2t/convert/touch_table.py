@@ -35,7 +35,7 @@ OPTIONAL_COLUMNS = ("truth_", "time")  # beginnings of the names that a table ma
 MAX_TABLE_BYTES = 2**30
 
 
-def write_table(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
+def write(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
     """Write a data set as a table with its pictures.
 
     Args:
@@ -69,8 +69,8 @@ def write_table(target: Path, dataset: Dataset, *, overwrite: bool = False) -> P
     return write_folder(target, dataset, NOTE, fill, overwrite=overwrite)
 
 
-def read_table(source: Path) -> Dataset:
-    """Read a folder that `write_table` wrote.
+def read(source: Path) -> Dataset:
+    """Read a folder that `write` wrote.
 
     Args:
         source: The folder.

@@ -110,23 +110,6 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def checksum(path: Path) -> str:
-    """The SHA-256 that a file's header states; nothing but the header is read.
-
-    Args:
-        path: Of the file.
-
-    Returns:
-        The SHA-256.
-
-    Raises:
-        DataError: It is a file of another kind.
-    """
-    _require_file(path)
-    with path.open("rb") as raw:
-        return _header(path, raw.read(HEADER_BYTES))
-
-
 def _require_file(path: Path) -> None:
     """Refuse a pipe, which would be waited for, and a device, which may never end."""
     if path.exists() and not path.is_file():

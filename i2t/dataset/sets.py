@@ -240,6 +240,16 @@ def validate(dataset: Dataset) -> None:
     Raises:
         DataError: one sentence that names the field and the first bad row.
     """
+    _check_shapes(dataset)
+    _check_values(dataset)
+    for name in ("object", "pad", "session"):
+        names, value = getattr(dataset, name + "s"), getattr(dataset.touches, name)
+        _require(len(set(names)) == len(names), f"{name} names repeat")
+        _require_rows(name, (value >= 0) & (value < len(names)), f"is not an index into the {len(names)} {name} names")
+    _require_rows("code", np.isin(dataset.touches.code, [int(code) for code in ReturnCode]), "is not a return code")
+
+
+def _check_shapes(dataset: Dataset) -> None:
     touches, n = dataset.touches, len(dataset.touches.reading)
     pixels, wide = touches.patch.shape[-1], touches.wide.shape[-1]
     chips = len(dataset.board.rotations)
@@ -258,6 +268,11 @@ def validate(dataset: Dataset) -> None:
         for name, value in touches.truth._asdict().items():
             shape = (n, *value.shape[1:2] * 2) if name == "wide" else shapes.get(name, (n,))
             _require_shape(f"truth/{name}", value, shape)
+    _require_shape("time", times_of(dataset), (n,))
+
+
+def _check_values(dataset: Dataset) -> None:
+    touches, n = dataset.touches, len(dataset.touches.reading)
     _require(dataset.source in SOURCES, f"source is {dataset.source!r}, not one of {', '.join(SOURCES)}")
     _require(
         0 < dataset.window < np.inf and 0 < dataset.reach < np.inf,
@@ -270,13 +285,12 @@ def validate(dataset: Dataset) -> None:
         (touches.patch >= -slack).all((1, 2)) & (touches.patch <= dataset.reach + slack).all((1, 2)),
         "leaves 0 to the reach",
     )
-    fields = touches.reading.reshape(n, chips, 3)
+    fields = touches.reading.reshape(n, -1, 3)
     whole = np.isfinite(fields).all(2) | np.isnan(fields).all(2)  # a chip is there with all its axes, or missing
     _require_rows("reading", whole.all(1), "is not finite, or a part of a chip is missing")
     _require_rows("reading", np.isfinite(touches.reading).any(1) | (n == 0), "has no chip")
     for name in ("force", "depth"):
         _require_rows(name, ~np.isinf(getattr(touches, name)), "is infinite; unknown is NaN")
-    _require_shape("time", times_of(dataset), (n,))
     _require_rows("time", ~np.isinf(times_of(dataset)), "is infinite; unknown is NaN")
     _require_rows("nearest", touches.nearest != -np.inf, "is minus infinite; unknown is NaN")
     for name in ("T_w_t", "T_w_o"):
@@ -287,12 +301,6 @@ def validate(dataset: Dataset) -> None:
         "is neither a rotation nor a reflection",
         "chip",
     )
-    for name in ("object", "pad", "session"):
-        names = getattr(dataset, name + "s")
-        _require(len(set(names)) == len(names), f"{name} names repeat")
-        value = getattr(touches, name)
-        _require_rows(name, (value >= 0) & (value < len(names)), f"is not an index into the {len(names)} {name} names")
-    _require_rows("code", np.isin(touches.code, [int(code) for code in ReturnCode]), "is not a return code")
 
 
 def _map(change: Callable[[str, Any], np.ndarray], touches: Touches) -> Touches:

@@ -7,12 +7,10 @@ its touches, and of each further one the same groups in `skins/NAME`, which earl
 of one skin: where there are several, one is named (`skin=`).
 """
 
-import json
 import math
 import secrets
 import warnings
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -24,15 +22,13 @@ import numpy as np
 
 from i2t._version import __version__
 from i2t.dataset.card import CARD
-from i2t.dataset.files import ENDING, checksum, sync_folder, verified, write
+from i2t.dataset.files import ENDING, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
-from i2t.files import read_json, replacing, why_no_touches
+from i2t.files import why_no_touches
 from i2t.types import Board, Touches, Truth
 
-INDEX = "index.json"
-INDEX_VERSION = 2
-MAX_INDEX_BYTES = 2**28
+INDEX = "index.json"  # which earlier versions wrote next to touches
 ROWS_PER_CHUNK = 64
 FIELDS_OF_VERSION_1 = {"session": "run", "sessions": "runs"}  # as files of schema version 1 call them
 
@@ -304,67 +300,6 @@ def _with_all_chips(path: Path, dataset: Dataset, skip_bad: bool) -> Dataset:
         )
     warnings.warn(f"{said}; these touches were left out", BadFileWarning, stacklevel=3)
     return dataset.select(~gone)
-
-
-def index(folder: str | Path) -> dict[str, dict[str, Any]]:
-    """Index of the files of a folder.
-
-    Kept in index.json, so that only new or changed files are read; a missing, stale or unreadable index is rebuilt, and
-    a folder that cannot be written does without. It is a convenience for listing: `load_dataset` never uses it, so a
-    file that changed behind its back is still found there.
-
-    Args:
-        folder: of touches.
-
-    Returns:
-        By file name: size, time of change, SHA-256, touches, counts of objects, pads and sessions, and the source.
-
-    Raises:
-        DataError: files cannot be read; one sentence names them all.
-    """
-    folder = Path(folder)
-    known = _known_entries(folder / INDEX)
-    entries: dict[str, dict[str, Any]] = {}
-    bad: list[str] = []
-    for file in _files(folder):
-        name = file.relative_to(folder).as_posix()
-        try:
-            state = file.stat()
-            stamp = {"bytes": state.st_size, "changed_ns": state.st_mtime_ns, "sha256": checksum(file)}
-            if known.get(name, {}).items() >= stamp.items():
-                entries[name] = known[name]
-            else:
-                summary = _read(file, _get_dataset).summary()
-                entries[name] = stamp | {
-                    key: summary[key] for key in ("touches", "objects", "pads", "sessions", "source")
-                }
-        except (DataError, OSError) as error:
-            bad.append(str(error))
-    if bad:
-        raise DataError(f"{len(bad)} files of {folder} cannot be used: {' | '.join(bad)} | mend them or move them away")
-    if entries != known:
-        with suppress(OSError, DataError):
-            with replacing(folder / INDEX) as temporary:
-                temporary.write_text(json.dumps({"version": INDEX_VERSION, "files": entries}, indent=1))
-            sync_folder(folder)
-    return entries
-
-
-def _known_entries(path: Path) -> dict[str, dict[str, Any]]:
-    """Entries of an index, as far as they are whole; none of an index that is missing, stale or damaged."""
-    try:
-        cache = read_json(path, MAX_INDEX_BYTES)
-        found = cache["files"] if cache["version"] == INDEX_VERSION else {}
-        return {name: entry for name, entry in found.items() if _is_entry(entry)}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return {}
-
-
-def _is_entry(entry: Any) -> bool:
-    counts = [entry[name] for name in ("objects", "pads", "sessions")]
-    numbers = [entry[name] for name in ("bytes", "changed_ns", "touches")]
-    numbers += [count for counted in counts for count in counted.values()]
-    return all(type(number) is int for number in numbers) and isinstance(entry["source"], str)
 
 
 def _files(path: Path) -> list[Path]:

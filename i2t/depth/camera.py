@@ -6,17 +6,14 @@ is a hole, NaN in an image from `read_depth`.
 """
 
 import io
-import logging
 import math
-import zlib
-from collections.abc import Iterable
+import warnings
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tifffile
 from PIL import Image, UnidentifiedImageError
 
 from i2t import files, validation
@@ -30,21 +27,15 @@ MAX_PIXELS_IN_ALL = 2**25  # of an image: no depth camera has so many
 MAX_IMAGE_BYTES = 2**28  # of an image file
 NEAREST_M, FARTHEST_M = 0.02, 5.0  # m from which a camera sees what a tool touches
 FEW_SHARE = 0.05  # of an image's measured pixels
-TIF_DEFLATE = (tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE)
-TIF_PACKINGS = (
-    tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS, *TIF_DEFLATE,
-)  # fmt: skip
 
 
 class Distortion(StrEnum):
-    """The lens models of RealSense cameras, by librealsense's names; `i2t.depth.distortion` has their formulas."""
+    """Lens models of RealSense's depth cameras by librealsense's names; `i2t.depth.distortion` has their formulas."""
 
     NONE = "none"
     MODIFIED_BROWN_CONRADY = "modified_brown_conrady"
     INVERSE_BROWN_CONRADY = "inverse_brown_conrady"
     BROWN_CONRADY = "brown_conrady"
-    FTHETA = "ftheta"
-    KANNALA_BRANDT4 = "kannala_brandt4"
 
 
 class Encoding(StrEnum):
@@ -58,8 +49,7 @@ class Encoding(StrEnum):
 class Camera:
     """A depth camera: its size and lens in pixels. It can be a static argument under `jit`.
 
-    `coefficients` are in librealsense's order: k1, k2, p1, p2, k3 for the three Brown-Conrady models, the field of view
-    w (rad) for F-Theta, k1 to k4 for Kannala-Brandt; what is left out is zero.
+    `coefficients` are in librealsense's order: k1, k2, p1, p2, k3; what is left out is zero.
 
     Example:
         camera = i2t.Camera(640, 360, 322.4, 322.1, 319.5, 179.5, "brown_conrady", (0.08, -0.03))
@@ -92,8 +82,6 @@ class Camera:
             raise ValueError(
                 f"camera: {len(self.coefficients)} coefficients where librealsense's models have at most 5"
             )
-        if self.model == Distortion.FTHETA and not 0 < (*self.coefficients, 0.0)[0] < math.pi:
-            raise ValueError("camera: F-Theta needs its field of view as first coefficient, between 0 and pi rad")
         # One camera is one hash and so one compilation, whatever numbers described it.
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, float(getattr(self, name)))
@@ -259,10 +247,10 @@ def check_image(depth: Any, camera: Camera) -> None:
         )
 
 
-def read_png(
+def read_image(
     path: str | Path, *, shape: tuple[int, int] | None = None, said_by: str = "the camera", mode: str = ""
-) -> tuple[str, np.ndarray]:
-    """The pixels of a PNG, whose size is looked at before they are unpacked.
+) -> np.ndarray:
+    """The pixels of a PNG or of a TIF of one image, whose size is looked at before they are unpacked.
 
     Args:
         path: The file.
@@ -271,88 +259,44 @@ def read_png(
         mode: Of Pillow, such as RGB, that pixels are turned into; by default they stay as they are.
 
     Returns:
-        The mode of the file, and the pixels.
+        The pixels.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It is damaged, no PNG, or of another size.
+        ValueError: It is damaged, neither PNG nor TIF, or of another size.
     """
     try:
-        with Image.open(io.BytesIO(files.read_bytes(path, MAX_IMAGE_BYTES)), formats=["PNG"]) as image:
+        data = io.BytesIO(files.read_bytes(path, MAX_IMAGE_BYTES))
+        with warnings.catch_warnings(action="error"), Image.open(data, formats=["PNG", "TIFF"]) as image:
             found = image.height, image.width
             if shape is not None and found != shape:
                 raise DataError(
                     f"{path}: has {found[1]} x {found[0]} pixels where {said_by} says {shape[1]} x {shape[0]}; give "
                     "images of one size, aligned to each other"
                 )
-            _check_pixels(path, found)
-            return image.mode, np.asarray(image.convert(mode) if mode else image)
+            if max(found) > MAX_IMAGE_PIXELS or math.prod(found) > MAX_PIXELS_IN_ALL:
+                raise DataError(f"{path}: is {found} pixels; an edge must have from 2 to {MAX_IMAGE_PIXELS}")
+            values = np.asarray(image.convert(mode) if mode else image)
+            if _has_another(image):
+                raise DataError(f"{path}: holds several images; give one with a single channel of depth")
     except UnidentifiedImageError as error:
-        raise ValueError(f"{path}: cannot be read (it is no PNG); save or copy it again") from error
+        raise ValueError(f"{path}: cannot be read (it is no PNG or TIF); save or copy it again") from error
     except (OSError, DataError) as error:
         if isinstance(error, DataError) or error.errno is not None:
             raise
         raise ValueError(_unreadable(path, error)) from error
     except Exception as error:  # a damaged image can make its decoder fail in any way
         raise ValueError(_unreadable(path, error)) from error
+    return values.astype(values.dtype.newbyteorder("="))
 
 
-def read_tif(path: str | Path) -> np.ndarray:
-    """The pixels of a TIF of one image with one channel, whose size is looked at before they are unpacked.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The pixels (h, w) as they are stored.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is damaged, no TIF, or another image.
-    """
-    try:
-        data = files.read_bytes(path, MAX_IMAGE_BYTES)
-        with tifffile.TiffFile(io.BytesIO(data)) as file:
-            page = file.pages.first
-            if len(page.shape) != 2:
-                raise DataError(f"{path}: is an image of shape {page.shape}; give one with a single channel of depth")
-            _check_pixels(path, page.shape)
-            if _has_another(file):
-                raise DataError(f"{path}: holds several images; give one with a single channel of depth")
-            if page.compression not in TIF_PACKINGS:
-                raise DataError(f"{path}: is packed as {page.compression!r}; save it plainly, or with deflate")
-            if page.compression in TIF_DEFLATE:
-                parts = zip(page.dataoffsets, page.databytecounts, strict=True)
-                _check_growth(path, (data[begin : begin + size] for begin, size in parts), page.nbytes)
-            return np.asarray(page.asarray())
-    except (OSError, DataError):
-        raise
-    except Exception as error:  # as above
-        raise ValueError(_unreadable(path, error)) from error
-
-
-def _has_another(file: tifffile.TiffFile) -> bool:
+def _has_another(image: Image.Image) -> bool:
     """Test whether there is a second image; the list of all may be endless."""
     try:
-        return file.pages[1] is not None
-    except IndexError:
+        image.seek(1)
+    except EOFError:
         return False
-
-
-def _check_growth(path: str | Path, parts: Iterable[bytes], whole: int) -> None:
-    """Refuse packed parts of an image that unpack to much more than it: tifffile unpacks them whatever comes."""
-    left = 2 * whole + files.SPARE_BYTES
-    for part in parts:
-        left -= len(zlib.decompressobj().decompress(part, left + 1))
-        if left < 0:
-            raise DataError(f"{path}: unpacks to more than the {whole} bytes that it announces; save it again")
-
-
-def _check_pixels(path: str | Path, shape: tuple[int, ...]) -> None:
-    if max(shape) > MAX_IMAGE_PIXELS:
-        raise DataError(f"{path}: is {shape} pixels; an edge must have from 2 to {MAX_IMAGE_PIXELS}")
-    if math.prod(shape) > MAX_PIXELS_IN_ALL:
-        raise DataError(f"{path}: has {math.prod(shape)} pixels; at most {MAX_PIXELS_IN_ALL} are read")
+    return True
 
 
 def _unreadable(path: str | Path, error: Exception) -> str:
@@ -365,14 +309,6 @@ def _pixels(path: Path) -> np.ndarray:
         raise ValueError(f"{path}: is no PNG or TIF; save depth as 16-bit PNG, or TIF")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: there is no such file; check the path")
-    if path.suffix.lower() != ".png":
-        return read_tif(path)
-    mode, values = read_png(path)
-    if not mode.startswith("I"):
-        raise ValueError(
-            f"{path}: is a PNG of mode {mode} where depth needs 16 bits in one channel; save the raw depth"
-        )
-    return values.astype(np.uint16)  # older releases of Pillow widen 16-bit pixels
-
-
-logging.getLogger("tifffile").addHandler(logging.NullHandler())  # its complaints become our sentence
+    values = read_image(path)
+    # Older releases of Pillow widen the 16-bit pixels of a PNG.
+    return values.astype(np.uint16) if path.suffix.lower() == ".png" and values.dtype == np.int32 else values

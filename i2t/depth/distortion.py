@@ -8,15 +8,11 @@ y / z. Each has one direction in closed form; the other is solved by Newton's me
     brown_conrady           project             radial k1, k2, k3 and tangential p1, p2 (Brown, 1966), as in OpenCV
     modified_brown_conrady  project             the same, tangential after radial
     inverse_brown_conrady   deproject           Brown-Conrady from the image to the straight lens
-    ftheta                  both                r -> atan(2 r tan(w/2)) / w (Devernay and Faugeras, 2001)
-    kannala_brandt4         project             angle + k1 angle^3 + ... + k4 angle^9 (2006), as OpenCV's fisheye
 
-Two departures: librealsense from 2.44 takes `inverse_brown_conrady` for the modified model in both directions, against
-its own definition, which is kept here (say `modified_brown_conrady` for that); and its inverse of F-Theta divides by
-atan where the inverse of its projection divides by 2 tan(w/2), as here.
+One departure: librealsense from 2.44 takes `inverse_brown_conrady` for the modified model in both directions, against
+its own definition, which is kept here (say `modified_brown_conrady` for that).
 """
 
-import math
 from collections.abc import Callable
 
 import jax
@@ -50,7 +46,7 @@ def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, 
         depth: Depth (m) along the camera's axis.
 
     Returns:
-        Points (m) in C; NaN beyond 90 degrees from the axis.
+        Points (m) in C.
     """
     x, y = _undistort(camera, (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy)
     return jnp.stack([x * depth, y * depth, depth], -1)
@@ -63,7 +59,7 @@ def pixel_rays(camera: Camera) -> Float[Array, "2 height width"]:
         camera: The camera.
 
     Returns:
-        x / z and y / z of the rays; NaN beyond 90 degrees from the axis.
+        x / z and y / z of the rays.
     """
     u, v = jnp.meshgrid(jnp.arange(camera.width), jnp.arange(camera.height))
     return jnp.stack(_undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
@@ -91,61 +87,22 @@ def _distort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
             return _solve(lambda u, v: brown_conrady(camera, u, v), x, y)
         case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
             return brown_conrady(camera, x, y)
-        case Distortion.FTHETA:
-            w = camera.coefficients[0]
-            return _radially(x, y, lambda r: jnp.arctan(2 * r * math.tan(w / 2)) / w)
-        case Distortion.KANNALA_BRANDT4:
-            return _radially(x, y, lambda r: _kannala_brandt(camera, jnp.arctan(r)))
     return x, y
 
 
 def _undistort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Undistort lines of sight, from this lens to a straight one; NaN beyond 90 degrees from the axis."""
+    """Undistort lines of sight, from this lens to a straight one."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
             return brown_conrady(camera, x, y)
         case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
             return _solve(lambda u, v: brown_conrady(camera, u, v), x, y)
-        case Distortion.FTHETA:
-            w = camera.coefficients[0]
-            return _radially(x, y, lambda r: _tan(w * r) / (2 * math.tan(w / 2)))
-        case Distortion.KANNALA_BRANDT4:
-            return _radially(x, y, lambda r: _tan(_angle(camera, r)))
     return x, y
 
 
 def _model(camera: Camera) -> str:
     """A lens without coefficients, as many cameras report it, is a pinhole."""
-    curved = any(camera.coefficients) or camera.model == Distortion.KANNALA_BRANDT4
-    return camera.model if curved else Distortion.NONE
-
-
-def _kannala_brandt(camera: Camera, angle: Array) -> Array:
-    """Radius in the image of a line of sight at an angle (rad) from the axis."""
-    k1, k2, k3, k4, _ = camera.coefficients
-    square = angle * angle
-    return angle * (1 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
-
-
-def _angle(camera: Camera, radius: Array) -> Array:
-    """Inverse of `_kannala_brandt`, by Newton's method."""
-
-    def step(_: Array, angle: Array) -> Array:
-        value, slope = jax.jvp(lambda angle: _kannala_brandt(camera, angle), (angle,), (jnp.ones_like(angle),))
-        return angle - (value - radius) / jnp.where(slope == 0, 1, slope)
-
-    return jax.lax.fori_loop(0, NEWTON_STEPS, step, radius)
-
-
-def _radially(x: Array, y: Array, radius: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Move (x, y) from its radius r to `radius(r)`."""
-    r = jnp.maximum(jnp.hypot(x, y), 1e-6)  # on the axis the ratio has its limit
-    return x * radius(r) / r, y * radius(r) / r
-
-
-def _tan(angle: Array) -> Array:
-    """The tangent, NaN beyond 90 degrees."""
-    return jnp.where(angle < math.pi / 2, jnp.tan(angle), jnp.nan)
+    return camera.model if any(camera.coefficients) else Distortion.NONE
 
 
 def _solve(function: Callable[[Array, Array], tuple[Array, Array]], x: Array, y: Array) -> tuple[Array, Array]:

@@ -35,7 +35,6 @@ from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, WIDE_PIXELS, 
 from i2t.views import WideView, camera_view
 
 VIEW_DEPTH_M = 80e-3  # m behind the nearest point, down to which a wide view is followed
-LOOKING_DISTANCE_M = 104e-3  # m, from the camera to the tool's origin when the paper's arm looks
 GRAZING_ANGLE_RAD = math.radians(10)  # rad, between a triangle and the line of sight to it
 # m: neighbours no further apart in depth are surface however steep; the depth step of a file in millimetres is less
 MAX_DEPTH_STEP_M = 1.5e-3
@@ -189,51 +188,6 @@ def _patch_from_depth(
         jnp.where(rigid, jnp.clip(behind, 0, reach), jnp.nan), jnp.where(rigid, nearest, jnp.nan).astype(depth.dtype)
     )
     return DepthPatch(patch, seen & rigid, ~seen & ~jnp.isnan(bridged[inner]) & rigid)
-
-
-def crop_patch(
-    depth: Num[Array, "height width"],
-    camera: Camera,
-    distance: float = LOOKING_DISTANCE_M,
-    window: float = PATCH_WINDOW,
-    pixels: int = PATCH_PIXELS,
-    reach: float = REACH,
-) -> DepthPatch:
-    """The crop of the Imagine2touch code: the square of the image that the skin's window fills at `distance` (m), for a
-    camera that looks along tool z at the tool's origin, its axes parallel to the tool's.
-
-    Each pixel of the patch takes the one under its centre. What is nearer than `distance` appears too large and what is
-    further too small, lens distortion stays and flying pixels too: use it to repeat what was done, and
-    `patch_from_depth` to measure. All but `depth` is static.
-
-    Args:
-        depth: Depth (m) along the camera's axis.
-        camera: The camera.
-        distance: From the camera to the tool's origin (m).
-        window: Edge (m) of the patch.
-        pixels: Along the edge.
-        reach: Depth (m) behind the nearest point to which the patch is clipped.
-
-    Returns:
-        The patch and which of its pixels were measured.
-
-    Raises:
-        ValueError: The image is not the camera's, not in metres, or does not hold the window.
-    """
-    check_image(depth, camera)
-    along = [((i + 0.5) / pixels - 0.5) * window / distance for i in range(pixels)]
-    columns = [math.floor(camera.cx + camera.fx * x + 0.5) for x in along]
-    rows = [math.floor(camera.cy + camera.fy * y + 0.5) for y in along]
-    if min(columns) < 0 or min(rows) < 0 or max(columns) >= camera.width or max(rows) >= camera.height:
-        raise ValueError(
-            f"camera: its image does not hold a window of {1e3 * window:.1f} mm at {1e3 * distance:.1f} mm around the "
-            "principal point; use a smaller window or a larger distance"
-        )
-    crop = depth[jnp.array(rows)[:, None], jnp.array(columns)[None, :]]
-    seen = jnp.isfinite(crop) & (crop > 0)
-    closest = jnp.min(jnp.where(seen, crop, jnp.inf))
-    behind = jnp.where(seen, crop - jnp.where(closest < jnp.inf, closest, 0), reach)
-    return DepthPatch(Patch(jnp.minimum(behind, reach), closest - distance), seen, jnp.zeros_like(seen))
 
 
 class _Rays(NamedTuple):

@@ -17,10 +17,10 @@ from typing import Any, SupportsIndex, TypeAlias
 import numpy as np
 
 from i2t.depth.camera import Camera
-from i2t.emulators.carried_contact import CarriedContact, SeveralContacts
 from i2t.emulators.robot_motion import Robot
-from i2t.emulators.scene import ContactModel, ObjectScene, TouchableScene
+from i2t.emulators.scene import ContactModel, Contacts, TouchableScene
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.geometry import transform
 from i2t.hardware.base import CameraBase, DeviceBase
 from i2t.hardware.clock import Clock
 from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
@@ -97,8 +97,8 @@ class SimulatedLab:
         self.scene, self.clock, self.noise = scene, clock, scene.errors.noise
         self.contact_model = contact_model or ContactModel(scene)
         self.carried: list[CarriedSkinLab] = []
-        self.contacts = SeveralContacts(self.contact_model, [])
-        self.robot = Robot(np.array(HOME_POSE), self.contacts, np.zeros(6), scene.errors.force)
+        self.contacts = Contacts([self.contact_model])
+        self.robot = Robot(np.array(HOME_POSE), self.contacts, scene.errors.force)
         self.time = clock.now()
         self.lock = threading.RLock()
         self.samples: deque[Row] = deque(maxlen=QUEUE_SAMPLES)
@@ -123,17 +123,16 @@ class SimulatedLab:
                 self.robot.wrench()
                 for _ in range(ticks):
                     self.time += TICK_S
-                    self.keep_sample(self.time, self.robot.position, self.robot.rotation)
-                    for skin in self.carried:
-                        skin.keep_sample(self.time, *skin.contact.pose(self.robot.position, self.robot.rotation))
+                    for skin in (self, *self.carried):
+                        skin.keep_sample(self.time, self.robot.position, self.robot.rotation)
 
     def keep_sample(self, now: float, position: Array, rotation: Array) -> None:
         """Measure once, if somebody holds the skin.
 
         Args:
             now: s.
-            position: (3,) m, of the skin in the base.
-            rotation: (3, 3) of the skin in the base.
+            position: (3,) m, of the tool in the base.
+            rotation: (3, 3) of the tool in the base.
         """
         if self.recording:
             self.samples.append((self.number, now, *self._sample(position, rotation)))
@@ -206,8 +205,8 @@ class CarriedSkinLab(SimulatedLab):
     ) -> None:
         super().__init__(scene, of.clock, seed, contact_model)
         self._of, self.lock = of, of.lock
-        self.contact = CarriedContact(self.contact_model, T_tool_skin)
-        of.contacts.carried.append(self.contact)
+        self.contact_model.T_tool_skin = np.asarray(T_tool_skin, float)
+        of.contacts.models.append(self.contact_model)
         of.carried.append(self)
 
     def advance(self) -> None:
@@ -361,11 +360,9 @@ class SimulatedArm(_SimulatedDevice):
         with self.lab.lock:
             robot = self.lab.robot
             wrench = robot.measured_wrench().reshape(2, 3) @ robot.rotation
-            T_b_t = np.eye(4)
-            T_b_t[:3, :3], T_b_t[:3, 3] = robot.rotation, robot.position
             return ArmState(
                 time=self.lab.time,
-                T_b_t=T_b_t,
+                T_b_t=transform(robot.rotation, robot.position),
                 joints=np.zeros(NUM_JOINTS),
                 velocity=robot.twist,
                 wrench=wrench.ravel(),
@@ -401,8 +398,7 @@ class SimulatedArm(_SimulatedDevice):
         """Take the wrench felt now as zero, as in `Arm.zero_wrench`; nothing takes time."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
-        robot = self.lab.robot
-        robot.zero_wrench()
+        self.lab.robot.zero_wrench()
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait, as in `GuardedArm.go`."""
@@ -472,7 +468,13 @@ class SimulatedCamera(CameraBase):
     """
 
     def __init__(
-        self, scene: ObjectScene, camera: Camera, T_t_c: Array, pose: Callable[[], Array], clock: Clock, seed: int = 0
+        self,
+        scene: TouchableScene,
+        camera: Camera,
+        T_t_c: Array,
+        pose: Callable[[], Array],
+        clock: Clock,
+        seed: int = 0,
     ) -> None:
         super().__init__(CameraFeatures("the simulated camera", "simulated", NEAREST_DEPTH_M, CAMERA_RATE_HZ))
         self._camera: Camera = camera

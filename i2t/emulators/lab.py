@@ -21,10 +21,12 @@ from pathlib import Path
 import tyro
 
 from i2t.cli import exit_code_of, require_path
-from i2t.emulators import reskin_board, ur_controller
+from i2t.emulators import processes, reskin_board, ur_controller
 from i2t.objects.named import require_object
 from i2t.options import read_options
 from i2t.skin.boards import make_board
+
+PROGRAM = "python -m i2t.emulators.lab"
 
 
 def board_address(process: "subprocess.Popen[str]") -> tuple[str, int]:
@@ -43,30 +45,16 @@ def board_address(process: "subprocess.Popen[str]") -> tuple[str, int]:
 
 @contextlib.contextmanager
 def started(*options: str) -> Iterator["subprocess.Popen[str]"]:
-    """An emulated lab next to this process, from when it is ready until the block is left or this process dies.
+    """Run an emulated lab next to this process, as in `i2t.emulators.processes.started`.
 
     Args:
         *options: Of the command line.
 
     Yields:
         Its process.
-
-    Raises:
-        RuntimeError: It does not start.
     """
-    command = [sys.executable, "-m", "i2t.emulators.lab", "--tethered", *options]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            if "ready" not in process.stdout.readline():
-                raise RuntimeError(f"the emulated lab did not start: {' '.join(options)}")
-            yield process
-        finally:
-            process.terminate()
-            process.wait()
-
-
-PROGRAM = "python -m i2t.emulators.lab"
+    with processes.started("i2t.emulators.lab", *options) as (_, process):
+        yield process
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from i2t.hardware.protocols import View
 from i2t.types import Array
 
 SERIAL = "000000000000"
+SENSORS = (("Stereo Module", "depth", "z16", 2), ("RGB Camera", "color", "rgb8", 3))  # stream, format, bytes a pixel
 
 
 def write(
@@ -53,8 +54,11 @@ def write(
         (rs.camera_info.product_line, "D400"),
     ):
         device.register_info(info, text)
-    channels = _channels(rs, device, camera, unit=unit, rate=rate)
-    _register_extrinsics(rs, channels, np.eye(4) if T_depth_colour is None else T_depth_colour)
+    channels = [_channel(rs, device, camera, number, rate) for number in range(len(SENSORS))]
+    channels[0].sensor.add_read_only_option(rs.option.depth_units, unit)
+    T, extrinsics = inverse(np.eye(4) if T_depth_colour is None else T_depth_colour), rs.extrinsics()
+    extrinsics.rotation, extrinsics.translation = T[:3, :3].ravel(order="F").tolist(), T[:3, 3].tolist()
+    channels[0].stream.register_extrinsics_to(channels[1].stream, extrinsics)
 
     recorder, queue = rs.recorder(str(path), device), rs.frame_queue(4)
     recorded = recorder.query_sensors()
@@ -80,24 +84,18 @@ class _Channel(NamedTuple):
     stream: Any
 
 
-def _channels(rs: Any, device: Any, camera: Camera, *, unit: float, rate: int) -> tuple[_Channel, _Channel]:
-    """Depth and colour."""
-    depth, colour = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
-    depth.add_read_only_option(rs.option.depth_units, unit)
-    depths = depth.add_video_stream(
-        _stream(rs, camera, rs.stream.depth, uid=1, form=rs.format.z16, size=2, rate=rate), True
-    )
-    colours = colour.add_video_stream(
-        _stream(rs, camera, rs.stream.color, uid=2, form=rs.format.rgb8, size=3, rate=rate), True
-    )
-    return _Channel(depth, depths), _Channel(colour, colours)
-
-
-def _register_extrinsics(rs: Any, channels: tuple[_Channel, _Channel], T_depth_colour: Array) -> None:
-    """Say where the colour camera stands in the depth camera."""
-    T, extrinsics = inverse(T_depth_colour), rs.extrinsics()
-    extrinsics.rotation, extrinsics.translation = T[:3, :3].ravel(order="F").tolist(), T[:3, 3].tolist()
-    channels[0].stream.register_extrinsics_to(channels[1].stream, extrinsics)
+def _channel(rs: Any, device: Any, camera: Camera, number: int, rate: int) -> _Channel:
+    """One of `SENSORS`, with the lens of the camera."""
+    name, kind, form, size = SENSORS[number]
+    lens, stream = rs.intrinsics(), rs.video_stream()
+    lens.width, lens.height, lens.fx, lens.fy = camera.width, camera.height, camera.fx, camera.fy
+    lens.ppx, lens.ppy, lens.coeffs = camera.cx, camera.cy, list(camera.coefficients)
+    lens.model = getattr(rs.distortion, str(camera.model))
+    stream.type, stream.fmt = getattr(rs.stream, kind), getattr(rs.format, form)
+    stream.index, stream.uid, stream.bpp = 0, number + 1, size
+    stream.width, stream.height, stream.fps, stream.intrinsics = camera.width, camera.height, rate, lens
+    sensor = device.add_sensor(name)
+    return _Channel(sensor, sensor.add_video_stream(stream, True))
 
 
 def _images(view: View, unit: float) -> tuple[np.ndarray, np.ndarray]:
@@ -115,13 +113,3 @@ def _frame(rs: Any, pixels: np.ndarray, stream: Any, *, number: int, rate: int) 
     frame.timestamp, frame.domain = 1e3 * number / rate, rs.timestamp_domain.hardware_clock
     frame.frame_number, frame.profile = number + 1, stream.as_video_stream_profile()
     return frame
-
-
-def _stream(rs: Any, camera: Camera, kind: Any, *, uid: int, form: Any, size: int, rate: int) -> Any:
-    lens, stream = rs.intrinsics(), rs.video_stream()
-    lens.width, lens.height, lens.fx, lens.fy = camera.width, camera.height, camera.fx, camera.fy
-    lens.ppx, lens.ppy, lens.coeffs = camera.cx, camera.cy, list(camera.coefficients)
-    lens.model = getattr(rs.distortion, str(camera.model))
-    stream.type, stream.index, stream.uid, stream.fmt, stream.bpp = kind, 0, uid, form, size
-    stream.width, stream.height, stream.fps, stream.intrinsics = camera.width, camera.height, rate, lens
-    return stream

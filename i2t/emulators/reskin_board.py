@@ -24,14 +24,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 import tyro
 from jaxtyping import Float
 
-from i2t.hardware.reskin.layouts import Format, encode
-from i2t.hardware.reskin.quantization import CONVERTER_COUNTS
+from i2t.cli import exit_code_of
+from i2t.emulators import processes
+from i2t.hardware.reskin.layouts import CONVERTER_COUNTS, Format, encode
 from i2t.options import read_options
 from i2t.skin.boards import make_board
 from i2t.types import Board
@@ -62,14 +62,12 @@ class EmulatedBoardArgs:
     noise: float = 1.0  # times that of real boards; 0 repeats one frame exactly
     ambient: tuple[float, float, float] = AMBIENT_UT  # uT, field of the room in tool axes
     press: float = 0.0  # size of a press every 4 s, times 57 uT (norm on 5 chips)
-    temperature: float | None = None  # of all chips, exactly; 34.513 holds CR LF in binary
     field: bool = False  # take fields (3 float32 a chip, little-endian, uT) from UDP datagrams
     fail: tuple[int, ...] = ()  # chips that do not answer
     fail_share: float = 0.0  # part of the samples in which a chip does not answer, each chip by itself
     empty: int = 1  # only every Nth frame holds values: the sketch reads faster than the chips measure
     skip: float = 0.0  # part of the frames that are lost as a whole
     garbage_for: float = 0.0  # s of rubbish after each opening, which resets the board
-    mid_frame: int = 0  # bytes missing from the first frame
     substitute: float = 0.0  # part of the bytes that are changed
     drop: float = 0.0  # part of the bytes that are lost
     silent_after: float = float("inf")  # s until it falls silent
@@ -235,37 +233,33 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options = read_options(EmulatedBoardArgs, args, program="python -m i2t.emulators.reskin_board", description=__doc__)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    if options.link and options.link.exists() and not options.link.is_symlink():
-        print(f"error: {options.link} exists and is no link; give another name", file=sys.stderr)
-        return 2
-    try:
+
+    def work() -> None:
         board = make_board(options.board)
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
-        print(f"error: the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more", file=sys.stderr)
-        return 2
-    port = BoardPort(options.link)
-    try:
-        print(port.plug(), flush=True)
-        _serve(port, board, options)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        port.unplug()
-    return 0
+        if options.link and options.link.exists() and not options.link.is_symlink():
+            raise ValueError(f"--link {options.link}: exists and is no link; give another name")
+        if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
+            raise ValueError(f"the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more")
+        port = BoardPort(options.link)
+        try:
+            print(port.plug(), flush=True)
+            _serve(port, board, options)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            port.unplug()
+
+    return exit_code_of(work)
 
 
 def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
-    readings = Readings(options.noise, options.press, options.temperature, options.seed, board, ambient=options.ambient)
+    readings = Readings(options.noise, options.press, None, options.seed, board, ambient=options.ambient)
     line = _Line(options)
     inbox = _field_inbox() if options.field else None
-    missing = options.mid_frame
     opened: float | None = None  # when the port was first opened
     reset = -np.inf  # when it was opened last
     due = time.monotonic()
-    while not (options.tethered and _has_ended(sys.stdin)):
+    while not (options.tethered and processes.has_ended(sys.stdin)):
         now = time.monotonic()
         elapsed = -1.0 if opened is None else now - opened
         if inbox is not None:
@@ -284,8 +278,7 @@ def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
         if now - reset < options.garbage_for:
             port.send(line.rubbish())
         elif not options.silent_after <= elapsed < options.silent_after + options.silent_for:
-            port.send(line.frame(*readings.at(max(0.0, elapsed)), port)[missing:])
-            missing = 0
+            port.send(line.frame(*readings.at(max(0.0, elapsed)), port))
         due += 1 / options.rate
         time.sleep(max(0.0, due - time.monotonic()))
 
@@ -342,14 +335,9 @@ def _newest_field(inbox: socket.socket, field: np.ndarray) -> np.ndarray:
         return field
 
 
-def _has_ended(stream: TextIO) -> bool:
-    ready, _, _ = select.select([stream], [], [], 0)
-    return bool(ready) and not os.read(stream.fileno(), 1)
-
-
 @contextmanager
-def started(*switches: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Run a board in a process of its own, which ends with the block and with this program.
+def started(*switches: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Run a board next to this process, as in `i2t.emulators.processes.started`.
 
     Args:
         switches: Options of its command line.
@@ -357,21 +345,8 @@ def started(*switches: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     Yields:
         Its port and its process, from which further lines that it prints can be read.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", "i2t.emulators.reskin_board", "--tethered", *switches],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        port = process.stdout.readline().strip()
-        if not port:
-            raise RuntimeError(f"the board did not start: {' '.join(switches)}")
-        yield port, process
-    finally:
-        process.terminate()
-        process.communicate()
+    with processes.started("i2t.emulators.reskin_board", *switches) as running:
+        yield running
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A tool that moves in time: straight lines, constant speeds, stops, giving way to forces, and what it touches.
+"""A tool that moves in time: straight lines, stops, and what it touches.
 
 Lines have a trapezoidal speed profile; speeds change by at most an acceleration. Where a motion also turns, a radian
 counts as 0.25 m of path. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes;
@@ -18,7 +18,6 @@ Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotati
 
 ROTATION_LEVER_M = 0.25  # of path, that a radian counts as
 STOP_DECELERATION = 5.0  # m/s^2, of a program that ends
-FORCE_COMPLIANCE = 1e-3  # m/s per N: a contact of 100 N/mm converges, as the lag in one tick is a fifth of the way
 ARRIVED_M = 1e-9
 
 
@@ -33,36 +32,10 @@ class LinearMotion(NamedTuple):
     acceleration: float  # m/s^2
 
 
-class ConstantTwist(NamedTuple):
-    """A speed that is reached and kept; zero is a stop."""
+class Braking(NamedTuple):
+    """A motion that slows down to a stand."""
 
-    twist: Array  # (6,)
-    acceleration: float  # m/s^2
-
-
-class ForceMotion(NamedTuple):
-    """Along selected axes of a frame the tool moves until it pushes with the given wrench; the others stand still."""
-
-    frame: Array  # (3, 3) axes of the task in the base
-    selected: Array  # (6,) 0 or 1
-    wrench: Array  # (6,) on the environment
-    max_twist: Array  # (6,)
-
-
-def limited_step(current: Array, target: Array, max_length: float) -> Array:
-    """Change a vector towards a target by at most a given length.
-
-    Args:
-        current: The vector now.
-        target: Where it should go.
-        max_length: Of the change.
-
-    Returns:
-        The vector after the change.
-    """
-    step = target - current
-    length = float(np.linalg.norm(step))
-    return target if length <= max_length else current + step * (max_length / length)
+    deceleration: float  # m/s^2
 
 
 def plane(height: float, stiffness: float) -> Contact:
@@ -88,19 +61,17 @@ class Robot:
     Args:
         pose: (6,) at the start.
         contact: What the tool touches.
-        bias: (6,) wrench that the sensor reports in the air.
         noise: N, standard deviation of the sensor's force on each axis.
     """
 
-    def __init__(self, pose: Array, contact: Contact, bias: Array, noise: float) -> None:
+    def __init__(self, pose: Array, contact: Contact, noise: float) -> None:
         self.position, self.rotation, self.twist = pose[:3], so3_exp(pose[3:]), np.zeros(6)
-        self.motion: LinearMotion | ConstantTwist | ForceMotion | None = None
+        self.motion: LinearMotion | Braking | None = None
         self.travelled, self.speed = 0.0, 0.0  # m, m/s, along a line
         self.speed_fraction = 1.0  # that the slider leaves
         self.max_speed = 0.0  # m/s, the greatest so far
         self.contact, self.noise = contact, noise
-        self.external_wrench = np.zeros(6)  # from elsewhere
-        self.bias, self.wrench_zero = bias, np.zeros(6)
+        self.external_wrench, self.wrench_zero = np.zeros(6), np.zeros(6)  # from elsewhere; that reads as nothing
         self.rng = np.random.default_rng(0)
 
     @property
@@ -112,17 +83,14 @@ class Robot:
         """Wrench (6,) that is really on the tool."""
         return self.contact(self.position, self.rotation) + self.external_wrench
 
-    def zeroed_wrench(self) -> Array:
-        """Wrench (6,) that the sensor would report without its noise."""
-        return self.wrench() + self.bias - self.wrench_zero
-
     def measured_wrench(self) -> Array:
         """Wrench (6,) that the sensor reports."""
-        return self.zeroed_wrench() + self.noise * np.append(self.rng.standard_normal(3), np.zeros(3))
+        noise = self.noise * np.append(self.rng.standard_normal(3), np.zeros(3))
+        return self.wrench() - self.wrench_zero + noise
 
     def zero_wrench(self) -> None:
         """Have the sensor report nothing for what it feels now."""
-        self.wrench_zero = self.wrench() + self.bias
+        self.wrench_zero = self.wrench()
 
     def line_to(self, pose: Array, speed: float, acceleration: float) -> None:
         """Start a straight motion from the present pose.
@@ -152,7 +120,7 @@ class Robot:
             deceleration: m/s^2.
         """
         if self.motion is not None:
-            self.motion = ConstantTwist(np.zeros(6), deceleration)
+            self.motion = Braking(deceleration)
 
     def step(self, dt: float) -> None:
         """Advance in time.
@@ -162,10 +130,8 @@ class Robot:
         """
         if isinstance(self.motion, LinearMotion):
             self._step_line(self.motion, dt)
-        elif isinstance(self.motion, ForceMotion):
-            self._step_force(self.motion, dt)
-        elif isinstance(self.motion, ConstantTwist):
-            self._step_twist(self.motion, dt)
+        elif isinstance(self.motion, Braking):
+            self._brake(self.motion.deceleration * dt, dt)
         self.max_speed = max(self.max_speed, float(np.linalg.norm(self.twist[:3])))
 
     def _step_line(self, line: LinearMotion, dt: float) -> None:
@@ -180,21 +146,11 @@ class Robot:
         self.position = line.position + part * line.displacement[:3]
         self.rotation = so3_exp(part * line.displacement[3:]) @ line.rotation
 
-    def _step_force(self, motion: ForceMotion, dt: float) -> None:
-        axes = np.kron(np.eye(2), motion.frame)
-        missing = motion.wrench + axes.T @ self.zeroed_wrench()
-        twist = np.clip(FORCE_COMPLIANCE * missing, -motion.max_twist, motion.max_twist)
-        self.twist = axes @ (motion.selected * twist)
-        self._move_by_twist(dt)
-
-    def _step_twist(self, motion: ConstantTwist, dt: float) -> None:
-        metres = np.array([1.0, 1.0, 1.0, ROTATION_LEVER_M, ROTATION_LEVER_M, ROTATION_LEVER_M])
-        target = self.speed_fraction * motion.twist * metres
-        self.twist = limited_step(self.twist * metres, target, motion.acceleration * dt) / metres
-        self._move_by_twist(dt)
-        if not motion.twist.any() and not self.twist.any():
-            self.motion = None
-
-    def _move_by_twist(self, dt: float) -> None:
+    def _brake(self, change: float, dt: float) -> None:
+        """Go on more slowly, by a change of speed (m/s)."""
+        speed = float(np.hypot(np.linalg.norm(self.twist[:3]), ROTATION_LEVER_M * np.linalg.norm(self.twist[3:])))
+        self.twist = self.twist * (1 - change / speed) if speed > change else np.zeros(6)
         self.position = self.position + self.twist[:3] * dt
         self.rotation = so3_exp(self.twist[3:] * dt) @ self.rotation
+        if not self.twist.any():
+            self.motion = None

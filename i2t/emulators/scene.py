@@ -8,13 +8,18 @@ costs nothing in time. The skin neither rubs nor remembers, and an object is met
 stood still before: flange, mount and what is moved into sideways meet nothing. Everything here is simulated.
 """
 
+import contextlib
+import socket
+import struct
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from i2t.emulators.processes import Address
 from i2t.emulators.room import RoomField, room_field
 from i2t.geometry import full_precision, inverse, so3_exp, transform
 from i2t.objects.solids import Mesh, transform_mesh
@@ -32,6 +37,8 @@ TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
 LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
 NEAR_CONTACT_M = 2e-3  # before first contact, from which motion is followed finely
 AMBIENT_STEP_M = 0.1e-3  # of a motion without a turn, over which the room's field is taken as the same
+SEEN_AT_M = (0.4, 0.0)  # middle of what a camera sees of a plane, below the tool's first pose
+TABLES_SEEN = 5  # times as wide as a table
 STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
 
 
@@ -98,37 +105,6 @@ class ContactLine(NamedTuple):
         return float(force), self.centre[i], reading
 
 
-@runtime_checkable
-class TouchableScene(Protocol):
-    """Scene that a lab's tool meets."""
-
-    board: Board
-    rest: Array  # (3 chips,) uT, the reading of the skin alone
-    gains: Array  # (3 chips,) of the chips' axes
-    room: RoomField
-    errors: SimulationErrors
-
-    def near(self, position: Array) -> bool:
-        """Test whether anything may be within a line's reach of a place.
-
-        Args:
-            position: (3,) m, in the base.
-
-        Returns:
-            False only where nothing can be met.
-        """
-
-    def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line from a pose along tool z, with what the skin meets on it.
-
-        Args:
-            T_b_t: (4, 4) pose that the arm reports.
-
-        Returns:
-            The line.
-        """
-
-
 class SpringPlane:
     """A horizontal plane that pushes back like a spring: everything about it is known in closed form.
 
@@ -154,13 +130,29 @@ class SpringPlane:
         self.height, self.stiffness, self.gain = height, stiffness, gain
         self.errors, self.board, self.room = errors, board, RoomField() if room is None else room
         self.rest, self.gains = np.zeros(board.num_readings), np.ones(board.num_readings)
+        self.triangles = TABLES_SEEN * table_triangles(np.eye(4)) + np.array([*SEEN_AT_M, height])
+        self.T_t_camera = np.eye(4)
 
     def near(self, position: Array) -> bool:
-        """Test whether it is near, from above or below, as in `TouchableScene.near`."""
+        """Test whether anything may be within a line's reach, from above or below.
+
+        Args:
+            position: (3,) m, in the base.
+
+        Returns:
+            False only where nothing can be met.
+        """
         return bool(abs(position[2] - self.height) < LINE_LENGTH_M)
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line to it, as in `TouchableScene.ahead`."""
+        """The line from a pose along tool z, with what the skin meets on it.
+
+        Args:
+            T_b_t: (4, 4) pose that the arm reports.
+
+        Returns:
+            The line.
+        """
         down = -T_b_t[2, 2]
         first = (T_b_t[2, 3] - self.height) / down if down > 0 else np.inf
         force = np.array([0.0, 1.0])
@@ -219,11 +211,11 @@ class ObjectScene:
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
     def near(self, position: Array) -> bool:
-        """Test whether the object may be near, as in `TouchableScene.near`."""
+        """Test whether the object may be near, as in `SpringPlane.near`."""
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line to the object, as in `TouchableScene.ahead`; the tool is off the pose by the arm's own errors."""
+        """The line to the object, as in `SpringPlane.ahead`; the tool is off the pose by the arm's own errors."""
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
@@ -262,19 +254,33 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
     return first, *jax.lax.map(press, loads)
 
 
+TouchableScene: TypeAlias = ObjectScene | SpringPlane
+
+
 class ContactModel:
-    """Contact of a moving tool, for an `i2t.emulators.robot_motion.Robot`, and the reading of its skin.
+    """Contact of a skin on a moving tool, and the skin's reading.
 
     A line is worked out once the tool stands somewhere near the object; with `wait` False that happens in the
-    background (it takes hundredths of a second), and until it is done, while it is `busy`, nothing is met.
+    background (it takes hundredths of a second), and until it is done, while it is `busy`, nothing is met. A board that
+    is told by datagrams what the skin feels keeps the newest: the skin's own field at rest, the room's as the tool is
+    turned, and what a press changes.
 
     Args:
         scene: What is touched.
         wait: Whether a line is worked out before the tool goes on.
+        T_tool_skin: (4, 4) where the skin is; by default the tool's frame is its own.
+        to: Where an emulated board listens.
     """
 
-    def __init__(self, scene: TouchableScene, wait: bool = True) -> None:
+    def __init__(
+        self,
+        scene: TouchableScene,
+        wait: bool = True,
+        T_tool_skin: Array | None = None,
+        to: Address | None = None,
+    ) -> None:
         self.scene = scene
+        self.T_tool_skin = np.eye(4) if T_tool_skin is None else np.asarray(T_tool_skin, float)
         self.reading = np.zeros(scene.board.num_readings)  # uT, at the pose that was asked for last
         self._line: ContactLine | None = None
         self._coming: Future[ContactLine] | None = None
@@ -282,21 +288,44 @@ class ContactModel:
         self._seen: tuple[Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)))
         self._times = 0
         self._ambient: tuple[Array, Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)), self.reading)
+        self._to, self._sent = to, np.full(scene.board.num_readings, np.nan)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM) if to else None
 
     @property
     def busy(self) -> bool:
         """Tell whether a line is being worked out in the background."""
         return self._coming is not None
 
+    def close(self) -> None:
+        """Tell the board no more."""
+        if self._socket is not None:
+            self._socket.close()
+
     def __call__(self, position: Array, turned: Array) -> Array:
-        """Wrench (6,) on the tool at a pose, base axes."""
-        self._look(position, turned)
-        along = None if self._line is None else self._line.distance_along(position, turned)
-        if self._line is None or along is None:
-            self.reading = np.zeros(self.scene.board.num_readings)
-            return np.zeros(6)
-        force, (x, y), self.reading = self._line.contact_at(along)
-        return np.concatenate([turned @ [0.0, 0.0, -force], turned @ [-force * y, force * x, 0.0]])
+        """Wrench (6,) on the tool about its own origin, at a pose of the tool, base axes."""
+        at, own_turned = self._skin_pose(position, turned)
+        self._look(at, own_turned)
+        along = None if self._line is None else self._line.distance_along(at, own_turned)
+        wrench = np.zeros(6)
+        self.reading = np.zeros(self.scene.board.num_readings)
+        if self._line is not None and along is not None:
+            force, (x, y), self.reading = self._line.contact_at(along)
+            wrench[:3] = own_turned @ [0.0, 0.0, -force]
+            wrench[3:] = own_turned @ [-force * y, force * x, 0.0] + np.cross(at - position, wrench[:3])
+        if self._socket is not None:
+            self._tell(self._socket, self.scene.rest + self.ambient(position, turned) + self.reading)
+        return wrench
+
+    def _skin_pose(self, position: Array, turned: Array) -> tuple[Array, Array]:
+        """Position (3,) m and rotation (3, 3) of the skin in the base, of those of the tool."""
+        return position + turned @ self.T_tool_skin[:3, 3], turned @ self.T_tool_skin[:3, :3]
+
+    def _tell(self, to: socket.socket, reading: Array) -> None:
+        """Send a reading to the board, if it is another one."""
+        if not np.array_equal(reading, self._sent):
+            with contextlib.suppress(OSError):
+                to.sendto(struct.pack(f"<{len(reading)}f", *reading), self._to)
+                self._sent = reading
 
     def ambient(self, position: Array, turned: Array) -> Array:
         """Reading of the room's field at a pose, within `AMBIENT_STEP_M` of it (1e-3 uT of the default room).
@@ -308,34 +337,27 @@ class ContactModel:
         Returns:
             (3 chips,) uT.
         """
+        position, turned = self._skin_pose(position, turned)
         at, way, known = self._ambient
         if abs(position - at).max() < AMBIENT_STEP_M and (turned == way).all():
             return known
-        scene, T_b_t = self.scene, transform(np.asarray(turned), np.asarray(position))
-        reading = scene.gains * np.asarray(scene.board.to_board(room_field(scene.room, scene.board, T_b_t)))
+        scene, T_b_s = self.scene, transform(np.asarray(turned), np.asarray(position))
+        reading = scene.gains * np.asarray(scene.board.to_board(room_field(scene.room, scene.board, T_b_s)))
         self._ambient = np.array(position), np.array(turned), reading
         return reading
 
-    def far(self, position: Array) -> bool:
-        """Test whether the tool is at least `NEAR_CONTACT_M` from first contact, or off the line on which there is one.
+    def far(self, position: Array, turned: Array) -> bool:
+        """Test whether the skin is `NEAR_CONTACT_M` from first contact, or off the line on which there is one.
 
         Args:
             position: (3,) m, of the tool in the base.
+            turned: (3, 3) rotation of the tool in the base.
 
         Returns:
             False where the motion has to be followed in small steps.
         """
-        line = self._line
-        return line is None or float((position - line.T_b_t[:3, 3]) @ line.T_b_t[:3, 2]) < line.first - NEAR_CONTACT_M
-
-    def _look(self, position: Array, turned: Array) -> None:
-        if self._coming is not None and self._coming.done():
-            self._line, self._coming = self._coming.result(), None
-        same = bool((position == self._seen[0]).all()) and bool((turned == self._seen[1]).all())
-        self._times = self._times + 1 if same else 0
-        self._seen = position, turned
-        if self._times == STANDING_QUERIES:
-            self.stands(position, turned)
+        line, (at, _) = self._line, self._skin_pose(position, turned)
+        return line is None or float((at - line.T_b_t[:3, 3]) @ line.T_b_t[:3, 2]) < line.first - NEAR_CONTACT_M
 
     def stands(self, position: Array, turned: Array) -> None:
         """Work out what is ahead of a tool that stands somewhere, unless that is known or nothing is near.
@@ -344,16 +366,56 @@ class ContactModel:
             position: (3,) m, of the tool in the base.
             turned: (3, 3) rotation of the tool in the base.
         """
-        if not self.scene.near(position):
+        self._stands(*self._skin_pose(position, turned))
+
+    def _look(self, at: Array, turned: Array) -> None:
+        if self._coming is not None and self._coming.done():
+            self._line, self._coming = self._coming.result(), None
+        same = bool((at == self._seen[0]).all()) and bool((turned == self._seen[1]).all())
+        self._times = self._times + 1 if same else 0
+        self._seen = at, turned
+        if self._times == STANDING_QUERIES:
+            self._stands(at, turned)
+
+    def _stands(self, at: Array, turned: Array) -> None:
+        if not self.scene.near(at):
             return
-        along = None if self._line is None else self._line.distance_along(position, turned)
+        along = None if self._line is None else self._line.distance_along(at, turned)
         if self._line is not None and along is not None and self._line.covers(along):
             return
-        T_b_t = np.eye(4)
-        T_b_t[:3, :3], T_b_t[:3, 3] = turned, position
+        T_b_s = transform(np.asarray(turned), np.asarray(at))
         if self._beside is None:
-            self._line = self.scene.ahead(T_b_t)
+            self._line = self.scene.ahead(T_b_s)
         elif self._coming is None:
-            self._coming = self._beside.submit(self.scene.ahead, T_b_t)
+            self._coming = self._beside.submit(self.scene.ahead, T_b_s)
         else:
             self._times = 0  # ask again once the line before is known
+
+
+class Contacts:
+    """The contact of a tool with all its skins, whose forces add up, as an `i2t.emulators.robot_motion.Robot` asks.
+
+    Args:
+        models: Of the skins.
+    """
+
+    def __init__(self, models: Sequence[ContactModel]) -> None:
+        self.models = list(models)
+
+    @property
+    def busy(self) -> bool:
+        """Tell whether the contact ahead of a skin is being worked out."""
+        return any(model.busy for model in self.models)
+
+    def __call__(self, position: Array, turned: Array) -> Array:
+        """Wrench (6,) on the tool at a pose, base axes."""
+        return np.asarray(sum((model(position, turned) for model in self.models), start=np.zeros(6)))
+
+    def far(self, position: Array, turned: Array) -> bool:
+        """Test whether no skin is near what it will meet, as in `ContactModel.far`."""
+        return all(model.far(position, turned) for model in self.models)
+
+    def stands(self, position: Array, turned: Array) -> None:
+        """Work out what is ahead of each skin, as in `ContactModel.stands`."""
+        for model in self.models:
+            model.stands(position, turned)

@@ -14,11 +14,11 @@ The tool meets a springy horizontal plane (`--plane`, `--stiffness`), or an obje
 `--object` is a name of `i2t.objects.catalogue` or a mesh file, which stands where the rig's file says; force, its
 centre and what the skin would read come from i2t's own contact mechanics, worked out along the tool's z axis once it
 has stood for some ticks (hundredths of a second of computing, next to the 500 Hz; a motion waits for it). With `--skin
-HOST:PORT` that reading goes to an emulated board: `i2t.emulators.lab` starts both. `--latency` delays whatever the
-client sends; without it a command takes effect at the next tick of 2 ms.
+HOST:PORT` that reading goes to an emulated board: `i2t.emulators.lab` starts both. A command takes effect at the next
+tick of 2 ms.
 
 Faults on demand. A fourth port, 30100, takes a line and answers one, for instance
-`echo protective | nc -q1 127.0.0.9 30100`; `--after SECONDS COMMAND` does the same once a program has started:
+`echo protective | nc -q1 127.0.0.9 30100`:
 
     protective            protective stop; the dashboard's "unlock protective stop" releases it after --unlock-delay
     stall | resume        RTDE packets stop, connections stay open | and come again
@@ -37,11 +37,12 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
 
 Sources: Universal Robots' RTDE guide, dashboard server and URScript manuals (watchdog: `rtde_set_watchdog` with the
 action "stop"); the register handshake was observed from ur_rtde 1.6.5. The stopping distance, the lever by which
-rotation counts as path, how force mode gives way, the 5 N that end moveUntilContact, and the delays of a real
-controller are not modelled on measurements. Of the client's commands those on straight lines and speeds of the tool,
-force mode, payload, tool, zeroing, watchdog and stopping are emulated; any other ends the program, and says so.
+rotation counts as path, and the delays of a real controller are not modelled on measurements. Of the client's commands
+those that i2t's driver sends are emulated: asynchronous straight lines, stopping, payload, tool, zeroing and watchdog;
+any other ends the program, and says so.
 """
 
+import asyncio
 import contextlib
 import os
 import signal
@@ -56,12 +57,14 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from i2t.emulators.processes import Address, started
 from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING
 from i2t.emulators.ur_program import STOPPED as STOPPED
 from i2t.emulators.ur_program import TICK as TICK
 from i2t.emulators.ur_program import Controller
 from i2t.emulators.ur_server import FAULT_PORT, Server
+from i2t.emulators.world import WorldConfig, make_contacts
 from i2t.options import read_options
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
@@ -83,8 +86,8 @@ def loopback(number: int) -> str:
 
 
 @contextlib.contextmanager
-def process(host: str, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Run an emulated controller next to this process, from when it is ready until the block is left.
+def process(host: str, *options: str) -> Iterator["subprocess.Popen[str]"]:
+    """Run an emulated controller next to this process, as in `i2t.emulators.processes.started`.
 
     Args:
         host: Address to listen on.
@@ -92,19 +95,9 @@ def process(host: str, *options: str) -> Iterator[subprocess.Popen[str]]:
 
     Yields:
         Its process.
-
-    Raises:
-        RuntimeError: It did not start.
     """
-    command = [sys.executable, "-m", "i2t.emulators.ur_controller", "--host", host, *options]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as running:
-        try:
-            assert running.stdout is not None
-            if not running.stdout.readline():
-                raise RuntimeError(f"The UR emulator did not start on {host}.")
-            yield running
-        finally:
-            running.kill()
+    with started("i2t.emulators.ur_controller", "--host", host, *options) as (_, running):
+        yield running
 
 
 def ask(host: str, line: str) -> str:
@@ -132,16 +125,8 @@ class ControllerArgs:
     """The tool's pose at the start, metres and rotation vector."""
     plane: float = 0.0  # height of the plane in m
     stiffness: float = 0.0  # of the plane in N/m; 0: no plane
-    bias: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
-    """N, what the sensor reports in the air."""
     noise: float | None = None  # of the force sensor, N, one sigma per axis; by default 0, with --object 0.1
-    force_limit: float = 150.0  # N, protective stop above
     unlock_delay: float = 5.0  # s, before a protective stop can be released
-    after: Annotated[
-        tyro.conf.UseAppendAction[tuple[tuple[float, str], ...]], tyro.conf.arg(metavar="SECONDS COMMAND")
-    ] = ()
-    """A fault after the start."""
-    latency: float = 0.0  # s that commands take to reach the program
     object: str | None = None  # what the tool touches: a name of the catalogue, or a mesh file
     unit: Literal["m", "cm", "mm", "inch"] | None = None  # of a mesh file, which does not say it itself
     rig: Path | None = None  # a lab's calibration, which says where the object is
@@ -177,32 +162,21 @@ def run(options: ControllerArgs) -> None:
     Raises:
         SystemExit: It cannot start; its message says why.
     """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
-        server = _server(options)
+        contact, noise = _contact(options)
+        controller = Controller(Robot(np.array(options.pose), contact, noise), options.unlock_delay)
+        server = Server(controller, options.host, options.tethered)
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(server.run(lambda: print(f"emulated UR controller on {options.host}, ready", flush=True)))
     except (OSError, ValueError) as error:
         sys.exit(f"The emulator cannot start on {options.host}: {error}.")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    print(f"emulated UR controller on {options.host}, ready", flush=True)
-    with contextlib.suppress(KeyboardInterrupt):
-        server.run()
-
-
-def _server(options: ControllerArgs) -> Server:
-    contact, noise = _contact(options)
-    robot = Robot(np.array(options.pose), contact, np.array([*options.bias, 0.0, 0.0, 0.0], float), noise)
-    controller = Controller(robot, options.unlock_delay, options.force_limit)
-    return Server(controller, options.host, list(options.after), options.latency, options.tethered)
 
 
 def _contact(options: ControllerArgs) -> tuple[Contact, float]:
     """Contact of the tool, and the noise of its force sensor (N)."""
     if options.object is None:
         return plane(options.plane, options.stiffness), options.noise or 0.0
-    from i2t.emulators.ur_contact import make_contact_model
-    from i2t.emulators.world import WorldConfig
-
-    board = _address(options.skin) if options.skin else None
-    carried = {name: _address(text) for name, text in options.carried}
     world = WorldConfig(
         options.object,
         options.unit,
@@ -212,11 +186,12 @@ def _contact(options: ControllerArgs) -> tuple[Contact, float]:
         stiffness=options.mount,
         board=options.board,
     )
-    contact = make_contact_model(world, options.rig, board, carried)
-    return contact, contact.scene.errors.force if options.noise is None else options.noise
+    carried = {name: _address(text) for name, text in options.carried}
+    contacts = make_contacts(world, options.rig, _address(options.skin) if options.skin else None, carried)
+    return contacts, contacts.models[0].scene.errors.force if options.noise is None else options.noise
 
 
-def _address(text: str) -> tuple[str, int]:
+def _address(text: str) -> Address:
     host, port = text.rsplit(":", 1)
     return host, int(port)
 

@@ -1,19 +1,22 @@
 """The ports of a UR controller, in one loop that also keeps its time."""
 
+import asyncio
+import contextlib
 import json
-import selectors
-import socket
 import struct
 import sys
 import time
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
 from i2t.emulators import rtde_protocol
 from i2t.emulators.robot_motion import plane
 from i2t.emulators.ur_program import PLAYING, TICK, Controller
+
+Serve: TypeAlias = Callable[["Client"], Awaitable[None]]
 
 SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT, FAULT_PORT = 30003, 29999, 30004, 30100
 MAX_UNREAD_BYTES = 1 << 20  # of a client that does not read, which is then dropped
@@ -24,24 +27,41 @@ OK, UNKNOWN = "ok", "unknown: {}"  # answers of the fault port
 
 
 class Client:
-    """One connection, with what has arrived and not been used, and what waits to be sent.
+    """One connection.
 
     Args:
-        connection: Accepted.
-        port: Of the server.
+        reader: Of what it sends.
+        writer: To it.
     """
 
-    def __init__(self, connection: socket.socket, port: int) -> None:
-        self.socket, self.port, self.received, self.unsent = connection, port, b"", b""
-        self.inputs: dict[int, rtde_protocol.Recipe] = {}
-        self.names: tuple[str, ...] = ()  # of the outputs that it is sent
-        self.layout = struct.Struct("")
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+        self.inputs: dict[int, rtde_protocol.Recipe] = {}  # registers that it writes
+        self.outputs = rtde_protocol.recipe("")  # that it is sent
         self.every, self.streaming = 1, False  # ticks between two packets
 
-    @property
-    def controls(self) -> bool:
-        """Tell whether it is a client that writes registers, not one that only listens."""
-        return bool(self.inputs)
+    def send(self, data: bytes) -> None:
+        """Send bytes, or drop a client that does not read them.
+
+        Args:
+            data: The bytes.
+        """
+        self.writer.write(data)
+        if self.writer.transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
+            self.writer.transport.abort()
+
+    async def packets(self) -> AsyncIterator[tuple[int, bytes]]:
+        """RTDE packets, each its type and body; raises ValueError for a size that cannot be."""
+        while True:
+            size, kind = rtde_protocol.PACKET_HEADER.unpack(await self.reader.readexactly(3))
+            if size < rtde_protocol.PACKET_HEADER.size:
+                raise ValueError(f"an RTDE packet cannot be {size} bytes long")
+            yield kind, await self.reader.readexactly(size - rtde_protocol.PACKET_HEADER.size)
+
+    async def lines(self) -> AsyncIterator[str]:
+        """Lines of text."""
+        while line := await self.reader.readline():
+            yield line.decode().strip()
 
 
 class Server:
@@ -50,160 +70,118 @@ class Server:
     Args:
         controller: What runs.
         host: Address of this machine to listen on.
-        timed_faults: Seconds after a program has started, and the line of the fault port that is done then.
-        latency: s that a client's registers take to reach the program.
         tethered: Whether to end when standard input closes.
     """
 
-    def __init__(
-        self,
-        controller: Controller,
-        host: str,
-        timed_faults: Sequence[tuple[float, str]] = (),
-        latency: float = 0.0,
-        tethered: bool = False,
-    ) -> None:
-        self.controller, self.timed_faults, self.latency = controller, sorted(timed_faults), latency
-        self.delayed_inputs: deque[tuple[float, dict[str, rtde_protocol.Value]]] = deque()  # clock, values
+    def __init__(self, controller: Controller, host: str, tethered: bool = False) -> None:
+        self.controller, self.host, self.tethered = controller, host, tethered
         self.stalled = self.muted = False
-        self.ticks = 0
-        self.selector = selectors.DefaultSelector()
-        self.clients: list[Client] = []
-        for port in (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, FAULT_PORT):
-            listener = socket.create_server((host, port))
-            listener.setblocking(False)
-            self.selector.register(listener, selectors.EVENT_READ, port)
-        if tethered:
-            self.selector.register(sys.stdin, selectors.EVENT_READ, None)
+        self.rtde_clients: list[Client] = []
 
-    def run(self) -> None:
-        """Serve until interrupted, or until the standard input of a tethered server ends."""
+    async def run(self, ready: Callable[[], None]) -> None:
+        """Serve until cancelled, or until the standard input of a tethered server ends.
+
+        Args:
+            ready: Called once all ports are open.
+
+        Raises:
+            OSError: A port cannot be opened.
+        """
+        ports: dict[int, Serve] = {
+            RTDE_PORT: self._rtde, DASHBOARD_PORT: self._dashboard, SCRIPT_PORT: self._script, FAULT_PORT: self._faults,
+        }  # fmt: skip
+        for port, serve in ports.items():
+            await asyncio.start_server(partial(self._accept, serve), self.host, port)
+        ended = asyncio.Event()
+        if self.tethered:
+            asyncio.get_running_loop().add_reader(sys.stdin, ended.set)
+        ready()
         due = time.monotonic()
-        while True:
-            for key, _ in self.selector.select(max(0.0, due - time.monotonic())):
-                if isinstance(key.data, Client):
-                    self._receive(key.data)
-                elif key.data is None:
-                    return
-                else:
-                    self._accept(key.fileobj, key.data)  # type: ignore[arg-type]
+        while not ended.is_set():
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
             now = time.monotonic()
-            if now - due > MAX_LATE_S:
-                due = now
+            due = now if now - due > MAX_LATE_S else due
             while due <= now:
                 self._tick()
                 due += TICK
 
-    def _accept(self, listener: socket.socket, port: int) -> None:
-        connection, _ = listener.accept()
-        connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        client = Client(connection, port)
-        self.clients.append(client)
-        self.selector.register(connection, selectors.EVENT_READ, client)
-        if port == DASHBOARD_PORT:
-            self._send(client, b"Connected: Universal Robots Dashboard Server\n")
+    async def _accept(self, serve: Serve, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a client until it ends or sends what cannot be."""
+        client = Client(reader, writer)
+        try:
+            await serve(client)
+        except (asyncio.IncompleteReadError, OSError):
+            pass
+        except (ValueError, ArithmeticError, struct.error) as error:
+            print(f"{error}: a connection is closed", file=sys.stderr, flush=True)
+        finally:
+            with contextlib.suppress(ValueError):
+                self.rtde_clients.remove(client)
+            writer.close()
 
     def _tick(self) -> None:
         controller = self.controller
-        while self.delayed_inputs and self.delayed_inputs[0][0] <= controller.clock:
-            controller.write(self.delayed_inputs.popleft()[1])
         controller.step()
-        self.ticks += 1
-        while (
-            self.timed_faults
-            and controller.start_clock
-            and controller.clock >= controller.start_clock + self.timed_faults[0][0]
-        ):
-            self.fault(self.timed_faults.pop(0)[1])
-        due = [client for client in self.clients if client.streaming and self.ticks % client.every == 0]
-        if due and not self.stalled:
+        tick = round(controller.clock / TICK)
+        due = [client for client in self.rtde_clients if client.streaming and tick % client.every == 0]
+        if due and not self.stalled and not self.muted:
             controller.observe()
             for client in due:
-                values = (controller.output(name) for name in client.names)
-                self._send(client, rtde_protocol.encode(1, client.layout, values))
+                values = (controller.output(name) for name in client.outputs.names)
+                client.send(rtde_protocol.encode(1, client.outputs.layout, values))
 
-    def _send(self, client: Client, data: bytes) -> None:
-        if self.muted and client.port != FAULT_PORT:
-            return
-        client.unsent += data
-        try:
-            client.unsent = client.unsent[client.socket.send(client.unsent) :]
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._drop(client)
-        if len(client.unsent) > MAX_UNREAD_BYTES:
-            self._drop(client)
+    async def _rtde(self, client: Client) -> None:
+        self.rtde_clients.append(client)
+        async for kind, body in client.packets():
+            if self.muted:
+                continue
+            if kind == rtde_protocol.DATA:
+                self.controller.write(rtde_protocol.decode(body, client.inputs))
+            elif answer := self._answer(client, kind, body):
+                client.send(rtde_protocol.packet(kind, answer))
 
-    def _drop(self, client: Client) -> None:
-        if client in self.clients:
-            self.clients.remove(client)
-            self.selector.unregister(client.socket)
-            client.socket.close()
+    def _answer(self, client: Client, kind: int, body: bytes) -> bytes:
+        """Body of the answer to a request; empty where there is none."""
+        match kind:
+            case rtde_protocol.PROTOCOL:
+                return bytes([body == b"\x00\x02"])
+            case rtde_protocol.VERSION:
+                return struct.pack(">4I", *CONTROLLER_VERSION)
+            case rtde_protocol.OUTPUTS:
+                (frequency,) = struct.unpack_from(">d", body)
+                wanted = rtde_protocol.recipe(body[8:].decode())
+                client.every = max(1, round(1 / TICK / frequency))
+                client.outputs = wanted if wanted.known else client.outputs
+                return bytes([wanted.known]) + ",".join(wanted.types).encode()
+            case rtde_protocol.INPUTS:
+                wanted = rtde_protocol.recipe(body.decode())
+                number = len(client.inputs) + 1 if wanted.known else 0
+                if wanted.known:
+                    client.inputs[number] = wanted
+                return bytes([number]) + ",".join(wanted.types).encode()
+            case rtde_protocol.START | rtde_protocol.PAUSE:
+                client.streaming = kind == rtde_protocol.START and bool(client.outputs.names)
+                return bytes([kind == rtde_protocol.PAUSE or client.streaming])
+        return b""
 
-    def _receive(self, client: Client) -> None:
-        try:
-            data = client.socket.recv(1 << 16)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(client)
-            return
-        client.received += data
-        try:
-            if client.port == RTDE_PORT:
-                packets, client.received = rtde_protocol.split(client.received)
-                for kind, body in packets:
-                    self._rtde(client, kind, body)
-            elif client.port == SCRIPT_PORT:
-                self._script(client)
-            else:
-                for line in self._lines(client):
-                    answer = self.dashboard(line) if client.port == DASHBOARD_PORT else self.fault(line)
-                    self._send(client, answer.encode() + b"\n")
-        except (ValueError, ArithmeticError, struct.error) as error:
-            print(f"{error}: connection to port {client.port} closed", file=sys.stderr, flush=True)
-            self._drop(client)
+    async def _script(self, client: Client) -> None:
+        received = b""
+        while data := await client.reader.read(1 << 16):
+            received += data
+            if SCRIPT_BEGIN in received and SCRIPT_END in received and not self.muted:
+                received = b""
+                self.controller.upload()
 
-    @staticmethod
-    def _lines(client: Client) -> Iterator[str]:
-        while b"\n" in client.received:
-            line, client.received = client.received.split(b"\n", 1)
-            yield line.decode().strip()
+    async def _dashboard(self, client: Client) -> None:
+        if not self.muted:
+            client.send(b"Connected: Universal Robots Dashboard Server\n")
+        async for line in client.lines():
+            if not self.muted:
+                client.send(self.dashboard(line).encode() + b"\n")
 
-    def _rtde(self, client: Client, kind: int, body: bytes) -> None:
-        if kind == rtde_protocol.PROTOCOL:
-            self._send(client, rtde_protocol.packet(kind, bytes([body == b"\x00\x02"])))
-        elif kind == rtde_protocol.VERSION:
-            self._send(client, rtde_protocol.packet(kind, struct.pack(">4I", *CONTROLLER_VERSION)))
-        elif kind == rtde_protocol.OUTPUTS:
-            (frequency,) = struct.unpack_from(">d", body)
-            wanted = rtde_protocol.recipe(body[8:].decode(), rtde_protocol.OUTPUT_TYPES)
-            client.every = max(1, round(1 / TICK / frequency))
-            if wanted.known:
-                client.names, client.layout = wanted.names, wanted.layout
-            self._send(client, rtde_protocol.packet(kind, bytes([wanted.known]) + ",".join(wanted.types).encode()))
-        elif kind == rtde_protocol.INPUTS:
-            wanted = rtde_protocol.recipe(body.decode(), rtde_protocol.INPUT_TYPES)
-            number = len(client.inputs) + 1 if wanted.known else 0
-            if wanted.known:
-                client.inputs[number] = wanted
-            self._send(client, rtde_protocol.packet(kind, bytes([number]) + ",".join(wanted.types).encode()))
-        elif kind in (rtde_protocol.START, rtde_protocol.PAUSE):
-            client.streaming = kind == rtde_protocol.START and bool(client.names)
-            self._send(client, rtde_protocol.packet(kind, bytes([kind == rtde_protocol.PAUSE or client.streaming])))
-        elif kind == rtde_protocol.DATA and not self.muted:
-            self.delayed_inputs.append(
-                (self.controller.clock + self.latency, rtde_protocol.decode(body, client.inputs))
-            )
-
-    def _script(self, client: Client) -> None:
-        if SCRIPT_BEGIN in client.received and SCRIPT_END in client.received and not self.muted:
-            client.received = b""
-            self.controller.upload()
+    async def _faults(self, client: Client) -> None:
+        async for line in client.lines():
+            client.send(self.fault(line).encode() + b"\n")
 
     def dashboard(self, line: str) -> str:
         """Do what a line on the dashboard port asks.
@@ -232,12 +210,9 @@ class Server:
                 controller.kill()
                 return "Stopped"
             case "unlock protective stop":
-                released = controller.unlock()
-                return (
-                    "Protective stop releasing"
-                    if released
-                    else "Cannot unlock protective stop until 5s after occurrence"
-                )
+                if controller.unlock():
+                    return "Protective stop releasing"
+                return "Cannot unlock protective stop until 5s after occurrence"
             case "close safety popup" | "close popup":
                 return f"closing {line.split(' ', 1)[1].lower()}"
         return f"could not understand: '{line}'"
@@ -263,9 +238,9 @@ class Server:
                 case ["kill-program"]:
                     controller.kill()
                 case ["drop-control" | "drop-state" as word]:
-                    for client in [each for each in self.clients if each.port == RTDE_PORT]:
-                        if client.controls == (word == "drop-control"):
-                            self._drop(client)
+                    for client in self.rtde_clients:
+                        if bool(client.inputs) == (word == "drop-control"):
+                            client.writer.transport.abort()
                 case ["local" | "remote" as word]:
                     controller.local = word == "local"
                 case ["wrench", *numbers]:

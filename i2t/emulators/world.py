@@ -3,17 +3,19 @@
 The configurations of simulated and emulated devices are here too. JAX is imported only once a scene is made.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from i2t.emulators.processes import Address
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
 from i2t.objects.named import read_object
 from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
 
 if TYPE_CHECKING:
-    from i2t.emulators.scene import ObjectScene
+    from i2t.emulators.scene import Contacts, ObjectScene
     from i2t.types import Pad
 
 DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
@@ -144,3 +146,37 @@ def carried_scene(world: WorldConfig, rig: Rig, board: str, number: int) -> "Obj
 
     pad = sample_pad(jax.random.key(CARRIED_PAD_KEY + number), board=make_board(board))
     return _scene(world, rig, pad)
+
+
+def make_contacts(
+    world: WorldConfig, rig: Path | None, to: Address | None, carried: Mapping[str, Address]
+) -> "Contacts":
+    """The contacts of an emulated arm with an object; it takes some seconds, in which everything is compiled.
+
+    Args:
+        world: What is there.
+        rig: File that says where; by default the emulators' own rig.
+        to: Where an emulated board receives what the skin feels.
+        carried: Where the boards of further skins of the rig do, by the skins' names.
+
+    Returns:
+        What a moving tool feels.
+
+    Raises:
+        ValueError: Object, pad or rig cannot be used, or the rig has no such skin.
+        OSError: A file cannot be read.
+    """
+    from i2t.emulators.scene import ContactModel, Contacts
+
+    setup = Rig() if rig is None else Rig.read(rig)
+    unknown = set(carried) - {place.name for place in setup.skins}
+    if unknown:
+        raise ValueError(f"the rig has no skin {', '.join(sorted(unknown))}; correct --carried")
+    models = [ContactModel(make_scene(world, setup), wait=False, to=to)]
+    for number, place in enumerate(setup.skins, 1):
+        if place.name in carried:
+            meets = carried_scene(world, setup, place.board, number)
+            models.append(ContactModel(meets, False, place.T_tool_skin, carried[place.name]))
+    for model in models:
+        model.scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
+    return Contacts(models)

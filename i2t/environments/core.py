@@ -3,56 +3,44 @@ state, reward, done, info)`.
 
 The signature is that of gymnax (Lange, 2022), on which nothing here depends: lift `step` with `jax.vmap` over many
 environments, and run it with `jax.lax.scan`. In each episode an object (and its placement) and a pad are drawn; an
-action chooses where to touch next and says what is believed so far; the reward is the negative loss of that belief
-(`i2t.environments.tasks`), less the cost of a touch that was refused.
+action chooses a site of a pool and says which object is believed to be there; the reward is the negative cross
+entropy (nats) of that belief, less the cost of a touch that was refused.
 
-Touches are of a site of a pool, or at a pose of six numbers. Either is made only where it is safe on every object that
-may be there, at its believed placement, so that a refusal tells nothing about the object. A refused touch does not
-move the arm: it costs a step, is said in `info["refused"]`, and nothing else is touched in its place.
+A site is touched only where that is safe on every object that may be there, at its believed placement, so that a
+refusal tells nothing about the object. A refused touch does not move the arm: it costs a step, is said in
+`info["refused"]`, and nothing else is touched in its place.
 
 Two speeds: where `params.table` is given touches are looked up (`i2t.environments.tables`), else they are pressed
 (`i2t.environments.press`). In either case placement, arm, force sensor and chips err as the lab's errors say. Without
 camera, friction and memory of the skin. Metres, newtons, microtesla; everything here is simulated.
 """
 
-import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.environments.press import TouchOutcome, meet, press
-from i2t.environments.tasks import TouchTask, WhichObject
-from i2t.geometry import contact_frame, so3_exp
+from i2t.environments.press import TouchOutcome, touch_outcome
+from i2t.geometry import random_motion
 from i2t.recognition import belief as beliefs
 from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.rendering.ops import element
 from i2t.simulation.press import PressLimits
 from i2t.simulation.site_limits import SiteLimits
-from i2t.simulation.sites import RECOGNITION_LIMITS, is_above_table, is_safe
+from i2t.simulation.sites import RECOGNITION_LIMITS
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.noise import Noise
 from i2t.types import Board, Pad, Surface
 
 HOME_HEIGHT_M = 0.15  # of the tool above the world's origin before the first touch
-POSE_NUMBERS = 6
 # By which features are divided.
 READING_SCALE_UT, FORCE_SCALE_N, ADVANCE_SCALE_M, POSITION_SCALE_M = 10.0, 1.0, 1e-3, 0.03
 MIN_FEATURE_PROBABILITY = 1e-4  # of features
-
-
-@dataclass(frozen=True)
-class Workspace:
-    """Ranges of the six numbers of a pose: each goes from -1 to 1."""
-
-    reach: float = 40e-3  # m, of x and y to either side
-    height: float = 45e-3  # m; z goes from 0 to here
-    tilt: float = math.radians(60)  # of the tool about the world's x and y
 
 
 @dataclass(frozen=True)
@@ -60,11 +48,9 @@ class EnvironmentConfig:
     """The rules of an environment."""
 
     touches: int = 16  # of an episode
-    actions: Literal["site", "pose"] = "site"
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=PressLimits)
     safety: SiteLimits = RECOGNITION_LIMITS
-    workspace: Workspace = field(default_factory=Workspace)
     refusal_cost: float = 0.1
 
 
@@ -92,7 +78,6 @@ class EnvironmentParams(NamedTuple):
     T_w_site: Float[Array, "sites 4 4"]
     owner: Int[Array, " sites"]  # object on which each site was drawn
     allowed: Bool[Array, " sites"]  # sites that are safe on every object
-    hypotheses: Float[Array, "h 4 4"]  # believed placements, on all of which a pose must be safe
     table: OutcomeTable | None = None
     beliefs: TouchBeliefs | None = None
 
@@ -131,8 +116,8 @@ class EnvironmentParams(NamedTuple):
 class TouchAction(NamedTuple):
     """Place of the next touch, and what is believed."""
 
-    touch: Int[Array, ""] | Float[Array, "6"]  # a site, or the numbers of a pose (`Workspace`)
-    prediction: Float[Array, " p"] | None = None  # None: the environment's own posterior
+    touch: Int[Array, ""]  # number of a site
+    prediction: Float[Array, " o"] | None = None  # logits of the objects; None: the environment's own posterior
 
 
 class EnvironmentObservation(NamedTuple):
@@ -171,7 +156,6 @@ class TouchEnvironment:
         obs, state, reward, done, info = environment.step(key, state, action, params)
     """
 
-    task: TouchTask = field(default_factory=WhichObject)
     config: EnvironmentConfig = field(default_factory=EnvironmentConfig)
 
     def reset(self, key: Key[Array, ""], params: EnvironmentParams) -> tuple[EnvironmentObservation, EnvironmentState]:
@@ -187,7 +171,7 @@ class TouchEnvironment:
         key_object, key_pad, key_row, key_placement = jax.random.split(key, 4)
         row = jnp.zeros((), jnp.int32)
         if params.table is None:
-            T_w_o = self.task.placement(key_placement, self.config.errors)
+            T_w_o = sample_placement(key_placement, self.config.errors)
         else:
             row = jax.random.randint(key_row, (), 0, len(params.table.T_w_o))
             T_w_o = params.table.T_w_o[row]
@@ -239,47 +223,37 @@ class TouchEnvironment:
 
         Returns:
             Observation, episode, reward, whether the episode ended, and `info`: whether the touch was refused, the
-            prediction's loss and target, the object and the pad.
+            prediction's loss, the object and the pad.
         """
         key_touch, key_force, key_noise = jax.random.split(key, 3)
-        T_w_site, safe = self._aim(action.touch, params)
-        outcome = self._outcome(key_touch, state, action.touch, T_w_site, params)
+        known = (action.touch >= 0) & (action.touch < params.sites)
+        site = jnp.clip(action.touch, 0, params.sites - 1)
+        T_w_site, safe = params.T_w_site[site], known & params.allowed[site]
+        outcome = self._outcome(key_touch, state, site, params)
         measured = self._measure(key_force, key_noise, outcome, element(params.pads.board, state.pad))
         measured = jax.tree.map(lambda x: jnp.where(safe, x, jnp.zeros_like(x)), measured)
         end = T_w_site @ jnp.eye(4).at[2, 3].set(measured.advance)
         after = state._replace(
             T_w_t=jnp.where(safe, end, state.T_w_t),
             touches=state.touches + 1,
-            belief=self._believe(state, action.touch, measured, safe, params),
+            belief=self._believe(state, site, measured, safe, params),
         )
-        target = self.task.target(state.object, state.T_w_o, params.objects)
-        loss = self.task.loss(self._prediction(state, action), target)
+        loss = cross_entropy(self._prediction(state, action), state.object)
         reward = -loss - jnp.where(safe, 0.0, self.config.refusal_cost)
-        info = {"refused": ~safe, "loss": loss, "target": target, "object": state.object, "pad": state.pad}
+        info = {"refused": ~safe, "loss": loss, "object": state.object, "pad": state.pad}
         return self._observe(after, measured, ~safe), after, reward, after.touches >= self.config.touches, info
 
-    def _aim(self, touch: Array, params: EnvironmentParams) -> tuple[Array, Array]:
-        """The site of an action, T_w_site, and whether it is safe."""
-        if self.config.actions == "site":
-            known = (touch >= 0) & (touch < params.sites)
-            site = jnp.clip(touch, 0, params.sites - 1)
-            return params.T_w_site[site], known & params.allowed[site]
-        T_w_site = pose_of_numbers(touch, self.config.workspace)
-        within = jnp.all(jnp.isfinite(touch)) & jnp.all(jnp.abs(touch) <= 1)
-        T_w_site = jnp.where(within, T_w_site, _home())
-        return T_w_site, within & is_safe_everywhere(T_w_site, params, self.config)
-
-    def _outcome(
-        self, key: Array, state: EnvironmentState, touch: Array, T_w_site: Array, params: EnvironmentParams
-    ) -> TouchOutcome:
+    def _outcome(self, key: Array, state: EnvironmentState, site: Array, params: EnvironmentParams) -> TouchOutcome:
         """The touch looked up, or pressed."""
         if params.table is not None:
-            site = jnp.clip(touch, 0, params.sites - 1)
             return jax.tree.map(lambda x: x[state.pad, state.object, state.placement, site], params.table.outcome)
-        surface, pad = element(params.surfaces, state.object), element(params.pads, state.pad)
-        return touch_outcome(
-            key, surface, state.T_w_o, T_w_site, pad=pad, response=params.response[state.pad], config=self.config
-        )
+        surface = element(params.surfaces, state.object)
+        worn = jax.tree.map(lambda x: x[state.pad][None], (params.pads, params.response))
+        made = touch_outcome(
+            key, surface, state.T_w_o, params.T_w_site[site],
+            pads=worn[0], response=worn[1], errors=self.config.errors, limits=self.config.limits,
+        )  # fmt: skip
+        return element(made, 0)
 
     def _measure(self, key_force: Array, key_noise: Array, outcome: TouchOutcome, board: Board) -> TouchObservation:
         """Measurement of a touch by the sensors."""
@@ -295,7 +269,7 @@ class TouchEnvironment:
         """The belief after a touch; a refused one changes nothing."""
         if params.beliefs is None or state.belief is None:
             return None
-        predicted = jax.tree.map(lambda x: x[state.pad, jnp.clip(site, 0)], params.beliefs.predicted)
+        predicted = jax.tree.map(lambda x: x[state.pad, site], params.beliefs.predicted)
         after = beliefs.update(state.belief, measured, predicted, params.beliefs.likelihood)
         return jax.tree.map(partial(jnp.where, safe), after, state.belief)
 
@@ -322,34 +296,30 @@ class TouchEnvironment:
         )
 
 
-def touch_outcome(
-    key: Key[Array, ""],
-    surface: Surface,
-    T_w_o: Float[Array, "4 4"],
-    T_w_site: Float[Array, "4 4"],
-    *,
-    pad: Pad,
-    response: Float[Array, "c n n"],
-    config: EnvironmentConfig,
-) -> TouchOutcome:
-    """One touch with the errors of the arm, pressed.
+def sample_placement(key: Key[Array, ""], errors: SimulationErrors) -> Float[Array, "4 4"]:
+    """Pose of an object in an episode: at the world's origin, up to the errors of placement.
 
     Args:
         key: random key.
-        surface: of the object, in its frame.
-        T_w_o: where it really is.
-        T_w_site: contact pose of the tool, as the lab believes it.
-        pad: the skin.
-        response: of the pad, its `i2t.environments.press.response_map`.
-        config: errors and limits.
+        errors: of the lab.
 
     Returns:
-        How it ends.
+        T_w_o.
     """
-    key_arm, key_overrun = jax.random.split(key)
-    geometry = meet(key_arm, surface, T_w_o, T_w_site, errors=config.errors, limits=config.limits)
-    overshoot = config.limits.overshoot * jnp.abs(jax.random.normal(key_overrun))
-    return press(pad, response, geometry, overshoot, config.limits)
+    return random_motion(key, errors.placement, errors.placement_angle)
+
+
+def cross_entropy(prediction: Float[Array, " o"], which: Int[Array, ""]) -> Float[Array, ""]:
+    """Loss of a prediction; rewards are its negative.
+
+    Args:
+        prediction: logits of the objects.
+        which: the object that is there.
+
+    Returns:
+        The loss (nats).
+    """
+    return -jnp.sum(jax.nn.one_hot(which, prediction.shape[-1]) * jax.nn.log_softmax(prediction))
 
 
 def sensor_noise(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array, " c"]:
@@ -372,45 +342,6 @@ def sensor_noise(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array
     size = np.sqrt(2 * noise.common) * np.array([noise.xy, noise.xy, noise.z], np.float32)
     field_of_room = jnp.broadcast_to(size * drawn[-3:], (chips, 3))
     return white * np.float32(noise.sigma(chips)) * drawn[:-3] + board.to_board(field_of_room)
-
-
-def pose_of_numbers(numbers: Float[Array, "6"], workspace: Workspace) -> Float[Array, "4 4"]:
-    """The contact pose that six numbers between -1 and 1 mean.
-
-    Args:
-        numbers: x, y, z, tilt about x, tilt about y, and roll about the tool's axis.
-        workspace: what their ends are.
-
-    Returns:
-        T_w_t.
-    """
-    x, y, z, tilt_x, tilt_y, roll = numbers
-    point = jnp.stack([workspace.reach * x, workspace.reach * y, workspace.height * (z + 1) / 2])
-    turn = so3_exp(workspace.tilt * jnp.stack([tilt_x, tilt_y, jnp.zeros_like(x)]))
-    return contact_frame(point, turn[:, 2], jnp.pi * roll)
-
-
-def is_safe_everywhere(
-    T_w_site: Float[Array, "4 4"], params: EnvironmentParams, config: EnvironmentConfig
-) -> Bool[Array, ""]:
-    """Test whether a touch is safe on every object at every believed placement, and over the table if it meets nothing.
-
-    Args:
-        T_w_site: contact pose of the tool.
-        params: what may be there.
-        config: what is safe.
-
-    Returns:
-        Whether it is.
-    """
-
-    def safe(surface: Surface, T_w_o: Array) -> Array:
-        turned = jnp.einsum("ij,fkj->fki", T_w_o[:3, :3], surface.triangles, precision="highest")
-        return is_safe(Surface(turned + T_w_o[None, None, :3, 3]), T_w_site, config.safety)
-
-    over_all = jax.vmap(lambda T: jax.vmap(lambda surface: safe(surface, T))(params.surfaces))(params.hypotheses)
-    end = T_w_site @ jnp.eye(4).at[2, 3].set(config.limits.overtravel)
-    return jnp.all(over_all) & is_above_table(end, config.safety)
 
 
 def features(obs: EnvironmentObservation) -> Float[Array, " f"]:

@@ -1,7 +1,7 @@
-"""Environments for Gymnasium: a vector of them, compiled, and one alone; and for ap_gym, where it is installed.
+"""Environments for Gymnasium: a vector of them, compiled, and one alone.
 
-Actions are dictionaries of "action", a site or the six numbers of a pose, and "prediction", as ap_gym has them;
-observations are dictionaries of arrays. Gymnasium is the extra `environments`, and needed by this file only.
+Actions are dictionaries of "action", the number of a site, and "prediction", a logit of each object; observations are
+dictionaries of arrays. Gymnasium is the extra `environments`, and needed by this file only.
 """
 
 from functools import partial
@@ -10,10 +10,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from i2t.environments.core import (
-    POSE_NUMBERS,
     EnvironmentObservation,
     EnvironmentParams,
     EnvironmentState,
@@ -30,7 +28,8 @@ except ImportError as error:
     raise ImportError("i2t.environments.gym needs Gymnasium; run pip install 'imagine2touch[environments]'") from error
 
 DEFAULT_OBJECTS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
-NAMESPACE = "i2t"
+ENVIRONMENT_ID = "i2t/WhichObject-v0"
+INFOS = ("refused", "loss", "object")
 
 
 class TouchVectorEnv(gymnasium.vector.VectorEnv):
@@ -50,8 +49,7 @@ class TouchVectorEnv(gymnasium.vector.VectorEnv):
             num_envs: episodes side by side.
         """
         self.num_envs, self.environment, self.params = num_envs, environment, params
-        self.single_observation_space = observation_space(params)
-        self.single_action_space = action_space(environment, params)
+        self.single_observation_space, self.single_action_space = observation_space(params), action_space(params)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = None
@@ -74,11 +72,8 @@ class TouchVectorEnv(gymnasium.vector.VectorEnv):
         """
         seeds = list(seed) if isinstance(seed, list | tuple) else None
         super().reset(seed=seeds[0] if seeds else None if isinstance(seed, list) else seed)
-        first = int(self.np_random.integers(2**31))
-        self._key, key = jax.random.split(jax.random.key(first))
-        keys = jax.random.split(key, self.num_envs)
-        if seeds:
-            keys = jax.vmap(jax.random.key)(jnp.asarray(seeds))
+        self._key, key = jax.random.split(jax.random.key(int(self.np_random.integers(2**31))))
+        keys = jax.vmap(jax.random.key)(jnp.asarray(seeds)) if seeds else jax.random.split(key, self.num_envs)
         obs, self._state = self._reset(keys, self.params)
         return _as_dict(obs), {}
 
@@ -99,7 +94,7 @@ class TouchVectorEnv(gymnasium.vector.VectorEnv):
         keys = jax.random.split(key, self.num_envs)
         obs, self._state, reward, done, info = self._step(keys, self._state, _as_action(actions), self.params)
         ended = np.asarray(done)
-        infos: dict[str, Any] = {name: np.asarray(info[name]) for name in ("refused", "loss", "target", "object")}
+        infos: dict[str, Any] = {name: np.asarray(info[name]) for name in INFOS}
         if ended.any():
             infos |= {"final_obs": _as_dict(info["final"]), "_final_obs": ended}
         return _as_dict(obs), np.asarray(reward, np.float64), ended, np.zeros_like(ended), infos
@@ -123,8 +118,7 @@ class SingleTouchEnv(gymnasium.Env):
         if environment is None or params is None:
             environment, params = make_environment(**({"objects": DEFAULT_OBJECTS} | making))
         self.environment, self.params = environment, params
-        self.observation_space = observation_space(params)
-        self.action_space = action_space(environment, params)
+        self.observation_space, self.action_space = observation_space(params), action_space(params)
         self._reset, self._step = jax.jit(environment.reset), jax.jit(environment.step_env)
         self._state: EnvironmentState | None = None
         self._key = jax.random.key(0)
@@ -159,8 +153,7 @@ class SingleTouchEnv(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("step before reset; call reset first")
         self._key, key = jax.random.split(self._key)
         obs, self._state, reward, done, info = self._step(key, self._state, _as_action(action), self.params)
-        said = {name: np.asarray(info[name]) for name in ("refused", "loss", "target", "object")}
-        return _as_dict(obs), float(reward), bool(done), False, said
+        return _as_dict(obs), float(reward), bool(done), False, {name: np.asarray(info[name]) for name in INFOS}
 
 
 def observation_space(params: EnvironmentParams) -> gymnasium.Space:
@@ -191,84 +184,33 @@ def observation_space(params: EnvironmentParams) -> gymnasium.Space:
     )
 
 
-def action_space(environment: TouchEnvironment, params: EnvironmentParams) -> Any:
+def action_space(params: EnvironmentParams) -> Any:
     """Space of actions.
 
     Args:
-        environment: its rules.
         params: what may be there.
 
     Returns:
         The space.
     """
-    size = environment.task.prediction_size(params.objects)
-    where: spaces.Space = spaces.Discrete(params.sites)
-    if environment.config.actions == "pose":
-        where = spaces.Box(-1.0, 1.0, (POSE_NUMBERS,), np.float32)
-    return spaces.Dict({"action": where, "prediction": spaces.Box(-np.inf, np.inf, (size,), np.float32)})
+    logits = spaces.Box(-np.inf, np.inf, (params.objects,), np.float32)
+    return spaces.Dict({"action": spaces.Discrete(params.sites), "prediction": logits})
 
 
-def register_environments() -> tuple[str, ...]:
-    """Make environments known to Gymnasium, and to ap_gym where it is installed.
+def register_environments() -> str:
+    """Make the environment known to Gymnasium.
 
     Returns:
-        Their names, for `gymnasium.make`.
+        Its name, for `gymnasium.make`.
     """
-    names = [f"{NAMESPACE}/WhichObject-v0"]
-    gymnasium.register(names[0], entry_point=SingleTouchEnv)
-    try:
-        import ap_gym
-    except ImportError:
-        return tuple(names)
-    names.append(f"{NAMESPACE}/ActiveWhichObject-v0")
-    ap_gym.register(names[1], _active_env, None)
-    return tuple(names)
-
-
-def _active_env(**making: Any) -> Any:
-    """An environment of ap_gym, whose loss is its own cross entropy."""
-    import ap_gym
-
-    class ActiveTouchEnv(ap_gym.ActiveClassificationEnv):
-        """The same touches, with the truth as prediction target."""
-
-        metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
-
-        def __init__(self) -> None:
-            self.inner = SingleTouchEnv(**making)
-            inner_space = action_space(self.inner.environment, self.inner.params).spaces["action"]
-            super().__init__(self.inner.params.objects, inner_space)
-            self.observation_space = self.inner.observation_space
-
-        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
-            """Begin an episode."""
-            super().reset(seed=seed)
-            return self.inner.reset(seed=seed)
-
-        def _step(self, action: Any, prediction: Any) -> tuple[Any, float, bool, bool, dict[str, Any], Any]:
-            said = {"action": action, "prediction": np.zeros_like(prediction)}
-            truth = self._truth()
-            obs, _, terminated, truncated, info = self.inner.step(said)
-            cost = self.inner.environment.config.refusal_cost * float(info["refused"])
-            return obs, -cost, terminated, truncated, info, truth
-
-        def _truth(self) -> np.int64:
-            assert self.inner._state is not None
-            return np.int64(self.inner._state.object)
-
-    return ActiveTouchEnv()
+    gymnasium.register(ENVIRONMENT_ID, entry_point=SingleTouchEnv)
+    return ENVIRONMENT_ID
 
 
 def _as_action(action: dict[str, Any]) -> TouchAction:
-    where = jnp.asarray(action["action"])
-    if jnp.issubdtype(where.dtype, jnp.integer):
-        where = where.astype(jnp.int32)
-    return TouchAction(where, jnp.asarray(action["prediction"], jnp.float32))
+    return TouchAction(jnp.asarray(action["action"], jnp.int32), jnp.asarray(action["prediction"], jnp.float32))
 
 
 def _as_dict(obs: EnvironmentObservation) -> dict[str, np.ndarray]:
-    def host(value: Array) -> np.ndarray:
-        found = np.asarray(value)
-        return found.astype(np.int8 if found.dtype == bool else np.float32)
-
-    return {name: host(value) for name, value in obs._asdict().items()}
+    arrays = {name: np.asarray(value) for name, value in obs._asdict().items()}
+    return {name: value.astype(np.int8 if value.dtype == bool else np.float32) for name, value in arrays.items()}

@@ -24,7 +24,14 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment, features
+from i2t.environments.core import (
+    EnvironmentParams,
+    EnvironmentState,
+    TouchAction,
+    TouchEnvironment,
+    cross_entropy,
+    features,
+)
 from i2t.recognition.policy import NO_SITE
 
 FORBIDDEN_LOGIT = -1e9  # logit of a site that may not be touched
@@ -84,8 +91,7 @@ class LearnedPolicy(NamedTuple):
 class LearnedEpisodes(NamedTuple):
     """Episodes under a learned policy: e of them, t touches each."""
 
-    prediction: Float[Array, "e t p"]  # after each touch
-    target: Float[Array, "e p"]
+    prediction: Float[Array, "e t o"]  # logits, after each touch
     site: Int[Array, "e t"]
     refused: Bool[Array, "e t"]
     object: Int[Array, " e"]
@@ -119,7 +125,7 @@ def train_policy(
         The policy.
     """
     key_network, key_train = jax.random.split(key)
-    network = _network(environment, params, config)
+    network = TouchNetwork(params.sites, params.objects, config.hidden)
     weights = network.init(key_network, jnp.zeros(config.hidden), _inputs(environment, params))
     steps = config.iterations * config.epochs * config.minibatches
     optimizer = optax.chain(
@@ -129,19 +135,10 @@ def train_policy(
 
     def iterate(state: tuple, key: Array) -> tuple[Any, Any]:
         key_play, key_learn = jax.random.split(key)
-        played, target, _ = _play(
+        played, (there, _) = _play(
             key_play, state[0], network, environment=environment, params=params, episodes=config.episodes
         )
-        state = _learn(
-            key_learn,
-            state,
-            played,
-            target,
-            network=network,
-            environment=environment,
-            optimizer=optimizer,
-            config=config,
-        )
+        state = _learn(key_learn, state, played, there.object, network=network, optimizer=optimizer, config=config)
         return state, (jnp.mean(played.loss[1:]), jnp.mean(played.loss[-1]))
 
     start = weights, optimizer.init(weights)
@@ -171,22 +168,17 @@ def run_learned(
     Returns:
         What was predicted, and what was touched.
     """
-    network = _network(environment, params, config)
-    played, target, (state, refused) = _play(
+    network = TouchNetwork(params.sites, params.objects, config.hidden)
+    played, (state, refused) = _play(
         key, policy.params, network, environment=environment, params=params, episodes=episodes
     )
     return LearnedEpisodes(
         prediction=jnp.swapaxes(played.prediction[1:], 0, 1),
-        target=target,
         site=played.site.T,
         refused=refused.T,
         object=state.object,
         pad=state.pad,
     )
-
-
-def _network(environment: TouchEnvironment, params: EnvironmentParams, config: LearnerConfig) -> TouchNetwork:
-    return TouchNetwork(params.sites, environment.task.prediction_size(params.objects), config.hidden)
 
 
 def _inputs(environment: TouchEnvironment, params: EnvironmentParams) -> Array:
@@ -198,12 +190,11 @@ def _inputs(environment: TouchEnvironment, params: EnvironmentParams) -> Array:
 def _play(
     key: Array, weights: Any, network: TouchNetwork, *, environment: TouchEnvironment, params: EnvironmentParams,
     episodes: int,
-) -> tuple[_Played, Array, tuple[EnvironmentState, Array]]:  # fmt: skip
-    """Whole episodes; their truths, states and refusals."""
+) -> tuple[_Played, tuple[EnvironmentState, Array]]:  # fmt: skip
+    """Whole episodes; their states and refusals."""
     key_reset, key_steps = jax.random.split(key)
     obs, state = jax.vmap(lambda k: environment.reset(k, params))(jax.random.split(key_reset, episodes))
-    target = jax.vmap(lambda s: environment.task.target(s.object, s.T_w_o, params.objects))(state)
-    judge = jax.vmap(environment.task.loss)
+    which, judge = state.object, jax.vmap(cross_entropy)
     forward: Callable[..., Any] = jax.vmap(partial(network.apply, weights))
 
     def say(obs: Any, last: Array, touched: Array, memory: Array) -> tuple[Array, ...]:
@@ -230,7 +221,7 @@ def _play(
             log_probability=_log_chance(_log_chances(logits, may), site),
             value=value,
             prediction=prediction,
-            loss=judge(prediction, target),
+            loss=judge(prediction, which),
         )
         touched = touched | (jnp.arange(params.sites)[None] == site[:, None])
         return (obs, state, site, touched, memory), (row, info["refused"])
@@ -242,9 +233,9 @@ def _play(
     _, inputs, _, prediction, _ = say(obs, site, touched, memory)
     ends = jax.tree.map(lambda rows, end: jnp.concatenate([rows, end[None]]),
                         (played.inputs, played.value, played.prediction, played.loss),
-                        (inputs, jnp.zeros(episodes), prediction, judge(prediction, target)))  # fmt: skip
+                        (inputs, jnp.zeros(episodes), prediction, judge(prediction, which)))  # fmt: skip
     full = played._replace(inputs=ends[0], value=ends[1], prediction=ends[2], loss=ends[3])
-    return full, target, (state, refused)
+    return full, (state, refused)
 
 
 def _drawn(key: Array, logits: Array, may: Array) -> Array:
@@ -265,19 +256,19 @@ def _log_chance(log: Array, site: Array) -> Array:
 
 
 def _learn(
-    key: Array, state: tuple, played: _Played, target: Array, *, network: TouchNetwork, environment: TouchEnvironment,
+    key: Array, state: tuple, played: _Played, which: Array, *, network: TouchNetwork,
     optimizer: optax.GradientTransformation, config: LearnerConfig,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Some passes over the episodes of an iteration."""
     advantage = _advantages(-played.loss[1:], played.value, config)
     goal = advantage + played.value[:-1]
-    episodes = target.shape[0]
+    episodes = len(which)
 
     def batch(state: tuple, rows: Array) -> tuple[Any, Any]:
         weights, moments = state
         some = jax.tree.map(lambda x: x[:, rows], played)
-        loss = _objective(network, environment, config)
-        slope = jax.grad(loss)(weights, some, target[rows], advantage[:, rows], goal[:, rows])
+        loss = partial(_objective, network=network, config=config)
+        slope = jax.grad(loss)(weights, some, which[rows], advantage[:, rows], goal[:, rows])
         change, moments = optimizer.update(slope, moments, weights)
         return (optax.apply_updates(weights, change), moments), None
 
@@ -286,29 +277,27 @@ def _learn(
     return jax.lax.scan(batch, state, rows)[0]
 
 
-def _objective(network: TouchNetwork, environment: TouchEnvironment, config: LearnerConfig) -> Callable[..., Array]:
+def _objective(
+    weights: Any, played: _Played, which: Array, advantage: Array, goal: Array, *, network: TouchNetwork,
+    config: LearnerConfig,
+) -> Array:  # fmt: skip
     """The loss of some episodes: PPO's clipped one, the value's, the predictions', less the entropy of sites."""
+    forward: Callable[..., Any] = jax.vmap(partial(network.apply, weights))
 
-    def loss(weights: Any, played: _Played, target: Array, advantage: Array, goal: Array) -> Array:
-        memory = jnp.zeros((target.shape[0], network.hidden))
-        forward: Callable[..., Any] = jax.vmap(partial(network.apply, weights))
+    def step(memory: Array, inputs: Array) -> tuple[Any, Any]:
+        memory, *said = forward(memory, inputs)
+        return memory, said
 
-        def step(memory: Array, inputs: Array) -> tuple[Any, Any]:
-            memory, *said = forward(memory, inputs)
-            return memory, said
-
-        _, (logits, prediction, value) = jax.lax.scan(step, memory, played.inputs)
-        log = _log_chances(logits[:-1], played.may)
-        entropy = -jnp.sum(jnp.exp(log) * jnp.where(played.may, log, 0.0), axis=-1)
-        ratio = jnp.exp(_log_chance(log, played.site) - played.log_probability)
-        standard = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + ADVANTAGE_STD_OFFSET)
-        clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
-        policy = -jnp.mean(jnp.minimum(ratio * standard, clipped * standard))
-        judged = jax.vmap(jax.vmap(environment.task.loss, (0, 0)), (0, None))(prediction, target)
-        values = 0.5 * jnp.mean((value[:-1] - goal) ** 2)
-        return policy + values + jnp.mean(judged) - config.entropy * jnp.mean(entropy)
-
-    return loss
+    _, (logits, prediction, value) = jax.lax.scan(step, jnp.zeros((len(which), network.hidden)), played.inputs)
+    log = _log_chances(logits[:-1], played.may)
+    entropy = -jnp.sum(jnp.exp(log) * jnp.where(played.may, log, 0.0), axis=-1)
+    ratio = jnp.exp(_log_chance(log, played.site) - played.log_probability)
+    standard = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + ADVANTAGE_STD_OFFSET)
+    clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
+    policy = -jnp.mean(jnp.minimum(ratio * standard, clipped * standard))
+    judged = jax.vmap(jax.vmap(cross_entropy), (0, None))(prediction, which)
+    values = 0.5 * jnp.mean((value[:-1] - goal) ** 2)
+    return policy + values + jnp.mean(judged) - config.entropy * jnp.mean(entropy)
 
 
 def _advantages(reward: Array, value: Array, config: LearnerConfig) -> Array:

@@ -17,8 +17,7 @@ from i2t.batching import map_batches
 from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment
 from i2t.paper import loop
 from i2t.recognition import belief
-from i2t.recognition import policy as recognition_policy
-from i2t.recognition.policy import NO_SITE
+from i2t.recognition.policy import choose_site, draw_site, expected_information_gain
 
 SitePolicy = Callable[[Array, EnvironmentState, Array, EnvironmentParams], Array]
 POLICY_BATCH = 8  # episodes whose sites are chosen at a time
@@ -49,7 +48,7 @@ def random_site(
     Returns:
         The site.
     """
-    return _draw(key, jnp.ones(params.sites), params.allowed & ~touched)
+    return draw_site(key, jnp.ones(params.sites), params.allowed & ~touched)
 
 
 def heuristic_site(
@@ -72,7 +71,7 @@ def heuristic_site(
     own = params.owner[None] == jnp.arange(params.objects)[:, None]
     everywhere = jnp.broadcast_to(params.T_w_site[None], (params.objects, *params.T_w_site.shape))
     weight = loop.site_informativeness(everywhere[..., :3, 3], -everywhere[..., :3, 2], own, which)
-    return _draw(key_site, weight, params.allowed & ~touched)
+    return draw_site(key_site, weight, params.allowed & ~touched)
 
 
 def informative_site(
@@ -91,11 +90,11 @@ def informative_site(
     """
     assert params.beliefs is not None
     table = jax.tree.map(lambda x: x[state.pad], params.beliefs.predicted)
-    gain = recognition_policy.expected_information_gain(
+    gain = expected_information_gain(
         key, _belief(state), table, params.beliefs.likelihood,
         num_draws=IMAGINED_OUTCOMES, num_particles=IMAGINED_PARTICLES,
     )  # fmt: skip
-    return recognition_policy.choose_site(gain, params.allowed & ~touched)
+    return choose_site(gain, params.allowed & ~touched)
 
 
 BASELINES: dict[str, SitePolicy] = {
@@ -151,10 +150,3 @@ def _belief(state: EnvironmentState) -> belief.Belief:
     if state.belief is None:
         raise ValueError("this policy needs an environment with beliefs; see i2t.environments.beliefs.with_beliefs")
     return state.belief
-
-
-def _draw(key: Array, weight: Array, allowed: Array) -> Array:
-    """An allowed site by its weight, or any other allowed one."""
-    some = jnp.where(allowed, weight, 0.0)
-    some = jnp.where(jnp.sum(some) > 0, some, allowed.astype(some.dtype))
-    return jnp.where(jnp.any(allowed), jax.random.categorical(key, jnp.log(some)), NO_SITE)

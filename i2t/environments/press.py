@@ -50,6 +50,19 @@ class TouchGeometry(NamedTuple):
     contact: Bool[Array, ""]
 
 
+class _Search(NamedTuple):
+    """The last trial and the one before."""
+
+    at: Array  # log indentation
+    excess: Array
+    before: Array
+    excess_before: Array
+    slope: Array
+    force: Array
+    reading: Array
+    pressure: Array
+
+
 def response_map(pad: Pad) -> Float[Array, "c n n"]:
     """Response of a reading to a pressure on each cell of 1 mm, as long as the skin moves little.
 
@@ -127,18 +140,18 @@ def press(
         size = jnp.maximum(jnp.linalg.norm(reading) / limits.skin_change, found.force / limits.force)
         return jnp.log(jnp.maximum(size / (1 + overshoot), 1e-6)), found.force, reading, found.pressure
 
-    def step(_: Array, state: "_Search") -> "_Search":
+    def step(_: Array, state: _Search) -> _Search:
         run = state.at - state.before
         slope = jnp.where(jnp.abs(run) > 1e-4, (state.excess - state.excess_before) / run, state.slope)
         slope = jnp.clip(slope, *SLOPES)
         at = jnp.clip(state.at - state.excess / slope, shallowest, deepest)
         start = state.pressure * jnp.exp(at - state.at)
-        excess, force, reading, pressure = trial(at, start)
-        return _found(at, excess, (state.at, state.excess), slope, (force, reading, pressure))
+        excess, *touch = trial(at, start)
+        return _Search(at, excess, state.at, state.excess, slope, *touch)
 
     middle = 0.5 * (shallowest + deepest)
-    excess, force, reading, pressure = trial(middle, None)
-    first = _found(middle, excess, (middle, excess), jnp.asarray(EXPECTED_SLOPE), (force, reading, pressure))
+    excess, *touch = trial(middle, None)
+    first = _Search(middle, excess, middle, excess, jnp.asarray(EXPECTED_SLOPE), *touch)
     end = jax.lax.fori_loop(0, TRIALS - 1, step, first)
     advance = geometry.nearest + jnp.exp(end.at) + end.force / limits.stiffness
     return TouchOutcome(
@@ -149,31 +162,33 @@ def press(
     )
 
 
-class _Search(NamedTuple):
-    """The last trial and the one before."""
+def touch_outcome(
+    key: Key[Array, ""],
+    surface: Surface,
+    T_w_o: Float[Array, "4 4"],
+    T_w_site: Float[Array, "4 4"],
+    *,
+    pads: Pad,
+    response: Float[Array, "pads c n n"],
+    errors: SimulationErrors,
+    limits: PressLimits,
+) -> TouchOutcome:
+    """One approach with the errors of the arm, pressed with each of some pads.
 
-    at: Array  # log indentation
-    excess: Array
-    before: Array
-    excess_before: Array
-    slope: Array
-    force: Array
-    reading: Array
-    pressure: Array
+    Args:
+        key: random key.
+        surface: of the object, in its frame.
+        T_w_o: where it really is.
+        T_w_site: contact pose of the tool, as the lab believes it.
+        pads: the skins, stacked.
+        response: of each, its `response_map`.
+        errors: of the arm.
+        limits: of the press.
 
-
-def _found(
-    at: Array, excess: Array, before: tuple[Array, Array], slope: Array, touch: tuple[Array, Array, Array]
-) -> _Search:
-    """A trial; `before` is the one before and its excess, `touch` force, reading and pressure."""
-    force, reading, pressure = touch
-    return _Search(
-        at=at,
-        excess=excess,
-        before=before[0],
-        excess_before=before[1],
-        slope=slope,
-        force=force,
-        reading=reading,
-        pressure=pressure,
-    )
+    Returns:
+        How it ends, (pads,).
+    """
+    key_arm, key_overrun = jax.random.split(key)
+    geometry = meet(key_arm, surface, T_w_o, T_w_site, errors=errors, limits=limits)
+    overshoot = limits.overshoot * jnp.abs(jax.random.normal(key_overrun))
+    return jax.vmap(lambda pad, own: press(pad, own, geometry, overshoot, limits))(pads, response)

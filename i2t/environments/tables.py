@@ -5,21 +5,26 @@ site, with the errors of the arm; noise of force sensor and chips is drawn at ea
 episode meets the same error of the arm twice.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Key
+from jaxtyping import Array, Key
 
 from i2t.batching import map_batches
-from i2t.environments.core import EnvironmentConfig, EnvironmentParams, OutcomeTable, TouchEnvironment
-from i2t.environments.press import TouchOutcome, meet, press, response_map
-from i2t.environments.tasks import TouchTask, WhichObject
+from i2t.environments.core import (
+    EnvironmentConfig,
+    EnvironmentParams,
+    OutcomeTable,
+    TouchEnvironment,
+    sample_placement,
+)
+from i2t.environments.press import TouchOutcome, response_map, touch_outcome
 from i2t.objects.catalogue import make_object
 from i2t.objects.solids import Mesh
-from i2t.recognition.site_pool import SitePool, place_surfaces, prepare_surfaces, safe_sites, sample_sites
+from i2t.recognition.site_pool import SitePool, prepare_surfaces, safe_sites, sample_sites
 from i2t.rendering.ops import element
 from i2t.rendering.render import stack_surfaces
 from i2t.skin.pad import numbered_pad
@@ -32,7 +37,6 @@ TABULATED_BATCH = 32  # approaches at a time, each pressed with every pad
 def make_environment(
     objects: Sequence[str | Mesh],
     *,
-    task: TouchTask | None = None,
     config: EnvironmentConfig | None = None,
     sites: int = 48,
     pads: int = 8,
@@ -44,7 +48,6 @@ def make_environment(
 
     Args:
         objects: names of the catalogue, or meshes (m) that stand on z = 0.
-        task: what is to be found out; by default which object it is.
         config: its rules.
         sites: how many there are, drawn from all objects alike, each safe on every object.
         pads: how many there are.
@@ -62,13 +65,11 @@ def make_environment(
         environment, params = make_environment(("star", "hexagon", "cylinder"))
     """
     config = config or EnvironmentConfig()
-    task = task or WhichObject()
     if not objects or sites < 1 or pads < 1:
         raise ValueError(f"an environment of {len(objects)} objects, {sites} sites, {pads} pads; give one of each")
     names = [item if isinstance(item, str) else f"object {i}" for i, item in enumerate(objects)]
     surfaces = prepare_surfaces([make_object(item).mesh if isinstance(item, str) else item for item in objects])
-    hypotheses = task.safety_placements()
-    pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, hypotheses=hypotheses, config=config)
+    pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, config=config)
     skins = jax.tree.map(lambda *x: jnp.stack(x), *(numbered_pad(first_pad + i, board=board) for i in range(pads)))
     params = EnvironmentParams(
         surfaces=jax.tree.map(jnp.asarray, stack_surfaces(surfaces)),
@@ -77,46 +78,31 @@ def make_environment(
         T_w_site=jnp.asarray(pool.T_w_t),
         owner=jnp.asarray(pool.owner),
         allowed=jnp.ones(len(pool.owner), bool),
-        hypotheses=jnp.asarray(hypotheses),
     )
-    return TouchEnvironment(task, config), params
+    return TouchEnvironment(config), params
 
 
 def tabulate(
-    key: Key[Array, ""],
-    environment: TouchEnvironment,
-    params: EnvironmentParams,
-    placements: int = 32,
-    *,
-    progress: Callable[[int], None] = lambda touches: None,
+    key: Key[Array, ""], environment: TouchEnvironment, params: EnvironmentParams, placements: int = 32
 ) -> EnvironmentParams:
     """Make every touch once: of every object in some placements at every site with every pad.
 
     Args:
         key: random key of placements and of the arm's errors.
-        environment: whose task places objects, and whose errors and limits hold.
+        environment: whose errors and limits hold.
         params: what may be there.
         placements: drawn once, the same for every object.
-        progress: called with the number of touches just made.
 
     Returns:
         The parameters with their table; steps are look-ups from here on.
-
-    Raises:
-        ValueError: the environment's actions are poses, which are no rows of a table.
     """
     config = environment.config
-    if config.actions != "site":
-        raise ValueError("poses cannot be tabulated; use actions='site', or step with exact physics")
     key_place, key_touch = jax.random.split(key)
-    place = jax.vmap(lambda k: environment.task.placement(k, config.errors))
-    T_w_o = place(jax.random.split(key_place, placements))
+    T_w_o = jax.vmap(lambda k: sample_placement(k, config.errors))(jax.random.split(key_place, placements))
     columns = []
     for i in range(params.objects):
         keys = jax.random.split(jax.random.fold_in(key_touch, i), placements * params.sites)
-        made = _touch_all(keys, element(params.surfaces, i), T_w_o, params, config)
-        columns.append(jax.device_get(made))
-        progress(made.force.size)
+        columns.append(jax.device_get(_touch_all(keys, element(params.surfaces, i), T_w_o, params, config)))
     stacked = jax.tree.map(lambda *x: jnp.asarray(np.stack(x, axis=1)), *columns)
     return params._replace(table=OutcomeTable(stacked, T_w_o))
 
@@ -131,27 +117,22 @@ def _touch_all(
 
     def one(at: tuple[Array, Array, Array]) -> TouchOutcome:
         key, row, site = at
-        key_arm, key_overrun = jax.random.split(key)
-        met = meet(key_arm, surface, T_w_o[row], params.T_w_site[site], errors=config.errors, limits=config.limits)
-        overshoot = config.limits.overshoot * jnp.abs(jax.random.normal(key_overrun))
-        return jax.vmap(lambda pad, response: press(pad, response, met, overshoot, config.limits))(
-            params.pads, params.response
-        )
+        return touch_outcome(
+            key, surface, T_w_o[row], params.T_w_site[site],
+            pads=params.pads, response=params.response, errors=config.errors, limits=config.limits,
+        )  # fmt: skip
 
     made = map_batches(one, (keys, row, site), batch_size=TABULATED_BATCH)
     return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(placements, sites, *x.shape[1:]), 2, 0), made)
 
 
 def _safe_sites(
-    key: Array, surfaces: list[Surface], names: Sequence[str], *, count: int, hypotheses: np.ndarray,
-    config: EnvironmentConfig,
-) -> SitePool:  # fmt: skip
-    """Sites that are safe on every object at every believed placement, of each object as many as there can be."""
+    key: Array, surfaces: list[Surface], names: Sequence[str], *, count: int, config: EnvironmentConfig
+) -> SitePool:
+    """Sites that are safe on every object where it is believed to stand, of each as many as there can be."""
     each = -(-count // len(surfaces))
     pool = sample_sites(key, surfaces, names, SAFE_CANDIDATES_PER_SITE * each, config.safety)
-    safe: Bool[np.ndarray, " pool"] = np.ones(len(pool.owner), bool)
-    for T_w_o in hypotheses:
-        safe &= safe_sites(place_surfaces(surfaces, T_w_o), pool, config.safety).all(1)
+    safe = safe_sites(surfaces, pool, config.safety).all(1)
     good = np.flatnonzero(safe)
     if len(good) < count:
         raise ValueError(

@@ -9,6 +9,8 @@
 Views come in the order of their names. Once all were given, or a file is missing or damaged, `capture` says so.
 """
 
+import itertools
+import json
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
@@ -18,8 +20,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_png
-from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_image
+from i2t.errors import DeviceError
 from i2t.files import read_toml
 from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, View
@@ -27,6 +29,8 @@ from i2t.types import Array
 
 DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
+NOMINAL_RATE_HZ = 30.0
+FURTHER_KEYS = {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0}  # with their defaults
 
 
 @dataclass(frozen=True)
@@ -41,58 +45,46 @@ class RecordedDepthCamera(CameraBase):
 
     Args:
         path: Folder of the views.
-        first: Number of the view to begin with.
         loop: Begin again where they end.
-        rate: Hz, at which they come.
     """
 
-    def __init__(self, path: str | Path, first: int = 0, loop: bool = False, rate: float = 30.0) -> None:
-        super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, rate))
-        self._path, self._first, self._loop = Path(path), first, loop
-        self._names: list[str] | None = None
-        self._next = 0
-        self._due = 0.0
+    def __init__(self, path: str | Path, loop: bool = False) -> None:
+        super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, NOMINAL_RATE_HZ))
+        self._path, self._loop = Path(path), loop
+        self._names: Iterator[str] | None = None
 
     def connect(self) -> None:
         """Read what the folder holds, and begin with its first view; raises DeviceError."""
         self.close()
-        self._camera, self._scale, self._encoding, least = read_description(self._path)
-        names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
-        if len(names) <= self._first:
-            raise DeviceError(
-                f"{self._path / 'depth'} holds {len(names)} views, and number {self._first} is to be the first; "
-                "give a folder with depth/*.png or .tif"
+        try:
+            self._camera, given = read_lens(
+                self._path, {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0}
             )
-        self._features = self._features._replace(nearest=least)
-        self._names, self._next, self._due = names, self._first, 0.0
+            self._features = self._features._replace(nearest=float(given["nearest"]))
+        except (TypeError, ValueError) as error:
+            raise DeviceError(str(error)) from error
+        self._scale, self._encoding = given["scale"], given["encoding"]
+        names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
+        if not names:
+            raise DeviceError(f"{self._path / 'depth'} holds no views; give a folder with depth/*.png or .tif")
+        self._names = itertools.cycle(names) if self._loop else iter(names)
 
     def close(self) -> None:
         """Stop giving views."""
         self._names = None
 
     def capture(self, timeout: float = 2.0) -> View:
-        """The next view, at the camera's rate, as in `DepthCamera.capture`.
+        """The next view, as in `DepthCamera.capture`, without waiting.
 
         Raises:
             DeviceError: There is none left, or its file is damaged.
         """
-        names = self._names
-        if names is None:
+        if self._names is None:
             raise self._not_connected()
-        if self._next >= len(names):
-            if not self._loop:
-                raise DeviceError(f"{self._name} has given all its views; connect again for the first")
-            self._next = self._first
-        wait = max(0.0, self._due - time.monotonic())
-        if wait > timeout:
-            time.sleep(timeout)
-            raise DeviceTimeoutError(f"{self._name} gave no view in {timeout:.2g} s; ask for them less often")
-        time.sleep(wait)
-        when = time.monotonic()
-        self._due = when + 1 / self._features.rate
-        depth, colour = self._read(names[self._next])
-        self._next += 1
-        return View(when, depth, colour)
+        name = next(self._names, None)
+        if name is None:
+            raise DeviceError(f"{self._name} has given all its views; connect again for the first")
+        return View(time.monotonic(), *self._read(name))
 
     def _read(self, name: str) -> tuple[Array, Array | None]:
         path = self._path / "depth" / name
@@ -103,43 +95,58 @@ class RecordedDepthCamera(CameraBase):
             if not colours.is_dir():
                 return depth, None
             path = (colours / name).with_suffix(".png")
-            _, colour = read_png(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
+            colour = read_image(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
             raise DeviceError(f"{self._name} cannot give {path.name}: {reason}; restore {path}") from error
         return depth, colour
 
 
-def read_description(path: str | Path) -> tuple[Camera, float | str, str, float]:
-    """Read the description of a folder of views.
+def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[str, Any]]:
+    """Read the lens in `camera.toml` of a folder.
 
     Args:
         path: The folder.
+        others: Further keys of the file with their defaults; None for one that must be there.
 
     Returns:
-        The camera, the scale of depth files (m per unit, or its name), their encoding, and the nearest depth (m).
+        The lens, and the values of the further keys.
 
     Raises:
-        DeviceError: One sentence that names the file and the field.
+        ValueError: One sentence that names the file and the field.
     """
-    file = Path(path) / DESCRIPTION
+    file, known = Path(path) / DESCRIPTION, {each.name for each in fields(Camera)}
     try:
         table = read_toml(file)
     except OSError as error:
-        raise DeviceError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
-    except ValueError as error:
-        raise DeviceError(str(error)) from error
+        raise ValueError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
+    unknown = sorted(set(table) - known - set(others))
+    missing = [
+        key for key in (*known - {"model", "coefficients"}, *others) if key not in table and others.get(key) is None
+    ]
     try:
-        extra = table.pop("scale"), table.pop("encoding", str(Encoding.PLAIN)), float(table.pop("nearest", 0.0))
-        names = {each.name for each in fields(Camera)}
-        if not set(table) <= names:
-            raise ValueError(f"it has the unknown key {min(set(table) - names)}")
-        lens: Any = {key: float(table.pop(key)) for key in ("fx", "fy", "cx", "cy")}
-        coefficients = tuple(float(each) for each in table.pop("coefficients", ()))
-        return Camera(**table, **lens, coefficients=coefficients), *extra
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        reason = f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
-        raise DeviceError(f"{file}: {reason}; see i2t.hardware.camera_folder for what it holds") from error
+        if unknown or missing:
+            raise ValueError(f"it has the unknown key {unknown[0]}" if unknown else f"{missing[0]!r} is missing")
+        lens: Any = {key: value for key, value in table.items() if key in known}
+        lens |= {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy")}
+        lens["coefficients"] = tuple(float(each) for each in table.get("coefficients", ()))
+        return Camera(**lens), {key: table.get(key, default) for key, default in others.items()}
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{file}: {' '.join(str(error).split())}; see i2t.hardware.camera_folder") from error
+
+
+def lens_text(camera: Camera, **others: Any) -> str:
+    """A lens as lines of TOML, which `read_lens` reads.
+
+    Args:
+        camera: The lens.
+        **others: Further keys: texts, numbers and lists of them.
+
+    Returns:
+        The lines.
+    """
+    lens = {**asdict(camera), "model": str(camera.model), "coefficients": list(camera.coefficients), **others}
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in lens.items())
 
 
 def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Iterator[View]:
@@ -160,9 +167,7 @@ def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Itera
     path = Path(path)
     for sub in (path, path / "depth"):
         sub.mkdir(parents=True)
-    lens = {**asdict(camera), "model": str(camera.model), "scale": DEPTH_UNIT_M}
-    lines = [f"{key} = {list(value) if isinstance(value, tuple) else _text(value)}" for key, value in lens.items()]
-    (path / DESCRIPTION).write_text("\n".join(lines) + "\n", "utf-8")
+    (path / DESCRIPTION).write_text(lens_text(camera, scale=DEPTH_UNIT_M), "utf-8")
     for number, view in enumerate(views):
         units = np.nan_to_num(np.round(view.depth / DEPTH_UNIT_M), nan=0.0)
         Image.fromarray(np.clip(units, 0, 65535).astype(np.uint16)).save(path / "depth" / f"{number:06d}.png")
@@ -170,7 +175,3 @@ def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Itera
             (path / "colour").mkdir(exist_ok=True)
             Image.fromarray(view.colour).save(path / "colour" / f"{number:06d}.png")
         yield view
-
-
-def _text(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)

@@ -13,10 +13,8 @@
 NumPy only. Metres.
 """
 
-import json
 import re
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +22,6 @@ from i2t.skin.boards import DEFAULT_BOARD, make_board
 from i2t.types import Array
 
 TOOL_SKIN = "tool"  # name of the skin in the tool's frame, where a rig gives none
-MAX_CARRIED_SKINS = 8  # next to the one that presses
 TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")  # keys of a table that are texts
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
@@ -43,80 +40,34 @@ class CarriedSkin:
     pad: str = ""  # of the skin in the data set; empty: its own name
 
     def __post_init__(self) -> None:
-        require_skin_name(f"[skins.{self.name}]", self.name)
         try:
             make_board(self.board)
         except (ValueError, OSError) as error:
             raise ValueError(f"skins.{self.name}.board: {error}") from error
         if self.serial_number and self.device != "reskin":
-            raise ValueError(
-                f"skins.{self.name}.serial_number is of a board on USB, and its device is {self.device!r}; leave it "
-                'out, or make that "reskin"'
-            )
+            raise ValueError(f"skins.{self.name}.serial_number is of a board on USB; leave it out")
         if self.serial_number and self.address:
             raise ValueError(f"skins.{self.name} has an address and a serial_number; keep one of them")
         if self.device in ("reskin", "replay") and not (self.serial_number or self.address):
-            what = "its recording" if self.device == "replay" else "its port, or serial_number,"
-            raise ValueError(f"skins.{self.name} names no board; add address, {what} so that no other is taken for it")
-
-    def text(self, pose: str) -> list[str]:
-        """The skin as lines of TOML.
-
-        Args:
-            pose: `T_tool_skin` as TOML.
-
-        Returns:
-            The lines.
-        """
-        given = [(key, getattr(self, key)) for key in TEXT_KEYS if getattr(self, key)]
-        quoted = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in given]
-        return [f"[skins.{self.name}]", f"T_tool_skin = {pose}", *quoted]
-
-
-def carried_keys() -> list[str]:
-    """The keys of a table of a carried skin.
-
-    Returns:
-        All of them, in order.
-    """
-    return [each.name for each in fields(CarriedSkin) if each.name != "name"]
-
-
-def require_skin_name(key: str, name: Any) -> str:
-    """A skin's name, which becomes part of names in files.
-
-    Args:
-        key: That holds it, for the message.
-        name: As given.
-
-    Returns:
-        The name.
-
-    Raises:
-        ValueError: It is none.
-    """
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ValueError(f"{key}: {name!r} is no name of a skin; give a letter, and then letters, digits, - or _")
-    return name
+            raise ValueError(f"skins.{self.name} names no board; add address, its port or its recording")
 
 
 def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:
-    """Refuse skins that cannot be told apart, or too many.
+    """Refuse skins that cannot be told apart.
 
     Args:
         tool_skin: Name of the skin in the tool's frame.
         skins: The others.
 
     Raises:
-        ValueError: A name or a board is there twice.
+        ValueError: A name is none, or a name or a board is there twice.
     """
     names = [tool_skin, *(each.name for each in skins)]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"skins.{name} is also the name of the skin at the tool; give tool.skin another name")
     boards = [each.serial_number or each.address for each in skins if each.device == "reskin"]
-    twice = [board for board in boards if boards.count(board) > 1]
-    if twice:
-        raise ValueError(f"two tables of [skins] name the board {twice[0]}; each skin has a board of its own")
-    if len(skins) > MAX_CARRIED_SKINS:
-        raise ValueError(f"[skins] has {len(skins)} tables; {MAX_CARRIED_SKINS} are the most")
+    for name in names:
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise ValueError(f"{name!r} is no name of a skin; give a letter, and then letters, digits, - or _")
+    for what in (names, boards):
+        twice = [each for each in what if what.count(each) > 1]
+        if twice:
+            raise ValueError(f"[skins] and tool.skin name {twice[0]} twice; each skin has its own name and board")

@@ -22,7 +22,7 @@ import csv
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,40 +32,32 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of
-from i2t.depth.camera import Camera, read_png
-from i2t.errors import DataError, DeviceError
-from i2t.files import file_in, read_text, read_toml, replacing
+from i2t.depth.camera import read_image
+from i2t.files import file_in, read_text, replacing
 from i2t.geometry import inverse
-from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, pixel_rays
-from i2t.hardware.named_devices import REALSENSE, ColourView, ToolPose, colour_view, named_camera, require_named
+from i2t.hardware.camera_folder import DESCRIPTION, lens_text, read_lens
+from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, opencv, pixel_rays
+from i2t.hardware.named_devices import REALSENSE, ToolPose, colour_view, named_camera, require_named
+from i2t.hardware.poses import pose_from_vector, pose_to_vector
+from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
 from i2t.options import read_options
 from i2t.types import Array
 
 PRINT_PIXELS_PER_MM = 300 / 25.4  # pixels per mm of a printed board: 300 dpi
+COLOUR_SIZE = (640, 360)  # pixels of a RealSense's colour images, unless told otherwise
+PICTURE_SUFFIXES = (".png", ".tif", ".pdf")  # in which the board's size on paper is kept
 
 
 @dataclass(frozen=True, kw_only=True)
-class CharucoArgs:
-    """Layout of a ChArUco board."""
+class CharucoBoard:
+    """A ChArUco board; one that cannot be is refused (ValueError) when it is drawn or looked for."""
 
     columns: int = 8  # of squares
     rows: int = 6  # of squares
     square: float = 0.015  # m, edge of a square
     marker: float = 0.011  # m, edge of a marker
     dictionary: str = "4X4_50"  # of OpenCV; APRILTAG_36h11 makes a board of AprilTags
-
-
-@dataclass(frozen=True, kw_only=True)
-class CharucoBoard(CharucoArgs):
-    """A ChArUco board that can be drawn and found; one that cannot be is refused (ValueError)."""
-
-    def __post_init__(self) -> None:
-        if self.columns < 3 or self.rows < 3 or not 0 < self.marker < self.square < 1:
-            raise ValueError(
-                f"a board of {self.columns} x {self.rows} squares of {self.square:g} m with markers of {self.marker:g} "
-                "m is none; give at least 3 x 3 squares, in metres, larger than their markers"
-            )
 
     def drawn(self, pixels_per_mm: float = PRINT_PIXELS_PER_MM) -> Array:
         """The board as an image to print, with a margin of a square.
@@ -78,7 +70,7 @@ class CharucoBoard(CharucoArgs):
         """
         edge = round(1e3 * self.square * pixels_per_mm)
         size = ((self.columns + 2) * edge, (self.rows + 2) * edge)
-        return np.asarray(self._made()[1].generateImage(size, marginSize=edge))
+        return np.asarray(self._made().generateImage(size, marginSize=edge))
 
     def find(self, image: Array) -> tuple[Array, Array]:
         """The corners that are seen in an image.
@@ -89,7 +81,7 @@ class CharucoBoard(CharucoArgs):
         Returns:
             (k, 3) m on the board and (k, 2) pixels; k may be 0.
         """
-        cv2, board = self._made()
+        cv2, board = opencv(), self._made()
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
         places, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
         if numbers is None or not len(numbers):
@@ -98,20 +90,18 @@ class CharucoBoard(CharucoArgs):
             float
         )
 
-    def _made(self) -> tuple[Any, Any]:
-        try:
-            import cv2
-        except ImportError as error:
-            raise DeviceError("boards are found by OpenCV: pip install 'imagine2touch[hardware]'") from error
-        if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
-            raise DeviceError(
-                f"OpenCV {cv2.__version__} finds no ChArUco boards: pip install -U 'imagine2touch[hardware]'"
+    def _made(self) -> Any:
+        if self.columns < 3 or self.rows < 3 or not 0 < self.marker < self.square < 1:
+            raise ValueError(
+                f"a board of {self.columns} x {self.rows} squares of {self.square:g} m with markers of {self.marker:g} "
+                "m is none; give at least 3 x 3 squares, in metres, larger than their markers"
             )
-        code = getattr(cv2.aruco, f"DICT_{self.dictionary}", None)
+        aruco = opencv().aruco
+        code = getattr(aruco, f"DICT_{self.dictionary}", None)
         if code is None:
             raise ValueError(f"OpenCV has no dictionary {self.dictionary!r}; give one as 4X4_50 or APRILTAG_36h11")
-        markers = cv2.aruco.getPredefinedDictionary(code)
-        return cv2, cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
+        markers = aruco.getPredefinedDictionary(code)
+        return aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
 
 
 def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, list[str]]:
@@ -127,28 +117,29 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
     Raises:
         ValueError: One sentence that names the file.
     """
-    camera, T_c_image = _lens(path / "camera.toml")
+    camera, given = read_lens(path, {"T_camera_image": np.eye(4)})
+    T_c_image = np.array(given["T_camera_image"], object)
+    if T_c_image.shape != (4, 4):
+        raise ValueError(f"{path / DESCRIPTION}: T_camera_image is no matrix of four rows; see i2t.hardware.hand_eye")
     views, names = [], []
     for name, T_b_t in _poses(path / "poses.csv"):
         file = file_in(path / "images", name, path / "poses.csv")
         try:
-            _, image = read_png(file, shape=(camera.height, camera.width), said_by="camera.toml", mode="RGB")
+            image = read_image(file, shape=(camera.height, camera.width), said_by=DESCRIPTION, mode="RGB")
         except OSError as error:
-            raise ValueError(
-                f"{file}: cannot be read ({error.strerror or error}); restore it, or leave out its pose"
-            ) from error
+            raise ValueError(f"{file}: cannot be read ({error.strerror or error}); leave out its pose") from error
         corners, pixels = board.find(image)
         if len(corners) >= MIN_CORNERS:
             views.append(BoardView(T_b_t, corners, pixel_rays(camera, pixels)))
             names.append(name)
     try:
-        return fit(views, (camera.fx + camera.fy) / 2), T_c_image, names
-    except ValueError as error:
+        return fit(views, (camera.fx + camera.fy) / 2), T_c_image.astype(float), names
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
 def capture(
-    path: Path, take: Callable[[], tuple[Array, ColourView]], more: Callable[[int], bool], board: CharucoBoard
+    path: Path, take: Callable[[], tuple[Array, ColourImage]], more: Callable[[int], bool], board: CharucoBoard
 ) -> int:
     """Keep colour images and the tool's poses in a new folder.
 
@@ -168,15 +159,13 @@ def capture(
         while more(number):
             T_b_t, seen = take()
             if number == 0:
-                (path / "camera.toml").write_text(_lens_text(seen.camera, seen.T_c_colour), "utf-8")
+                (path / DESCRIPTION).write_text(
+                    lens_text(seen.camera, T_camera_image=seen.T_c_colour.tolist()), "utf-8"
+                )
             found = len(board.find(seen.image)[0])
-            print(
-                f"view {number}: {found} corners" + ("" if found >= MIN_CORNERS else "; too few, it will not be used")
-            )
-            name = f"{number:03d}.png"
-            Image.fromarray(seen.image).save(path / "images" / name)
-            turn = Rotation.from_matrix(T_b_t[:3, :3]).as_rotvec()
-            rows.writerow([name, *(f"{x:.9f}" for x in (*T_b_t[:3, 3], *turn))])
+            print(f"view {number}: {found} corners{'; too few, it will not be used' * (found < MIN_CORNERS)}")
+            Image.fromarray(seen.image).save(path / "images" / f"{number:03d}.png")
+            rows.writerow([f"{number:03d}.png", *(f"{x:.9f}" for x in pose_to_vector(T_b_t))])
             file.flush()
             number += 1
     return number
@@ -185,80 +174,102 @@ def capture(
 def _poses(path: Path) -> Iterator[tuple[str, Array]]:
     try:
         rows = [row for row in csv.reader(read_text(path).splitlines()) if row]
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror}); it holds one line for each image") from error
-    except csv.Error as error:
-        raise ValueError(f"{path}: is no comma-separated table ({error}); it holds one line for each image") from error
+    except (OSError, csv.Error) as error:
+        raise ValueError(f"{path}: cannot be read ({error}); it holds one line for each image") from error
     for row in rows:
         try:
-            numbers = [float(x) for x in row[1:]]
+            numbers = np.array(row[1:], float)
         except ValueError:
-            numbers = []
-        if len(numbers) != 6 or not np.isfinite(numbers).all() or np.abs(numbers).max() > 10:
-            raise ValueError(
-                f"{path}: the line {','.join(row)!r} is no pose; write NAME.png, x, y, z (m), rx, ry, rz (rad)"
-            )
-        T = np.eye(4)
-        T[:3, 3], T[:3, :3] = numbers[:3], Rotation.from_rotvec(numbers[3:]).as_matrix()
-        yield row[0].strip(), T
-
-
-def _lens(path: Path) -> tuple[Camera, Array]:
-    try:
-        table = read_toml(path)
-        T = np.array(table.pop("T_camera_image", np.eye(4)), float)
-        lens: Any = {key: float(table.pop(key)) for key in ("fx", "fy", "cx", "cy")}
-        bent = tuple(float(each) for each in table.pop("coefficients", ()))
-        known = {each.name for each in fields(Camera)}
-        if T.shape != (4, 4) or not set(table) <= known:
-            raise ValueError("it holds something else than a lens and T_camera_image")
-        return Camera(**table, **lens, coefficients=bent), T
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror}); it holds the images' lens") from error
-    except DataError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: is no lens ({' '.join(str(error).split())}); see i2t.hardware.hand_eye") from error
-
-
-def _lens_text(camera: Camera, T: Array) -> str:
-    lens = {**asdict(camera), "model": f'"{camera.model}"', "coefficients": list(camera.coefficients)}
-    rows = ", ".join(str([float(x) for x in row]) for row in T)
-    return "".join(f"{key} = {value}\n" for key, value in lens.items()) + f"T_camera_image = [{rows}]\n"
-
-
-COLOUR_SIZE = (640, 360)  # pixels of a RealSense's colour images, unless told otherwise
-PICTURE_SUFFIXES = (".png", ".tif", ".pdf")  # in which the board's size on paper is kept
+            numbers = np.array(np.nan)
+        if numbers.shape != (6,) or not (np.abs(numbers) <= 10).all():
+            raise ValueError(f"{path}: {','.join(row)!r} is no pose; write NAME.png, x, y, z (m), rx, ry, rz (rad)")
+        yield row[0].strip(), pose_from_vector(numbers.tolist())
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrawArgs(CharucoArgs):
+class DrawArgs(CharucoBoard):
     """Draw the board."""
 
     file: tyro.conf.Positional[Path]  # the image that is written
 
+    def run(self) -> None:
+        """Write the image."""
+        if self.file.is_dir() or self.file.suffix.lower() not in PICTURE_SUFFIXES:
+            raise ValueError(f"{self.file}: is no name of a picture; let it end in {' or '.join(PICTURE_SUFFIXES)}")
+        with replacing(self.file) as temporary:
+            Image.fromarray(self.drawn()).save(temporary, dpi=(300, 300))
+        print(f"{self.file}: print it at 100 %; a square must measure {1e3 * self.square:g} mm")
+
 
 @dataclass(frozen=True, kw_only=True)
-class CaptureArgs(CharucoArgs):
+class CaptureArgs(CharucoBoard):
     """Take views with the camera on an arm that a person moves."""
 
     folder: tyro.conf.Positional[Path]  # for the views
     arm: str = "ur"  # or another package's: the name that it registers, or package.module:Class
     host: str | None = None  # address of the arm's controller; a UR arm needs one
-    camera: str = "realsense"  # or another package's
+    camera: str = REALSENSE  # or another package's
     serial: str | None = None  # which RealSense, if there are several; the address of another package's camera
     size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="WIDTH HEIGHT")] = None
     """Pixels of a RealSense's images: 640 360 by default."""
     rig: Path | None = None  # the lab's calibration, which another package's devices need
 
+    def run(self) -> None:
+        """Take the views."""
+        rig = Rig.read(self.rig) if self.rig is not None else None
+        require_named("camera", self.camera, REALSENSE)
+        if rig is None and self.camera != REALSENSE:
+            raise ValueError(f"--camera {self.camera} needs the lab's calibration; pass --rig FILE")
+        if self.size is not None and self.camera != REALSENSE:
+            raise ValueError(f"--size is of a RealSense, and --camera is {self.camera}; leave it out")
+        tool, size = ToolPose(self.arm, self.host, rig), self.size or COLOUR_SIZE
+
+        def take() -> tuple[Array, ColourImage]:
+            with tool.now() as T_b_t:
+                return T_b_t, colour_view(camera)
+
+        with tool.now():  # whoever does not answer is said before anything is asked of a person
+            pass
+        with named_camera(self.camera, self.serial, rig or Rig(), tool.arm, size=size) as camera:
+            count = capture(self.folder, take, _asked_for_more, self)
+        print(f"{self.folder}: {count} views")
+
+
+def _asked_for_more(number: int) -> bool:
+    try:
+        return input(f"pose {number}: Enter takes a view, q ends: ").strip() != "q"
+    except EOFError:
+        return False
+
 
 @dataclass(frozen=True, kw_only=True)
-class EstimateArgs(CharucoArgs):
+class EstimateArgs(CharucoBoard):
     """Find the camera in the tool."""
 
     folder: tyro.conf.Positional[Path]  # of the views
     rig: Path | None = None  # a lab's calibration, to compare with
     write: bool = False  # put the estimate into it
+
+    def run(self) -> None:
+        """Print the estimate, and write it."""
+        if self.write and self.rig is None:
+            raise ValueError("--write needs the file to write into; give --rig")
+        rig = Rig.read(self.rig) if self.rig is not None else None
+        found, T_c_image, names = estimate(self.folder, self)
+        T_t_c, worst = found.T_t_c @ inverse(T_c_image), int(found.view_rms.argmax())
+        error, turn = 1e3 * found.position_error, math.degrees(found.rotation_error)
+        print(f"{len(names)} views, {found.rms:.2f} pixels RMS; the worst is {names[worst]} with ", end="")
+        print(f"{found.view_rms[worst]:.2f}\nstandard error {error:.2f} mm, {turn:.2f} degrees (jackknife over views)")
+        with np.printoptions(precision=6, suppress=True):
+            print(f"T_tool_camera =\n{T_t_c}")
+        if rig is None or self.rig is None:
+            return
+        change = inverse(rig.T_tool_camera) @ T_t_c
+        shift, turn = np.linalg.norm(change[:3, 3]), Rotation.from_matrix(change[:3, :3]).magnitude()
+        print(f"{1e3 * shift:.1f} mm and {math.degrees(turn):.1f} degrees from what {self.rig} says")
+        if self.write:
+            replace(rig, T_tool_camera=T_t_c).write(self.rig)
+            print(f"{self.rig}: written")
 
 
 HandEyeArgs = (
@@ -281,79 +292,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked: DrawArgs | CaptureArgs | EstimateArgs = read_options(
         commands, arguments, program="python -m i2t.hardware.hand_eye", description=__doc__
     )
-    return exit_code_of(lambda: _run(asked))
-
-
-def _run(asked: DrawArgs | CaptureArgs | EstimateArgs) -> None:
-    board = CharucoBoard(**{each.name: getattr(asked, each.name) for each in fields(CharucoArgs)})
-    match asked:
-        case DrawArgs():
-            _draw(asked, board)
-        case CaptureArgs():
-            _capture(asked, board)
-        case EstimateArgs():
-            _estimate(asked, board)
-
-
-def _draw(asked: DrawArgs, board: CharucoBoard) -> None:
-    if asked.file.is_dir() or asked.file.suffix.lower() not in PICTURE_SUFFIXES:
-        raise ValueError(f"{asked.file}: is no name of a picture; let it end in {' or '.join(PICTURE_SUFFIXES)}")
-    with replacing(asked.file) as temporary:
-        Image.fromarray(board.drawn()).save(temporary, dpi=(300, 300))
-    print(f"{asked.file}: print it at 100 %; a square must measure {1e3 * board.square:g} mm")
-
-
-def _capture(asked: CaptureArgs, board: CharucoBoard) -> None:
-    rig = Rig.read(asked.rig) if asked.rig is not None else None
-    require_named("camera", asked.camera, REALSENSE)
-    own = asked.camera == REALSENSE
-    if rig is None and not own:
-        raise ValueError(f"--camera {asked.camera} needs the lab's calibration; pass --rig FILE")
-    if asked.size is not None and not own:
-        raise ValueError(f"--size is of a RealSense, and --camera is {asked.camera}; leave it out")
-    tool = ToolPose(asked.arm, asked.host, rig)
-
-    def more(number: int) -> bool:
-        try:
-            return input(f"pose {number}: Enter takes a view, q ends: ").strip() != "q"
-        except EOFError:
-            return False
-
-    def take() -> tuple[Array, ColourView]:
-        with tool.now() as T_b_t:
-            return T_b_t, colour_view(camera)
-
-    with tool.now():  # whoever does not answer is said before anything is asked of a person
-        pass
-    with named_camera(asked.camera, asked.serial, rig or Rig(), tool.arm, size=asked.size or COLOUR_SIZE) as camera:
-        count = capture(asked.folder, take, more, board)
-    print(f"{asked.folder}: {count} views")
-
-
-def _estimate(asked: EstimateArgs, board: CharucoBoard) -> None:
-    if asked.write and asked.rig is None:
-        raise ValueError("--write needs the file to write into; give --rig")
-    rig = Rig.read(asked.rig) if asked.rig is not None else None
-    found, T_c_image, names = estimate(asked.folder, board)
-    T_t_c = found.T_t_c @ inverse(T_c_image)
-    print(
-        f"{len(names)} views, {found.rms:.2f} pixels RMS; the worst is {names[int(found.view_rms.argmax())]} with ",
-        end="",
-    )
-    print(f"{found.view_rms.max():.2f}")
-    print(
-        f"standard error {1e3 * found.position_error:.2f} mm, {math.degrees(found.rotation_error):.2f} degrees "
-        "(jackknife over views)"
-    )
-    with np.printoptions(precision=6, suppress=True):
-        print(f"T_tool_camera =\n{T_t_c}")
-    if rig is not None:
-        change = inverse(rig.T_tool_camera) @ T_t_c
-        turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
-        print(f"{1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} says")
-        if asked.write and asked.rig is not None:
-            replace(rig, T_tool_camera=T_t_c).write(asked.rig)
-            print(f"{asked.rig}: written")
+    return exit_code_of(asked.run)
 
 
 if __name__ == "__main__":

@@ -1,24 +1,25 @@
-"""Pose of a camera in the tool, from a board seen from many poses of the tool; pure NumPy and SciPy.
+"""Pose of a camera in the tool, from a board seen from many poses of the tool.
 
 With X = T_t_c and Y = T_b_o of the board, a corner p of the board appears in view i along the line of sight of
 X^-1 T_b_t,i^-1 Y p. First X's rotation from the rotations between views, then its translation, both linear (Park and
-Martin, IEEE T-RO 10, 1994), from poses of the board that are read off each view's homography (Zhang, PAMI 22, 2000);
-then X and Y together by least squares of what was seen, with a loss that forgives single corners. The error stated is
-the jackknife's over views, since corners of a view share the error of the arm's pose: sqrt((n - 1) / n sum d_i^2) of
-the change d_i without view i.
+Martin, IEEE T-RO 10, 1994), from the board's pose in each view by its homography (Zhang, PAMI 22, 2000); then X and Y
+together by least squares of what was seen, with a loss that forgives single corners. The error stated is the
+jackknife's over views, since corners of a view share the error of the arm's pose: sqrt((n - 1) / n sum d_i^2) of the
+change d_i without view i.
 
 Frames: B robot base, T tool, C camera, O board (z = 0 on it); metres, radians, lines of sight as x / z, y / z.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera, Distortion, brown_conrady
+from i2t.errors import DeviceError
 from i2t.geometry import inverse, so3_exp, transform
 from i2t.types import Array
 
@@ -98,18 +99,25 @@ def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:
     X = closed_form(tools, T_c_o)
     Y = _mean([T @ X @ seen for T, seen in zip(tools, T_c_o, strict=True)])
     whole = _refine(views, focal, X, Y)
-    parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole[:2]) for i in range(len(views))]
-    moved = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X, _ in parts])
-    turned = np.array([_turn(X[:3, :3], whole[0][:3, :3]) for X, _ in parts])
-    each = [_miss(*whole, view) * focal for view in views]
-    spread = (len(views) - 1) / len(views)
-    return HandEyeResult(
-        *whole,
-        math.sqrt((np.concatenate(each) ** 2).sum(1).mean()),
-        np.array([math.sqrt((miss**2).sum(1).mean()) for miss in each]),
-        math.sqrt(spread * (moved**2).sum()),
-        math.sqrt(spread * (turned**2).sum()),
-    )
+    parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole)[0] for i in range(len(views))]
+    moved = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X in parts])
+    turned = Rotation.from_matrix([X[:3, :3] @ whole[0][:3, :3].T for X in parts]).magnitude()
+    squares = [(focal**2 * _misses([view], *whole) ** 2).sum(1) for view in views]
+    rms, spread = math.sqrt(np.concatenate(squares).mean()), (len(views) - 1) / len(views)
+    view_rms = np.sqrt([each.mean() for each in squares])
+    errors = (math.sqrt(spread * (each**2).sum()) for each in (moved, turned))
+    return HandEyeResult(*whole, rms, view_rms, *errors)
+
+
+def opencv() -> Any:
+    """OpenCV, with its ChArUco boards; raises DeviceError where it is missing or too old."""
+    try:
+        import cv2
+    except ImportError as error:
+        raise DeviceError("boards are found by OpenCV: pip install 'imagine2touch[hardware]'") from error
+    if not hasattr(getattr(cv2, "aruco", None), "CharucoDetector"):
+        raise DeviceError(f"OpenCV {cv2.__version__} finds no boards: pip install -U 'imagine2touch[hardware]'")
+    return cv2
 
 
 def board_pose(view: BoardView) -> Array:
@@ -134,9 +142,7 @@ def board_pose(view: BoardView) -> Array:
     H = np.linalg.svd(equations)[2][-1].reshape(3, 3) @ np.diag([1 / scale, 1 / scale, 1])
     H *= np.sign(H[2, 2]) / math.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))  # before the camera
     u, _, vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = u @ vt, H[:, 2]
-    return T
+    return transform(u @ vt, H[:, 2])
 
 
 def closed_form(tools: Array, T_c_o: Array) -> Array:
@@ -159,36 +165,28 @@ def closed_form(tools: Array, T_c_o: Array) -> Array:
         raise ValueError(
             "the tool turned about one axis at most between the views; tilt it by 15 degrees or more about two"
         )
-    X = np.eye(4)
-    X[:3, :3] = Rotation.align_vectors(turns, Rotation.from_matrix(B[:, :3, :3]).as_rotvec())[0].as_matrix()
+    rotation = Rotation.align_vectors(turns, Rotation.from_matrix(B[:, :3, :3]).as_rotvec())[0].as_matrix()
     left = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
-    right = (B[:, :3, 3] @ X[:3, :3].T - A[:, :3, 3]).ravel()
-    X[:3, 3] = np.linalg.lstsq(left, right, rcond=None)[0]
-    return X
+    right = (B[:, :3, 3] @ rotation.T - A[:, :3, 3]).ravel()
+    return transform(rotation, np.linalg.lstsq(left, right, rcond=None)[0])
 
 
 def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
     """X and Y by least squares of the corners seen, from a guess."""
-    index = np.repeat(np.arange(len(views)), [len(view.corners) for view in views])
-    T_t_b = inverse(np.stack([view.T_b_t for view in views]))[index]
-    corners, rays = np.concatenate([s.corners for s in views]), np.concatenate([s.rays for s in views])
 
     def miss(change: Array) -> Array:
-        T_c_t, T_b_o = inverse(X @ _motion(change[:6])), Y @ _motion(change[6:])
-        base = corners @ T_b_o[:3, :3].T + T_b_o[:3, 3]
-        tool = np.einsum("nij,nj->ni", T_t_b[:, :3, :3], base) + T_t_b[:, :3, 3]
-        seen = tool @ T_c_t[:3, :3].T + T_c_t[:3, 3]
-        return (focal * (seen[:, :2] / seen[:, 2:] - rays)).ravel()
+        return (focal * _misses(views, X @ _motion(change[:6]), Y @ _motion(change[6:]))).ravel()
 
     found = least_squares(miss, np.zeros(12), loss="soft_l1", f_scale=LOSS_SCALE_PX, x_scale="jac", max_nfev=100).x
     return X @ _motion(found[:6]), Y @ _motion(found[6:])
 
 
-def _miss(X: Array, Y: Array, view: BoardView) -> Array:
-    """Errors (k, 2) of the predicted lines of sight."""
-    T = inverse(view.T_b_t @ X) @ Y
-    seen = view.corners @ T[:3, :3].T + T[:3, 3]
-    return seen[:, :2] / seen[:, 2:] - view.rays
+def _misses(views: Sequence[BoardView], X: Array, Y: Array) -> Array:
+    """Errors (k, 2) of the predicted lines of sight of all corners."""
+    T_c_o = inverse(np.stack([view.T_b_t for view in views]) @ X) @ Y
+    parts = [view.corners @ T[:3, :3].T + T[:3, 3] for view, T in zip(views, T_c_o, strict=True)]
+    seen = np.concatenate(parts)
+    return seen[:, :2] / seen[:, 2:] - np.concatenate([view.rays for view in views])
 
 
 def _motion(twist: Array) -> Array:
@@ -196,11 +194,5 @@ def _motion(twist: Array) -> Array:
 
 
 def _mean(poses: Sequence[Array]) -> Array:
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_matrix(np.stack([each[:3, :3] for each in poses])).mean().as_matrix()
-    T[:3, 3] = np.mean([each[:3, 3] for each in poses], 0)
-    return T
-
-
-def _turn(one: Array, other: Array) -> float:
-    return float(Rotation.from_matrix(one @ other.T).magnitude())
+    rotations, places = np.stack([each[:3, :3] for each in poses]), [each[:3, 3] for each in poses]
+    return transform(Rotation.from_matrix(rotations).mean().as_matrix(), np.mean(places, 0))

@@ -1,7 +1,7 @@
 """Kinematics of arms of revolute joints: reachable poses, distance to joint limits and singularities, joint paths.
 
 An arm is a chain of fixed motions with a rotation about z between each two, which describes any arm of revolute joints;
-`from_dh` and `from_modified_dh` make it of the makers' tables. Poses are solved for joints by damped least squares from
+`from_links` makes it of the makers' tables. Poses are solved for joints by damped least squares from
 many starts at once (Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, IEEE
 Transactions on Robotics 27(5), 2011), lines are followed in small steps from there. The makers' tables are nominal: a
 real arm's own calibration moves its flange by a millimetre or so, and its reach as little.
@@ -10,6 +10,7 @@ Frames: B robot base, F flange; metres and radians. NumPy only.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -17,7 +18,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
-from i2t.geometry import so3_log
+from i2t.geometry import so3_exp, so3_log, transform
 from i2t.types import Array
 
 RANDOM_STARTS, ITERATIONS = 48, 80
@@ -54,54 +55,30 @@ class JointPath:
     dexterity: float  # least singular value of the Jacobian on the way, lengths as shares of the reach
 
 
-def from_dh(
+def from_links(
     name: str, a: Sequence[float], d: Sequence[float], alpha: Sequence[float], *, low: Array, high: Array
 ) -> SerialArm:
-    """An arm from Denavit and Hartenberg's parameters: each link is Rz(q) Tz(d) Tx(a) Rx(alpha).
+    """An arm of n joints from n + 1 fixed motions Tz(d) Tx(a) Rx(alpha), before, between and behind its rotations.
+
+    Denavit and Hartenberg's parameters are these with a first row of zeros; Craig's modified ones are these with d
+    moved one row down, and the flange's distance in the last.
 
     Args:
         name: Of the arm.
-        a: m, of each link.
+        a: m, of each motion.
         d: m, likewise.
         alpha: rad, likewise.
-        low: rad, least of each joint.
-        high: rad, greatest of each joint.
+        low: (n,) rad, least of each joint.
+        high: (n,) rad, greatest of each joint.
 
     Returns:
         The arm.
     """
-    links = [_along(a_i, 0, d_i) @ _about_x(alpha_i) for a_i, d_i, alpha_i in zip(a, d, alpha, strict=True)]
-    return _arm(name, [np.eye(4), *links], low, high)
-
-
-def from_modified_dh(
-    name: str,
-    a: Sequence[float],
-    d: Sequence[float],
-    alpha: Sequence[float],
-    *,
-    flange: float,
-    low: Array,
-    high: Array,
-) -> SerialArm:
-    """An arm from Craig's parameters: each link is Rx(alpha) Tx(a) Rz(q) Tz(d).
-
-    Args:
-        name: Of the arm.
-        a: m, of each link.
-        d: m, likewise.
-        alpha: rad, likewise.
-        flange: m, along the last axis beyond the last link.
-        low: rad, least of each joint.
-        high: rad, greatest of each joint.
-
-    Returns:
-        The arm.
-    """
-    before = [_about_x(alpha_i) @ _along(a_i, 0, 0) for a_i, alpha_i in zip(a, alpha, strict=True)]
-    after = [_along(0, 0, d_i) for d_i in d]
-    inner = [after[i] @ before[i + 1] for i in range(len(a) - 1)]
-    return _arm(name, [before[0], *inner, after[-1] @ _along(0, 0, flange)], low, high)
+    fixed = np.tile(np.eye(4), (len(a), 1, 1))
+    fixed[:, 0, 3], fixed[:, 2, 3] = a, d
+    fixed[:, 1, 1] = fixed[:, 2, 2] = np.cos(alpha)
+    fixed[:, 2, 1], fixed[:, 1, 2] = np.sin(alpha), -np.sin(alpha)
+    return SerialArm(name, fixed, np.asarray(low, float), np.asarray(high, float))
 
 
 def forward(arm: SerialArm, joints: Float[Array, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
@@ -139,50 +116,29 @@ def solve(
     return found[np.argsort(-_dexterity(arm, found), kind="stable")] if len(found) else found
 
 
-def dexterity(arm: SerialArm, joints: Float[Array, " n"]) -> float:
-    """Distance of an arm from a singularity.
+def follow(arm: SerialArm, goals: Sequence[Float[Array, "4 4"]], start: Float[Array, " n"]) -> JointPath | str:
+    """Follow straight lines of the flange from pose to pose.
 
     Args:
         arm: Any.
-        joints: (n,) rad.
+        goals: Poses T_B_F, m; the first is that of `start`.
+        start: rad.
 
     Returns:
-        The least singular value of its Jacobian, lengths as shares of the reach.
+        The joints on the way, or one sentence why it cannot be followed.
     """
-    return float(_dexterity(arm, np.asarray(joints, float)[None])[0])
-
-
-def follow(arm: SerialArm, goals: Sequence[Float[Array, "4 4"]], starts: Float[Array, "w n"]) -> list[JointPath | str]:
-    """Follow straight lines of the flange from pose to pose, from several ways to stand at the first.
-
-    Args:
-        arm: Any.
-        goals: Poses T_B_F, m; the first is that of `starts`.
-        starts: (w, n) rad.
-
-    Returns:
-        For each start the joints on the way, or one sentence why it cannot be followed.
-    """
-    q = np.asarray(starts, float)
-    way, ended = [q], [""] * len(q)
+    way = [np.asarray(start, float)]
     for number, (one, other) in enumerate(itertools.pairwise(goals), 2):
         for pose in _between(np.asarray(one, float), np.asarray(other, float)):
-            live = np.array([not why for why in ended])
-            moved, solved = _descend(arm, q[live], pose)
-            folded = np.abs(moved - q[live]).max(1) > JUMP_RAD
-            for i, there, over in zip(np.flatnonzero(live), solved, folded, strict=True):
-                if not there or over:
-                    why = "would have to fold over" if there else "meets the end of a joint or of its reach"
-                    ended[i] = f"{arm.name} {why} on the line to pose {number}"
-            q = q.copy()
-            q[live] = moved
-            way.append(q)
-            if all(ended):
-                return list(ended)
-    joints = np.stack(way, 1)
-    margin = np.minimum(joints - arm.low, arm.high - joints).min((1, 2))
-    least = np.stack([_dexterity(arm, each) for each in way]).min(0)
-    return [ended[i] or JointPath(joints[i], float(margin[i]), float(least[i])) for i in range(len(q))]
+            moved, solved = _descend(arm, way[-1][None], pose)
+            if not solved[0]:
+                return f"{arm.name} meets the end of a joint or of its reach on the line to pose {number}"
+            if np.abs(moved[0] - way[-1]).max() > JUMP_RAD:
+                return f"{arm.name} would have to fold over on the line to pose {number}"
+            way.append(moved[0])
+    joints = np.stack(way)
+    margin = float(np.minimum(joints - arm.low, arm.high - joints).min())
+    return JointPath(joints, margin, float(_dexterity(arm, joints).min()))
 
 
 def plan(arm: SerialArm, goals: Sequence[Float[Array, "4 4"]]) -> JointPath | str:
@@ -200,7 +156,7 @@ def plan(arm: SerialArm, goals: Sequence[Float[Array, "4 4"]]) -> JointPath | st
     if not len(starts):
         apart = float(np.linalg.norm(np.asarray(goals[0])[:3, 3]))
         return f"{arm.name} cannot reach it: {apart:.2f} m from its base, in that direction of the tool"
-    ways = follow(arm, goals, np.stack(starts))
+    ways = [follow(arm, goals, start) for start in starts]
     whole = [way for way in ways if isinstance(way, JointPath)]
     if not whole:
         return next(way for way in ways if isinstance(way, str))
@@ -231,43 +187,22 @@ def arms() -> dict[str, SerialArm]:
         "ur10e": ((-0.6127, -0.57155), (0.1807, 0.17415, 0.11985, 0.11655)),
         "ur16e": ((-0.4784, -0.36), (0.1807, 0.17415, 0.11985, 0.11655)),
     }
+    turns = (0.0, half, 0.0, 0.0, half, -half, 0.0)
     known = {
-        name: from_dh(
-            name,
-            (0.0, *a, 0.0, 0.0, 0.0),
-            (d[0], 0.0, 0.0, *d[1:]),
-            (half, 0.0, 0.0, half, -half, 0.0),
-            low=-turn,
-            high=turn,
+        name: from_links(
+            name, (0.0, 0.0, *a, 0.0, 0.0, 0.0), (0.0, d[0], 0.0, 0.0, *d[1:]), turns, low=-turn, high=turn
         )
         for name, (a, d) in tables.items()
     }
-    known["panda"] = from_modified_dh(
+    known["panda"] = from_links(
         "panda",
-        (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088),
-        (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0),
-        (0.0, -half, half, half, -half, half, half),
-        flange=0.107,
+        (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088, 0.0),
+        (0.0, 0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.107),
+        (0.0, -half, half, half, -half, half, half, 0.0),
         low=np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]),
         high=np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]),
     )
     return known
-
-
-def _arm(name: str, fixed: list[np.ndarray], low: Array, high: Array) -> SerialArm:
-    return SerialArm(name, np.stack(fixed), np.asarray(low, float), np.asarray(high, float))
-
-
-def _along(x: int | float, y: int | float, z: int | float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
-
-
-def _about_x(angle: int | float) -> np.ndarray:
-    T, c, s = np.eye(4), np.cos(angle), np.sin(angle)
-    T[1:3, 1:3] = [[c, -s], [s, c]]
-    return T
 
 
 def _chain(arm: SerialArm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -287,56 +222,42 @@ def _chain(arm: SerialArm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return T, np.concatenate([moved, axis], -2)
 
 
-def _scaled(arm: SerialArm, J: np.ndarray) -> np.ndarray:
-    """The Jacobian with lengths as shares of the reach."""
-    return J / np.repeat([arm.reach, 1.0], 3)[:, None]
-
-
 def _dexterity(arm: SerialArm, q: np.ndarray) -> np.ndarray:
-    return np.linalg.svd(_scaled(arm, _chain(arm, q)[1]), compute_uv=False)[..., -1]
+    """Least singular value of the Jacobian of joints (k, n), lengths as shares of the reach."""
+    scale = np.repeat([arm.reach, 1.0], 3)[:, None]
+    return np.linalg.svd(_chain(arm, q)[1] / scale, compute_uv=False)[..., -1]
 
 
 def _descend(arm: SerialArm, q: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Joints (k, n) within the limits, from others towards a pose of the flange, and whether they got there (k,)."""
+    scale = np.repeat([arm.reach, 1.0], 3)
     for _ in range(ITERATIONS):
         T, J = _chain(arm, q)
-        error = _error(T, goal, arm.reach)
+        error, J = _error(T, goal) / scale, J / scale[:, None]
         size = 0.5 * (error**2).sum(1)
-        if (size < SQUARED_ERROR).all():
-            break
-        J, damping = _scaled(arm, J), (size[:, None, None] + 1e-9) * np.eye(q.shape[1])
-        turned = np.swapaxes(J, 1, 2)
+        turned, damping = np.swapaxes(J, 1, 2), (size[:, None, None] + 1e-9) * np.eye(q.shape[1])
         step = np.linalg.solve(turned @ J + damping, turned @ error[..., None])[..., 0]
         moved = np.clip(q + np.clip(step, -JUMP_RAD, JUMP_RAD), arm.low, arm.high)
-        if np.abs(moved - q).max() < STALLED_RAD:
+        if (size < SQUARED_ERROR).all() or np.abs(moved - q).max() < STALLED_RAD:
             break
         q = moved
-    T = _chain(arm, q)[0]
-    apart = np.linalg.norm(T[:, :3, 3] - goal[:3, 3], axis=1)
-    askew = np.linalg.norm(_error(T, goal, 1.0)[:, 3:], axis=1)
-    return q, (apart < SOLUTION_TOLERANCE_M) & (askew < SOLUTION_TOLERANCE_RAD)
+    off = np.linalg.norm(_error(_chain(arm, q)[0], goal).reshape(-1, 2, 3), axis=2)
+    return q, (off < [SOLUTION_TOLERANCE_M, SOLUTION_TOLERANCE_RAD]).all(1)
 
 
-def _error(T: np.ndarray, goal: np.ndarray, length: float) -> np.ndarray:
-    """Error (k, 6) to the goal: position as a share of a length, and the rotation vector, base axes."""
-    apart = (goal[:3, 3] - T[:, :3, 3]) / length
+def _error(T: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Error (k, 6) to the goal: position (m), and the rotation vector (rad), base axes."""
     turn = so3_log(goal[:3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
-    return np.concatenate([apart, turn], 1)
+    return np.concatenate([goal[:3, 3] - T[:, :3, 3], turn], 1)
 
 
 def _between(one: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
     """Poses on the straight line between two, without the first."""
-    from scipy.spatial.transform import Rotation, Slerp
-
-    turn = Rotation.from_matrix(np.stack([one[:3, :3], other[:3, :3]]))
-    angle = (turn[0].inv() * turn[1]).magnitude()
-    apart = np.linalg.norm(other[:3, 3] - one[:3, 3])
-    steps = max(1, int(np.ceil(max(apart / STEP_M, angle / STEP_RAD))))
-    shares = np.linspace(0, 1, steps + 1)[1:]
-    poses = np.tile(np.eye(4), (steps, 1, 1))
-    poses[:, :3, :3] = Slerp([0, 1], turn)(shares).as_matrix()
-    poses[:, :3, 3] = one[:3, 3] + shares[:, None] * (other[:3, 3] - one[:3, 3])
-    return list(poses)
+    turn = so3_log(other[:3, :3] @ one[:3, :3].T)
+    apart = other[:3, 3] - one[:3, 3]
+    steps = math.ceil(max(1.0, np.linalg.norm(apart) / STEP_M, np.linalg.norm(turn) / STEP_RAD))
+    shares = [(i + 1) / steps for i in range(steps)]
+    return [transform(so3_exp(share * turn) @ one[:3, :3], one[:3, 3] + share * apart) for share in shares]
 
 
 def _distinct(joints: np.ndarray) -> list[np.ndarray]:

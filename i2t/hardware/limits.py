@@ -46,9 +46,7 @@ class MotionLimits:
                 raise ValueError(f"{name} is {getattr(self, name)}; give x, y, z in m, each within {MAX_REACH_M:g} m")
             object.__setattr__(self, name, tuple(float(x) for x in corner))
         if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
-            raise ValueError(
-                f"lower, {self.lower}, must lie below upper, {self.upper}, in x, y and z; move the corners"
-            )
+            raise ValueError(f"lower, {self.lower}, must lie below upper, {self.upper}, along x, y and z")
         for name, (least, most, unit) in LIMIT_RANGES.items():
             given = getattr(self, name)
             if not least <= given <= most:
@@ -99,13 +97,9 @@ class MotionLimits:
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
             raise ValueError("A goal's rotation must be a rotation: orthonormal and right-handed.")
         if not self.contains(position):
-            raise ValueError(
-                f"The goal {format_position(position)} m is outside the box from {format_position(self.lower)} to "
-                f"{format_position(self.upper)} m."
-            )
-        for name, asked in (("speed", speed), ("acceleration", acceleration)):
-            if not 0 < asked <= getattr(self, name):
-                raise ValueError(f"The {name} {asked} is outside (0, {getattr(self, name)}], the arm's limit.")
+            box = f"{format_position(self.lower)} to {format_position(self.upper)} m"
+            raise ValueError(f"The goal {format_position(position)} m is outside the box from {box}.")
+        self._check_below("The {}", speed=speed, acceleration=acceleration)
 
     def checked(self, goal: Array, speed: float | None, acceleration: float | None) -> tuple[float, float]:
         """Speed and acceleration of a motion, the limits' own where none is given, once it is known to be allowed.
@@ -137,16 +131,14 @@ class MotionLimits:
         Raises:
             ValueError: One sentence that names what is beyond which limit.
         """
-        if not 0 < distance <= self.approach_distance:
-            raise ValueError(
-                f"An approach of {distance} m is outside (0, {self.approach_distance}], the rig's limit for the "
-                "approach distance."
-            )
-        for name, asked in (("force", force), ("torque", torque)):
-            if not 0 < asked <= getattr(self, name):
-                raise ValueError(
-                    f"An approach's {name} {asked} is outside (0, {getattr(self, name)}], the arm's limit."
-                )
+        self._check_below("An approach's {}", approach_distance=distance, force=force, torque=torque)
+
+    def _check_below(self, what: str, **asked: float) -> None:
+        """Refuse what is not above 0 and within the limit of its name; NaN is not."""
+        for name, value in asked.items():
+            if not 0 < value <= getattr(self, name):
+                named = what.format(name.removeprefix("approach_"))
+                raise ValueError(f"{named} {value} is outside (0, {getattr(self, name)}], the rig's limit.")
 
     def contains(self, position: Array, margin: float = 0.0) -> bool:
         """Test whether the box holds a position.

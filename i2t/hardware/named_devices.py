@@ -4,28 +4,18 @@ another package's (`i2t.hardware.plugins`). Their drivers are imported only wher
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
-from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
 from i2t.hardware.plugins import DeviceKind, DeviceSetup, PluginConfig, is_plugin, load_plugin
-from i2t.hardware.protocols import Arm, GuardedArm
+from i2t.hardware.protocols import Arm, ColourImage, GuardedArm
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
 from i2t.types import Array
 
 UR, REALSENSE = "ur", "realsense"
-
-
-class ColourView(NamedTuple):
-    """A colour image, and the lens that made it."""
-
-    image: Array  # (h, w, 3) uint8 RGB
-    camera: Camera
-    T_c_colour: Float[Array, "4 4"]  # the frame of the image in the depth camera's
 
 
 def make_ur_arm(config: UrConfig, rig: Rig) -> GuardedArm:
@@ -43,14 +33,9 @@ def make_ur_arm(config: UrConfig, rig: Rig) -> GuardedArm:
     """
     from i2t.hardware.ur.driver import UrArm
 
-    return UrArm(
-        config.host,
-        rig.limits,
-        rig.T_flange_tool,
-        (rig.mass, rig.centre),
-        state_timeout=config.state_timeout,
-        watchdog_rate=config.watchdog_rate,
-    )
+    carried, timeout = (rig.mass, rig.centre), config.state_timeout
+    watch = config.watchdog_rate
+    return UrArm(config.host, rig.limits, rig.T_flange_tool, carried, state_timeout=timeout, watchdog_rate=watch)
 
 
 def named_arm(name: str, host: str | None, rig: Rig, **watch: float) -> GuardedArm:
@@ -99,12 +84,12 @@ def named_camera(
         DeviceError: Its client library is not installed.
     """
     require_named("camera", name, REALSENSE)
-    if name == REALSENSE:
-        from i2t.hardware.realsense import RealSense
+    if name != REALSENSE:
+        return load_plugin("camera", PluginConfig(name, address), DeviceSetup(rig, address, arm))
+    from i2t.hardware.realsense import RealSense
 
-        own_size = (rig.camera.width, rig.camera.height)
-        return RealSense(address, size or own_size, distance=rig.looking_distance if size is None else None)
-    return load_plugin("camera", PluginConfig(name, address), DeviceSetup(rig, address, arm))
+    own_size, distance = (rig.camera.width, rig.camera.height), rig.looking_distance if size is None else None
+    return RealSense(address, size or own_size, distance=distance)
 
 
 def require_named(kind: DeviceKind, name: str, built_in: str) -> None:
@@ -141,14 +126,10 @@ class ToolPose:
 
     def __init__(self, name: str, host: str | None, rig: Rig | None) -> None:
         require_named("arm", name, UR)
-        self.arm: GuardedArm | None = None  # another package's
-        self._host = host
-        if name == UR:
-            self._host = _require_host(host)
-        elif rig is None:
+        if name != UR and rig is None:
             raise ValueError(f"--arm {name} needs the lab's calibration, which has the tool's frame; pass --rig FILE")
-        else:
-            self.arm = named_arm(name, host, rig)
+        self._host = _require_host(host) if name == UR else ""
+        self.arm = None if rig is None or name == UR else named_arm(name, host, rig)  # another package's
 
     @contextmanager
     def now(self) -> Iterator[Array]:
@@ -163,16 +144,13 @@ class ToolPose:
         if self.arm is None:
             from i2t.hardware.ur.access import tool_pose
 
-            yield tool_pose(_require_host(self._host))
+            yield tool_pose(self._host)
             return
-        self.arm.connect()
-        try:
+        with self.arm:
             yield self.arm.state().T_b_t
-        finally:
-            self.arm.close()
 
 
-def colour_view(camera: Any) -> ColourView:
+def colour_view(camera: Any) -> ColourImage:
     """A colour image of a camera.
 
     Args:
@@ -186,12 +164,12 @@ def colour_view(camera: Any) -> ColourView:
         DeviceError: It gives no colours, or no image.
     """
     if hasattr(camera, "colour"):
-        own = camera.colour()
-        return ColourView(own.image, own.camera, own.T_c_colour)
+        own: ColourImage = camera.colour()
+        return own
     view = camera.capture()
     if view.colour is None:
         raise DeviceError(f"{camera.features.name} gives no colours, in which the board could be found")
-    return ColourView(np.asarray(view.colour), camera.camera, np.eye(4))
+    return ColourImage(view.time, np.asarray(view.colour), camera.camera, np.eye(4))
 
 
 def _require_host(host: str | None) -> str:

@@ -70,44 +70,36 @@ def load_plugin(kind: DeviceKind, config: PluginConfig, setup: DeviceSetup) -> A
     Raises:
         ValueError: It cannot be imported or built, or lacks what its protocol asks for; one sentence says what.
     """
-    make = _find(kind, config.name)
+    given = f"--{kind} {config.name}"
+    make = _find(kind, config.name, given)
     try:
         device = make(setup)
     except TypeError as error:
-        raise ValueError(
-            f"--{kind} {config.name}: cannot be built ({error}); it must take one i2t.hardware.plugins.DeviceSetup"
-        ) from error
-    own = vars(device) if hasattr(device, "__dict__") else {}
-    missing = [name for name in _members(PROTOCOLS[kind]) if name not in own and not hasattr(type(device), name)]
+        raise ValueError(f"{given}: cannot be built ({error}); it must take one DeviceSetup") from error
+    own, asked = getattr(device, "__dict__", {}), PROTOCOLS[kind]
+    missing = [name for name in _members(asked) if name not in own and not hasattr(type(device), name)]
     if missing:
-        raise ValueError(
-            f"--{kind} {config.name}: lacks {', '.join(missing)}; i2t.hardware.protocols says what "
-            f"{PROTOCOLS[kind].__name__} asks for"
-        )
+        raise ValueError(f"{given}: lacks {', '.join(missing)} of {asked.__name__} (i2t.hardware.protocols); add that")
     return device
 
 
-def _find(kind: DeviceKind, name: str) -> Any:
+def _find(kind: DeviceKind, name: str, given: str) -> Any:
     """The class of a name."""
-    group = GROUPS[kind]
     found = _registered(kind, name)
     if len(found) > 1:
         owners = ", ".join(each.value for each in found)
-        raise ValueError(f"--{kind} {name}: several packages register it ({owners}); give package.module:Class")
+        raise ValueError(f"{given}: several packages register it ({owners}); give package.module:Class")
     if ":" not in name and not found:
-        known = ", ".join(sorted(each.name for each in entry_points(group=group))) or "none"
-        raise ValueError(
-            f"--{kind} {name}: there is no such {kind} (registered under {group}: {known}); give package.module:Class"
-        )
+        known = ", ".join(sorted(each.name for each in entry_points(group=GROUPS[kind]))) or "none"
+        there = f"registered under {GROUPS[kind]}: {known}"
+        raise ValueError(f"{given}: there is no such {kind} ({there}); give package.module:Class")
     module, _, attribute = (found[0].value if found else name).partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)
     except AttributeError as error:
-        raise ValueError(f"--{kind} {name}: {module} has no {attribute}; give package.module:Class") from error
+        raise ValueError(f"{given}: {module} has no {attribute}; give package.module:Class") from error
     except (ImportError, ValueError) as error:
-        raise ValueError(
-            f"--{kind} {name}: {module} cannot be imported ({error}); install it, or correct it"
-        ) from error
+        raise ValueError(f"{given}: {module} cannot be imported ({error}); install it, or correct it") from error
 
 
 def _registered(kind: DeviceKind, name: str) -> list[EntryPoint]:

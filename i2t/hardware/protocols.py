@@ -80,7 +80,6 @@ class SkinCounters(NamedTuple):
     overflowed: int = 0  # samples that left the queue before `since` had asked for them
     empty: int = 0  # frames in which no chip answered; they are not delivered
     missing: int = 0  # chips that did not answer, in all samples together
-    wraps: int = 0  # times that a channel went over the end of its converter
     stalls: int = 0  # times this computer read so late that the port's buffer may have overflowed
     connects: int = 0
     rate: float = 0.0  # Hz, over the last second
@@ -246,7 +245,7 @@ class CameraFeatures(NamedTuple):
 
     name: str
     source: str  # real, emulated, simulated or folder
-    nearest: float  # m, below which it measures nothing
+    nearest: float  # m, below which it measures nothing; NaN where only the device knows it
     rate: float  # Hz, nominal
 
 
@@ -256,6 +255,15 @@ class View(NamedTuple):
     time: float  # s, monotonic, of the exposure as near as is known
     depth: Array  # (h, w) m along the optical axis; NaN where nothing was measured
     colour: Array | None  # (h, w, 3) uint8 RGB
+
+
+class ColourImage(NamedTuple):
+    """A colour image as it was taken, for what must see fine print: colours of a `View` have depth's holes."""
+
+    time: float  # s, monotonic
+    image: Array  # (h, w, 3) uint8 RGB
+    camera: Camera  # of this image
+    T_c_colour: Array  # (4, 4), its frame in the depth camera's
 
 
 @runtime_checkable

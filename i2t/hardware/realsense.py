@@ -17,13 +17,14 @@ Sources: RealSense D400 series data sheet (337029), "Minimum-Z depth"; data shee
 """
 
 import contextlib
+import itertools
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -31,9 +32,10 @@ import tyro
 from i2t.cli import Count, check_options, exit_code_of, require_path
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.geometry import transform
 from i2t.hardware import camera_folder
 from i2t.hardware.base import CameraBase
-from i2t.hardware.protocols import CameraFeatures, View
+from i2t.hardware.protocols import CameraFeatures, ColourImage, View
 from i2t.options import read_options
 from i2t.types import Array
 
@@ -57,15 +59,6 @@ class RealSenseConfig:
     serial: str | None = None  # which camera, if there are several
 
 
-class ColourImage(NamedTuple):
-    """A colour image as it was taken, for what must see fine print: colours of a `View` have depth's holes."""
-
-    time: float  # s, monotonic
-    image: Array  # (h, w, 3) uint8 RGB
-    camera: Camera  # of this image
-    T_c_colour: Array  # (4, 4), its frame in the depth camera's
-
-
 def nearest(model: str, width: int, height: int) -> float:
     """Nearest depth that a model measures, by its maker, who states it for six image sizes: the next larger counts.
 
@@ -78,9 +71,9 @@ def nearest(model: str, width: int, height: int) -> float:
         m; NaN where it is not known.
     """
     for name, listed in NEAREST_MM.items():
-        for size, least in zip(SIZES_PX, listed, strict=True):
-            if name in model.upper() and width <= size[0] and height <= size[1]:
-                return least / 1000
+        fitting = [least for (w, h), least in zip(SIZES_PX, listed, strict=True) if width <= w and height <= h]
+        if name in model.upper() and fitting:
+            return fitting[0] / 1000
     return float("nan")
 
 
@@ -102,14 +95,11 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
     """
     least = nearest(model, width, height)
     if distance < least:
-        fits = [f"{w} x {h}" for w, h in SIZES_PX if nearest(model, w, h) <= distance]
-        others = [name for name in NEAREST_MM if nearest(name, width, height) <= distance]
-        ways = [f"look from {1e3 * least:.0f} mm"]
-        ways += [f"take {fits[-1]} pixels"] if fits else []
-        ways += [f"mount a {others[0]}"] if others else []
+        fits = [f", or take {w} x {h} pixels" for w, h in SIZES_PX if nearest(model, w, h) <= distance][-1:]
+        others = [f", or mount a {name}" for name in NEAREST_MM if nearest(name, width, height) <= distance][:1]
         raise TooNearError(
             f"the {model} measures nothing nearer than {1e3 * least:.0f} mm at {width} x {height} pixels, and is to "
-            f"look from {1e3 * distance:.0f} mm: {', or '.join(ways)}"
+            f"look from {1e3 * distance:.0f} mm: look from {1e3 * least:.0f} mm{''.join(fits + others)}"
         )
 
 
@@ -122,7 +112,6 @@ class RealSense(CameraBase):
         rate: Hz
         distance: m from which it is to look; a model that measures nothing so near is refused by `connect`
         file: a recording of the SDK (.db3, or .bag of older ones) to play instead, over and over
-        model: what is expected, such as "D405", so that `features` tell its range before it is connected
     """
 
     def __init__(
@@ -132,7 +121,6 @@ class RealSense(CameraBase):
         rate: int = 30,
         distance: float | None = None,
         file: str | Path | None = None,
-        model: str = "",
     ) -> None:
         try:
             import pyrealsense2
@@ -143,8 +131,7 @@ class RealSense(CameraBase):
         self._file = Path(file) if file is not None else None
         name = f"the recording {file}" if file is not None else f"the RealSense {serial or ''}".strip()
         source = "replay" if file is not None else "real"
-        super().__init__(CameraFeatures(name, source, nearest(model, *size), float(rate)))
-        self._model = model
+        super().__init__(CameraFeatures(name, source, float("nan"), float(rate)))
         self.serial_number = ""  # of the camera, once it is connected
         self._lock = threading.Lock()
         self._pipe: Any = None
@@ -154,8 +141,6 @@ class RealSense(CameraBase):
         """Start streaming; raises DeviceError."""
         self.close()
         rs, (width, height) = self._rs, self._size
-        if self._distance is not None and self._model:
-            check_distance(self._model, width, height, self._distance)
         config = rs.config()
         if self._file is not None:
             if not self._file.is_file():
@@ -173,32 +158,33 @@ class RealSense(CameraBase):
         except RuntimeError as error:
             raise self._refused(str(error)) from error
         try:
-            device = profile.get_device()
-            model = device.get_info(rs.camera_info.name)
-            if device.supports(rs.camera_info.serial_number):
-                self.serial_number = device.get_info(rs.camera_info.serial_number)
-            if self._distance is not None:
-                check_distance(model, width, height, self._distance)
-            depth = profile.get_stream(rs.stream.depth).as_video_stream_profile()
-            colour = profile.get_stream(rs.stream.color).as_video_stream_profile()
-            self._camera = _camera(depth.get_intrinsics())
-            apart = colour.get_extrinsics_to(depth)
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = np.reshape(apart.rotation, (3, 3), order="F"), apart.translation
-            self._colour = _camera(colour.get_intrinsics()), T
-            self._features = self._features._replace(name=f"{self._name.split(' (')[0]} ({model})")
-            self._features = self._features._replace(nearest=nearest(model, width, height))
-            self._align = rs.align(rs.stream.depth)
-            self._pipe = pipe
-            if self._file is None:
-                end = time.monotonic() + SETTLE_S
-                while time.monotonic() < end:
-                    self._wait(5.0)
+            self._describe(profile)
+            self._align, self._pipe = rs.align(rs.stream.depth), pipe
+            end = time.monotonic() + (SETTLE_S if self._file is None else 0.0)
+            while time.monotonic() < end:
+                self._wait(5.0)
         except BaseException:
             self._pipe = None
             with contextlib.suppress(RuntimeError):
                 pipe.stop()
             raise
+
+    def _describe(self, profile: Any) -> None:
+        """Take model, number and lenses from the device that streams; refuse one that measures nothing so near."""
+        rs, device = self._rs, profile.get_device()
+        model = device.get_info(rs.camera_info.name)
+        if device.supports(rs.camera_info.serial_number):
+            self.serial_number = device.get_info(rs.camera_info.serial_number)
+        if self._distance is not None:
+            check_distance(model, *self._size, self._distance)
+        depth, colour = (
+            profile.get_stream(each).as_video_stream_profile() for each in (rs.stream.depth, rs.stream.color)
+        )
+        self._camera, apart = _camera(depth.get_intrinsics()), colour.get_extrinsics_to(depth)
+        rotation = np.reshape(apart.rotation, (3, 3), order="F")
+        self._colour = _camera(colour.get_intrinsics()), transform(rotation, np.array(apart.translation))
+        name = f"{self._name.split(' (')[0]} ({model})"
+        self._features = self._features._replace(name=name, nearest=nearest(model, *self._size))
 
     def close(self) -> None:
         """Stop streaming."""
@@ -236,18 +222,16 @@ class RealSense(CameraBase):
     def _fresh(self, timeout: float) -> tuple[float, Any]:
         """Exposure time of the next frames exposed after now, and these frames."""
         called = time.monotonic()
-        for number in range(sys.maxsize):
+        for number in itertools.count():
             left = called + timeout - time.monotonic()
             frames = self._wait(left) if left > 0 else None
             if frames is None:
-                raise DeviceTimeoutError(
-                    f"{self._name} gave no view in {timeout:.2g} s; check its cable, and that it is on USB 3"
-                )
+                break
             exposed = self._exposed(frames)
             new = number >= UNDERWAY_FRAMES if exposed is None else exposed >= called
             if new and frames.get_depth_frame() and frames.get_color_frame():
                 return time.monotonic() - 1 / self._rate if exposed is None else exposed, frames
-        raise AssertionError
+        raise DeviceTimeoutError(f"{self._name} gave no view in {timeout:.2g} s; check its cable: it needs USB 3")
 
     def _wait(self, timeout: float) -> Any:
         """The next frames, or None; raises NotConnectedError, or DeviceError if the camera is gone."""
@@ -278,49 +262,32 @@ class RealSense(CameraBase):
         return time.monotonic() - age if 0 <= age < 1.0 else None  # else a clock was set, or a file is played
 
     def _plugged(self) -> bool:
-        found = [each.get_info(self._rs.camera_info.serial_number) for each in self._rs.context().query_devices()]
+        found = self._devices()
         return self._serial in found if self._serial is not None else bool(found)
 
     def _refused(self, reason: str) -> DeviceError:
         width, height = self._size
         if self._file is not None:
             return DeviceError(f"{self._file} cannot be played at {width} x {height}, {self._rate} Hz ({reason})")
-        found = devices(self._rs)
-        if not found or (self._serial is not None and self._serial not in [serial for _, serial in found]):
-            there = ", ".join(f"{name} {serial}" for name, serial in found) or "none"
+        found = self._devices()
+        if not self._plugged():
+            there = ", ".join(f"{name} {serial}" for serial, name in found.items()) or "none"
             return DeviceError(f"{self._name} was not found (RealSense cameras here: {there}); plug it in, on USB 3")
         if "resolve" in reason:
-            return DeviceError(
-                f"{self._name} does not stream depth and colour at {width} x {height}, {self._rate} Hz; choose another "
-                "size or rate, and on USB 2 a lower one"
-            )
+            what = f"{width} x {height}, {self._rate} Hz"
+            return DeviceError(f"{self._name} does not stream {what}; choose another, and on USB 2 a lower one")
         return DeviceError(f"{self._name} cannot be started ({reason}); close other programs that use it")
 
-
-def devices(rs: Any) -> list[tuple[str, str]]:
-    """The cameras that are plugged in.
-
-    Args:
-        rs: The module pyrealsense2.
-
-    Returns:
-        Name and serial number of each.
-    """
-    info = rs.camera_info
-    return [(each.get_info(info.name), each.get_info(info.serial_number)) for each in rs.context().query_devices()]
+    def _devices(self) -> dict[str, str]:
+        """Names of the cameras that are plugged in, by their serial numbers."""
+        info = self._rs.camera_info
+        found = self._rs.context().query_devices()
+        return {each.get_info(info.serial_number): each.get_info(info.name) for each in found}
 
 
 def _camera(lens: Any) -> Camera:
-    return Camera(
-        width=lens.width,
-        height=lens.height,
-        fx=lens.fx,
-        fy=lens.fy,
-        cx=lens.ppx,
-        cy=lens.ppy,
-        model=lens.model.name,
-        coefficients=tuple(lens.coeffs),
-    )
+    pixels = lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy
+    return Camera(*pixels, model=lens.model.name, coefficients=tuple(lens.coeffs))
 
 
 @dataclass(frozen=True)
@@ -353,12 +320,10 @@ def _show(asked: RealSenseArgs) -> None:
     check_options(asked)
     require_path("--file", asked.file, "recording")
     with RealSense(asked.serial, asked.size, asked.rate, asked.distance, asked.file) as camera:
-        print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm")
-        print(camera.camera)
-        views = (camera.capture() for _ in range(asked.count))
-        for number, view in enumerate(
-            camera_folder.save_views(asked.save, camera.camera, views) if asked.save else views
-        ):
+        print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm\n{camera.camera}")
+        views: Iterable[View] = (camera.capture() for _ in range(asked.count))
+        views = camera_folder.save_views(asked.save, camera.camera, views) if asked.save else views
+        for number, view in enumerate(views):
             middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
             at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
             print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")

@@ -16,6 +16,7 @@ uT along x and y and 0.242 uT along z at the finest settings).
 Microtesla, board axes. NumPy only.
 """
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -102,21 +103,22 @@ def check_skin(samples: Samples) -> SkinHealth:
         What they tell.
     """
     reading = np.asarray(samples.reading, float)
-    chips = reading.shape[1] // 3
-    by_chip = reading.reshape(len(reading), chips, 3)
+    by_chip = reading.reshape(len(reading), -1, 3)
     missing = tuple(int(chip) for chip in np.flatnonzero(~np.isfinite(by_chip).all(2).any(0)))
-    noise, temperature = _white_noise(by_chip), mean_known(np.asarray(samples.temperature, float), axis=0)
-    dead = _dead(by_chip)
-    saturated = _saturated(by_chip) & ~dead[:, None]
-    frozen = _frozen(by_chip) & ~dead[:, None] & ~saturated
-    silent = ~np.isfinite(noise) | dead[:, None] | saturated | frozen
+    temperature = mean_known(np.asarray(samples.temperature, float), axis=0)
+    dead = np.tile((by_chip == 0).all(2).mean(0) > 0.5, (3, 1)).T  # no field is zero along three axes at once
+    saturated = _saturated(by_chip) & ~dead
+    frozen = _frozen(by_chip) & ~dead & ~saturated
+    noise = _white_noise(by_chip)
+    heard = np.where(dead | saturated | frozen, np.nan, noise)
+    at_rest = np.nan_to_num(mean_known(by_chip, axis=0))
     defects = [
-        *_missing_defects(missing, chips),
-        *_chip_defects(dead, "sends zeros and nothing else: it does not answer; check its cable and its solder"),
-        *_axis_defects(by_chip, saturated, "is at the end of its range", "take the magnet away, or lower the gain"),
-        *_axis_defects(by_chip, frozen, "stands still", "check its cable and its solder, and reset the board"),
-        *_noise_defects(np.where(silent, np.nan, noise)),
-        *_step_defects(by_chip, np.where(silent, np.nan, noise)),
+        *_missing_defects(missing, by_chip.shape[1]),
+        *_axis_defects(dead, "sends zeros and nothing else", remedy="check its cable and its solder"),
+        *_axis_defects(saturated, "is at the end of its range", at_rest, "take the magnet away, or lower the gain"),
+        *_axis_defects(frozen, "stands still", at_rest, "check its cable and its solder, and reset the board"),
+        *_noise_defects(heard),
+        *_step_defects(by_chip, heard),
         *_temperature_defects(temperature),
     ]
     span = float(samples.time[-1] - samples.time[0])
@@ -171,11 +173,6 @@ def _white_noise(by_chip: Array) -> np.ndarray:
     return noise
 
 
-def _dead(by_chip: Array) -> np.ndarray:
-    """Mask (chips,) of chips that send zeros most of the time: no field is zero along three axes at once."""
-    return (by_chip == 0).all(2).mean(0) > 0.5
-
-
 def _saturated(by_chip: Array) -> np.ndarray:
     """Mask (chips, 3) of axes that stay at their greatest value, near or beyond the least end of a converter."""
     size = np.abs(np.where(np.isfinite(by_chip), by_chip, 0.0))
@@ -188,16 +185,16 @@ def _frozen(by_chip: Array) -> np.ndarray:
     """Mask (chips, 3) of axes that did not change once, though the other chips' say that they should have."""
     change = np.diff(by_chip, axis=0)
     known = np.isfinite(change).sum(0)
-    still = (known >= MIN_REST_SAMPLES // 2) & (np.nan_to_num(np.abs(change)).sum(0) == 0)
+    moved = ((change != 0) & np.isfinite(change)).sum(0)
+    still = (known >= MIN_REST_SAMPLES // 2) & (moved == 0)
     if still[known > 0].all():
         return still  # of the whole board
-    frozen = np.zeros_like(still)
-    moves = np.where(known > 0, ((change != 0) & np.isfinite(change)).sum(0) / np.maximum(known, 1), np.nan)
-    for chip, axis in np.argwhere(still):
-        others = moves[~still & np.isfinite(moves)] if still[:, axis].all() else moves[~still[:, axis], axis]
-        share = float(np.nanmedian(others))
-        frozen[chip, axis] = (1 - share) ** known[chip, axis] < FROZEN_CHANCE
-    return frozen
+    moves = np.where((known > 0) & ~still, moved / np.maximum(known, 1), np.nan)  # share of the changes
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of an axis along which every chip stands still
+        usual = np.nanmedian(moves, axis=0)
+    usual = np.where(np.isnan(usual), np.nanmedian(moves), usual)
+    return still & ((1 - usual) ** known < FROZEN_CHANCE)
 
 
 def _missing_defects(missing: tuple[int, ...], chips: int) -> list[SkinDefect]:
@@ -207,29 +204,15 @@ def _missing_defects(missing: tuple[int, ...], chips: int) -> list[SkinDefect]:
     return [SkinDefect(f"only {left} of {chips} chips answer, without {_chips(missing)}; check the cables", True)]
 
 
-def _chip_defects(wrong: np.ndarray, what: str) -> list[SkinDefect]:
-    if len(wrong) > 1 and wrong.all():
-        return [SkinDefect(f"every chip {what}", True)]
-    return [SkinDefect(f"chip {chip} {what}", True) for chip in np.flatnonzero(wrong)]
-
-
-def _axis_defects(by_chip: Array, wrong: np.ndarray, what: str, remedy: str) -> list[SkinDefect]:
-    """Sentences on axes: of the whole board, of whole chips, or of single axes."""
-    known = np.isfinite(by_chip).any(0)
-    if wrong.any() and wrong[known].all() and len(wrong) > 1:
-        return [SkinDefect(f"every axis of every chip {what}; {remedy}", True)]
-    last = np.nan_to_num(mean_known(by_chip, axis=0))
+def _axis_defects(wrong: np.ndarray, what: str, at: np.ndarray | None = None, remedy: str = "") -> list[SkinDefect]:
+    """Sentences on axes (chips, 3) that lie: of the whole board, or of chips."""
+    if wrong.all() and len(wrong) > 1:
+        return [SkinDefect(f"every chip {what}; {remedy}", True)]
     defects = []
     for chip in np.flatnonzero(wrong.any(1)):
-        axes = [axis for axis in range(3) if wrong[chip, axis]]
-        at = ", ".join(f"{last[chip, axis]:.1f}" for axis in axes)
-        named = " and ".join("xyz"[axis] for axis in axes) if len(axes) < 3 else "x, y and z"
-        verb = (
-            what
-            if len(axes) == 1
-            else what.replace("is at the end of its", "are at the end of their").replace("stands", "stand")
-        )
-        defects.append(SkinDefect(f"chip {chip}'s {named} {verb}, at {at} uT; {remedy}", True))
+        along = ", ".join("xyz"[axis] for axis in np.flatnonzero(wrong[chip]))
+        values = "" if at is None else f", at {', '.join(f'{value:.1f}' for value in at[chip][wrong[chip]])} uT"
+        defects.append(SkinDefect(f"chip {chip} {what} along {along}{values}; {remedy}", True))
     return defects
 
 
@@ -237,14 +220,9 @@ def _noise_defects(noise: np.ndarray) -> list[SkinDefect]:
     typical = np.array(TYPICAL_NOISE_UT)
     own = np.array([np.nanmedian(column) if np.isfinite(column).any() else 0.0 for column in noise.T])
     limit = np.minimum(MAX_NOISE_UT, NOISE_FACTOR * np.maximum(own, typical / 2))
-    return [
-        SkinDefect(
-            f"chip {chip}'s {'xyz'[axis]} has {noise[chip, axis]:.1f} uT of noise, above {limit[axis]:.1f}; look for a "
-            "loose cable, or a motor near it",
-            False,
-        )
-        for chip, axis in np.argwhere(noise > limit)
-    ]
+    said = "chip {}'s {} has {:.1f} uT of noise, above {:.1f}; look for a loose cable, or a motor near it"
+    loud = np.argwhere(noise > limit)  # False where it is NaN
+    return [SkinDefect(said.format(i, "xyz"[axis], noise[i, axis], limit[axis]), False) for i, axis in loud]
 
 
 def _step_defects(by_chip: Array, noise: np.ndarray) -> list[SkinDefect]:
@@ -254,38 +232,26 @@ def _step_defects(by_chip: Array, noise: np.ndarray) -> list[SkinDefect]:
     if len(blocks) < 2:
         return []
     jumps = np.abs(np.diff(np.array(blocks), axis=0)).max(0)
-    limit = np.maximum(STEP_UT, STEP_SIGMAS * noise * np.sqrt(2 / size))
-    stepped = jumps > limit  # False where either is NaN
+    stepped = jumps > np.maximum(STEP_UT, STEP_SIGMAS * noise * np.sqrt(2 / size))  # False where either is NaN
     if stepped.any(1).sum() > max(1, len(jumps) / 2):
         most = float(np.nanmax(jumps))
         return [SkinDefect(f"the field of most chips made a step of {most:.0f} uT: something magnetic moved", False)]
-    return [
-        SkinDefect(
-            f"chip {chip}'s {'xyz'[axis]} made a step of {jumps[chip, axis]:.0f} uT at rest; check its cable and its "
-            "solder",
-            False,
-        )
-        for chip, axis in np.argwhere(stepped)
-    ]
+    said = "chip {}'s {} made a step of {:.0f} uT at rest; check its cable and its solder"
+    return [SkinDefect(said.format(i, "xyz"[axis], jumps[i, axis]), False) for i, axis in np.argwhere(stepped)]
 
 
 def _temperature_defects(temperature: np.ndarray) -> list[SkinDefect]:
-    low, high = TEMPERATURE_RANGE_C
-    known = np.isfinite(temperature)
-    if not known.any():
-        return []
-    middle = float(np.median(temperature[known]))
+    (low, high), known = TEMPERATURE_RANGE_C, np.isfinite(temperature)
+    middle = float(np.median(temperature[known])) if known.any() else 0.0
     defects = []
     for chip in np.flatnonzero(known):
         celsius = float(temperature[chip])
         if not low <= celsius <= high:
-            defects.append(
-                SkinDefect(f"chip {chip} says {celsius:.0f} C, outside {low:g} to {high:g}; let it warm or cool", False)
-            )
+            said = f"chip {chip} says {celsius:.0f} C, outside {low:g} to {high:g}; let it warm or cool"
+            defects.append(SkinDefect(said, False))
         elif abs(celsius - middle) > MAX_TEMPERATURE_GAP_C:
-            defects.append(
-                SkinDefect(f"chip {chip} says {celsius:.0f} C where the others say {middle:.0f}; is it damaged?", False)
-            )
+            said = f"chip {chip} says {celsius:.0f} C where the others say {middle:.0f}; is it damaged?"
+            defects.append(SkinDefect(said, False))
     return defects
 
 

@@ -32,9 +32,9 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of, renamed_flags
+from i2t.cli import exit_code_of
 from i2t.errors import DeviceError
-from i2t.geometry import inverse
+from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.named_devices import named_arm
 from i2t.hardware.poses import shifted_along_z
@@ -53,8 +53,6 @@ SPEED_M_S, STOP_FORCE_N = 2e-3, 2.0  # a corner gives some newtons per millimetr
 SOFT_M_PER_CUBE_ROOT_N, STIFFNESS_N_PER_M = 0.8e-3, 1e4  # m/N^(1/3), N/m: a guess of a corner, and of arm and mount
 CONTACT_FORCE_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
 MAX_SHIFT_M, MAX_TILT_RAD = 5e-3, math.radians(4)  # what is further from the rig was no touch of a flat
-
-RENAMED_TOUCH_OFF_FLAGS = {"--stale": "--state-timeout", "--watchdog": "--watchdog-rate"}
 
 
 class FittedPlane(NamedTuple):
@@ -92,24 +90,20 @@ def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> fl
         ValueError: The force did not rise.
     """
     distance, force = np.asarray(distance, float), np.asarray(force, float)
-    greatest, felt = force.max(), force > CONTACT_FORCE_SHARE * force.max()
-    if felt.sum() < MIN_LOOKS or greatest <= 0 or np.ptp(distance[felt]) <= 0:
+    felt = force > CONTACT_FORCE_SHARE * max(force.max(), 0.0)
+    if felt.sum() < MIN_LOOKS or np.ptp(distance[felt]) <= 0:
         raise ValueError(f"the force did not rise in at least {MIN_LOOKS} looks; lower the skin more slowly")
     if np.polyfit(distance[felt], force[felt], 1)[0] <= 0:
         raise ValueError("the force did not rise with the travel; zero it in the air and touch again")
     low, high = distance[0], distance[felt][0]
     deep = max(distance[-1] - low, 1e-6)
+    guess = [high - 0.3 * np.ptp(distance[felt]), math.log(SOFT_M_PER_CUBE_ROOT_N), math.log(STIFFNESS_N_PER_M)]
+    bounds = [low - deep, math.log(1e-6), math.log(1e2)], [high, math.log(1e-2), math.log(1e6)]
 
     def residuals(x: Array) -> Array:
         return corner_force(distance - x[0], *np.exp(x[1:])) - force
 
-    found = least_squares(
-        residuals,
-        [high - 0.3 * np.ptp(distance[felt]), math.log(SOFT_M_PER_CUBE_ROOT_N), math.log(STIFFNESS_N_PER_M)],
-        bounds=([low - deep, math.log(1e-6), math.log(1e2)], [high, math.log(1e-2), math.log(1e6)]),
-        x_scale=[1e-4, 1.0, 1.0],
-    )
-    return float(found.x[0])
+    return float(least_squares(residuals, guess, bounds=bounds, x_scale=[1e-4, 1.0, 1.0]).x[0])
 
 
 def corner_force(indentation: Float[Array, " n"], soft: float, stiffness: float) -> Float[Array, " n"]:
@@ -153,11 +147,8 @@ def fit_plane(touches: Sequence[Array], height: float, half: float = PAD_WINDOW 
             f"the skin would be {1e3 * z0:.1f} mm and {math.degrees(tilt):.1f} degrees from where the rig has it; "
             "check the flat's height, and measure T_flange_tool with a ruler first"
         )
-    axis = np.cross([0.0, 0.0, 1.0], normal)
-    size = np.linalg.norm(axis)
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(axis / size * tilt if size > 0 else axis).as_matrix()
-    T[2, 3] = z0
+    axis = np.array([sy, -sx, 0.0]) / max(math.hypot(sx, sy), 1e-12)  # z x normal
+    T = transform(Rotation.from_rotvec(tilt * axis).as_matrix(), np.array([0.0, 0.0, z0]))
     return FittedPlane(T, float(abs(z[0] - z[1] + z[2] - z[3]) / 4))
 
 
@@ -189,28 +180,26 @@ def touch_off(
         for goal in (start, shifted_along_z(start, CLEARANCE_M + MAX_OVERTRAVEL_M)):
             limits.check(goal, SPEED_M_S, APPROACH_ACCELERATION_M_S2)
     top = max(start[2, 3] for start in starts) + CLEARANCE_M
+    across, down = (min(speed, limits.free_speed) for speed in (TRANSFER_SPEED_M_S, LOWERING_SPEED_M_S))
     touches = []
     for side, start in zip(CORNER_SIGNS, starts, strict=True):
         above = start.copy()
         above[2, 3] = top
-        arm.go(above, min(TRANSFER_SPEED_M_S, limits.free_speed))
-        arm.go(start, min(LOWERING_SPEED_M_S, limits.free_speed))
+        arm.go(above, across)
+        arm.go(start, down)
         onset = _touch_corner(arm, side, start)
         touches.append(shifted_along_z(start, onset))
         report(f"corner {side}: touched after {1e3 * onset:.2f} mm")
-        arm.go(start, min(LOWERING_SPEED_M_S, limits.free_speed))
-        arm.go(above, min(TRANSFER_SPEED_M_S, limits.free_speed))
+        arm.go(start, down)
+        arm.go(above, across)
     return fit_plane(touches, height)
 
 
 def _start(side: tuple[int, int], at: tuple[float, float], height: float) -> Array:
     """T_b_t (4, 4) from where a corner is lowered onto the flat."""
-    down = np.diag([1.0, -1.0, -1.0])
-    T = np.eye(4)
-    T[:3, :3] = down @ corner_rotation(side)
-    lowest = -float(T[2, :2] @ (PAD_WINDOW / 2 * np.array(side)))  # m from the tool's origin down to that corner
-    T[:3, 3] = *at, height + lowest + CLEARANCE_M
-    return T
+    rotation = np.diag([1.0, -1.0, -1.0]) @ corner_rotation(side)
+    lowest = -float(rotation[2, :2] @ (PAD_WINDOW / 2 * np.array(side)))  # m from the tool's origin down to that corner
+    return transform(rotation, np.array([*at, height + lowest + CLEARANCE_M]))
 
 
 def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float:
@@ -221,13 +210,10 @@ def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float
     def look(state: ArmState) -> None:
         looks.append((float((state.T_b_t[:3, 3] - start[:3, 3]) @ start[:3, 2]), float(-state.wrench[2])))
 
-    done = arm.approach(
-        CLEARANCE_M + MAX_OVERTRAVEL_M, SPEED_M_S, look, force=STOP_FORCE_N, acceleration=APPROACH_ACCELERATION_M_S2
-    )
+    reach = CLEARANCE_M + MAX_OVERTRAVEL_M
+    done = arm.approach(reach, SPEED_M_S, look, force=STOP_FORCE_N, acceleration=APPROACH_ACCELERATION_M_S2)
     if done.reason != "force":
-        raise DeviceError(
-            f"corner {side} met no flat within {1e3 * (CLEARANCE_M + MAX_OVERTRAVEL_M):g} mm: check its height"
-        )
+        raise DeviceError(f"corner {side} met no flat within {1e3 * reach:g} mm: check its height")
     look(done.trigger)
     try:
         return contact_onset(*np.array(looks).T)
@@ -244,8 +230,6 @@ class TouchOffArgs:
     at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # the flat's position in the base, m
     arm: str = "ur"  # or another package's: the name that it registers, or package.module:Class
     host: str | None = None  # address of the arm's controller; a UR arm needs one
-    state_timeout: float | None = None  # s without a state after which a UR arm is taken for lost: 0.1 by default
-    watchdog_rate: float | None = None  # Hz, how often a UR controller must hear from us: 10 by default
     write: bool = False  # put what is found into the rig
 
 
@@ -258,16 +242,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    renamed_flags(sys.argv[1:] if arguments is None else arguments, RENAMED_TOUCH_OFF_FLAGS)
     asked = read_options(TouchOffArgs, arguments, program="python -m i2t.hardware.touch_off", description=__doc__)
     return exit_code_of(lambda: _touch_off(asked), "stopped; the rig is as it was")
 
 
 def _touch_off(asked: TouchOffArgs) -> None:
     rig = Rig.read(asked.rig)
-    given = {"state_timeout": asked.state_timeout, "watchdog_rate": asked.watchdog_rate}
-    watch = {name: value for name, value in given.items() if value is not None}
-    with named_arm(asked.arm, asked.host, rig, **watch) as arm:
+    with named_arm(asked.arm, asked.host, rig) as arm:
         found = touch_off(arm, rig.limits, asked.at, asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))

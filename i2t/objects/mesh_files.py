@@ -208,7 +208,7 @@ def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Me
 
     wound = work.faces.copy()
     if not work.is_winding_consistent:
-        trimesh.repair.fix_winding(work)
+        work.faces = _wound_alike(work.faces)
     trimesh.repair.fix_inversion(work, multibody=not largest)
     turned = int((wound != work.faces).any(1).sum())
     uses = np.unique(_edges(work.faces), axis=0, return_counts=True)[1]
@@ -329,6 +329,27 @@ def _once(faces: NDArray) -> NDArray:
     keep = np.zeros(len(faces), bool)
     keep[first[~fin]] = True
     return keep
+
+
+def _wound_alike(faces: NDArray) -> NDArray:
+    """Faces of which neighbours run through their common edge in opposite directions, where their piece allows that.
+
+    Every face is there twice, as it is and turned; neighbours that agree are connected. Of the two halves into which an
+    orientable piece falls, the one that has its first face as it is stays.
+    """
+    n = len(faces)
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, edge, uses = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(edge.reshape(-1), kind="stable")
+    pairs = order[uses[edge.reshape(-1)[order]] == 2].reshape(-1, 2)  # of directed edges of two faces
+    one, other = (pairs % n).T
+    alike = (directed[pairs[:, 0]] == directed[pairs[:, 1]]).all(1)  # then one of the two has to be turned
+    joined = np.concatenate([other + n * alike, other + n * ~alike])
+    graph = coo_array((np.ones(2 * len(one)), (np.concatenate([one, one + n]), joined)), (2 * n, 2 * n))
+    _, label = connected_components(graph, False)
+    piece = np.minimum(label[:n], label[n:])  # labels count from the first face on
+    turned = label[:n] != piece
+    return np.where(turned[:, None], faces[:, ::-1], faces)
 
 
 def _edges(faces: NDArray) -> NDArray:

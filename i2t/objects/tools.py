@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
-from i2t.objects.solids import Real, box, chain, disk, outline, polar, prism, rectangle, rounded, turned
+from i2t.objects.drawing import Real, box, chain, disk, outline, polar, prism, rectangle, rounded, turned
 
 
 def cutter() -> Manifold:

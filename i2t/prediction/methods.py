@@ -17,7 +17,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -59,7 +58,6 @@ class TrainingTouches:
         pressure: Contact pressures of all touches, likewise.
         paper: Sizes and loss of the paper's network.
         training: How networks are trained.
-        folder: Where a long fit may keep its state, to go on after an interruption; None where nothing is kept.
         shared: What methods compute once for all (`once`).
     """
 
@@ -69,7 +67,6 @@ class TrainingTouches:
     pressure: ContactPressure | None = None
     paper: PaperOptions = field(default_factory=PaperOptions)
     training: TrainConfig = field(default_factory=TrainConfig)
-    folder: Path | None = None
     shared: dict[tuple[str, bytes], Any] = field(default_factory=dict, repr=False)
 
     def once(self, name: str, rows: np.ndarray, make: Callable[[], Made]) -> Made:

@@ -1,7 +1,6 @@
 """Networks beyond the paper's, built of its parts (`i2t.paper.network`), and functions that every network needs.
 
-By configuration the input is any square image (say a predicted contact pressure); a small convolutional encoder (in the
-manner of the published one, with strides in place of pooling and batch normalisation) comes before the hidden layer;
+By configuration the input is any square image (say a predicted contact pressure);
 conditions measured at contact (force, nearest, depth) join the image's features at the encoder's input and again, for
 the reading, next to the bottleneck, because what the camera saw does not tell how hard the skin is pressed; and a
 second output predicts the log variance of each value, which makes the loss of a reading the Gaussian one,
@@ -30,7 +29,7 @@ from jaxtyping import Array, Float, Key
 
 from i2t.paper import loss, network
 from i2t.paper.config import PaperConfig
-from i2t.paper.network import Params, decode, decode_image, dense, encode, normal
+from i2t.paper.network import Params, decode, decode_image, dense, encode
 from i2t.training import Batch, Learner, Losses, Standard, standard, standardise
 from i2t.types import in_one_line
 
@@ -68,20 +67,15 @@ class Normalisation(NamedTuple):
 class ModelConfig(PaperConfig):
     """A network's options; without its own fields, the paper's."""
 
-    encoder: Literal["mlp", "cnn"] = "mlp"
-    channels: tuple[int, ...] = (8, 16, 16)  # of the convolutions, each of stride 2
     auxiliary: bool = True  # whether there is an auxiliary decoder
     heteroscedastic: bool = False
     beta: float = 0.5  # of the Gaussian loss
     conditions: tuple[Condition, ...] = ()
-    skip: bool = True  # conditions also next to the bottleneck
     members: int = 1
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""
         super().__post_init__()
-        if self.encoder not in ("mlp", "cnn"):
-            raise ValueError(f"model.encoder is {self.encoder!r}; choose one of mlp, cnn.")
         unknown = [name for name in self.conditions if name not in get_args(Condition)]
         if unknown or len(set(self.conditions)) < len(self.conditions):
             raise ValueError(
@@ -115,15 +109,8 @@ class Network(nn.Module):
     def __call__(self, inputs: Inputs) -> MemberPrediction:
         """`inputs` are prepared (see `prepare`)."""
         cfg = self.cfg
-        features = inputs.image
-        if cfg.encoder == "cnn":
-            features = features[..., None]
-            for i, channels in enumerate(cfg.channels):
-                size = 5 if i == 0 else 3
-                convolution = nn.Conv(channels, (size, size), 2, kernel_init=normal(2.0), name=f"conv{i}")
-                features = nn.relu(convolution(features))
-        latent = encode(cfg, jnp.concatenate([features.reshape(-1), inputs.conditions]))
-        decoded = decode(cfg, jnp.concatenate([latent, inputs.conditions]) if cfg.skip else latent)
+        latent = encode(cfg, jnp.concatenate([inputs.image.reshape(-1), inputs.conditions]))
+        decoded = decode(cfg, jnp.concatenate([latent, inputs.conditions]))
         reading = dense(cfg.readings, "reading")(decoded)
         log_variance = None
         if cfg.heteroscedastic:

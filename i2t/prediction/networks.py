@@ -12,10 +12,9 @@ from jaxtyping import Array, Key
 
 from i2t import training
 from i2t.dataset import Split
-from i2t.files import slug
 from i2t.paper.config import ImageKind, PaperConfig
 from i2t.paper.network import Params
-from i2t.prediction import checkpoint, model
+from i2t.prediction import model
 from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.model import Inputs, ModelConfig, Normalisation
 from i2t.prediction.predictor import Predictor
@@ -25,7 +24,7 @@ from i2t.progress import progress
 from i2t.training import Batch, TrainConfig
 from i2t.types import Touches
 
-EPOCHS_BETWEEN_SAVES = 10
+EPOCHS_BETWEEN_CHECKS = 10
 
 
 @dataclass(frozen=True)
@@ -103,8 +102,7 @@ class NetworkMethod(Method):
         return trained
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit, as in `Method.fit`. Every few epochs the state is kept in `touches.folder`, and a training that was
-        interrupted goes on from there.
+        """Fit, as in `Method.fit`.
 
         Raises:
             ValueError: Touches cannot be learned from, or no epoch had a finite loss.
@@ -122,23 +120,13 @@ class NetworkMethod(Method):
         norm = model.normalisation(train)
         train, validation = (_prepared(cfg, norm, batch) for batch in (train, validation))
 
-        folder = None if touches.folder is None else touches.folder / slug(self.title)
-        if folder is not None and checkpoint.exists(folder):  # an interrupted run got this far
-            state, _, about = checkpoint.restore(folder)
-            history = about.extra["history"]
-        else:
-            state, history = _start(key, learner, how, n), []
-        epoch = training.compiled(learner, how)
-        with progress(total=how.epochs, initial=len(history), desc=f"training {self.title}", unit="epoch") as bar:
-            while len(history) < how.epochs:
-                state, info = epoch(state, train, validation)
-                history.append([float(np.mean(losses.squared)) for losses in info])
-                bar.update()
-                bar.set_postfix(validation=f"{history[-1][1]:.3f}")
-                if len(history) % EPOCHS_BETWEEN_SAVES == 0 or len(history) == how.epochs:
-                    _check_finite(state, how)
-                    if folder is not None:
-                        checkpoint.save(folder, state, cfg, how, norm, touches=n, extra={"history": history})
+        state, epoch = _start(key, learner, how, n), training.compiled(learner, how)
+        history: list[list[float]] = []
+        for _ in progress(range(how.epochs), desc=f"training {self.title}", unit="epoch"):
+            state, info = epoch(state, train, validation)
+            history.append([float(np.mean(losses.squared)) for losses in info])
+            if len(history) % EPOCHS_BETWEEN_CHECKS == 0 or len(history) == how.epochs:
+                _check_finite(state, how)
         norm = _with_residual(state.best_params, cfg, norm, validation)
         fitted = self.model(PatchNetwork(state.best_params, cfg, norm), touches)
         return replace(touches.predictor(fitted, split), metadata={"curve": history})

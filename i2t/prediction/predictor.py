@@ -12,8 +12,9 @@ reading 3 n values, whichever board the model was trained on.
 """
 
 import json
+import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,12 +22,13 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
+from i2t.files import may_grow_to, read_json
 from i2t.models import ready_path
-from i2t.prediction import checkpoint, user_input
+from i2t.prediction import user_input
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, to_disk
 from i2t.rendering.render import prepare_surface, render_view
@@ -35,7 +37,7 @@ from i2t.views import WideView
 
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 4
-READABLE_VERSIONS = (1, 2, 3, 4)  # up to version 3 there were four kinds of models, and version 1 used other words
+MAX_DESCRIPTION_BYTES = 2**26
 STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine in ten
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
@@ -308,7 +310,7 @@ def load_predictor(directory: Path | str) -> Predictor:
             of a ready model, "nominal" (`i2t.models`), of one simulated pad.
 
     Returns:
-        The predictor; those of earlier versions of this package are read too.
+        The predictor.
 
     Raises:
         CheckpointError: There is none, or it cannot be read.
@@ -323,8 +325,7 @@ def load_predictor(directory: Path | str) -> Predictor:
     about = _description(directory)
     try:
         arrays = _load_arrays(directory, about)
-        arrays, model = _as_version_4(about, arrays)
-        return Predictor(from_disk(arrays, model), **{name: about[name] for name in _FIELDS})
+        return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _FIELDS})
     except CheckpointError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -362,37 +363,27 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
 
 _FIELDS = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")  # numbers and text of a file
 
-# Version 1 said the same in other words.
-_NAMES_OF_VERSION_1 = {
-    "imagination": "pressure", "load": "default_force", "depth": "default_depth", "spread": "std_scale",
-    "about": "metadata",
-}  # fmt: skip
-_ARRAYS_OF_VERSION_1 = {"process": "gp"}
-
 
 def _description(directory: Path) -> dict[str, Any]:
-    """Description of a predictor on disk, in this version's words; `stored` keeps its arrays' names."""
+    """Description of a predictor on disk."""
     try:
-        about = checkpoint.read_description(directory)
+        about = read_json(directory / "_CHECKPOINT_METADATA", MAX_DESCRIPTION_BYTES)["custom_metadata"]
         if about["format"] != PREDICTOR_FORMAT:
             raise KeyError(about["format"])
-        version, shapes = about["version"], about["shapes"]
+        version = about["version"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CheckpointError(
             f"{directory} holds no predictor of this i2t; name the folder that `python -m experiments.train` wrote"
         ) from error
-    if version == 1:
-        about = {_NAMES_OF_VERSION_1.get(name, name): value for name, value in about.items()}
-    elif version not in READABLE_VERSIONS:
+    if version != PREDICTOR_VERSION:
         raise CheckpointError(
-            f"{directory} holds a predictor of version {version}, but this i2t reads versions up to "
-            f"{PREDICTOR_VERSION}; use the i2t that wrote it, or train again"
+            f"{directory} holds a predictor of version {version}, but this i2t reads version {PREDICTOR_VERSION}; use "
+            "the i2t that wrote it, or train again: python -m experiments.train"
         )
-    kinds = ("model",) if version == PREDICTOR_VERSION else ("pressure", "network")
-    missing = [name for name in (*kinds, *_FIELDS) if name not in about]
+    missing = [name for name in ("model", "shapes", *_FIELDS) if name not in about]
     if missing:
         raise CheckpointError(f"the predictor in {directory} lacks {', '.join(missing)}; train again")
-    return {**about, "shapes": shapes}
+    return about
 
 
 def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
@@ -400,17 +391,16 @@ def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
     here = jax.sharding.SingleDeviceSharding(jax.devices()[0])
 
     def leaf(said: list[Any]) -> jax.ShapeDtypeStruct:
-        dtype, shape = (said[0], said[1:]) if said and isinstance(said[0], str) else ("float32", said)  # as before
-        return jax.ShapeDtypeStruct(tuple(shape), dtype, sharding=here)
+        return jax.ShapeDtypeStruct(tuple(said[1:]), said[0], sharding=here)
 
     described = jax.tree.map(leaf, about["shapes"], is_leaf=lambda node: isinstance(node, list))
     abstract = _with_values(described)
-    checkpoint.check_size(directory, abstract)
+    _check_size(directory, abstract)
     try:
         loaded = ocp.load_checkpointables(directory, abstract)
     except Exception as error:  # orbax raises many kinds, down to bare ones of its storage library
         raise CheckpointError(f"the arrays in {directory} are damaged; train again, or restore a copy") from error
-    arrays = {
+    return {
         name: jax.tree.map(
             lambda each, value: value if each.size else jnp.zeros(each.shape, each.dtype),
             tree,
@@ -418,39 +408,23 @@ def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
         )
         for name, tree in described.items()
     }
-    return {_ARRAYS_OF_VERSION_1.get(name, name): value for name, value in arrays.items()}
+
+
+def _check_size(folder: Path, shapes: PyTree) -> None:
+    """Refuse arrays that are said to be larger than a folder can hold: unwritten parts are read as zeros."""
+    said = 4 * sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
+    held = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    if said > may_grow_to(held):
+        raise CheckpointError(
+            f"{folder} says that it holds {said} bytes of numbers, more than its {held} bytes can; train again, or "
+            "restore a copy."
+        )
 
 
 def _with_values(arrays: dict[str, Any]) -> dict[str, Any]:
     """Leave out arrays that hold no value, which orbax refuses."""
     kept = {name: jax.tree.map(lambda leaf: leaf if leaf.size else None, tree) for name, tree in arrays.items()}
     return {name: tree for name, tree in kept.items() if jax.tree.leaves(tree)}
-
-
-def _as_version_4(about: dict[str, Any], arrays: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Arrays and description of a model of any version, as `to_disk` gives them."""
-    if "model" in about:
-        return arrays, about["model"]
-    pressure = (
-        {}
-        if about["pressure"] is None
-        else {"pressure": {"config": "PressureModelConfig", "values": about["pressure"]}}
-    )
-    if about.get("baseline"):
-        kind, settings = about["baseline"]["kind"], {}
-        if kind != "MeanReading":
-            settings = {"conditions": about["baseline"]["conditions"]}
-        return arrays["baseline"], {"class": f"i2t.prediction.baselines:{kind}", "settings": settings}
-    if about["network"] is None:
-        if not pressure:
-            raise CheckpointError("the predictor says of no model what it is; train again")
-        return arrays, {"class": "i2t.prediction.gp_method:GPModel", "settings": pressure}
-    cfg = checkpoint.network_config(about["network"])
-    settings = {"cfg": {"config": type(cfg).__name__, "values": asdict(cfg)}, **pressure}
-    return arrays, {
-        "class": f"i2t.prediction.networks:{'Pressure' if pressure else 'Patch'}Network",
-        "settings": settings,
-    }
 
 
 @partial(jax.jit, static_argnums=(2, 3))

@@ -1,11 +1,8 @@
 """Belief over objects and their poses: a posterior from touches.
 
 Each possible object has a number of pose particles: poses drawn from what is known of its placement, the same through
-an episode. How far the placement may be off is taken as stated. It may also be inferred: then the stated placement
-error is right up to a factor, the scale, with a prior (`ScalePrior`); each particle belongs to one scale, and the
-particles' weights tell which scales are probable. That pays only where less than the true error is stated
-(`experiments.studies placement`). Each touch is compared with the touch that was predicted for every particle
-(`i2t.recognition.outcomes`).
+an episode. How far the placement may be off is taken as stated. Each touch is compared with the touch that was
+predicted for every particle (`i2t.recognition.outcomes`).
 Two measurements are evidence:
 
   the reading   given the force: Student's t about the predicted reading. Its scale matrix is the covariance of a
@@ -37,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln, log_ndtr, logsumexp
 from jaxtyping import Array, Bool, Float
-from scipy.stats import norm, qmc, truncnorm
+from scipy.stats import norm, qmc
 
 from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch, interpolate_load
 from i2t.simulation.press import PressLimits
@@ -107,52 +104,12 @@ class Likelihood(NamedTuple):
     drift_std: Float[Array, ""]  # uT by which the bias drifts from touch to touch; 0 where it is measured at each
 
 
-class ScalePrior(NamedTuple):
-    """Prior of the scale of a placement's error, relative to the stated one: log-normal about 1, cut off at both ends.
-
-    Scales are drawn wider than that, about `drawn`, and weighted back (importance sampling): poses far off need more
-    particles than they are probable.
-    """
-
-    log_std: float = 0.7  # a factor of two
-    low: float = 0.5
-    high: float = 8.0
-    drawn: float = 2.0  # median of what is drawn, but for the cut
-
-    def draw(self, uniform: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Scales from which particles are drawn.
-
-        Args:
-            uniform: Between 0 and 1.
-
-        Returns:
-            The scales.
-        """
-        low, high = (np.log(end / self.drawn) / self.log_std for end in (self.low, self.high))
-        return self.drawn * np.exp(self.log_std * truncnorm.ppf(uniform, low, high))
-
-    def log_weight(self, scale: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Log importance weights of drawn scales.
-
-        Args:
-            scale: As of `draw`.
-
-        Returns:
-            Logarithms of weights whose sum is 1.
-        """
-        log = np.log(scale)
-        weight = ((log - np.log(self.drawn)) ** 2 - log**2) / (2 * self.log_std**2)
-        return weight - np.logaddexp.reduce(weight)
-
-
 @in_one_line
 class Particles(NamedTuple):
     """Pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
 
     twist: Float[Array, "k 6"]  # m
     covariance: Float[Array, "k 6 6"]  # m^2, about each
-    scale: Float[Array, " k"]  # of the placement's error, relative to the stated one
-    log_prior: Float[Array, " k"]  # logarithm of each particle's probability
 
 
 @in_one_line
@@ -188,8 +145,7 @@ class TemperatureScaling(NamedTuple):
         return self.initial * (1 + self.growth * (touches - 1))
 
 
-# Fitted on the 50 episodes of `experiments.studies constants` with validation objects (pad 0), whose placement error
-# was stated right, half and double.
+# Fitted on 50 episodes with validation objects (pad 0), whose placement error was stated right, half and double.
 TEMPERATURE_SCALING = TemperatureScaling(1.2, 0.033)
 
 
@@ -210,25 +166,22 @@ def sample_particles(
     seed: int = 0,
     *,
     std_ratio: float = PARTICLE_STD_RATIO,
-    scales: ScalePrior | None = None,
 ) -> Particles:
-    """Draw pose particles from a normal prior of uncertain scale; the first one is the believed pose itself.
+    """Draw pose particles from a normal prior; the first one is the believed pose itself.
 
-    Quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Particles of one scale and the
-    normal distributions about them together have the prior's variance times the square of the scale.
+    Quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Particles and the normal
+    distributions about them together have the prior's variance.
 
     Args:
         prior: Covariance (m^2) of the twist, which may be singular, or the standard deviations (m) of its six parts.
         count: Number of particles.
         seed: Of the sequence.
         std_ratio: Standard deviation about each particle, relative to the prior's.
-        scales: Prior of the scale of the placement's error, which is then inferred; None takes it as stated.
 
     Returns:
-        The particles, with scales, prior probabilities and the covariance about each.
+        The particles, all as probable, with the covariance about each.
     """
-    dimensions = 6 if scales is None else 7
-    uniform = qmc.Sobol(dimensions, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
+    uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     uniform = np.clip(uniform, 1e-6, 1 - 1e-6)
     prior = np.asarray(prior, np.float64)
     if prior.ndim == 1:
@@ -236,13 +189,10 @@ def sample_particles(
     else:
         values, axes = np.linalg.eigh(prior)
         root = axes * np.sqrt(np.maximum(values, 0.0))
-    scale = np.ones(count) if scales is None else scales.draw(uniform[:, 6])
-    scale[0] = 1.0
-    log_prior = np.full(count, -np.log(count)) if scales is None else scales.log_weight(scale)
-    twist = scale[:, None] * norm.ppf(uniform[:, :6]) * np.sqrt(1 - std_ratio**2) @ root.T
+    twist = norm.ppf(uniform) * np.sqrt(1 - std_ratio**2) @ root.T
     twist[0] = 0.0
-    covariance = (std_ratio * scale[:, None, None]) ** 2 * (root @ root.T)
-    return Particles(*(jnp.float32(values) for values in (twist, covariance, scale, log_prior)))
+    covariance = np.broadcast_to(std_ratio**2 * (root @ root.T), (count, 6, 6))
+    return Particles(jnp.float32(twist), jnp.float32(covariance))
 
 
 def fit_likelihood(
@@ -303,12 +253,12 @@ def init(
         prior: Probabilities of the objects; all equal by default.
 
     Returns:
-        The belief, with the particles of each object as probable as they were drawn.
+        The belief, with all particles of an object as probable.
     """
     shape = (objects, len(particles.twist))
     prior = np.full(objects, 1 / objects) if prior is None else prior
     return Belief(
-        jnp.log(jnp.float32(prior))[:, None] + particles.log_prior[None],
+        jnp.log(jnp.float32(prior))[:, None] + jnp.full(shape, np.float32(-np.log(shape[1]))),
         jnp.zeros((*shape, 6)),
         jnp.broadcast_to(particles.covariance, (*shape, 6, 6)),
         jnp.zeros(channels),
@@ -454,22 +404,6 @@ def posterior(belief: Belief) -> Float[Array, " objects"]:
         Probabilities that sum to 1.
     """
     return jax.nn.softmax(logsumexp(belief.log_weight, axis=1))
-
-
-def scale_posterior(belief: Belief, particles: Particles) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Ratio of the placement's error to the stated one, all objects taken together.
-
-    Args:
-        belief: After some touches.
-        particles: The pose particles it began with.
-
-    Returns:
-        Geometric mean of the scale, a multiple of the stated error, and the standard deviation of its logarithm.
-    """
-    weight = jax.nn.softmax(belief.log_weight.reshape(-1)).reshape(belief.log_weight.shape).sum(0)
-    log = jnp.log(particles.scale)
-    mean = jnp.sum(weight * log)
-    return jnp.exp(mean), jnp.sqrt(jnp.sum(weight * (log - mean) ** 2))
 
 
 def apply_temperature(

@@ -1,11 +1,12 @@
-"""Calibrated beliefs: temperature scaling, Platt calibration of the unknown class, and conformal prediction sets.
+"""Calibrated beliefs: temperature scaling, and Platt calibration of the unknown class.
 
 Errors of a pad model or of an object's pose are shared by all touches of an episode, but a belief treats touches as
 independent, and grows more confident than it is right. Both calibrations therefore soften a belief the more, the more
 touches it has seen; their parameters are fitted on validation episodes. Shapes are those of `i2t.recognition.metrics`.
 
 Sources: temperature scaling, Guo et al. (ICML 2017); logit calibration, Platt (Advances in Large Margin Classifiers,
-1999); adaptive prediction sets, Romano, Sesia and Candès (NeurIPS 2020).
+1999). The probability of an unknown object has to be large or small by what is felt, and not by how often such objects
+come: `with_unknown_prior` moves a belief from one prior to another.
 """
 
 from typing import NamedTuple
@@ -18,8 +19,7 @@ from scipy.special import expit, logit, logsumexp
 
 from i2t.recognition import belief
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
-from i2t.recognition.intervals import Clusters, Estimate, mean_interval, rate_interval
-from i2t.recognition.metrics import PROBABILITY_FLOOR, of_truth
+from i2t.recognition.metrics import PROBABILITY_FLOOR
 from i2t.types import Array
 
 # --- temperature scaling of the objects ---
@@ -63,7 +63,35 @@ def calibrated_beliefs(
     return np.asarray(belief.apply_temperature(jnp.asarray(p), jnp.asarray(touches), temperature), np.float64)
 
 
-# --- Platt calibration of the unknown class ---
+# --- the unknown class ---
+
+
+def with_unknown_prior(
+    p: Float[Array, "*shape objects"], p_unknown: Float[Array, "*shape"], old: float, new: float
+) -> tuple[Float[Array, "*shape objects"], Float[Array, "*shape"]]:
+    """The same beliefs under another prior probability of unknown objects, by Bayes' rule.
+
+    Args:
+        p: Probabilities of the known objects.
+        p_unknown: Probability of the unknown class.
+        old: Prior probability of unknown objects from which these beliefs come, in (0, 1).
+        new: The prior probability they get, in [0, 1).
+
+    Returns:
+        Both under the new prior.
+
+    Raises:
+        ValueError: A prior lies outside its range.
+    """
+    if not (0 < old < 1 and 0 <= new < 1):
+        raise ValueError(f"with_unknown_prior: priors {old} and {new} must lie in (0, 1) and [0, 1)")
+    odds = new / (1 - new) * (1 - old) / old
+    joined = np.concatenate([np.asarray(p, np.float64), odds * np.asarray(p_unknown, np.float64)[..., None]], axis=-1)
+    total = joined.sum(-1, keepdims=True)
+    # A belief that had ruled out all known objects and may no longer hold them unknown becomes uniform.
+    uniform = np.append(np.full(np.shape(p)[-1], 1 / np.shape(p)[-1]), 0)
+    joined = np.where(total > 0, joined / np.where(total > 0, total, 1), uniform)
+    return joined[..., :-1], joined[..., -1]
 
 
 class PlattScaling(NamedTuple):
@@ -132,62 +160,3 @@ def apply_platt(
 def _log_odds(p: Array) -> np.ndarray:
     """Log odds, clipped to the range of single precision."""
     return logit(np.clip(np.asarray(p, np.float64), PROBABILITY_FLOOR, 1 - PROBABILITY_FLOOR))
-
-
-# --- conformal sets ---
-
-
-class ConformalSets(NamedTuple):
-    """Sets of classes that contain the truth with a given probability, after each touch."""
-
-    threshold: np.ndarray  # (t,)
-    coverage: Estimate  # (t,)
-    size: Estimate  # (t,)
-
-
-def conformal_sets(
-    p_validation: Float[Array, "v t k"],
-    truth_validation: Int[Array, " v"],
-    p: Float[Array, "e t c"],
-    truth: Int[Array, " e"],
-    *,
-    level: float = 0.9,
-    clusters: Clusters = (),
-    seed: int = 0,
-) -> ConformalSets:
-    """Randomised adaptive prediction sets, with thresholds from validation episodes, judged on others.
-
-    Their coverage is exact in expectation however wrong the beliefs are, at the price of empty sets where beliefs are
-    more confident than `level`.
-
-    Args:
-        p_validation: Beliefs of validation episodes.
-        truth_validation: Classes that were there.
-        p: Beliefs to make sets of.
-        truth: Classes that were there.
-        level: Coverage asked for.
-        clusters: Factors in which the judged episodes are alike, as of `cluster_interval`.
-        seed: Of the randomisation.
-
-    Returns:
-        Threshold of each number of touches, coverage and mean size of the sets.
-    """
-    rng = np.random.default_rng(seed)
-    scores = np.sort(of_truth(_cumulative_masses(p_validation, rng), truth_validation), axis=0)
-    rank = int(np.ceil((len(scores) + 1) * level))
-    threshold = scores[rank - 1] if rank <= len(scores) else np.full(scores.shape[1], np.inf)
-    sets = _cumulative_masses(p, rng) <= threshold[None, :, None]
-    return ConformalSets(
-        threshold, rate_interval(of_truth(sets, truth), clusters), mean_interval(sets.sum(-1), clusters)
-    )
-
-
-def _cumulative_masses(p: Array, rng: np.random.Generator) -> np.ndarray:
-    """Probability of the classes above each, plus a random part, the same for all, of its own; equal ones in random
-    order.
-    """
-    p = np.asarray(p, np.float64)
-    order = np.lexsort((rng.random(p.shape), -p), axis=-1)
-    ranked = np.take_along_axis(p, order, -1)
-    mass = np.cumsum(ranked, -1) - ranked * rng.random((*p.shape[:-1], 1))
-    return np.take_along_axis(mass, np.argsort(order, -1), -1)

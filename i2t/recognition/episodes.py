@@ -288,20 +288,6 @@ def run_episodes(
     return simulator.episodes()
 
 
-def session_errors(key: Key[Array, ""], count: int, errors: SimulationErrors) -> SessionErrors:
-    """Errors throughout each of the episodes that an `EpisodeSimulator` of this key has.
-
-    Args:
-        key: Of the simulator.
-        count: Number of episodes.
-        errors: Of the world.
-
-    Returns:
-        Errors of each episode.
-    """
-    return _sample_sessions(jax.random.split(key, 3)[0], count, errors)
-
-
 def _sample_sessions(key: Array, count: int, errors: SimulationErrors) -> SessionErrors:
     return jax.vmap(lambda k: simulation.sample_session_errors(k, errors))(jax.random.split(key, count))
 
@@ -396,32 +382,31 @@ def _first_touches(made: Touches, touches: int) -> Int[np.ndarray, "e t"]:
 
 @jax.jit
 def posteriors(
-    table: PredictedTouch,
     site: Int[Array, "e t"],
     observations: TouchObservation,
+    table: PredictedTouch,
     likelihood: Likelihood,
     particles: Particles,
 ) -> Float[Array, "e t objects"]:
     """Posteriors over the objects after each touch of each episode.
 
     Args:
-        table: Predicted touches, (sites, objects, k).
         site: Row of the table for each touch.
         observations: What was measured, (e, t).
+        table: Predicted touches, (sites, objects, k).
         likelihood: How far measurements may be from predictions.
         particles: Poses of each object.
 
     Returns:
         Probabilities of the objects.
     """
-    objects, channels = table.hit.shape[1], table.reading.shape[-1]
 
     def episode(at: tuple[Array, TouchObservation]) -> Array:
         def step(now: belief.Belief, touched: tuple[Array, TouchObservation]) -> tuple[belief.Belief, Array]:
             now = belief.update(now, touched[1], element(table, touched[0]), likelihood)
             return now, belief.posterior(now)
 
-        return jax.lax.scan(step, belief.init(particles, objects, channels=channels), at)[1]
+        return jax.lax.scan(step, belief.init(particles, table.hit.shape[1], channels=table.reading.shape[-1]), at)[1]
 
     return map_batches(episode, (site, observations), batch_size=BELIEVED_EPISODES)
 
@@ -450,14 +435,8 @@ def run_belief(
     found = {}
     for kind in kinds:
         shared = (table, weigh_evidence(likelihood, EVIDENCE[kind]), particles)
-        found[kind] = np.asarray(spread_rows(_posteriors_of, rows, shared=shared, multiple=BELIEVED_EPISODES))
+        found[kind] = np.asarray(spread_rows(posteriors, rows, shared=shared, multiple=BELIEVED_EPISODES))
     return found
-
-
-def _posteriors_of(
-    site: Array, observations: TouchObservation, table: PredictedTouch, likelihood: Likelihood, particles: Particles
-) -> Array:
-    return posteriors(table, site, observations, likelihood, particles)
 
 
 def weigh_evidence(likelihood: Likelihood, weights: EvidenceWeights) -> Likelihood:

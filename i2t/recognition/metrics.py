@@ -1,16 +1,16 @@
 """Scores of recognition: accuracy, calibration error, proper scoring rules, and stopping.
 
 An array of beliefs p (episodes, touches, classes) holds the probabilities of the classes after each touch, `truth`
-(episodes,) the class that was there. Where an object may be unknown, `i2t.recognition.open_set.with_unknown_class`
-makes the unknown class the last one. The touches of an episode are not independent, and neither are episodes that share
-a pad, a pool of sites or an object: `clusters` names these factors, and intervals (95 %) are over them
-(`i2t.recognition.intervals`). How beliefs are calibrated is in `i2t.recognition.calibrated`.
+(episodes,) the class that was there. Where an object may be unknown, the unknown class is the last one. The touches of
+an episode are not independent, and neither are episodes that share a pad, a pool of sites or an object: `clusters`
+names these factors, and intervals (95 %) are over them (`i2t.recognition.intervals`). How beliefs are calibrated is in
+`i2t.recognition.calibrated`.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy import stats
 
 from i2t.recognition.intervals import (
@@ -22,7 +22,6 @@ from i2t.recognition.intervals import (
     mean_interval,
     rate_interval,
     rows_of,
-    wilson_interval,
 )
 from i2t.types import Array
 
@@ -46,28 +45,6 @@ def to_json(values: Any) -> Any:
 
 
 # --- accuracy ---
-
-
-def restrict_to(
-    p: Float[Array, "e t c"], truth: Int[Array, " e"], candidates: list[int]
-) -> tuple[Float[Array, "kept t chosen"], Int[Array, " kept"], Int[Array, " kept"]]:
-    """The problem of distinguishing some of the classes.
-
-    Args:
-        p: Beliefs in all classes.
-        truth: Classes that were there.
-        candidates: Classes to keep.
-
-    Returns:
-        Beliefs in the candidates of the episodes with one of them, uniform where none had any weight; which candidate
-        was there; and the numbers of those episodes.
-    """
-    match = np.asarray(truth)[:, None] == np.asarray(candidates)[None]
-    rows = np.flatnonzero(match.any(1))
-    kept = np.asarray(p, np.float64)[rows][..., candidates]
-    total = kept.sum(-1, keepdims=True)
-    kept = np.where(total > 0, kept / np.where(total > 0, total, 1), 1 / len(candidates))
-    return kept, match[rows].argmax(1), rows
 
 
 def decision_shares(p: Float[Array, "*shape c"]) -> Float[Array, "*shape c"]:
@@ -148,9 +125,7 @@ class PairedComparison(NamedTuple):
     """One method less another on the same episodes."""
 
     last: Estimate  # difference in accuracy after the last touch
-    last_p: float  # McNemar's exact test; where ties are shared, the sign test
     mean: Estimate  # difference in mean accuracy over touches
-    mean_p: float  # paired t test
 
 
 def compare_paired(
@@ -164,7 +139,7 @@ def compare_paired(
         clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
 
     Returns:
-        The differences; p-values take episodes as independent, intervals do not.
+        The differences.
 
     Raises:
         ValueError: They are not of the same episodes, or of fewer than two.
@@ -173,29 +148,7 @@ def compare_paired(
     if hit.shape != other.shape or len(hit) < 2:
         raise ValueError(f"compare_paired: hits {hit.shape} and {other.shape} must be of the same episodes, at least 2")
     last, mean = hit[:, -1] - other[:, -1], (hit - other).mean(1)
-    return PairedComparison(
-        mean_interval(last, clusters), sign_test(last), mean_interval(mean, clusters), _t_test(mean)
-    )
-
-
-def sign_test(difference: Shaped[Array, " n"]) -> float:
-    """Two-sided exact p-value of as many differences above zero as below.
-
-    Args:
-        difference: Paired differences; of right-or-wrong answers this is McNemar's test.
-
-    Returns:
-        The p-value; 1 where no difference is other than zero.
-    """
-    above, below = int((difference > 0).sum()), int((difference < 0).sum())
-    return float(stats.binomtest(above, above + below).pvalue) if above + below else 1.0
-
-
-def _t_test(difference: np.ndarray) -> float:
-    mean, error = difference.mean(), difference.std(ddof=1) / np.sqrt(len(difference))
-    if error == 0:
-        return float(mean == 0)
-    return float(2 * stats.t.sf(abs(mean) / error, len(difference) - 1))
+    return PairedComparison(mean_interval(last, clusters), mean_interval(mean, clusters))
 
 
 # --- calibration ---
@@ -213,41 +166,6 @@ def confidence(p: Float[Array, "*shape c"]) -> Float[Array, "*shape"]:
     return np.asarray(p, np.float64).max(-1)
 
 
-class Reliability(NamedTuple):
-    """Decisions sorted by their confidence into b bins; NaN in those that are empty."""
-
-    number: np.ndarray  # (b,) of decisions
-    confidence: np.ndarray  # (b,) mean
-    frequency: Estimate  # (b,) of right ones
-
-
-def reliability(
-    confidences: Float[Array, "*n"], hit: Shaped[Array, "*n"], bins: int = BINS, equal_mass: bool = False
-) -> Reliability:
-    """Sort decisions by their confidence into bins (Guo et al., ICML 2017).
-
-    The intervals take decisions as independent: give one touch of each episode.
-
-    Args:
-        confidences: Of the decisions, in [0, 1].
-        hit: Whether each is right, as `hits`.
-        bins: How many.
-        equal_mass: Bins of equal count instead of equal width.
-
-    Returns:
-        Mean confidence and frequency of each bin, with its count and interval.
-    """
-    confidences, hit = np.ravel(confidences), np.ravel(hit)
-    which = _bin_numbers(confidences, bins, equal_mass)
-    rows = [which == i for i in range(bins)]
-    frequency = [wilson_interval(hit[row]) for row in rows]
-    return Reliability(
-        np.array([row.sum() for row in rows]),
-        np.array([confidences[row].mean() if row.any() else np.nan for row in rows]),
-        Estimate(*(np.array(column) for column in zip(*frequency, strict=True))),
-    )
-
-
 class CalibrationError(NamedTuple):
     """Expected calibration error, next to that of the same confidences by chance if they are calibrated."""
 
@@ -257,11 +175,7 @@ class CalibrationError(NamedTuple):
 
 
 def calibration_error(
-    confidences: Float[Array, "*n"],
-    hit: Shaped[Array, "*n"],
-    bins: int = BINS,
-    equal_mass: bool = False,
-    seed: int = 0,
+    confidences: Float[Array, "*n"], hit: Shaped[Array, "*n"], bins: int = BINS, seed: int = 0
 ) -> CalibrationError:
     """Expected calibration error of the top class: mean over decisions of |frequency - confidence| of their bin (Guo et
     al., ICML 2017).
@@ -274,14 +188,13 @@ def calibration_error(
         confidences: Of the decisions, in [0, 1].
         hit: Whether each is right, as `hits`.
         bins: How many.
-        equal_mass: Bins of equal count instead of equal width.
         seed: Of the resampling.
 
     Returns:
         The error, and mean and 95 % quantile of what chance gives.
     """
     confidences, hit = np.ravel(np.asarray(confidences, np.float64)), np.ravel(hit)
-    which = _bin_numbers(confidences, bins, equal_mass)
+    which = np.clip((confidences * bins).astype(int), 0, bins - 1)
     drawn = np.random.default_rng(seed).random((RESAMPLES, len(confidences))) < confidences
     chance = [_binned_gap(confidences, draw, which, bins) for draw in drawn]
     observed = _binned_gap(confidences, hit, which, bins)
@@ -290,12 +203,6 @@ def calibration_error(
 
 def _binned_gap(confidences: np.ndarray, hit: np.ndarray, which: np.ndarray, bins: int) -> float:
     return float(np.abs(np.bincount(which, hit - confidences, minlength=bins)).sum() / len(confidences))
-
-
-def _bin_numbers(confidences: np.ndarray, bins: int, equal_mass: bool) -> np.ndarray:
-    if equal_mass:
-        return np.argsort(np.argsort(confidences, kind="stable"), kind="stable") * bins // len(confidences)
-    return np.clip((confidences * bins).astype(int), 0, bins - 1)
 
 
 def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
@@ -309,20 +216,6 @@ def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, 
         The loss (nats) after each touch.
     """
     return -np.log(np.clip(of_truth(p, truth), PROBABILITY_FLOOR, 1))
-
-
-def brier(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Brier score (Monthly Weather Review 78, 1950): squared distance of the probabilities from the truth, 0 to 2.
-
-    Args:
-        p: Beliefs.
-        truth: Classes that were there.
-
-    Returns:
-        The score after each touch.
-    """
-    p = np.asarray(p, np.float64)
-    return (p**2).sum(-1) - 2 * of_truth(p, truth) + 1
 
 
 # --- stopping ---
@@ -451,6 +344,51 @@ def touches_saved(
     return bootstrap_clusters(share_saved, clusters, len(mine), seed=seed)
 
 
+# --- unknown objects ---
+
+
+def auroc(
+    p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], *, clusters: Clusters = (), seed: int = 0
+) -> Estimate:
+    """Area under the receiver operating characteristic of detecting unknown objects: the probability that an episode
+    with an unknown object has more in the unknown class than one without, equal ones counted half.
+
+    Args:
+        p_unknown: Probability of the unknown class.
+        unknown: Whether the object was unknown.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+        seed: Of the bootstrap.
+
+    Returns:
+        Estimates (t,).
+
+    Raises:
+        ValueError: Episodes of one kind are missing.
+    """
+    p_unknown, unknown = np.asarray(p_unknown, np.float64), np.asarray(unknown, bool)
+    if unknown.all() or not unknown.any():
+        raise ValueError("auroc: it needs episodes with and without an unknown object")
+
+    def areas(weight: np.ndarray) -> np.ndarray:
+        return np.array([_area(x[unknown], x[~unknown], weight[unknown], weight[~unknown]) for x in p_unknown.T])
+
+    found = bootstrap_clusters(areas, clusters, len(unknown), seed=seed)
+    # Few clusters make intervals of Student's t wider than what an area can be.
+    return found._replace(low=np.maximum(found.low, 0.0), high=np.minimum(found.high, 1.0))
+
+
+def _area(above: np.ndarray, below: np.ndarray, w_above: np.ndarray, w_below: np.ndarray) -> float:
+    """Mann and Whitney's statistic of weighted values, as a share of all pairs; NaN where a side has no weight."""
+    values, place = np.unique(np.concatenate([above, below]), return_inverse=True)
+    up = np.bincount(place[: len(above)], w_above, len(values))
+    down = np.bincount(place[len(above) :], w_below, len(values))
+    pairs = up.sum() * down.sum()
+    return float(np.sum(up * (np.cumsum(down) - down / 2)) / pairs) if pairs else float("nan")
+
+
+# --- parts ---
+
+
 def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Array, "e t"]:
     """Values of the true classes.
 
@@ -472,6 +410,6 @@ def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Ar
     if truth.size and not (truth.min() >= 0 and truth.max() < values.shape[-1]):
         raise ValueError(
             f"truth: {truth.min()} to {truth.max()} are not classes 0 to {values.shape[-1] - 1}; "
-            "add the unknown one with `with_unknown_class`"
+            "the unknown one comes last"
         )
     return np.take_along_axis(values, truth[:, None, None], -1)[..., 0]

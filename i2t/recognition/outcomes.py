@@ -35,7 +35,7 @@ from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import Grid, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, Pad, Surface, in_one_line
+from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, Surface, in_one_line
 
 PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the GP sees pressures
 LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
@@ -120,7 +120,6 @@ def predict_contact(
     loads: Float[Array, " l"],
     *,
     overtravel: float,
-    start_distance: float = STANDOFF,
 ) -> PredictedContact:
     """Predict the contact of the skin with an object and the distribution of a few loads over it.
 
@@ -131,13 +130,12 @@ def predict_contact(
         T_w_site: The skin's pose where it would just lie on the surface; it moves along its z axis.
         loads: With which it is pressed (N).
         overtravel: Distance (m) beyond the site after which the press gives up.
-        start_distance: Distance (m) before the site at which the approach starts.
 
     Returns:
         Contact, distance to it and its Jacobian, indentations and newtons; zeros where nothing is met.
     """
     (distance, (T_o_t, hit)), jacobian = jax.value_and_grad(_approach_distance, argnums=2, has_aux=True)(
-        surface, T_w_o, twist, T_w_site, (start_distance, overtravel)
+        surface, T_w_o, twist, T_w_site, overtravel
     )
     indentation, newtons = contact_pressures(surface, jax.lax.stop_gradient(T_o_t), loads)
     hit = hit & jnp.isfinite(indentation[0])
@@ -175,33 +173,29 @@ def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> Pre
 
 @full_precision
 def _approach_distance(
-    surface: Surface, T_w_o: Array, twist: Array, T_w_site: Array, limits: tuple[float, float]
+    surface: Surface, T_w_o: Array, twist: Array, T_w_site: Array, overtravel: float
 ) -> tuple[Array, tuple[Array, Array]]:
-    """Distance (m) from the site to first contact, and the contact (T_o_t, hit); `limits` are where the approach starts
-    before the site and where it gives up beyond it.
-    """
-    start_distance, overtravel = limits
+    """Distance (m) from the site to first contact, and the contact (T_o_t, hit)."""
     T_o_w = inverse(T_w_o @ from_twist(twist))
-    start = T_o_w @ T_w_site @ jnp.eye(4).at[2, 3].set(-start_distance)
-    T_o_t, hit = sites.press_along(surface, start, start[:3, 2], max_distance=start_distance + overtravel)
-    return jnp.dot(T_o_t[:3, 3] - start[:3, 3], start[:3, 2]) - start_distance, (T_o_t, hit)
+    start = T_o_w @ T_w_site @ jnp.eye(4).at[2, 3].set(-STANDOFF)
+    T_o_t, hit = sites.press_along(surface, start, start[:3, 2], max_distance=STANDOFF + overtravel)
+    return jnp.dot(T_o_t[:3, 3] - start[:3, 3], start[:3, 2]) - STANDOFF, (T_o_t, hit)
 
 
 def contact_pressures(
-    surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"], pad: Pad | None = None
+    surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"]
 ) -> tuple[Float[Array, " l"], Float[Array, "l cells"]]:
-    """Press the skin into a surface with each of some loads.
+    """Press the nominal layer into a surface with each of some loads.
 
     Args:
         surface: Of the object.
         T_o_t: The skin's pose at first contact.
         loads: Newtons, at least `MIN_LOAD_N`.
-        pad: Whose layer is pressed; the nominal one by default.
 
     Returns:
         Indentation (m) and newtons on each cell; infinite and zero where nothing lies before the skin.
     """
-    pad = nominal_pad() if pad is None else pad
+    pad = nominal_pad()
     heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, PRESSURE_GRID.cells)
     nearest = jnp.min(heights)
     met = jnp.isfinite(nearest)

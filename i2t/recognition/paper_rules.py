@@ -13,7 +13,6 @@ Source: Ayad et al., "Imagine2touch", section II. Metres, newtons, microtesla; a
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, TypeAlias, runtime_checkable
 
@@ -25,78 +24,42 @@ from jaxtyping import Array, Float, Int, Key
 from i2t.batching import map_batches
 from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
-from i2t.prediction.predictor import Predictor, Reading
+from i2t.prediction.baselines import MeanReading
+from i2t.prediction.predictor import Predictor
 from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
-from i2t.types import PATCH_PIXELS, Surface
-from i2t.views import SAME_SURFACE_M, centre, view_of_heights
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Surface
+from i2t.views import centre
 
 BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)
 PROPRIOCEPTION = "proprioception"
 VIEWS = 64  # rendered and predicted at a time: one compilation serves all
 
 
-@runtime_checkable
-class ReadingPredictor(Protocol):
-    """Predictor of the skin's readings; `i2t.prediction.predictor.Predictor` is one."""
-
-    def predict_views(
-        self,
-        patch: np.ndarray,
-        *,
-        force: np.ndarray,
-        nearest: np.ndarray,
-        depth: np.ndarray | None = None,
-        wide: np.ndarray | None = None,
-    ) -> Reading:
-        """Readings (uT) of n touches from patches (n, 48, 48) m, as in `Predictor.predict_views`."""
-        ...
-
-
-@dataclass(frozen=True)
-class ConstantPredictor:
-    """Predicts one reading for every touch: the paper's rules then judge by contact or none alone."""
-
-    reading: Float[np.ndarray, " c"]  # uT, say the mean of the training readings
-
-    def predict_views(
-        self,
-        patch: np.ndarray,
-        *,
-        force: np.ndarray,
-        nearest: np.ndarray,
-        depth: np.ndarray | None = None,
-        wide: np.ndarray | None = None,
-    ) -> Reading:
-        """The reading (uT), for each of n touches.
-
-        Args:
-            patch: Of n touches (m); only their number counts, here and below.
-            force: N.
-            nearest: m.
-            depth: m.
-            wide: m.
-
-        Returns:
-            Mean and standard deviation, (n, c); the latter says nothing.
-        """
-        mean = np.tile(np.asarray(self.reading, np.float32), (len(patch), 1))
-        return Reading(mean, np.ones_like(mean))
-
-
 Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects
+
+
+def constant_predictor(reading: Float[np.ndarray, " c"]) -> Predictor:
+    """Predicts one reading for every touch: the paper's rules then judge by contact or none alone.
+
+    Args:
+        reading: uT, say the mean of the training readings.
+
+    Returns:
+        The predictor; its standard deviations say nothing.
+    """
+    mean = np.asarray(reading, np.float32)
+    model = MeanReading(mean, np.ones_like(mean))
+    return Predictor(model, PATCH_WINDOW, REACH, default_force=1.0, default_depth=0.0)
 
 
 # --- distances ---
 
 
 def reading_scorers(
-    predictors: Mapping[str, ReadingPredictor],
-    surfaces: Sequence[Surface],
-    reading_std: Float[np.ndarray, " c"],
-    view_noise: float = 0.0,
+    predictors: Mapping[str, Predictor], surfaces: Sequence[Surface], reading_std: Float[np.ndarray, " c"]
 ) -> dict[str, Scorer]:
     """Scorers by readings, one for each predictor.
 
@@ -104,24 +67,22 @@ def reading_scorers(
         predictors: Of readings, by name.
         surfaces: Of the objects.
         reading_std: Standard deviation (uT) of each channel in the training data.
-        view_noise: As of `reading_distances`.
 
     Returns:
         The scorers by the same names.
     """
 
     def score(name: str, touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
-        return reading_distances({name: predictors[name]}, surfaces, touches, reading_std, view_noise)[name]
+        return reading_distances({name: predictors[name]}, surfaces, touches, reading_std)[name]
 
     return {name: partial(score, name) for name in predictors}
 
 
 def reading_distances(
-    predictors: Mapping[str, ReadingPredictor],
+    predictors: Mapping[str, Predictor],
     surfaces: Sequence[Surface],
     touches: MeasuredTouches,
     reading_std: Float[np.ndarray, " c"],
-    view_noise: float = 0.0,
 ) -> dict[str, Float[np.ndarray, "n objects"]]:
     """Distances of readings from those predicted on each object; where nothing is seen, zero is predicted.
 
@@ -130,14 +91,12 @@ def reading_distances(
         surfaces: Of the objects.
         touches: That were made.
         reading_std: Standard deviation (uT) of each channel in the training data.
-        view_noise: Noise (m) of every pixel of objects that are known from a depth camera only.
 
     Returns:
         Distances in standard deviations, by the predictors' names.
     """
     # Rendered views have no noise to be smoothed away.
-    ready = {name: _on_rendered_views(predictor, view_noise > 0) for name, predictor in predictors.items()}
-    rng = np.random.default_rng(0)
+    ready = {name: each.with_pressure(smooth=False, cell=PRESSURE_GRID.spacing) for name, each in predictors.items()}
     n, force = len(touches.force), np.maximum(touches.force, MIN_LOAD_N)
     predicted = {name: np.zeros((n, len(surfaces), touches.reading.shape[-1]), np.float32) for name in predictors}
     for start in range(0, n, VIEWS):
@@ -145,8 +104,6 @@ def reading_distances(
         full = np.resize(rows, VIEWS)
         for i, surface in enumerate(surfaces):
             wide, seen = jax.device_get(_views(surface, jnp.asarray(touches.T_w_t[full], jnp.float32)))
-            if view_noise > 0:
-                wide = _noisy(wide, view_noise, rng)
             for name, predictor in ready.items():
                 reading = predictor.predict_views(
                     centre(wide, PATCH_PIXELS),
@@ -203,11 +160,10 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
 
 
 def paper_rules(
-    predictors: Mapping[str, ReadingPredictor],
+    predictors: Mapping[str, Predictor],
     reading_std: Float[np.ndarray, " c"],
     surfaces: Sequence[Surface],
     episodes: Episodes,
-    view_noise: float = 0.0,
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
     """Beliefs by the paper's rules along episodes as they went, from readings and from contact positions.
 
@@ -216,7 +172,6 @@ def paper_rules(
         reading_std: Standard deviation (uT) of each channel in the training data.
         surfaces: Of the objects.
         episodes: As they went.
-        view_noise: As of `reading_distances`.
 
     Returns:
         Beliefs after each touch, by source (the predictors' names and "proprioception") and rule, such as
@@ -227,7 +182,7 @@ def paper_rules(
         np.asarray(episodes.observations.reading).reshape(episodes.site.size, -1),
         np.asarray(episodes.observations.force).reshape(-1),
     )
-    found = reading_distances(predictors, surfaces, touches, reading_std, view_noise)
+    found = reading_distances(predictors, surfaces, touches, reading_std)
     found[PROPRIOCEPTION] = contact_distances(surfaces, touches)
     shape = (*episodes.site.shape, len(surfaces))
     return {
@@ -299,23 +254,6 @@ def run_loop(
 
 
 # --- views ---
-
-
-def _on_rendered_views(predictor: ReadingPredictor, smooth: bool) -> ReadingPredictor:
-    """Predictor set for views without a camera's noise, or with it."""
-    if isinstance(predictor, Predictor):
-        return predictor.with_pressure(smooth=smooth, cell=PRESSURE_GRID.spacing)
-    return predictor
-
-
-def _noisy(wide: np.ndarray, view_noise: float, rng: np.random.Generator) -> np.ndarray:
-    """Views with noise, behind the then nearest pixel of their patches."""
-    return np.asarray(_behind(jnp.asarray(wide + view_noise * rng.standard_normal(wide.shape, dtype=np.float32))))
-
-
-@jax.jit
-def _behind(z: Array) -> Array:
-    return jax.vmap(partial(view_of_heights, noise=SAME_SURFACE_M))(z).wide
 
 
 @jax.jit

@@ -27,10 +27,10 @@ from jaxtyping import Array, Bool, Float, Key
 from i2t import validation
 from i2t.geometry import from_twist, inverse, is_rigid, nearest_rigid
 from i2t.objects import catalogue
-from i2t.recognition import belief, calibrated, open_set, outcomes, policy
+from i2t.recognition import belief, calibrated, outcomes, policy
 from i2t.recognition.belief import Belief, TouchObservation
 from i2t.recognition.pad_model import PadModel
-from i2t.recognition.planning import choose_informative_sites, update_beliefs
+from i2t.recognition.policy import choose_informative_sites, update_beliefs
 from i2t.recognition.site_pool import (
     SitePool,
     place_surfaces,
@@ -65,7 +65,6 @@ class RecognizerConfig:
     skin_change: float = PressLimits.skin_change  # uT at which presses end
     overtravel: float = PressLimits.overtravel  # m beyond a site after which a press has met air
     site_limits: touch_sites.SiteLimits = field(default=touch_sites.RECOGNITION_LIMITS)
-    infer_placement_scale: bool = False  # the stated error of the pose is right up to a factor that touches tell
     seed: int = 0  # of pose particles and choices
 
     def __post_init__(self) -> None:
@@ -109,7 +108,6 @@ class RecognitionInfo(NamedTuple):
     unknown: float  # probability that it is none of them
     name: str | None  # the most probable object; None for an unknown one
     confidence: float  # probability of that
-    placement_scale: float  # the object's pose is so many times as far off as was stated; 1 unless it is inferred
 
 
 class ObjectRecognizer:
@@ -144,8 +142,7 @@ class ObjectRecognizer:
             T_w_o: Where the object is believed to stand; the world's origin by default. Sites are drawn and checked on
                 the objects there, over the table of `config.site_limits`.
             pose_prior: Covariance (m^2), or standard deviations (m), of its twist from there; 1 mm and 1 degree about
-                each axis by default. With `config.infer_placement_scale` it is right up to a factor only, which the
-                touches tell (`placement_scale`).
+                each axis by default.
             sites: Candidates, with poses in the object's frame; safe random sites of every object by default. One that
                 is not safe where the object is believed to stand is never chosen.
             config: How it chooses and when it stops.
@@ -177,8 +174,7 @@ class ObjectRecognizer:
             sites = drawn.moved(inverse(self.T_w_o))
         self.sites = sites  # in the object's frame, as the predicted touches are
         pose_prior = outcomes.placement_std(POSE_STD_M, POSE_STD_RAD) if pose_prior is None else pose_prior
-        scales = belief.ScalePrior() if config.infer_placement_scale else None
-        self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed, scales=scales)
+        self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed)
         (table,) = precompute_outcomes(
             surfaces, self.particles.twist, sites.T_w_t, [pad_model.reading_model],
             overtravel=config.overtravel, label="candidates",
@@ -337,14 +333,13 @@ class ObjectRecognizer:
             state: After the touches so far.
 
         Returns:
-            Calibrated probabilities, the most probable object, and how far the placement seems to be off.
+            Calibrated probabilities, and the most probable object.
         """
         p = state.probability
         best, unknown = int(p.argmax()), float(max(0.0, 1 - p.sum()))
-        scale = float(_placement_scale(state.belief, self.particles))
         if unknown > p[best]:
-            return RecognitionInfo(p, unknown, None, unknown, scale)
-        return RecognitionInfo(p, unknown, self.names[best], float(p[best]), scale)
+            return RecognitionInfo(p, unknown, None, unknown)
+        return RecognitionInfo(p, unknown, self.names[best], float(p[best]))
 
     def object_pose(self, state: RecognizerState, name: str) -> Float[np.ndarray, "4 4"]:
         """Pose of an object, if it is the one that is there.
@@ -411,12 +406,11 @@ class ObjectRecognizer:
         everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown
         raw = everything[:, :known], everything[:, known:].sum(-1)
         # The scaling was fitted at another prior: there, and back.
-        _, unknown = open_set.with_unknown_prior(*raw, prior, CALIBRATION_PRIOR_UNKNOWN)
+        _, unknown = calibrated.with_unknown_prior(*raw, prior, CALIBRATION_PRIOR_UNKNOWN)
         read = UNKNOWN_SCALING.apply(unknown, touches)
         shares = named[None] * (1 - read)[:, None]
-        _, unknown = open_set.with_unknown_prior(shares, read, CALIBRATION_PRIOR_UNKNOWN, prior)
+        _, unknown = calibrated.with_unknown_prior(shares, read, CALIBRATION_PRIOR_UNKNOWN, prior)
         return named * (1 - float(unknown[0]))
 
 
 _apply_temperature = jax.jit(belief.apply_temperature)
-_placement_scale = jax.jit(lambda state, particles: belief.scale_posterior(state, particles)[0])

@@ -387,19 +387,6 @@ def pool_informativeness(pools: SitePools) -> Float[np.ndarray, "pools objects e
     return np.asarray(_informativeness_of_pools(jnp.asarray(pools.T_w_t)))
 
 
-def own_site_informativeness(sites: SitePool) -> Float[Array, "objects each"]:
-    """The paper's heuristic on each object's own sites, all of which are safe.
-
-    Args:
-        sites: The pool, with as many sites of each object, ordered by object.
-
-    Returns:
-        Probabilities of the sites of each object.
-    """
-    objects = int(sites.owner.max()) + 1
-    return _informativeness(sites.T_w_t.reshape(objects, -1, 4, 4))
-
-
 @jax.jit
 def _informativeness_of_pools(T_w_t: Array) -> Array:
     return jax.lax.map(_informativeness, T_w_t)

@@ -5,7 +5,6 @@ limits of `i2t.simulation.site_limits` forbid are struck out, judged on the esti
 else is known. A policy chooses among the rest; where nothing is left, nothing is chosen and the caller stops.
 
   random       any of them
-  even         the one farthest from all touches before
   uncertainty  the one whose surface is least certain
   reduction    the one whose measurement is expected to take most off the error of the surface: with cov the posterior
                covariance and q(x) the density of the surface at x, sum_x q(x) cov(x, c)^2 / (cov(c, c) + noise^2),
@@ -35,8 +34,8 @@ from i2t.reconstruction.surface import (
 from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.sites import is_above_table, is_upward
 
-PolicyName = Literal["random", "even", "uncertainty", "reduction"]
-POLICY_NAMES: tuple[PolicyName, ...] = ("random", "even", "uncertainty", "reduction")
+PolicyName = Literal["random", "uncertainty", "reduction"]
+POLICY_NAMES: tuple[PolicyName, ...] = ("random", "uncertainty", "reduction")
 SITES_AT_A_TIME = 16  # sites whose limits are checked at a time
 # An object held so that the tool reaches it from everywhere: no table, no flange, any direction.
 AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
@@ -50,8 +49,7 @@ class ExplorationConfig:
     limits: SiteLimits = field(default_factory=SiteLimits)  # of what is safe; the paper's collection on a table
     candidates: int = 48  # sites proposed at a time
     stride: int = 2  # of the grid on which they are sought
-    approach: float = 0.1  # m of straight way before a site
-    overtravel: float = 10e-3  # m beyond it, before a touch counts as one of air
+    overtravel: float = 10e-3  # m beyond a site, before a touch counts as one of air
     noise: float = 2e-3  # m, of the measurement that is expected
     probes: int = 400  # points of the surface whose error counts
 
@@ -99,7 +97,7 @@ def choose_touch(
     proposals = propose_sites(estimate, rng, config=config)
     if not proposals.safe.any():
         return TouchChoice(None, float("nan"), proposals)
-    scores = _scores(model, state, estimate, proposals, posterior=posterior, rng=rng, config=config)
+    scores = _scores(model, estimate, proposals, posterior=posterior, rng=rng, config=config)
     scores = np.where(proposals.safe, scores, -np.inf)
     best = int(scores.argmax())
     return TouchChoice(proposals.T_o_t[best], float(scores[best]), proposals)
@@ -198,7 +196,6 @@ def _within(grid: VoxelGrid, points: np.ndarray) -> np.ndarray:
 
 def _scores(
     model: SurfaceModel,
-    state: SurfaceState,
     estimate: SurfaceEstimate,
     proposals: SiteProposals,
     *,
@@ -207,18 +204,11 @@ def _scores(
     config: ExplorationConfig,
 ) -> np.ndarray:
     """The policy's score of each proposal; the greatest is chosen."""
-    count = len(proposals.std)
     if config.policy == "random":
-        return rng.random(count)
-    places = proposals.T_o_t[:, :3, 3]
-    if config.policy == "even":
-        before = np.array([touch.T_o_t[:3, 3] for touch in state.touches])
-        if not len(before):
-            return rng.random(count)
-        return np.linalg.norm(places[:, None] - before, axis=-1).min(-1)
+        return rng.random(len(proposals.std))
     if config.policy == "uncertainty":
         return proposals.std
-    return expected_reduction(model, posterior, estimate, places, rng=rng, config=config)
+    return expected_reduction(model, posterior, estimate, proposals.T_o_t[:, :3, 3], rng=rng, config=config)
 
 
 def expected_reduction(

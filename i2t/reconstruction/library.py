@@ -6,18 +6,13 @@ There the flat face meets the shape, its heights are rendered, and a layer of no
 with a few loads in turn. None of this depends on a pad, so that one library serves all of them; what a pad reads at it
 is imagined by `i2t.reconstruction.press_models`.
 
-A direction or an edge is read from where the surface steps down: between neighbouring pixels of which one is within the
-contact tolerance and the other lies deeper by more than a slope of `STEP_SLOPE` explains. The structure tensor of these
-steps (Bigun and Granlund, ICCV 1987) says along which line they lie and how straight it is.
-
 Metres, newtons, radians; frames as in `i2t.types`.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -25,17 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t import serialization
 from i2t.batching import map_batches
 from i2t.geometry import contact_frame, inverse, so3_exp
-from i2t.reconstruction.local_shape import CONTACT_CLASSES, PatchLibrary
+from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.site_limits import SiteLimits
 from i2t.skin.contact import GRID, Grid, solve_force
 from i2t.skin.pad import nominal_pad
 from i2t.types import (
-    CONTACT_TOLERANCE_M,
     PAD_WINDOW,
     PATCH_PIXELS,
     PATCH_WINDOW,
@@ -45,7 +38,6 @@ from i2t.types import (
     Surface,
 )
 
-KIND = "i2t patch library"
 CELL_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm: pressures of a library, and its readings
 LIBRARY_LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
 TILT_RANGE_RAD = (math.radians(1.0), math.radians(6.0))
@@ -55,9 +47,6 @@ BATCH = 64
 FEW_FACES = 256  # shapes of no more are stacked apart from larger ones, which would slow them down
 SITE_CANDIDATES = 4  # for each safe site
 SITES = 16  # of a shape at a time, so that any number of them compiles once
-STEP_SLOPE = 0.7  # m/m: what falls off more steeply (35 degrees) is an edge
-FEWEST_STEPS = 8  # pixels of steps within the window, below which it has no edge (3 mm)
-STRAIGHT_EDGE_COHERENCE = 0.6  # coherence of an edge above which it counts as one straight line
 
 
 @dataclass(frozen=True)
@@ -83,9 +72,7 @@ def build_library(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    sampling: ContactSampling | None = None,
-    loads: Sequence[float] = LIBRARY_LOADS_N,
-    progress: Callable[[int], None] = lambda done: None,
+    sampling: ContactSampling = ContactSampling(),
 ) -> PatchLibrary:
     """Render patches of many shapes and press a nominal layer onto them.
 
@@ -94,8 +81,6 @@ def build_library(
         surfaces: Of the shapes, each standing in its own frame.
         count: Patches of the library at most; as many of each shape, but where a shape has too few safe sites.
         sampling: Where and how they are met.
-        loads: N, ascending, at least two.
-        progress: Called with the number of patches just made.
 
     Returns:
         The library, on the host.
@@ -103,8 +88,7 @@ def build_library(
     Raises:
         ValueError: There is no shape, or none could be touched.
     """
-    contacts, objects = sample_contacts(key, surfaces, count, sampling=sampling, progress=progress)
-    return library_of(contacts, objects, loads=loads)
+    return library_of(*sample_contacts(key, surfaces, count, sampling=sampling))
 
 
 def sample_contacts(
@@ -112,8 +96,7 @@ def sample_contacts(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    sampling: ContactSampling | None = None,
-    progress: Callable[[int], None] = lambda done: None,
+    sampling: ContactSampling = ContactSampling(),
 ) -> tuple[Contacts, np.ndarray]:
     """Meet many shapes at random sites.
 
@@ -122,7 +105,6 @@ def sample_contacts(
         surfaces: Of the shapes.
         count: Contacts at most.
         sampling: Where and how they are met.
-        progress: Called with the number of contacts just made.
 
     Returns:
         Contacts that met something, on the host, and the index of each one's shape.
@@ -132,7 +114,6 @@ def sample_contacts(
     """
     if not len(surfaces) or count < 1:
         raise ValueError("a library needs at least one shape and one patch; give meshes, and a count above 0")
-    sampling = sampling or ContactSampling()
     each = -(-count // len(surfaces))
     parts, objects = [], []
     for i, surface in enumerate(to_few_sizes(surfaces)):
@@ -144,7 +125,6 @@ def sample_contacts(
         drawn = jax.tree.map(lambda *fields: np.concatenate(fields)[:each], *rounds)
         parts.append(jax.tree.map(lambda field, met=drawn.met: field[met], drawn))
         objects.append(np.full(len(parts[-1].met), i, np.int32))
-        progress(len(parts[-1].met))
     contacts = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
     if not len(contacts.met):
         raise ValueError("no shape could be touched; relax the limits of sites, or check the unit of the meshes")
@@ -153,34 +133,30 @@ def sample_contacts(
     return jax.tree.map(lambda field: field[kept], contacts), np.concatenate(objects)[kept]
 
 
-def library_of(contacts: Contacts, objects: np.ndarray, *, loads: Sequence[float] = LIBRARY_LOADS_N) -> PatchLibrary:
+def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
     """The library of contacts that were met: a nominal layer is pressed onto each.
 
     Args:
         contacts: As of `sample_contacts`.
         objects: (n,) index of each one's shape.
-        loads: N, ascending, at least two.
 
     Returns:
         The library, on the host.
     """
     height = jnp.asarray(contacts.coarse, jnp.float32)
-    pressure, indentation = _pressures(nominal_pad(), height, jnp.asarray(loads, jnp.float32))
+    pressure, indentation = _pressures(nominal_pad(), height, jnp.asarray(LIBRARY_LOADS_N, jnp.float32))
     newtons = np.asarray(pressure).reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
     total = np.maximum(newtons.sum(-1, keepdims=True), 1e-9)
     x, y = np.meshgrid(CELL_GRID.centres, CELL_GRID.centres)
     places = np.stack([x.ravel(), y.ravel()], -1)
-    edge, kind = _edges(jnp.asarray(contacts.patch, jnp.float32))
     return PatchLibrary(
         patch=np.asarray(contacts.patch, np.float16),
         height=np.asarray(contacts.coarse, np.float32),
         object=np.asarray(objects, np.int32),
-        loads=np.asarray(loads, np.float32),
+        loads=np.asarray(LIBRARY_LOADS_N, np.float32),
         newtons=newtons.astype(np.float16),
         indentation=np.asarray(indentation, np.float32),
         centre=np.asarray((newtons @ places) / total, np.float32),
-        edge=np.asarray(edge, np.float32),
-        kind=np.asarray(kind, np.int32),
     )
 
 
@@ -208,45 +184,6 @@ def pressure_chain(
     # The first load's start: what a press that is even over the pad would be.
     start = jnp.full_like(height, loads[0] / PAD_WINDOW**2)
     return jax.lax.scan(press, start, loads)[1]
-
-
-def save_library(path: Path | str, library: PatchLibrary, *, about: dict | None = None) -> None:
-    """Write a library as one npz file, whole or not at all.
-
-    Args:
-        path: Of the file.
-        library: What to write.
-        about: Anything that JSON can hold, kept with it: which shapes it is of.
-
-    Raises:
-        SerializationError: The file cannot be written.
-    """
-    serialization.save(path, KIND, library, about)
-
-
-def load_library(path: Path | str) -> PatchLibrary:
-    """Read a library that `save_library` wrote.
-
-    Args:
-        path: Of the file.
-
-    Returns:
-        The library.
-
-    Raises:
-        SerializationError: There is no such file, or it is of another kind or damaged.
-    """
-    library, _ = serialization.load(path, KIND, PatchLibrary)
-    with serialization.fitting(path):
-        n, loads = len(library.patch), len(library.loads)
-        shapes = (library.newtons.shape[:2], library.indentation.shape, library.centre.shape[:2])
-        if (
-            any(shape != (n, loads) for shape in shapes)
-            or len(library.edge) != n
-            or library.kind.max() >= len(CONTACT_CLASSES)
-        ):
-            raise ValueError("patches, loads and contacts differ in number")
-    return library
 
 
 def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
@@ -301,55 +238,3 @@ def _meet(key: Array, surface: Surface, sampling: ContactSampling) -> Contacts:
 @jax.jit
 def _pressures(pad: Pad, heights: Array, loads: Array) -> tuple[Array, Array]:
     return map_batches(lambda height: pressure_chain(pad, height, loads), heights, batch_size=BATCH)
-
-
-@jax.jit
-def _edges(patches: Array) -> tuple[Array, Array]:
-    return map_batches(describe_edge, patches, batch_size=BATCH)
-
-
-def describe_edge(patch: Float[Array, "p p"]) -> tuple[Float[Array, "4"], Array]:
-    """Line along which a surface steps down, and the class of contact.
-
-    Args:
-        patch: m beyond the plane of first contact.
-
-    Returns:
-        Cosine and sine of twice the line's direction times its straightness (0 to 1), and a point on it (m); and the
-        index of the contact's class.
-    """
-    pitch = PATCH_WINDOW / patch.shape[0]
-    at = ((np.arange(patch.shape[0]) + 0.5) / patch.shape[0] - 0.5) * PATCH_WINDOW
-    near = patch <= CONTACT_TOLERANCE_M
-
-    def steps(axis: int) -> Array:
-        first, second = (near[:-1], near[1:]) if axis == 0 else (near[:, :-1], near[:, 1:])
-        fall = jnp.abs(jnp.diff(patch, axis=axis)) > STEP_SLOPE * pitch
-        crossed = (first ^ second) & fall
-        return jnp.where(crossed, second.astype(jnp.float32) - first, 0.0)
-
-    down, across = steps(0), steps(1)
-    # On a slanted line steps along both axes lie close together but not in one pixel: average before the product.
-    padded_x = jnp.pad(across, ((0, 0), (0, 1)))
-    padded_y = jnp.pad(down, ((0, 1), (0, 0)))
-    count = jnp.sum(jnp.abs(down)) + jnp.sum(jnp.abs(across))
-    kernel = jnp.exp(-0.5 * ((np.arange(-4, 5)) / 2.0) ** 2)
-    smooth = partial(_smoothed, kernel=kernel / jnp.sum(kernel))
-    gx, gy = smooth(padded_x), smooth(padded_y)
-    xx, yy, xy = jnp.sum(gx * gx), jnp.sum(gy * gy), jnp.sum(gx * gy)
-    coherence = jnp.sqrt((xx - yy) ** 2 + 4 * xy**2) / jnp.maximum(xx + yy, 1e-12)
-    double = jnp.arctan2(2 * xy, xx - yy) + jnp.pi  # twice the direction along the line, across the gradient
-    weight = jnp.abs(padded_x) + jnp.abs(padded_y)
-    total = jnp.maximum(jnp.sum(weight), 1e-12)
-    x = jnp.sum(weight * at[None, :]) / total
-    y = jnp.sum(weight * at[:, None]) / total
-    has_edge = count >= FEWEST_STEPS
-    straight = jnp.where(has_edge, coherence, 0.0)
-    kind = jnp.where(has_edge, jnp.where(coherence >= STRAIGHT_EDGE_COHERENCE, 1, 2), 0)
-    edge = jnp.stack([straight * jnp.cos(double), straight * jnp.sin(double), x, y])
-    return jnp.where(has_edge, edge, 0.0), kind
-
-
-def _smoothed(image: Array, kernel: Array) -> Array:
-    along = jax.vmap(lambda row: jnp.convolve(row, kernel, mode="same"))
-    return along(along(image).T).T

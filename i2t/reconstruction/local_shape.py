@@ -24,7 +24,6 @@ beyond the plane of first contact, clipped to the reach. Pure functions on one p
     posterior = infer(reading, force, travel, model=model, library=library)
 """
 
-from collections.abc import Sequence
 from functools import reduce
 from operator import add
 from typing import Any, NamedTuple
@@ -36,7 +35,6 @@ from jaxtyping import Array, Float, Int
 
 from i2t.types import CONTACT_TOLERANCE_M
 
-CONTACT_CLASSES = ("smooth", "edge", "corner")  # within the window: no step, one straight step, others
 SAMPLES = 256
 SMALLEST_FORCE_N = 0.02  # a noisy wrench sensor says less
 CONTACT_NEWTONS = 1e-3  # on a cell of 1 mm (1 kPa), above which it counts as contact
@@ -52,8 +50,6 @@ class PatchLibrary(NamedTuple):
     newtons: Float[Any, "n l cells"]  # on each cell of 1 mm, row along tool y
     indentation: Float[Any, "n l"]  # m past first contact, of the nominal layer
     centre: Float[Any, "n l 2"]  # m, centre of pressure (x, y)
-    edge: Float[Any, "n 4"]  # cosine and sine of twice its direction, times how straight it is; a point on it (m)
-    kind: Int[Any, " n"]  # index into CONTACT_CLASSES
 
 
 class PatchLikelihood(NamedTuple):
@@ -97,23 +93,7 @@ class PatchPosterior(NamedTuple):
     contact_probability: Float[Array, "g g"]  # of pressure on each cell of 1 mm at the last stop
     centre: Float[Array, "2"]  # m, centre of pressure (x, y) at the last stop
     centre_covariance: Float[Array, "2 2"]  # m^2
-    edge_direction: Float[Array, ""]  # rad from tool x, in [0, pi), of the edge if there is a straight one
-    edge_direction_std: Float[Array, ""]  # rad
-    edge_offset: Float[Array, ""]  # m of the edge from the tool axis, along its normal (-sin, cos)
-    edge_offset_std: Float[Array, ""]  # m
-    class_probability: Float[Array, " classes"]  # of CONTACT_CLASSES
     bits: Float[Array, ""]  # by which the weights differ from those before the touch (Kullback-Leibler)
-
-    def quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> Float[Array, "q p p"]:
-        """Quantiles of each pixel's depth.
-
-        Args:
-            levels: Between 0 and 1.
-
-        Returns:
-            m beyond the plane of first contact, one map for each level.
-        """
-        return jnp.quantile(self.patch.astype(jnp.float32), jnp.asarray(levels), axis=0)
 
 
 def infer_patch(
@@ -142,7 +122,7 @@ def infer_patch(
     Example:
         infer = jax.jit(infer_patch, static_argnames=("samples",))
         posterior = infer(touch.reading, touch.force, touch.depth, model=model, library=library)
-        posterior.mean, posterior.mask_probability, posterior.quantiles()
+        posterior.mean, posterior.mask_probability, jnp.quantile(posterior.patch, 0.9, axis=0)
     """
     reading = jnp.atleast_2d(jnp.asarray(reading))
     force = jnp.maximum(jnp.atleast_1d(jnp.asarray(force)), SMALLEST_FORCE_N)
@@ -237,10 +217,8 @@ def summarize(
     centre = library.centre[rows, load]
     middle = jnp.mean(centre, axis=0)
     about = centre - middle[None]
-    direction, direction_std, offset, offset_std = _edge(library.edge[rows], library.kind[rows])
     mask = jnp.mean(patch <= CONTACT_TOLERANCE_M, axis=0, dtype=jnp.float32)
     contact = jnp.mean(pressed, axis=0, dtype=jnp.float32).reshape(cells, cells)
-    kinds = jnp.arange(len(CONTACT_CLASSES))
     return PatchPosterior(
         weight=weight,
         rows=rows,
@@ -250,11 +228,6 @@ def summarize(
         contact_probability=_blurred(contact, blur * cells / patch.shape[-1]),
         centre=middle,
         centre_covariance=about.T @ about / samples,
-        edge_direction=direction,
-        edge_direction_std=direction_std,
-        edge_offset=offset,
-        edge_offset_std=offset_std,
-        class_probability=jnp.mean(library.kind[rows][:, None] == kinds[None], axis=0),
         bits=jnp.sum(jax.scipy.special.xlogy(weight, weight * len(weight))) / jnp.log(2.0),
     )
 
@@ -349,23 +322,6 @@ def _eliminate(gram: list[list[Array | float]], along: list[Array]) -> tuple[Arr
         factor.append([*row, pivot])
         explained, log_det = explained + solved[-1] ** 2, log_det + 2 * jnp.log(pivot)
     return explained, log_det
-
-
-def _edge(edge: Float[Array, "k 4"], kind: Int[Array, " k"]) -> tuple[Array, Array, Array, Array]:
-    """Direction and offset of the edge if there is a straight one, each with its standard deviation: of the samples
-    that have one, straighter ones counting more.
-    """
-    straight = jnp.linalg.norm(edge[:, :2], axis=-1) * (kind == CONTACT_CLASSES.index("edge"))
-    share = straight / jnp.maximum(jnp.sum(straight), 1e-9)
-    unit = edge[:, :2] / jnp.maximum(jnp.linalg.norm(edge[:, :2], axis=-1, keepdims=True), 1e-9)
-    double = share @ unit
-    direction = jnp.mod(0.5 * jnp.arctan2(double[1], double[0]), jnp.pi)
-    # Of directions, which are the same after half a turn (Mardia and Jupp, Directional Statistics, 2000, section 3.4).
-    direction_std = 0.5 * jnp.sqrt(-2 * jnp.log(jnp.clip(jnp.linalg.norm(double), 1e-6, 1.0)))
-    normal = jnp.stack([-jnp.sin(direction), jnp.cos(direction)])
-    offsets = edge[:, 2:] @ normal
-    offset = jnp.sum(share * offsets)
-    return direction, direction_std, offset, jnp.sqrt(jnp.sum(share * (offsets - offset) ** 2))
 
 
 def _blurred(image: Float[Array, "m m"], std: Float[Array, ""] | float) -> Float[Array, "m m"]:

@@ -8,7 +8,6 @@ imagines.
 Metres, newtons, microtesla; one press, lifted by `vmap`.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -51,7 +50,6 @@ def simulate_press_curve(
     *,
     errors: SimulationErrors,
     limits: PressLimits,
-    skin_changes: Sequence[float] = SKIN_CHANGES_UT,
 ) -> PressCurve:
     """Press a pad onto a surface, past several changes of its reading.
 
@@ -60,14 +58,13 @@ def simulate_press_curve(
         pad: The skin.
         heights: m, of the surface beyond the plane of first contact, over the cells of `i2t.skin.contact.GRID`.
         errors: Of slant, force, travel and sensor.
-        limits: Of the press, all but its skin change.
-        skin_changes: uT, ascending: at each of them the press stops.
+        limits: Of the press; it stops at `SKIN_CHANGES_UT`, whatever their skin change.
 
     Returns:
         The stops.
     """
     key_slant, key_force, key_travel, key_sensor = jax.random.split(key, 4)
-    stops = len(skin_changes)
+    stops = len(SKIN_CHANGES_UT)
     nearest = jnp.min(heights)
     height = heights - nearest
     slant = errors.slant * jax.random.normal(key_slant, (2,))
@@ -94,7 +91,7 @@ def simulate_press_curve(
     keys = jax.random.split(key_sensor, stops)
     # One stop after the other, so that one of them is compiled.
     reading, force, travel, newtons, centre = jax.lax.map(
-        lambda each: stop(*each), (jnp.asarray(skin_changes, jnp.float32), keys)
+        lambda each: stop(*each), (jnp.asarray(SKIN_CHANGES_UT, jnp.float32), keys)
     )
     measured = jnp.maximum(force + force_error, 0)
     return PressCurve(reading, measured, travel + missed[0] + missed[1:], newtons, centre)

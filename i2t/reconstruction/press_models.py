@@ -1,20 +1,13 @@
-"""Readings of one pad at every patch of a library, by its physics or by a model fitted to its touches.
+"""Readings of one pad at every patch of a library, by its physics.
 
-By physics (`imagine_presses`): the pad's own layer is pressed onto each patch with the library's loads in turn,
-friction follows the path of the press (`i2t.skin.friction`), and the field of the moved magnets is what chips read.
+The pad's own layer is pressed onto each patch with the library's loads in turn, friction follows the path of the press
+(`i2t.skin.friction`), and the field of the moved magnets is what chips read.
 Friction without any slide belongs to that: it is a third of a reading. What a slant of the press adds is taken as
 linear in it, and differs little between patches of one pressure: it is computed for a few hundred patches, and a ridge
 regression on the pressures gives it for all (`SLIDING_PATCHES`; nine tenths of its variance).
 
-By a model (`model_presses`): anything that maps pressures on cells of 1 mm to readings at a few loads, as a pad's
-Gaussian process does (`i2t.recognition.outcomes.linear_reading_model`), real pads included. Such a model has friction
-in its mean, and no sliding of its own.
-
 Metres, newtons, microtesla.
 """
-
-from functools import partial
-from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -37,39 +30,13 @@ SLIDING_SLANT = 0.0175  # m/m, at which the effect of a slant is computed: a deg
 SLIDING_RIDGE = 0.1  # of the mean square of the pressures
 
 
-@runtime_checkable
-class ReadingModel(Protocol):
-    """Pad model that `model_presses` needs."""
-
-    @property
-    def loads(self) -> Float[Array, " l"]:
-        """Loads (N), ascending."""
-
-    @property
-    def mean(self) -> Float[Array, "l cells c"]:
-        """Mean reading (uT) per N on each cell of 1 mm."""
-
-    @property
-    def softness(self) -> Float[Array, ""]:
-        """Indentation of the pad over that of the nominal layer."""
-
-
-def imagine_presses(
-    pad: Pad,
-    library: PatchLibrary,
-    *,
-    likelihood: PatchLikelihood | None = None,
-    noise: Noise | None = None,
-    stiffness: float = STIFFNESS_N_PER_M,
-) -> PressModel:
+def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelihood | None = None) -> PressModel:
     """Readings of a pad of known physics at a library's patches: simulated, nominal, or fitted to its presses.
 
     Args:
         pad: The skin.
         library: The patches.
         likelihood: How far presses differ from what is imagined.
-        noise: Of the sensor.
-        stiffness: N/m, of arm and mount in series.
 
     Returns:
         The model, on the default device.
@@ -82,46 +49,17 @@ def imagine_presses(
     rows = np.random.default_rng(0).permutation(len(heights))[:SLIDING_PATCHES]
     some = _slide_all(pad, heights[rows], loads)
     sliding = _ridge(newtons[rows] / loads[None, :, None], some / loads[None, :, None, None], newtons)
-    travel = indentation + loads[None] / stiffness
-    return _press_model(loads, reading, sliding, travel, pad.board, likelihood=likelihood, noise=noise)
-
-
-def model_presses(
-    reading_model: ReadingModel,
-    library: PatchLibrary,
-    *,
-    board: Board,
-    likelihood: PatchLikelihood | None = None,
-    noise: Noise | None = None,
-    stiffness: float = STIFFNESS_N_PER_M,
-) -> PressModel:
-    """Readings of a pad at a library's patches by a model that was fitted to its touches.
-
-    Args:
-        reading_model: From pressures to readings at a few loads.
-        library: The patches.
-        board: The pad's.
-        likelihood: How far presses differ from what is imagined.
-        noise: Of the sensor.
-        stiffness: N/m, of arm and mount in series.
-
-    Returns:
-        The model, on the default device.
-    """
-    loads = jnp.asarray(library.loads)
-    knots = jnp.log(jnp.asarray(reading_model.loads))
-
-    def at(load: Array, newtons: Array) -> Array:
-        low = jnp.clip(jnp.searchsorted(knots, jnp.log(load)) - 1, 0, len(knots) - 2)
-        step = jnp.clip((jnp.log(load) - knots[low]) / (knots[low + 1] - knots[low]), 0.0, 1.0)
-        first, second = jnp.asarray(reading_model.mean)[low], jnp.asarray(reading_model.mean)[low + 1]
-        return newtons @ (first + step * (second - first))
-
-    newtons = jnp.moveaxis(jnp.asarray(library.newtons, jnp.float32), 1, 0)
-    reading = jnp.moveaxis(jax.vmap(at)(loads, newtons), 0, 1)
-    sliding = jnp.zeros((*reading.shape[:2], 2, reading.shape[-1]))
-    travel = reading_model.softness * jnp.asarray(library.indentation) + loads[None] / stiffness
-    return _press_model(loads, reading, sliding, travel, board, likelihood=likelihood, noise=noise)
+    variance, vectors = np.linalg.eigh(noise_covariance(pad.board, Noise()))
+    axes = jnp.asarray(vectors.T, jnp.float32)
+    return PressModel(
+        loads=loads,
+        reading=jnp.einsum("dc,nlc->ldn", axes, reading),
+        sliding=jnp.einsum("dc,nlic->lidn", axes, sliding),
+        travel=(indentation + loads[None] / STIFFNESS_N_PER_M).T,
+        axes=axes,
+        noise=jnp.asarray(np.maximum(variance, 0), jnp.float32),
+        likelihood=likelihood or PatchLikelihood(),
+    )
 
 
 def noise_covariance(board: Board, noise: Noise) -> Float[np.ndarray, "c c"]:
@@ -139,30 +77,6 @@ def noise_covariance(board: Board, noise: Noise) -> Float[np.ndarray, "c c"]:
     each_axis = np.diag([noise.xy, noise.xy, noise.z]) * np.sqrt(2 * noise.common)  # in contact, and before it
     seen = np.stack([np.asarray(board.to_board(jnp.tile(axis, (board.num_chips, 1)))) for axis in each_axis], -1)
     return np.diag(own) + seen @ seen.T
-
-
-def _press_model(
-    loads: Array,
-    reading: Array,
-    sliding: Array,
-    travel: Array,
-    board: Board,
-    *,
-    likelihood: PatchLikelihood | None,
-    noise: Noise | None,
-) -> PressModel:
-    """Readings (n, l, c) and sliding terms (n, l, 2, c), turned to the axes of the noise, patches last."""
-    variance, vectors = np.linalg.eigh(noise_covariance(board, Noise() if noise is None else noise))
-    axes = jnp.asarray(vectors.T, jnp.float32)
-    return PressModel(
-        loads=loads,
-        reading=jnp.einsum("dc,nlc->ldn", axes, reading),
-        sliding=jnp.einsum("dc,nlic->lidn", axes, sliding),
-        travel=travel.T,
-        axes=axes,
-        noise=jnp.asarray(np.maximum(variance, 0), jnp.float32),
-        likelihood=likelihood or PatchLikelihood(),
-    )
 
 
 @jax.jit
@@ -211,13 +125,13 @@ def _reading(pad: Pad, pressure: Array, traction: Array) -> Array:
     return response(pad, pressure, CELL_GRID, traction=traction)
 
 
-@partial(jax.jit, static_argnames=("ridge",))
-def _ridge(seen: Array, target: Array, all_of: Array, *, ridge: float = SLIDING_RIDGE) -> Array:
+@jax.jit
+def _ridge(seen: Array, target: Array, all_of: Array) -> Array:
     """A linear map from pressures (n, l, cells) to targets (n, l, 2, c), one for each load, applied to all."""
 
     def one(x: Array, y: Array, new: Array) -> Array:
         gram = x @ x.T
-        system = gram + ridge * jnp.trace(gram) * jnp.eye(len(x)) / len(x)
+        system = gram + SLIDING_RIDGE * jnp.trace(gram) * jnp.eye(len(x)) / len(x)
         return (new @ x.T) @ jnp.linalg.solve(system, y.reshape(len(x), -1))
 
     found = jax.vmap(one, in_axes=1, out_axes=1)(seen, target, all_of)

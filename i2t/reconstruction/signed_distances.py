@@ -7,7 +7,7 @@ cubes (Lewiner et al., Journal of Graphics Tools 8, 2003) as scikit-image has it
 `reconstruct`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -23,8 +23,6 @@ SAMPLES_PER_FACE = 2  # at least, on average
 NEAR_SAMPLES = 6  # nearest samples whose triangles are looked at exactly
 EXACT_WITHIN_M = 8e-3  # of the surface distances are exact; farther off they are those to the samples
 COLUMN_SHIFT = (1.7e-7, 1.1e-7)  # m, by which columns miss vertices and edges that lie on the grid
-MESH_MAKER = "skimage"  # the package of marching cubes, as it is imported
-NEEDS_MESH_MAKER = "a mesh of signed distances"
 
 
 class VoxelGrid(NamedTuple):
@@ -137,22 +135,6 @@ def sample_surface(mesh: Mesh, count: int, seed: int = 0) -> tuple[NDArray[np.fl
     return (1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face], face
 
 
-def join_bodies(mesh: Mesh) -> Mesh:
-    """The outer surface of bodies that overlap; a mesh of one body, or one that is not closed, stays as it is.
-
-    Args:
-        mesh: Of one body or several.
-
-    Returns:
-        Their union.
-    """
-    bodies = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).split(only_watertight=False)
-    if len(bodies) < 2 or not all(body.is_watertight for body in bodies):
-        return mesh
-    joined = trimesh.boolean.union(list(bodies), engine="manifold")
-    return Mesh(np.asarray(joined.vertices, np.float64), np.asarray(joined.faces, np.int32))
-
-
 def extract_mesh(grid: VoxelGrid, distance: Float[np.ndarray, " g"]) -> Mesh:
     """The surface on which a signed distance is zero, closed where it leaves the grid.
 
@@ -166,27 +148,14 @@ def extract_mesh(grid: VoxelGrid, distance: Float[np.ndarray, " g"]) -> Mesh:
     Raises:
         MissingExtraError: scikit-image is not installed.
     """
-    measure = marching_cubes()
+    require_extra("skimage", "a mesh of signed distances")
+    from skimage.measure import marching_cubes
+
     field = np.pad(distance.reshape(grid.shape), 1, constant_values=grid.spacing)
     if field.min() >= 0 or field.max() <= 0:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    vertices, faces, _, _ = measure(field, level=0.0, spacing=(grid.spacing,) * 3, gradient_direction="descent")
+    vertices, faces, _, _ = marching_cubes(field, level=0.0, spacing=(grid.spacing,) * 3, gradient_direction="descent")
     return Mesh(vertices.astype(np.float64) - grid.spacing + grid.low, faces.astype(np.int32))
-
-
-def marching_cubes() -> Any:
-    """The function of scikit-image.
-
-    Returns:
-        `skimage.measure.marching_cubes`.
-
-    Raises:
-        MissingExtraError: It is not installed; one sentence says how to get it.
-    """
-    require_extra(MESH_MAKER, NEEDS_MESH_MAKER)
-    from skimage.measure import marching_cubes as found
-
-    return found
 
 
 def _inside(triangles: NDArray, grid: VoxelGrid) -> NDArray[np.bool_]:

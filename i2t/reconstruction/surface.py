@@ -24,7 +24,7 @@ the mean would break in. The inverse of `i2t.simulation.sites.press_along`; fram
 NumPy: sizes change from touch to touch, and dense linear algebra of a few hundred points takes most of the time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,8 +36,6 @@ from scipy.special import logsumexp
 from i2t.extras import require_extra
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
-    MESH_MAKER,
-    NEEDS_MESH_MAKER,
     VoxelGrid,
     corners_of,
     extract_mesh,
@@ -47,6 +45,7 @@ from i2t.reconstruction.signed_distances import (
 )
 from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, STANDOFF, Array
 
+QUARTERS = 4  # turns of a shape about z that the library holds
 LATTICE = 5  # heights of a touch along each edge of the patch's window
 RIM = 7  # points of the pad's square along each edge, among which the lowest is sought
 SWEPT_DEPTHS_M = (0.5e-3, 3e-3, 8e-3, 16e-3, 28e-3)  # behind the pad's plane, where space is looked at
@@ -149,18 +148,14 @@ def surface_model(
     meshes: Sequence[Mesh],
     *,
     config: SurfaceConfig | None = None,
-    turns: int = 4,
-    progress: Callable[[int], None] = lambda done: None,
     low: Array = (-40e-3, -40e-3, 0.0),
     high: Array = (40e-3, 40e-3, 50e-3),
 ) -> SurfaceModel:
-    """A model whose library are the given shapes, each also turned about z.
+    """A model whose library are the given shapes, each in four quarter turns about z.
 
     Args:
         meshes: Closed meshes that stand where objects stand; none for a prior of smoothness alone.
         config: What is assumed.
-        turns: Quarter turns of each shape that the library holds: 4, 2 or 1.
-        progress: Called with the number of shapes done.
         low: (3,) m, lowest corner of the box that objects are known to be in; shapes may enlarge it.
         high: (3,) m, its highest corner.
 
@@ -170,18 +165,17 @@ def surface_model(
     Raises:
         MissingExtraError: scikit-image is missing, which makes the surface in the end.
     """
-    require_extra(MESH_MAKER, NEEDS_MESH_MAKER)  # here, and not after all touches
+    require_extra("skimage", "a mesh of signed distances")  # here, and not after all touches
     config = config or SurfaceConfig()
     bounds = [np.asarray(low, float), *(mesh.vertices.min(0) for mesh in meshes)]
     tops = [np.asarray(high, float), *(mesh.vertices.max(0) for mesh in meshes)]
     grid = grid_around(np.min(bounds, 0), np.max(tops, 0), across=config.across, margin=config.margin)
     points = grid.points()
-    library = np.zeros((len(points), turns * len(meshes)), np.float16)
+    library = np.zeros((len(points), QUARTERS * len(meshes)), np.float16)
     for i, mesh in enumerate(meshes):
         field = signed_distance_grid(mesh, grid).reshape(grid.shape)
-        for turn in range(turns):
-            library[:, turns * i + turn] = np.rot90(field, turn * 4 // turns, axes=(0, 1)).ravel()
-        progress(i + 1)
+        for turn in range(QUARTERS):
+            library[:, QUARTERS * i + turn] = np.rot90(field, turn, axes=(0, 1)).ravel()
     return SurfaceModel(grid, points, library, config)
 
 
@@ -255,43 +249,44 @@ def add_view(
     return after, SurfaceInfo(found, _effective(model, after))
 
 
-def contact_evidence(
-    T_o_t: Float[Array, "4 4"],
-    *,
-    hit: bool = True,
-    swept: float = STANDOFF,
-    height: Float[Array, "h w"] | None = None,
-    std: Float[Array, "h w"] | None = None,
-    free: Float[Array, "h w"] | None = None,
-) -> TouchEvidence:
-    """Evidence of a touch, with or without an image of the surface before the pad.
+def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: float = STANDOFF) -> TouchEvidence:
+    """Evidence of a touch of which nothing is known but the pose of contact.
 
     Args:
         T_o_t: Pose of the tool at first contact, or where the way through air ended.
         hit: Whether there was a contact.
         swept: m of the straight way behind that pose.
-        height: m, of the surface beyond the pad's plane, over the window of a patch (row i along tool y); None where
-            nothing was felt but the contact.
+
+    Returns:
+        The evidence: no height, and nothing free beyond the pad's plane.
+    """
+    nothing = np.zeros((LATTICE, LATTICE))
+    return TouchEvidence(np.asarray(T_o_t, np.float64), bool(hit), float(swept), nothing, nothing + np.inf, nothing)
+
+
+def image_evidence(
+    T_o_t: Float[Array, "4 4"],
+    height: Float[Array, "h w"],
+    std: Float[Array, "h w"],
+    free: Float[Array, "h w"],
+    *,
+    swept: float = STANDOFF,
+) -> TouchEvidence:
+    """Evidence of a touch with an image of the surface before the pad, over the window of a patch (row i along tool y).
+
+    Args:
+        T_o_t: Pose of the tool at first contact.
+        height: m, of the surface beyond the pad's plane.
         std: m, of each height; inf where it is not known.
-        free: m beyond the plane that are known to be free; None is nothing beyond it.
+        free: m beyond the plane that are known to be free.
+        swept: m of the straight way behind that pose.
 
     Returns:
         The evidence, on the lattice that an update reads.
     """
-    nothing = np.zeros((LATTICE, LATTICE))
-    bare = TouchEvidence(
-        T_o_t=np.asarray(T_o_t, np.float64),
-        hit=bool(hit),
-        swept=float(swept),
-        height=nothing,
-        std=nothing + np.inf,
-        free=nothing,
-    )
-    if height is None or std is None or not hit:
-        return bare
-    place = ((np.arange(LATTICE) + 0.5) / LATTICE * np.shape(height)[0]).astype(int)
-    image = [nothing if each is None else np.asarray(each, np.float64)[np.ix_(place, place)] for each in (height, free)]
-    return bare._replace(height=image[0], free=image[1], std=np.asarray(std, np.float64)[np.ix_(place, place)])
+    place = _lattice_pixels(np.shape(height)[0])
+    image = (np.asarray(each, np.float64)[np.ix_(place, place)] for each in (height, std, free))
+    return TouchEvidence(np.asarray(T_o_t, np.float64), True, float(swept), *image)
 
 
 def posterior_evidence(
@@ -308,7 +303,7 @@ def posterior_evidence(
         Means and standard deviations of the heights; what nearly all samples leave free; nothing of heights that may
         lie beyond the patch's reach.
     """
-    place = ((np.arange(LATTICE) + 0.5) / LATTICE * np.shape(patches)[-1]).astype(int)
+    place = _lattice_pixels(np.shape(patches)[-1])
     samples = np.asarray(patches)[:, place][:, :, place].astype(np.float64)
     mean, low, high = samples.mean(0), np.quantile(samples, 0.05, 0), np.quantile(samples, 0.9, 0)
     # Errors of neighbouring heights come together, so each counts for less than its spread says.
@@ -489,6 +484,11 @@ def spread_out(points: Float[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, 
     return np.array(chosen)
 
 
+def _lattice_pixels(count: int) -> np.ndarray:
+    """Pixels of an image, along one edge, that the lattice reads."""
+    return ((np.arange(LATTICE) + 0.5) / LATTICE * count).astype(int)
+
+
 def _lattice() -> tuple[np.ndarray, np.ndarray]:
     """x and y of the lattice over the patch's window; row i along y."""
     centres = ((np.arange(LATTICE) + 0.5) / LATTICE - 0.5) * PATCH_WINDOW
@@ -591,18 +591,9 @@ def _matern(model: SurfaceModel, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     known = model.library.shape[1] > 0
     std, length = (config.residual, config.length) if known else (config.smooth_residual, config.smooth_length)
     a, b = (np.asarray(each, np.float32) * np.float32(np.sqrt(5) / length) for each in (a, b))
-    square = a @ (-2 * b.T)
-    square += (a**2).sum(-1)[:, None]
-    square += (b**2).sum(-1)
-    np.maximum(square, 0, out=square)
+    square = np.maximum(a @ (-2 * b.T) + (a**2).sum(-1)[:, None] + (b**2).sum(-1), 0)
     r = np.sqrt(square)
-    square *= np.float32(1 / 3)
-    square += r
-    square += 1
-    np.negative(r, out=r)
-    square *= np.exp(r, out=r)
-    square *= np.float32(std**2)
-    return square
+    return (square * np.float32(1 / 3) + r + 1) * np.exp(-r) * np.float32(std**2)
 
 
 def _prior_and_cross(
@@ -642,14 +633,7 @@ def _condition(
     factor = cho_factor(cov, lower=True, check_finite=False) if len(points) else (np.zeros((0, 0)), True)
     residual = cho_solve(factor, values - prior, check_finite=False) if len(points) else np.zeros(0)
     narrow = factor[0].astype(np.float32), True
-    return SurfacePosterior(
-        weights=weights,
-        shapes=shapes,
-        points=points,
-        deviations=deviations,
-        factor=narrow,
-        residual=residual.astype(np.float32),
-    )
+    return SurfacePosterior(weights, shapes, points, deviations, narrow, residual.astype(np.float32))
 
 
 def _surface_points(

@@ -8,8 +8,8 @@ differences of a reading y from candidate i in standard deviations s,
     log w_i = T [ -sum log s - (k + c)/2 log(1 + z'z / k) ],
 
 Student's t with k degrees of freedom, tempered by T, because what a calibration errs is alike in all channels; a share
-of the prior stays mixed in. A load that was measured with the reading multiplies the weights by its own likelihood.
-What a head of the skin, which learned positions from readings, says of the position can be pooled with them.
+of the prior stays mixed in. What a head of the skin, which learned positions from readings, says of the position can be
+pooled with them.
 
 Metres, newtons, microtesla; positions are of the tip in the tool frame.
 """
@@ -89,8 +89,6 @@ def infer_tip(
     reading: Float[Array | np.ndarray, " c"],
     model: TipModel,
     *,
-    load: Float[Array, ""] | float = jnp.nan,
-    load_std: Float[Array, ""] | float = 1.0,
     head: tuple[Float[Array, "2"], Float[Array, "2"]] | None = None,
     head_weight: Float[Array, ""] | float = 0.25,
 ) -> TipPosterior:
@@ -99,8 +97,6 @@ def infer_tip(
     Args:
         reading: uT.
         model: What the skin reads at every candidate.
-        load: Measured with the reading (m or N); NaN where it was not.
-        load_std: Its standard deviation, which the spacing of the candidates' loads should not exceed.
         head: What a head of the skin says of the position (`i2t.calibration.heads`): mean and standard deviation (m).
         head_weight: By which its logarithm counts next to the tempered likelihood. It comes from the same reading, so
             the two are pooled and not multiplied (logarithmic opinion pool; Genest and Zidek, Statistical Science 1,
@@ -113,8 +109,7 @@ def infer_tip(
     z = (jnp.asarray(reading)[None, None] - model.mean) / model.std
     spread = jnp.sum(jnp.log(model.std), axis=-1)
     explained = -spread - 0.5 * (likelihood.dof + z.shape[-1]) * jnp.log1p(jnp.sum(z * z, axis=-1) / likelihood.dof)
-    off = jnp.where(jnp.isnan(load), 0.0, (model.loads - jnp.nan_to_num(load)) / load_std)[None]
-    logarithm = likelihood.temperature * explained - 0.5 * off**2
+    logarithm = likelihood.temperature * explained
     if head is not None:
         mean, std = head
         logarithm -= 0.5 * head_weight * jnp.sum(((model.places - mean[None]) / std[None]) ** 2, axis=-1)[:, None]

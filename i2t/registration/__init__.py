@@ -2,7 +2,7 @@
 
 from i2t.registration.depth import DepthRegistrationConfig, camera_covariance, register_by_depth
 from i2t.registration.estimate import PoseEstimate
-from i2t.registration.patch import PatchRegistrationConfig, RefinedPose, refine_pose, refine_pose_multistart
+from i2t.registration.patch import PatchRegistrationConfig, RefinedPose, refine_pose
 from i2t.registration.touch import TouchRegistrationConfig, contact_poses, register_by_touch
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "camera_covariance",
     "contact_poses",
     "refine_pose",
-    "refine_pose_multistart",
     "register_by_depth",
     "register_by_touch",
 ]

@@ -10,8 +10,7 @@ for the next trial, where W are the weights of iteratively reweighted least squa
 (Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", 1963). A step that is kept cuts the
 damping, one that is not raises it. The first step only looks, so that what is linearised is compiled once.
 
-Pure: lift it with `vmap` over starts or observations. `init` and `step` are for those who look at each step;
-`levenberg_marquardt` runs them.
+Pure: lift it with `vmap` over starts or observations.
 """
 
 import math
@@ -51,83 +50,6 @@ class SolverState(NamedTuple):
     steps: Int[Array, ""]  # so far
 
 
-class Info(NamedTuple):
-    """Diagnostics of a step."""
-
-    cost: Float[Array, ""]  # of what was kept, at the scale of this step
-    accepted: Bool[Array, ""]
-    damping: Float[Array, ""]
-
-
-def init(problem: LeastSquares, x0: Any, *, damping: float = MIN_DAMPING) -> SolverState:
-    """The state before the first step.
-
-    Args:
-        problem: What is sought.
-        x0: Where the search starts.
-        damping: The first damping.
-
-    Returns:
-        A state whose first trial is the start itself.
-    """
-    far = jnp.full((), math.inf, jnp.float32)
-    return SolverState(
-        x=x0,
-        linearised=problem.unseen,
-        trial=x0,
-        trial_length=far,
-        looked_length=far,
-        damping=jnp.full((), damping, jnp.float32),
-        steps=jnp.zeros((), jnp.int32),
-    )
-
-
-def step(
-    problem: LeastSquares,
-    state: SolverState,
-    scale: Float[Array, ""],
-    next_scale: Float[Array, ""],
-    *,
-    scale_free: bool = False,
-) -> tuple[SolverState, Info]:
-    """Look at the trial, keep it if its cost is not larger, and propose the next one.
-
-    Args:
-        problem: What is sought.
-        state: From `init` or the step before.
-        scale: Of the robust loss, by which the trial is compared with what was kept.
-        next_scale: Of the robust loss, by which the next trial is proposed.
-        scale_free: Whether the damping multiplies the matrix's diagonal (Marquardt) instead of the identity
-            (Levenberg): the better choice where parameters differ in their units.
-
-    Returns:
-        The next state and what happened.
-    """
-    there = problem.residual_and_jacobian(state.trial)
-    before, after = problem.cost(state.x, state.linearised, scale), problem.cost(state.trial, there, scale)
-    accepted = after <= before
-    x, linearised = jax.tree.map(
-        lambda new, old: jnp.where(accepted, new, old), (state.trial, there), (state.x, state.linearised)
-    )
-    damping = state.damping * jnp.where(accepted, DAMPING_CUT, DAMPING_RAISE)
-    damping = jnp.clip(damping, MIN_DAMPING, MAX_DAMPING)
-    matrix, gradient = problem.normal_equations(x, linearised, next_scale)
-    diagonal = jnp.diagonal(matrix) if scale_free else jnp.ones(len(matrix), matrix.dtype)
-    change = -jax.scipy.linalg.solve(matrix + damping * jnp.diag(diagonal), gradient, assume_a="pos")
-    info = Info(jnp.where(accepted, after, before), accepted, state.damping)
-    length = jnp.linalg.norm(change)
-    trial = problem.retract(x, change)
-    return SolverState(
-        x=x,
-        linearised=linearised,
-        trial=trial,
-        trial_length=length,
-        looked_length=state.trial_length,
-        damping=damping,
-        steps=state.steps + 1,
-    ), info
-
-
 def levenberg_marquardt(
     problem: LeastSquares,
     x0: Any,
@@ -146,7 +68,8 @@ def levenberg_marquardt(
         scales: Of the robust loss at each step; as many steps are made at most.
         next_scales: By which each step proposes the next trial; those of `scales` unless given.
         damping: The first damping.
-        scale_free: As in `step`.
+        scale_free: Whether the damping multiplies the matrix's diagonal (Marquardt) instead of the identity
+            (Levenberg): the better choice where parameters differ in their units.
         tolerance: Ends at the last scale once a change is shorter; None makes all steps.
 
     Returns:
@@ -161,7 +84,21 @@ def levenberg_marquardt(
         last_scale = scales[jnp.minimum(state.steps, len(scales) - 1)] <= scales[-1]
         return left & ~((state.looked_length < tolerance) & last_scale)
 
-    def advance(state: SolverState) -> SolverState:
-        return step(problem, state, scales[state.steps], next_scales[state.steps], scale_free=scale_free)[0]
+    def step(state: SolverState) -> SolverState:
+        """Look at the trial, keep it if its cost is not larger, and propose the next one."""
+        there, scale = problem.residual_and_jacobian(state.trial), scales[state.steps]
+        accepted = problem.cost(state.trial, there, scale) <= problem.cost(state.x, state.linearised, scale)
+        x, linearised = jax.tree.map(
+            lambda new, old: jnp.where(accepted, new, old), (state.trial, there), (state.x, state.linearised)
+        )
+        changed = jnp.clip(state.damping * jnp.where(accepted, DAMPING_CUT, DAMPING_RAISE), MIN_DAMPING, MAX_DAMPING)
+        matrix, gradient = problem.normal_equations(x, linearised, next_scales[state.steps])
+        diagonal = jnp.diagonal(matrix) if scale_free else jnp.ones(len(matrix), matrix.dtype)
+        change = -jax.scipy.linalg.solve(matrix + changed * jnp.diag(diagonal), gradient, assume_a="pos")
+        trial, length = problem.retract(x, change), jnp.linalg.norm(change)
+        return SolverState(x, linearised, trial, length, state.trial_length, changed, state.steps + 1)
 
-    return jax.lax.while_loop(unfinished, advance, init(problem, x0, damping=damping))
+    far = jnp.full((), math.inf, jnp.float32)
+    first = jnp.full((), damping, jnp.float32)
+    start = SolverState(x0, problem.unseen, x0, far, far, first, jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(unfinished, step, start)

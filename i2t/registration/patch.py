@@ -12,24 +12,24 @@ A motion is a twist `x` (6,) in the tool frame, `T from_twist(x)` (`i2t.geometry
 three rotations times `TWIST_LEVER_M`, half the edge of a patch, which is how far they move its rim: all six in metres.
 Then the Gauss-Newton matrix `mean_pixels(dh/dx dh/dx')` has no unit, and an eigenvalue is the mean square change of the
 heights per square of the motion along its eigenvector: 1 for a motion along the tool axis, 1/3 for a tilt of a flat
-surface, 0 for what one patch cannot tell, such as sliding along a plane. `observable_directions` compares it with a
-bound, `resolvable_eigenvalue` derives the bound from noise and the error that is asked for.
+surface, 0 for what one patch cannot tell, such as sliding along a plane. `resolvable_eigenvalue` is the least that
+counts, by noise and the error that is asked for.
 
 Everything is pure and works on one observation; lift it with `vmap`.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int
 
-from i2t.geometry import from_twist, full_precision, random_motion
+from i2t.geometry import from_twist, full_precision
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
 from i2t.rendering.render import render_patch
-from i2t.types import PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
 
 INITIAL_DAMPING = 0.1  # of the Gauss-Newton matrix, whose eigenvalues are about 1 where a pose is known
 EMPTY_FLOOR_M = -1e3  # floor of a patch without a surface
@@ -83,8 +83,8 @@ def refine_pose(
     Returns:
         The pose and what the patch tells about it.
     """
-    scales = scale_schedule(config)
-    problem = patch_problem(surface, observed, config)
+    scales = _scale_schedule(config)
+    problem = _patch_problem(surface, observed, config)
     end = levenberg_marquardt(
         problem, T_o_t, scales[:-1], scales[1:], damping=INITIAL_DAMPING, tolerance=config.tolerance
     )
@@ -93,146 +93,26 @@ def refine_pose(
     return RefinedPose(end.x, cost, end.steps, eigenvalues, directions)
 
 
-@full_precision
-def refine_pose_multistart(
-    key: Key[Array, ""],
-    surface: Surface,
-    observed: Patch,
-    T_o_t: Float[Array, "4 4"],
-    *,
-    translation_std: float,
-    rotation_std: float,
-    num_draws: int = 32,
-    num_starts: int = 4,
-    config: PatchRegistrationConfig = PatchRegistrationConfig(),
-) -> RefinedPose:
-    """The best result of `refine_pose` from the most promising of several poses around a start.
-
-    For objects with edges, where the heights of a pose two millimetres off have little to do with the right one's.
-    Best is the smallest robust cost, at the initial scale before and at the final scale after.
-
-    Args:
-        key: A JAX key, for the draws.
-        surface: What was seen.
-        observed: The patch.
-        T_o_t: The middle of the draws, and the first of them.
-        translation_std: Standard deviation (m) of the draws along each axis.
-        rotation_std: Standard deviation (rad) of the draws about each axis.
-        num_draws: Poses that are looked at; static.
-        num_starts: Of these, how many are refined; static.
-        config: How to search; static.
-
-    Returns:
-        The best pose and what the patch tells about it.
-    """
-    keys = jax.random.split(key, num_draws - 1)
-    motions = jax.vmap(random_motion, (0, None, None))(keys, translation_std, rotation_std)
-    poses = jnp.concatenate([T_o_t[None], T_o_t @ motions])
-    pixels = observed.depth.shape[-1]
-    reference, floor = reference_heights(observed, config.reach)
-
-    def first_cost(T_o_t: Float[Array, "4 4"]) -> Float[Array, ""]:
-        heights = visible_heights(surface, T_o_t, floor, pixels=pixels, window=config.window, reach=config.reach)
-        return robust_cost(heights - reference, config.initial_scale)
-
-    _, best = jax.lax.top_k(-jax.vmap(first_cost)(poses), num_starts)
-    ends = jax.vmap(refine_pose, (None, None, 0, None))(surface, observed, poses[best], config)
-    first = jnp.argmin(jnp.where(jnp.isnan(ends.cost), jnp.inf, ends.cost))
-    return jax.tree.map(lambda leaf: leaf[first], ends)
-
-
-def patch_problem(surface: Surface, observed: Patch, config: PatchRegistrationConfig) -> LeastSquares:
-    """State the search for `levenberg_marquardt`, whose parameters are the pose T_o_t.
-
-    Args:
-        surface: What was seen.
-        observed: The patch.
-        config: How to search.
-
-    Returns:
-        The problem.
-    """
-    blind = LinearisedPatch(
-        jnp.full_like(observed.depth, UNSEEN_RESIDUAL_M), jnp.zeros((*observed.depth.shape, 6), observed.depth.dtype)
-    )
-    return LeastSquares(
-        residual_and_jacobian=lambda T_o_t: linearise(surface, observed, T_o_t, config),
-        cost=lambda T_o_t, linearised, scale: robust_cost(linearised.residual, scale),
-        normal_equations=lambda T_o_t, linearised, scale: _normal_equations(linearised, scale),
-        retract=full_precision(lambda T_o_t, twist: T_o_t @ from_twist(twist)),
-        unseen=blind,
-    )
-
-
-def scale_schedule(config: PatchRegistrationConfig) -> Float[Array, " steps_and_one"]:
-    """Scales of the robust loss.
-
-    Args:
-        config: How to search.
-
-    Returns:
-        The scale (m) of every step and of what would follow the last one.
-    """
-    scales = [np.float32(config.initial_scale)]
-    for _ in range(config.max_steps):
-        scales.append(max(scales[-1] * np.float32(config.scale_factor), np.float32(config.final_scale)))
-    return jnp.asarray(scales)
-
-
-def linearise(
-    surface: Surface, observed: Patch, T_o_t: Float[Array, "4 4"], config: PatchRegistrationConfig
-) -> LinearisedPatch:
-    """Compare a pose with the observed patch.
-
-    Args:
-        surface: What was seen.
-        observed: The patch.
-        T_o_t: The pose.
-        config: Its window and reach.
-
-    Returns:
-        Residuals and their derivatives by a twist.
-    """
-    reference, floor = reference_heights(observed, config.reach)
-    pixels = reference.shape[-1]
-    heights, jacobian = heights_and_jacobian(
-        surface, T_o_t, floor, pixels=pixels, window=config.window, reach=config.reach
-    )
-    return LinearisedPatch(heights - reference, jacobian)
-
-
 def pose_information(
-    surface: Surface, T_o_t: Float[Array, "4 4"], pixels: int, *, window: float = PATCH_WINDOW, reach: float = REACH
+    surface: Surface,
+    T_o_t: Float[Array, "4 4"],
+    config: PatchRegistrationConfig = PatchRegistrationConfig(),
+    *,
+    pixels: int = PATCH_PIXELS,
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
     """Information about the pose in a patch seen there.
 
     Args:
         surface: What is seen.
         T_o_t: The pose.
-        pixels: Along the patch's edge.
-        window: The patch's edge (m).
-        reach: Depth (m) behind the nearest point that counts.
+        config: Window and reach of the patch; static.
+        pixels: Along the patch's edge; static.
 
     Returns:
         Eigenvalues of the Gauss-Newton matrix, smallest first, and its eigenvectors (unit twists) in columns.
     """
-    patch = render_patch(surface, T_o_t, window=window, pixels=pixels, reach=reach)
-    _, floor = reference_heights(patch, reach)
-    _, jacobian = heights_and_jacobian(surface, T_o_t, floor, pixels=pixels, window=window, reach=reach)
-    return jnp.linalg.eigh(_gauss_newton(jacobian))
-
-
-def observable_directions(eigenvalues: Float[Any, "*n"], bound: float) -> Bool[Any, "*n"]:
-    """Find the directions that a patch determines.
-
-    Args:
-        eigenvalues: Of the Gauss-Newton matrix.
-        bound: The smallest that counts (see `resolvable_eigenvalue`).
-
-    Returns:
-        Whether each counts.
-    """
-    return eigenvalues >= bound
+    patch = render_patch(surface, T_o_t, window=config.window, pixels=pixels, reach=config.reach)
+    return jnp.linalg.eigh(_gauss_newton(_linearise(surface, patch, T_o_t, config).jacobian))
 
 
 def resolvable_eigenvalue(noise: float, error: float, pixels: int) -> float:
@@ -264,84 +144,51 @@ def robust_cost(residual: Float[Array, "n n"], scale: float | Float[Array, ""]) 
     return jnp.mean(square / (square / scale**2 + 1))
 
 
-def reference_heights(observed: Patch, reach: float) -> tuple[Float[Array, "n n"], Float[Array, ""]]:
-    """Absolute heights of a patch, clipped to its floor. One that shows nothing has its floor in front of everything,
-    where every pose looks like it.
-
-    Args:
-        observed: The patch.
-        reach: Depth (m) behind the nearest point to which it is clipped.
-
-    Returns:
-        Heights (m) along tool z, and the floor (m).
-    """
-    seen = jnp.isfinite(observed.nearest)
-    start = jnp.where(seen, observed.nearest, 0)
-    return jnp.where(seen, start + observed.depth, EMPTY_FLOOR_M), jnp.where(seen, start + reach, EMPTY_FLOOR_M)
+def _patch_problem(surface: Surface, observed: Patch, config: PatchRegistrationConfig) -> LeastSquares:
+    """The search for the pose T_o_t."""
+    shape, dtype = observed.depth.shape, observed.depth.dtype
+    return LeastSquares(
+        residual_and_jacobian=lambda T_o_t: _linearise(surface, observed, T_o_t, config),
+        cost=lambda T_o_t, linearised, scale: robust_cost(linearised.residual, scale),
+        normal_equations=lambda T_o_t, linearised, scale: _normal_equations(linearised, scale),
+        retract=full_precision(lambda T_o_t, twist: T_o_t @ from_twist(twist)),
+        unseen=LinearisedPatch(jnp.full(shape, UNSEEN_RESIDUAL_M, dtype), jnp.zeros((*shape, 6), dtype)),
+    )
 
 
-def visible_heights(
-    surface: Surface,
-    T_o_t: Float[Array, "4 4"],
-    floor: Float[Array, ""],
-    *,
-    pixels: int,
-    window: float,
-    reach: float,
-) -> Float[Array, "n n"]:
-    """Heights of a pose, clipped to a floor.
-
-    Args:
-        surface: What is seen.
-        T_o_t: The pose.
-        floor: To which heights are clipped (m).
-        pixels: Along the patch's edge.
-        window: The patch's edge (m).
-        reach: Depth (m) of the observed patch.
-
-    Returns:
-        Heights (m) along tool z.
-    """
-    far = 2 * reach  # so that a pose up to one reach nearer than the right one still shows all that it should
-    patch = render_patch(surface, T_o_t, window=window, pixels=pixels, reach=far)
-    return jnp.where(patch.depth < far, jnp.minimum(patch.depth + patch.nearest, floor), floor)
+def _scale_schedule(config: PatchRegistrationConfig) -> Float[Array, " steps_and_one"]:
+    """The scale (m) of the robust loss at every step, and at what would follow the last one."""
+    scales = [np.float32(config.initial_scale)]
+    for _ in range(config.max_steps):
+        scales.append(max(scales[-1] * np.float32(config.scale_factor), np.float32(config.final_scale)))
+    return jnp.asarray(scales)
 
 
 @full_precision
-def heights_and_jacobian(
-    surface: Surface,
-    T_o_t: Float[Array, "4 4"],
-    floor: Float[Array, ""],
-    *,
-    pixels: int,
-    window: float,
-    reach: float,
-) -> tuple[Float[Array, "n n"], Float[Array, "n n 6"]]:
-    """Visible heights of a pose and their derivatives by a twist.
+def _linearise(
+    surface: Surface, observed: Patch, T_o_t: Float[Array, "4 4"], config: PatchRegistrationConfig
+) -> LinearisedPatch:
+    """Residuals of a pose, and their derivatives by a twist.
 
-    A face that crosses the reach within one pixel is an outline rather than a slope: its derivative holds for less
-    than a pixel, and is left out.
-
-    Args:
-        surface: What is seen.
-        T_o_t: The pose.
-        floor: To which heights are clipped (m).
-        pixels: Along the patch's edge.
-        window: The patch's edge (m).
-        reach: Depth (m) of the observed patch.
-
-    Returns:
-        Heights (m), and their derivatives, without a unit.
+    A patch that shows nothing has its floor in front of everything, where every pose looks like it. A face that crosses
+    the reach within one pixel is an outline rather than a slope: its derivative holds for less than a pixel, and is
+    left out.
     """
+    pixels, reach = observed.depth.shape[-1], config.reach
+    shown = jnp.isfinite(observed.nearest)
+    start = jnp.where(shown, observed.nearest, 0)
+    reference = jnp.where(shown, start + observed.depth, EMPTY_FLOOR_M)
+    floor = jnp.where(shown, start + reach, EMPTY_FLOOR_M)
+    far = 2 * reach  # so that a pose up to one reach nearer than the right one still shows all that it should
 
     def look(twist: Float[Array, "6"]) -> Float[Array, "n n"]:
-        pose = T_o_t @ from_twist(twist)
-        return visible_heights(surface, pose, floor, pixels=pixels, window=window, reach=reach)
+        patch = render_patch(surface, T_o_t @ from_twist(twist), window=config.window, pixels=pixels, reach=far)
+        return jnp.where(patch.depth < far, jnp.minimum(patch.depth + patch.nearest, floor), floor)
 
     heights, push = jax.linearize(look, jnp.zeros(6, T_o_t.dtype))
     slopes = jax.vmap(push, out_axes=-1)(jnp.eye(6, dtype=T_o_t.dtype))
-    steep = jnp.hypot(slopes[..., 0], slopes[..., 1]) > reach * pixels / window
-    return heights, jnp.where((steep | (heights >= floor))[..., None], 0, slopes)
+    steep = jnp.hypot(slopes[..., 0], slopes[..., 1]) > reach * pixels / config.window
+    return LinearisedPatch(heights - reference, jnp.where((steep | (heights >= floor))[..., None], 0, slopes))
 
 
 def _normal_equations(

@@ -15,8 +15,7 @@ rotation R (tool axes in the base), chip i at p_i in the base reads, in tool axe
   gain; in the calibration of magnetometers this is the soft-iron matrix (Vasconcelos et al., "Geometric approach to
   strapdown magnetometer calibration in sensor frame", 2011). Its prior has a standard deviation of 5 % in each number.
 
-G and S are kept only where they predict poses that were left out better, by more than one standard error of the
-difference. What does not turn with the room or the tool is in no term: a skin that sags under its weight, an arm's
+What does not turn with the room or the tool is in no term: a skin that sags under its weight, an arm's
 motors, a second robot.
 
 Noise has two parts: one of each chip, and one that all chips share, as a slow field of the room has it (a fifth to a
@@ -31,10 +30,10 @@ drivers can use it; nothing is random.
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy import special
 
 from i2t import serialization
@@ -44,15 +43,11 @@ FIELD_KIND = "i2t ambient field"
 BURST = 10  # samples that a touch takes before contact
 MIN_POSES = 4
 MIN_TURN = 0.1  # by how much, root mean square, poses must turn the field's weakest direction: about 6 degrees
-MIN_SPREAD_M = 0.02  # of the poses' places, below which no gradient is looked for
 GRADIENT_STD_UT_M = 20.0
 RESPONSE_STD = 0.05
 MAX_FIT_STEPS, CONVERGED = 20, 1e-8
 WEIGHT_ROUNDS = 3  # of estimating the noise and fitting with it
 LEAST_NOISE_UT = 1e-3  # below which a noise is rounding
-
-AmbientModel: TypeAlias = Literal["uniform", "gradient", "response", "both"]
-MODELS: tuple[AmbientModel, ...] = ("uniform", "gradient", "response", "both")
 
 
 class FreePoses(NamedTuple):
@@ -78,27 +73,16 @@ class AmbientNoise(NamedTuple):
 
 
 class AmbientField(NamedTuple):
-    """A fitted ambient field. Terms that were not kept are zero."""
+    """A fitted ambient field."""
 
     earth: Float[Array, "3"]  # uT, base axes
     offset: Float[Array, "chips 3"]  # uT, tool axes; NaN for a chip that never answered
     gradient: Float[Array, "5"]  # uT/m, base axes: xx, yy, xy, xz, yz
     centre: Float[Array, "3"]  # m, in the base, where the field is `earth`
     response: Float[Array, "chips 3 3"]  # S of each chip, tool axes
-    terms: Bool[Array, " k"]  # which of all parameters, in this order, were fitted
-    covariance: Float[Array, "m m"]  # of those
+    covariance: Float[Array, "m m"]  # of all parameters, in this order but for the centre
     noise: AmbientNoise  # of the mean of a pose's samples
     burst: AmbientNoise  # of the mean of a burst of samples
-    left_out: Float[Array, "4"]  # uT, root mean square error on left-out poses of each of `MODELS`; NaN: not tried
-
-    @property
-    def model(self) -> AmbientModel:
-        """Model by its kept terms."""
-        gradient, response = (
-            bool(self.terms[_gradient_slice(self)].any()),
-            bool(self.terms[_response_start(self) :].any()),
-        )
-        return MODELS[gradient + 2 * response]
 
     @property
     def earth_std(self) -> Float[np.ndarray, "3"]:
@@ -127,15 +111,12 @@ class AmbientChange(NamedTuple):
         return f"the chips' offsets have changed, most of all chip {self.chip}'s (p = {self.chips_p:.1g})"
 
 
-def fit_ambient(
-    poses: FreePoses, board: Board, *, model: AmbientModel | Literal["best"] = "best", burst: int = BURST
-) -> AmbientField:
+def fit_ambient(poses: FreePoses, board: Board, *, burst: int = BURST) -> AmbientField:
     """Fit the ambient field.
 
     Args:
         poses: Free poses that turn the skin about two axes at least; a dozen is enough.
         board: Of the skin, whose rotations are used.
-        model: Which terms; "best" keeps the richer ones only where left-out poses ask for them.
         burst: Samples whose mean will later be compared with the field.
 
     Returns:
@@ -145,20 +126,25 @@ def fit_ambient(
         ValueError: There are too few poses, they hardly turn, or shapes do not fit.
     """
     _check(poses, board)
-    if model != "best":
-        return _fit(_problem(poses, board), model, burst)
     problem = _problem(poses, board)
-    tried: dict[AmbientModel, np.ndarray] = {}
-    chosen: AmbientModel = "uniform"
-    for name in MODELS:
-        if name in ("gradient", "both") and _spread(poses) < MIN_SPREAD_M:
-            continue
-        tried[name] = _left_out(problem, name)
-        better = tried[chosen] - tried[name]
-        if better.mean() > better.std(ddof=1) / np.sqrt(len(better)):
-            chosen = name
-    scores = [np.sqrt(tried[name].mean()) if name in tried else np.nan for name in MODELS]
-    return _fit(problem, chosen, burst)._replace(left_out=np.array(scores))
+    weights = _Weights(1.0, 1.0, 1.0, 1.0)
+    for _ in range(WEIGHT_ROUNDS):
+        theta, inverse = _solve(problem, weights)
+        weights = _weights(problem, theta, weights, inverse)
+    theta, inverse = _solve(problem, weights)
+    earth, offset, gradient, response = _parts(theta, len(problem.chips))
+    offset[~np.isfinite(problem.reading).any((0, 2))] = np.nan
+    count = problem.samples.shape[1]
+    return AmbientField(
+        earth=earth,
+        offset=offset,
+        gradient=gradient,
+        centre=problem.centre,
+        response=response,
+        covariance=inverse,
+        noise=_noise(problem, weights, 0.0, 0.0, count),
+        burst=_noise(problem, weights, *_within(problem, min(burst, count)), min(burst, count)),
+    )
 
 
 def predict_ambient(
@@ -300,6 +286,7 @@ def load_ambient(path: Path | str, board: Board | None = None) -> tuple[AmbientF
     with serialization.fitting(path):
         chips = len(field.offset)
         shapes = {"earth": (3,), "offset": (chips, 3), "gradient": (5,), "centre": (3,), "response": (chips, 3, 3)}
+        shapes["covariance"] = (8 + 12 * chips, 8 + 12 * chips)
         for name, shape in shapes.items():
             values = np.asarray(getattr(field, name), float)
             if values.shape != shape or (name != "offset" and not np.isfinite(values).all()):
@@ -406,97 +393,34 @@ def _places(T_b_t: np.ndarray, chips: np.ndarray) -> np.ndarray:
     return np.einsum("pij,nj->pni", T_b_t[:, :3, :3], chips) + T_b_t[:, None, :3, 3]
 
 
-def _spread(poses: FreePoses) -> float:
-    """Root mean square distance (m) of the poses' places from their middle."""
-    places = np.asarray(poses.T_b_t, float)[:, :3, 3]
-    return float(np.sqrt(np.mean(np.sum((places - places.mean(0)) ** 2, axis=1))))
-
-
-def _gradient_slice(field: AmbientField) -> slice:
-    return slice(3 + field.offset.size, 8 + field.offset.size)
-
-
-def _response_start(field: AmbientField) -> int:
-    return 8 + int(field.offset.size)
-
-
-def _model_terms(chips: int, model: AmbientModel) -> np.ndarray:
-    """Mask of the parameters of a model."""
-    gradient, response = model in ("gradient", "both"), model in ("response", "both")
-    return np.concatenate([np.ones(3 + 3 * chips), np.full(5, gradient), np.full(9 * chips, response)]).astype(bool)
-
-
-def _fit(problem: _Problem, model: AmbientModel, burst: int) -> AmbientField:
-    """One model, with noise and covariance."""
-    terms = _model_terms(len(problem.chips), model)
-    weights = _Weights(1.0, 1.0, 1.0, 1.0)
-    for _ in range(WEIGHT_ROUNDS):
-        theta, inverse = _solve(problem, terms, weights)
-        weights = _weights(problem, theta, terms, weights, inverse)
-    theta, inverse = _solve(problem, terms, weights)
+def _solve(problem: _Problem, weights: _Weights) -> tuple[np.ndarray, np.ndarray]:
+    """All parameters by Gauss-Newton, and their covariance."""
     chips = len(problem.chips)
     silent = ~np.isfinite(problem.reading).any((0, 2))
-    earth, offset, gradient, response = _parts(theta, chips)
-    offset[silent] = np.nan
-    count = problem.samples.shape[1]
-    return AmbientField(
-        earth=earth,
-        offset=offset,
-        gradient=gradient,
-        centre=problem.centre,
-        response=response,
-        terms=terms,
-        covariance=inverse,
-        noise=_noise(problem, weights, 0.0, 0.0, count),
-        burst=_noise(problem, weights, *_within(problem, min(burst, count)), min(burst, count)),
-        left_out=np.full(len(MODELS), np.nan),
-    )
-
-
-def _left_out(problem: _Problem, model: AmbientModel) -> np.ndarray:
-    """Mean square error (p,) uT^2 at each pose of the fit to the others."""
-    poses, chips = len(problem.T_b_t), len(problem.chips)
-    terms, errors = _model_terms(chips, model), np.empty(poses)
-    weights = _Weights(1.0, 1.0, 1.0, 1.0)
-    whole, inverse = _solve(problem, terms, weights)
-    weights = _weights(problem, whole, terms, weights, inverse)
-    for pose in range(poses):
-        others = np.arange(poses) != pose
-        left = problem._replace(T_b_t=problem.T_b_t[others], reading=problem.reading[others])
-        theta, _ = _solve(left, terms, weights, whole)
-        predicted, _ = _model(theta, problem.T_b_t[pose : pose + 1], problem.chips, problem.centre)
-        errors[pose] = np.nanmean((problem.reading[pose] - predicted[0]) ** 2)
-    return errors
-
-
-def _solve(
-    problem: _Problem, terms: np.ndarray, weights: _Weights, start: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """All parameters by Gauss-Newton, zero for terms that are not fitted, and the covariance of those that are."""
-    chips = len(problem.chips)
     prior = np.concatenate(
-        [np.zeros(3 + 3 * chips), np.full(5, GRADIENT_STD_UT_M**-2.0), np.full(9 * chips, RESPONSE_STD**-2.0)]
+        [
+            np.zeros(3),
+            np.repeat(np.where(silent, 1.0, 0.0), 3),  # keeps a chip that never answered solvable
+            np.full(5, GRADIENT_STD_UT_M**-2.0),
+            np.full(9 * chips, RESPONSE_STD**-2.0),
+        ]
     )
-    silent = ~np.isfinite(problem.reading).any((0, 2))
-    prior[3 : 3 + 3 * chips] += np.repeat(np.where(silent, 1.0, 0.0), 3)  # keeps a chip that never answered solvable
-    theta = np.zeros(len(terms)) if start is None else start.copy()
+    theta = np.zeros(len(prior))
     for _ in range(MAX_FIT_STEPS):
-        residual, jacobian = _whitened(problem, theta, terms, weights)
-        normal = jacobian.T @ jacobian + np.diag(prior[terms])
-        step = np.linalg.solve(normal, jacobian.T @ residual - prior[terms] * theta[terms])
-        theta[terms] += step
+        residual, jacobian = _whitened(problem, theta, weights)
+        normal = jacobian.T @ jacobian + np.diag(prior)
+        step = np.linalg.solve(normal, jacobian.T @ residual - prior * theta)
+        theta += step
         if np.abs(step).max() < CONVERGED * max(1.0, np.abs(theta).max()):
             break
     return theta, np.linalg.inv(normal)
 
 
-def _whitened(
-    problem: _Problem, theta: np.ndarray, terms: np.ndarray, weights: _Weights
-) -> tuple[np.ndarray, np.ndarray]:
+def _whitened(problem: _Problem, theta: np.ndarray, weights: _Weights) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (m,) of unit variance without correlation, and their Jacobian (m, k) in the parameters."""
     predicted, jacobian = _model(theta, problem.T_b_t, problem.chips, problem.centre)
     residual = (problem.reading - predicted) / problem.scale
-    jacobian = jacobian[..., terms] / problem.scale[:, None]
+    jacobian = jacobian / problem.scale[:, None]
     bases = np.zeros((len(residual), len(problem.chips), len(problem.chips)))
     known = np.isfinite(residual).all(-1)
     for pose, here in enumerate(known):
@@ -509,11 +433,9 @@ def _whitened(
     return rows[there].ravel(), columns.reshape(*known.shape, 3, -1)[there].reshape(rows[there].size, -1)
 
 
-def _weights(
-    problem: _Problem, theta: np.ndarray, terms: np.ndarray, before: _Weights, inverse: np.ndarray
-) -> _Weights:
+def _weights(problem: _Problem, theta: np.ndarray, before: _Weights, inverse: np.ndarray) -> _Weights:
     """Variances of both parts of the noise, each from its own residuals and degrees of freedom."""
-    residual, jacobian = _whitened(problem, theta, terms, before)
+    residual, jacobian = _whitened(problem, theta, before)
     counts = np.isfinite(problem.reading).all(-1).sum(1)
     shared = np.concatenate([np.arange(3 * known) < 3 for known in counts])  # the rows that all chips share
     found = []
@@ -603,7 +525,6 @@ def _lever(away: np.ndarray) -> np.ndarray:
 
 
 def _prediction(field: AmbientField, board: Board, T_b_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fields (p, n, 3) uT in tool axes, and their Jacobian (p, n, 3, m) in the fitted parameters."""
+    """Fields (p, n, 3) uT in tool axes, and their Jacobian (p, n, 3, k) in the parameters."""
     theta = np.concatenate([field.earth, field.offset.ravel(), field.gradient, field.response.ravel()])
-    predicted, jacobian = _model(theta, T_b_t, np.asarray(board.chips, float), field.centre)
-    return predicted, jacobian[..., field.terms]
+    return _model(theta, T_b_t, np.asarray(board.chips, float), field.centre)

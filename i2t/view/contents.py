@@ -1,15 +1,18 @@
-"""Contents of a folder to look at: recorded touches with images and time series, or rows of a data set."""
+"""Contents of a folder to look at, as one list that every writer shows: recorded touches, or rows of a data set.
+
+Times are Unix time where touches were recorded with their series; other touches are a second apart.
+"""
 
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from i2t.dataset import Dataset, Record, load_dataset, read_touch
+from i2t.dataset import Dataset, Record, Series, load_dataset, read_touch
 from i2t.depth.camera import Camera
 from i2t.errors import DataError
 from i2t.files import read_json
@@ -18,6 +21,54 @@ from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
 
 TOUCH_FILES = "touch-*.h5"
+SHOWN_HZ = 30.0  # of poses and field vectors; numbers have every sample
+SECONDS_A_TOUCH = 1.0  # of touches without times of their own
+AXES = ("x", "y", "z")
+
+Times: TypeAlias = Float[np.ndarray, " n"]  # s
+
+
+class Poses(NamedTuple):
+    """Where a frame is in the world."""
+
+    frame: str  # object, tool or camera
+    time: Times
+    T: Float[np.ndarray, "n 4 4"]  # m
+
+
+class Numbers(NamedTuple):
+    """Numbers that change with time; NaN where one is not known."""
+
+    place: str  # readings (uT less the ambient), temperature (degrees Celsius), force (N), torque (Nm) or belief
+    names: tuple[str, ...]
+    time: Times
+    values: Float[np.ndarray, "n names"]
+
+
+class Field(NamedTuple):
+    """Readings as vectors at the chips."""
+
+    time: Times
+    vectors: Float[np.ndarray, "n chips 3"]  # uT, tool axes
+
+
+class Picture(NamedTuple):
+    """A depth image or a patch."""
+
+    place: str  # depth or patch
+    frame: str  # in which it was taken
+    time: float  # s
+    metres: Float[np.ndarray, "rows columns"]
+
+
+class Events(NamedTuple):
+    """What happened."""
+
+    time: Times
+    texts: tuple[str, ...]
+
+
+Item: TypeAlias = Poses | Numbers | Field | Picture | Events
 
 
 class BeliefHistory(NamedTuple):
@@ -122,6 +173,91 @@ def read_belief(path: Path, touches: int) -> BeliefHistory:
     if p.shape != (touches, len(names)) or not ((p >= 0) & (p <= 1)).all():
         raise DataError(f"{path}: p has the shape {p.shape}; give {touches} rows of {len(names)} probabilities")
     return BeliefHistory(names, p)
+
+
+def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
+    """All that there is to show of a touch.
+
+    Args:
+        contents: Of which it is one.
+        number: Of the touch.
+        record: Of the touch.
+
+    Yields:
+        Each thing that was recorded or kept of it.
+    """
+    touches, series, board = record.touch.touches, record.series, contents.dataset.board
+    start, end = span(number, record)
+    known, at = np.array([start]), np.array([end])
+    yield Poses("object", known, np.asarray(touches.T_w_o[:1], float))
+    if "pose" in series:
+        rows = _thinned(series["pose"].time)
+        yield Poses("tool", series["pose"].time[rows], series["pose"].values[rows].reshape(-1, 4, 4))
+    yield Poses("tool", at, np.asarray(touches.T_w_t[:1], float))
+    yield Picture("patch", "tool", start, np.asarray(touches.patch[0], np.float32))
+    if "camera" in series and len(series["camera"].values):
+        yield Poses("camera", known, series["camera"].values[:1].reshape(1, 4, 4))
+    if "depth" in record.images:
+        image = record.images["depth"]
+        yield Picture("depth", "camera", start, (image.values * image.scale).astype(np.float32))
+    time, readings = readings_of(number, record)
+    names = tuple(f"chip{chip}/{axis}" for chip in range(board.num_chips) for axis in AXES)
+    yield Numbers("readings", names, time, readings)
+    rows = _thinned(time)
+    times, shown = np.append(time[rows], end), np.concatenate([readings[rows], np.asarray(touches.reading[:1], float)])
+    yield Field(times, np.nan_to_num(np.stack([board.to_tool(reading) for reading in shown])))
+    if "temperature" in series:
+        chips = tuple(f"chip{chip}" for chip in range(board.num_chips))
+        yield Numbers("temperature", chips, series["temperature"].time, series["temperature"].values)
+    if "wrench" in series:
+        yield Numbers("force", AXES, series["wrench"].time, series["wrench"].values[:, :3])
+        yield Numbers("torque", AXES, series["wrench"].time, series["wrench"].values[:, 3:])
+    else:
+        yield Numbers("force", ("normal",), known, np.asarray(touches.force[:1, None], float))
+    if contents.belief is not None:
+        yield Numbers("belief", contents.belief.names, known, contents.belief.p[number : number + 1])
+    if record.events:
+        yield Events(np.array([when for when, _ in record.events]), tuple(text for _, text in record.events))
+
+
+def readings_of(number: int, record: Record) -> tuple[Times, Float[np.ndarray, "n c"]]:
+    """Readings of a touch, less its ambient.
+
+    Args:
+        number: Of the touch.
+        record: Of the touch.
+
+    Returns:
+        Times and every sample (uT); the touch's one reading where nobody kept them.
+    """
+    if "tactile" not in record.series:
+        return np.array([span(number, record)[0]]), np.asarray(record.touch.touches.reading[:1], float)
+    tactile, kept = record.series["tactile"], record.series.get("ambient")
+    ambient = kept.values[0] if kept is not None and len(kept.values) else 0.0
+    return tactile.time, tactile.values - ambient
+
+
+def span(number: int, record: Record) -> tuple[float, float]:
+    """Times at which a touch begins and ends.
+
+    Args:
+        number: Of the touch.
+        record: Of the touch.
+
+    Returns:
+        Unix time in s; from its number where nobody kept the time.
+    """
+    recorded: list[Series] = [series for series in record.series.values() if len(series.time)]
+    times = [float(series.time[i]) for series in recorded for i in (0, -1)] + [when for when, _ in record.events]
+    return (min(times), max(times)) if times else (SECONDS_A_TOUCH * number,) * 2
+
+
+def _thinned(time: np.ndarray) -> np.ndarray:
+    """Rows of a series at about `SHOWN_HZ`."""
+    if not len(time):
+        return np.zeros(0, np.int64)
+    slots = np.floor((time - time[0]) * SHOWN_HZ).astype(np.int64)
+    return np.unique(slots, return_index=True)[1]
 
 
 def camera_of(dataset: Dataset) -> Camera | None:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from i2t.dataset import Record
 from i2t.files import replacing
 from i2t.types import ReturnCode
-from i2t.view.contents import Contents
+from i2t.view.contents import Contents, readings_of
 from i2t.viz.patches import plot_patches
 from i2t.viz.skins import plot_readings
 from i2t.viz.style import COLOURS, Picture, titled
@@ -36,7 +36,7 @@ def write_page(contents: Contents, path: Path) -> Path:
         The file.
     """
     dataset = contents.dataset
-    shown = _shown(len(dataset))
+    shown = np.unique(np.linspace(0, len(dataset) - 1, min(len(dataset), PAGE_TOUCHES)).round().astype(int))
     names = [f"touch {row + 1}\n{dataset.objects[dataset.touches.object[row]]}" for row in shown]
     some = dataset.touches
     pictures = [
@@ -62,28 +62,21 @@ def write_page(contents: Contents, path: Path) -> Path:
     return path
 
 
-def _shown(touches: int) -> np.ndarray:
-    """Touches with pictures, spread over all."""
-    return np.unique(np.linspace(0, touches - 1, min(touches, PAGE_TOUCHES)).round().astype(int))
-
-
 def _courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:
     """Time courses of touches, where these were recorded."""
-    wanted = set(shown.tolist())
     return [
         (row, _course(record, contents.simulated, row))
         for row, record in enumerate(contents.records())
-        if row in wanted and "tactile" in record.series
+        if row in shown and "tactile" in record.series
     ]
 
 
 def _course(record: Record, simulated: bool, row: int) -> Figure:
-    tactile, wrench = record.series["tactile"], record.series.get("wrench")
+    (time, readings), wrench = readings_of(row, record), record.series.get("wrench")
     figure = Picture(figsize=(9, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    begun = tactile.time[0] if len(tactile.time) else 0.0
-    ambient = record.series["ambient"].values[0] if "ambient" in record.series else 0.0
-    left.plot(tactile.time - begun, tactile.values - ambient, lw=0.7)
+    begun = time[0] if len(time) else 0.0
+    left.plot(time - begun, readings, lw=0.7)
     left.set(xlabel="time (s)", ylabel="change of field (µT)")
     if wrench is not None and len(wrench.time):
         for i, axis in enumerate("xyz"):

@@ -4,36 +4,31 @@ shown there, and what was believed after each touch.
     record = EpisodeRecord(meshes, names, T_w_t, readings, board, p, truth, simulated=True)
     paths = write_episode_report(record, Path("runs/episode"))
 
-writes `story.png`, a page with a row per touch, and, where the machine can draw in three dimensions off screen,
-`scene.png` and `scene.gltf`, the object with its touches (glTF opens in Blender and in viewers that run in a browser).
-The scene needs pyvista (`pip install "imagine2touch[notebooks]"`).
+writes `story.png`, a page with a row per touch and, where the machine can draw in three dimensions off screen, the
+object with its touches, which needs pyvista (`pip install "imagine2touch[notebooks]"`).
 """
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.image import AxesImage
 
 from i2t.objects.solids import Mesh
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
-from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, Array, Board
+from i2t.types import PATCH_WINDOW, REACH, Array, Board
 from i2t.viz.patches import draw_patch
-from i2t.viz.scene import trimmed, why_no_scene
+from i2t.viz.scene import object_image, why_no_scene
 from i2t.viz.skins import ARROW_MM, draw_reading, draw_skin
 from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, Picture, save_figure, titled
 
 MAX_ROWS = 6  # touches on a page
 MAX_CANDIDATES = 5  # on a page
-SKIN_LIFT_M = 1.5e-3  # that a square is drawn above the end of its press, clear of the surface
-PIN_LENGTH_M = 12e-3  # from there to its number
 MIN_SHOWN_PROBABILITY = 1e-3  # of the unknown class, below which it has no bar
 
 
@@ -79,14 +74,11 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
         ValueError: Poses, readings, beliefs, meshes and names do not fit together.
     """
     record = _checked(record)
-    out.mkdir(parents=True, exist_ok=True)
-    views: list[np.ndarray] = []
-    written: list[Path] = []
-    if why_no_scene():
+    mesh = record.meshes[record.drawn]
+    picture = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
+    if picture is None:
         print(why_no_scene(), file=sys.stderr)
-    else:
-        views, written = _write_scene(record, out)
-    return [save_figure(plot_episode(record, views), out / "story.png"), *written]
+    return [save_figure(plot_episode(record, picture), out / "story.png")]
 
 
 def _checked(record: EpisodeRecord) -> EpisodeRecord:
@@ -100,7 +92,7 @@ def _checked(record: EpisodeRecord) -> EpisodeRecord:
     return record._replace(T_w_t=T_w_t, readings=readings, p=p)
 
 
-def plot_episode(record: EpisodeRecord, views: Sequence[Array] = ()) -> Picture:
+def plot_episode(record: EpisodeRecord, scene: Array | None = None) -> Picture:
     """A row per touch: the reading, the patches of the candidates there, the belief after it.
 
     Of many touches `MAX_ROWS` are shown, evenly spaced with the first and the last; of many candidates the true one and
@@ -108,7 +100,7 @@ def plot_episode(record: EpisodeRecord, views: Sequence[Array] = ()) -> Picture:
 
     Args:
         record: The episode.
-        views: Pictures (rows, columns, 3) of the scene, drawn to the left.
+        scene: Picture (rows, columns, 3) of the object with its touches, drawn to the left.
 
     Returns:
         The figure.
@@ -116,30 +108,31 @@ def plot_episode(record: EpisodeRecord, views: Sequence[Array] = ()) -> Picture:
     touches = np.unique(np.linspace(0, len(record.p) - 1, MAX_ROWS).round().astype(int)).tolist()
     candidates = _shown_candidates(record.p, record.truth)
     depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
-    views = views[: 1 if len(touches) < 4 else 2]
     scale = float(np.percentile(np.linalg.norm(record.readings.reshape(-1, 3), axis=-1), 95)) or 1.0
     colours = _touch_colours(len(record.p))
 
-    widths = [2.2] * bool(len(views)) + [1.15] + [1.0] * len(candidates) + [1.0, 0.75]
+    widths = [2.2] * (scene is not None) + [1.15] + [1.0] * len(candidates) + [1.0, 0.75]
     figure = Picture(figsize=(1.55 * sum(widths) + 0.6, 1.55 * len(touches) + 1.3), layout="constrained")
-    step = max(len(views), 1)
-    grid = figure.add_gridspec(len(touches) * step, len(widths), width_ratios=widths)
-    _draw_views(figure, grid, views, len(touches))
+    grid = figure.add_gridspec(len(touches), len(widths), width_ratios=widths)
+    if scene is not None:
+        left = figure.add_subplot(grid[:, 0])
+        left.imshow(scene)
+        left.set_axis_off()
     first = len(widths) - len(candidates) - 3
     panels: list[Axes] = []
     for row, touch in enumerate(touches):
-        band, top = slice(row * step, (row + 1) * step), row == 0
-        measured = figure.add_subplot(grid[band, first])
+        top = row == 0
+        measured = figure.add_subplot(grid[row, first])
         _draw_measured(measured, record, touch, scale, colours[touch])
         for i, candidate in enumerate(candidates):
-            panel = figure.add_subplot(grid[band, first + 1 + i])
+            panel = figure.add_subplot(grid[row, first + 1 + i])
             image = _draw_candidate(panel, depth[row, i], float(nearest[row, i]))
             if top:
                 true = candidate == record.truth
                 label = record.names[candidate] + (" (true)" if true else "")
                 panel.set_title(label, fontsize=8.5, fontweight="bold" if true else "normal")
             panels.append(panel)
-        bars = figure.add_subplot(grid[band, first + 1 + len(candidates) : first + 3 + len(candidates)])
+        bars = figure.add_subplot(grid[row, first + 1 + len(candidates) : first + 3 + len(candidates)])
         _draw_belief(bars, record.p[touch], record.names, candidates, record.truth)
         if top:
             measured.set_title("measured", fontsize=8.5)
@@ -172,14 +165,6 @@ def _render_candidates(meshes: Sequence[Mesh], T_w_t: np.ndarray) -> tuple[np.nd
     ]
     depth = np.array([[patch.depth for patch in row] for row in patches])
     return depth, np.array([[patch.nearest for patch in row] for row in patches])
-
-
-def _draw_views(figure: Figure, grid: GridSpec, views: Sequence[Array], rows: int) -> None:
-    """Pictures of the scene, one above the other in the first column."""
-    for i, view in enumerate(views):
-        axes = figure.add_subplot(grid[i * rows : (i + 1) * rows, 0])
-        axes.imshow(view)
-        axes.set_axis_off()
 
 
 def _draw_measured(axes: Axes, record: EpisodeRecord, touch: int, scale: float, colour: np.ndarray) -> None:
@@ -225,75 +210,6 @@ def _draw_belief(axes: Axes, p: np.ndarray, names: Sequence[str], shown: Sequenc
     axes.invert_yaxis()
     axes.set(xlim=(0, 1), xticks=[0, 0.5, 1])
     axes.tick_params(axis="x", labelsize=7.5)
-
-
-# --- the scene ---
-
-
-def _write_scene(record: EpisodeRecord, out: Path) -> tuple[list[np.ndarray], list[Path]]:
-    """The object with its numbered touches, seen from two sides; as pictures, and as files."""
-    import pyvista as pv
-
-    with pv.vtk_verbosity("error"):  # VTK warns of the missing display before it goes on without
-        plotter, labels = _scene_plotter(pv, record.meshes[record.drawn], record.T_w_t)
-        views = []
-        for side in ((-0.6, -1.0, 1.0), (0.6, 1.0, 1.0)):
-            plotter.view_vector(side, viewup=(0, 0, 1))
-            plotter.reset_camera()
-            views.append(trimmed(np.asarray(plotter.screenshot(return_img=True))))
-        plotter.remove_actor(labels)  # flat ones, which glTF does not know
-        for i, T in enumerate(record.T_w_t):
-            number = _number_mesh(pv, np.asarray(T, np.float64), str(i + 1))
-            plotter.add_mesh(number, color="black", lighting=False)
-        plotter.export_gltf(str(out / "scene.gltf"))
-        plotter.close()
-    figure = Figure(figsize=(12, 6), layout="constrained")
-    touches = f"its {len(record.T_w_t)} touches from two sides; the squares are the skin, 20 mm wide"
-    figure.suptitle(f"{record.headline}\n{touches}", fontsize=11)
-    for axes, view in zip(figure.subplots(1, len(views)), views, strict=True):
-        axes.imshow(view)
-        axes.set_axis_off()
-    return views, [save_figure(figure, out / "scene.png"), out / "scene.gltf"]
-
-
-def _scene_plotter(pv: Any, mesh: Mesh, T_w_t: np.ndarray) -> tuple[Any, Any]:
-    """A plotter with the object and its touches in metres, and the labels of the touches."""
-    faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces])
-    body = pv.PolyData(mesh.vertices, faces.ravel())
-    edges = body.extract_feature_edges(30, boundary_edges=True, manifold_edges=False, non_manifold_edges=False)
-    plotter: Any = pv.Plotter(off_screen=True, window_size=[1000, 1000], lighting="three lights")
-    plotter.add_mesh(body, color="#d9d9d9", split_sharp_edges=True, smooth_shading=True)
-    if edges.n_points:
-        plotter.add_mesh(edges, color="#555555", line_width=2)
-    for T, colour in zip(T_w_t, _touch_colours(len(T_w_t)), strict=True):
-        square, pin = _skin_square(pv, np.asarray(T, np.float64))
-        plotter.add_mesh(pin, color="black", lighting=False)
-        plotter.add_mesh(square.extract_feature_edges(), color=colour, line_width=4)
-        plotter.add_mesh(square, color=colour, opacity=0.5, lighting=False)
-    labels = plotter.add_point_labels(
-        T_w_t[:, :3, 3] - PIN_LENGTH_M * T_w_t[:, :3, 2], [str(i + 1) for i in range(len(T_w_t))], font_size=32,
-        bold=True, shape_color="white", shape_opacity=0.75, margin=2, always_visible=True, show_points=False,
-    )  # fmt: skip
-    plotter.enable_parallel_projection()
-    return plotter, labels
-
-
-def _skin_square(pv: Any, T_w_t: np.ndarray) -> tuple[Any, Any]:
-    """The skin's square over the surface that it touched, and a pin from its middle to its number."""
-    half, z = PAD_WINDOW / 2, -SKIN_LIFT_M
-    corners = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
-    square = pv.PolyData(corners, [4, 3, 2, 1, 0]).transform(T_w_t, inplace=False)
-    pin = pv.Line(T_w_t[:3, 3], T_w_t[:3, 3] - PIN_LENGTH_M * T_w_t[:3, 2]).tube(radius=3e-4)
-    return square, pin
-
-
-def _number_mesh(pv: Any, T_w_t: np.ndarray, number: str) -> Any:
-    """A number written on the back of the skin's square, where people see it."""
-    digits = pv.Text3D(number, depth=1e-4, height=0.4 * PAD_WINDOW)
-    digits.translate(-np.asarray(digits.center), inplace=True)
-    back = np.diag([1.0, -1.0, -1.0, 1.0])
-    back[2, 3] = -SKIN_LIFT_M - 3e-4
-    return digits.transform(T_w_t @ back, inplace=False)
 
 
 def _touch_colours(touches: int) -> np.ndarray:

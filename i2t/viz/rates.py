@@ -80,38 +80,6 @@ def plot_rates(
     return figure
 
 
-def plot_rates_by_size(
-    lines: Mapping[str, Shaped[Array, "sizes 4"]], title: str, xlabel: str, ylabel: str, simulated: bool
-) -> Picture:
-    """Rates of methods against a size on a logarithmic axis.
-
-    Args:
-        lines: By method, rows of (size, mean, low, high).
-        title: What is shown.
-        xlabel: What the size is, with its unit.
-        ylabel: What the rate is of.
-        simulated: Whether it was simulated.
-
-    Returns:
-        The figure.
-    """
-    figure = Picture(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    for i, (method, rows) in enumerate(lines.items()):
-        x, mean, low, high = np.asarray(rows, np.float64).T
-        colour = COLOURS[i % len(COLOURS)]
-        axes.plot(x, mean, marker=MARKERS[i % len(MARKERS)], color=colour, label=method)
-        axes.fill_between(x, low, np.minimum(high, 1), color=colour, alpha=0.15, lw=0)
-    axes.set_xscale("log")
-    axes.set_xticks(x, [f"{value:g}" for value in x])
-    axes.minorticks_off()
-    axes.set(ylim=(0, 1.02), xlabel=xlabel, ylabel=ylabel)
-    axes.grid(color="#dddddd", lw=0.6)
-    axes.legend(fontsize=8)
-    figure.suptitle(f"{titled(title, simulated)}, bands: 95 %", fontsize=11)
-    return figure
-
-
 def plot_intervals(
     values: Mapping[str, tuple[float, float, float]], title: str, xlabel: str, simulated: bool
 ) -> Picture:

@@ -1,6 +1,7 @@
 """Readings as field vectors at the chips of any board; presses: pressure and displacement of the skin; maps over it."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -30,34 +31,6 @@ def common_scale(readings: Shaped[Array, "..."]) -> float:
         return 1.0
     digit = 10.0 ** (np.floor(np.log10(top)) - 1)
     return float(np.ceil(top / digit) * digit)
-
-
-def draw_field(
-    axes: Any,
-    board: Board,
-    reading: Shaped[Array, " c"],
-    scale: float,
-    *,
-    colour: str = BLUE,
-    label: str | None = None,
-    width: float = 2.0,
-) -> None:
-    """Draw a reading into 3-D axes as field vectors at the chips, seen through the skin.
-
-    Args:
-        axes: Where to draw.
-        board: Of n chips.
-        reading: (3 n,) uT.
-        scale: uT that are drawn `ARROW_MM` long.
-        colour: Of the arrows.
-        label: Their name in a legend.
-        width: Of the arrows, in points.
-    """
-    chips = np.asarray(board.chips, np.float64)[:, :2] * MM_PER_M
-    field = np.asarray(board.to_tool(np.asarray(reading, np.float64))) * ARROW_MM / scale
-    flat = np.zeros(len(chips))
-    axes.quiver(*chips.T, flat, *field.T, color=colour, lw=width, arrow_length_ratio=0.25, label=label)
-    axes.scatter(*chips.T, flat, color="black", s=8, depthshade=False)
 
 
 def draw_reading(
@@ -132,23 +105,36 @@ def plot_readings(
     columns = min(columns, n)
     rows = -(-n // columns)
     scale = common_scale(np.stack(values))
-    figure = Picture(figsize=(2.6 * columns, 2.5 * rows + 0.9), layout="constrained")
-    for i in range(n):
-        axes: Any = figure.add_subplot(rows, columns, i + 1, projection="3d")
-        _set_skin_axes(axes)
-        for j, (name, part) in enumerate(zip(sets, values, strict=True)):
-            width = 1.6 if j else 3.2 if len(sets) > 1 else 2.0  # thinner ones over wider ones, so that both are seen
-            draw_field(axes, board, part[i], scale, colour=COLOURS[j % len(COLOURS)], label=name, width=width)
-        axes.set_title(labels[i], fontsize=9, pad=0)
+    figure = Picture(figsize=(2.4 * columns, 2.6 * rows + 0.9), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for i, axes in enumerate(panels):
+        if i >= n:
+            axes.set_axis_off()
+            continue
+        draw_skin(axes)
+        for (name, part), colour in zip(zip(sets, values, strict=True), cycle(COLOURS), strict=False):
+            draw_reading(axes, board, part[i], scale, colour=colour, label=name)
+        axes.set_title(labels[i], fontsize=9)
     if len(sets) > 1:
-        figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=len(sets))
-    below = "\n" * max(label.count("\n") for label in labels)  # room that the layout does not give to 3-D axes
-    figure.suptitle(
-        f"{titled(title, simulated)}\nchange of field at the {len(board.chips)} chips (dots) under the skin (square); "
-        f"an arrow of {ARROW_MM:g} mm is {scale:g} µT, up is out of the skin{below}",
-        fontsize=10,
-    )
+        figure.legend(*panels[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=len(sets))
+    figure.suptitle(f"{titled(title, simulated)}\n{explained(board, scale)}", fontsize=10)
     return figure
+
+
+def explained(board: Board, scale: float) -> str:
+    """What arrows and discs of `draw_reading` mean.
+
+    Args:
+        board: Whose chips are drawn.
+        scale: uT that are drawn `ARROW_MM` long.
+
+    Returns:
+        Words for a title.
+    """
+    return (
+        f"change of field at the {board.num_chips} chips: arrows in the skin's plane, {ARROW_MM:g} mm = {scale:g} µT, "
+        "discs normal to it, filled outwards"
+    )
 
 
 def plot_press(
@@ -173,8 +159,7 @@ def plot_press(
         The figure.
     """
     figure = Picture(figsize=(11, 3.9), layout="constrained")
-    left, middle = figure.add_subplot(1, 3, 1), figure.add_subplot(1, 3, 2)
-    right: Any = figure.add_subplot(1, 3, 3, projection="3d")
+    left, middle, right = figure.subplots(1, 3)
     image = draw_map(left, np.asarray(pressure) * KPA_PER_PA, PAD_WINDOW, low=0)
     figure.colorbar(image, ax=left, label="pressure (kPa)", shrink=0.8)
     image = draw_map(middle, np.asarray(displacement) * MM_PER_M, PAD_WINDOW)
@@ -185,10 +170,10 @@ def plot_press(
     left.set_title("pressure on the skin", fontsize=10)
     middle.set_title("displacement of its surface", fontsize=10)
     scale = common_scale(reading)
-    _set_skin_axes(right)
-    draw_field(right, board, reading, scale)
-    right.set_title(f"field at the chips: {ARROW_MM:g} mm is {scale:g} µT", fontsize=10)
-    figure.suptitle(titled(title, simulated), fontsize=11)
+    draw_skin(right)
+    draw_reading(right, board, reading, scale)
+    right.set(xlabel="x (mm)", title="field at the chips")
+    figure.suptitle(f"{titled(title, simulated)}\n{explained(board, scale)}", fontsize=10)
     return figure
 
 
@@ -209,41 +194,11 @@ def plot_skin_map(
     """
     figure = Picture(figsize=(5, 4.2), layout="constrained")
     axes = figure.subplots()
-    low, high, cmap = colour_range(values)
+    low, high, cmap = float(np.nanmin(values)), float(np.nanmax(values)), "cividis"
+    if low < 0 < high:
+        low, high, cmap = min(low, -high), max(-low, high), "PuOr"
     image = draw_map(axes, values, window, cmap=cmap, low=low, high=high)
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     figure.colorbar(image, ax=axes, label=label)
     figure.suptitle(titled(title, simulated), fontsize=11)
     return figure
-
-
-def colour_range(values: Shaped[Array, "..."]) -> tuple[float, float, str]:
-    """Lower end, upper end and name of a colour map: about zero where values have both signs.
-
-    Args:
-        values: What is drawn.
-
-    Returns:
-        Lower end, upper end, and the map's name.
-    """
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if low < 0 < high:
-        top = max(-low, high)
-        return -top, top, "PuOr"
-    return low, high, "cividis"
-
-
-def _set_skin_axes(axes: Any) -> None:
-    """The skin's square in 3-D axes."""
-    half = PAD_WINDOW * MM_PER_M / 2
-    x, y = np.array([-1, 1, 1, -1, -1]) * half, np.array([-1, -1, 1, 1, -1]) * half
-    axes.plot(x, y, np.zeros(5), color=GREY, lw=1)
-    axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(-0.7 * half, 0.7 * half))
-    axes.set_xticks([-10, 0, 10])
-    axes.set_yticks([0, 10])
-    axes.set_zticks([])
-    axes.set_box_aspect((1, 1, 0.7), zoom=1.05)
-    axes.tick_params(labelsize=7, pad=-3)
-    axes.set_xlabel("x (mm)", fontsize=8, labelpad=-6)
-    axes.set_ylabel("y (mm)", fontsize=8, labelpad=-6)
-    axes.view_init(elev=28, azim=-60)

@@ -13,13 +13,12 @@ from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from i2t.types import PAD_WINDOW, Array
-from i2t.viz.scene import VIEW_DIRECTION, trimmed, why_no_scene
+from i2t.types import Array
+from i2t.viz.scene import body_of, image_of, set_view, skin_square, why_no_scene
 from i2t.viz.style import GREEN, MM_PER_M, Picture, titled
 
 COLOURS_OF_STD = "plasma"
 WINDOW_PIXELS = (520, 440)
-WHITE = 250  # and above, as `trimmed` has it
 
 
 class ShownSurface(NamedTuple):
@@ -88,8 +87,7 @@ def _plotter(stage: ShownSurface, high: float) -> Any:
     with pv.vtk_verbosity("error"):  # VTK warns of the missing display before it goes on without
         plotter: Any = pv.Plotter(off_screen=True, window_size=list(WINDOW_PIXELS), lighting="three lights")
         if len(stage.faces):
-            corners = np.column_stack([np.full(len(stage.faces), 3), stage.faces]).ravel()
-            body = pv.PolyData(np.asarray(stage.vertices, np.float64) * MM_PER_M, corners)
+            body = body_of(pv, stage.vertices, stage.faces)
             if len(stage.std):
                 colours = colormaps[COLOURS_OF_STD](np.clip(np.asarray(stage.std) / high, 0, 1))[:, :3]
                 body["colours"] = (255 * colours).astype(np.uint8)
@@ -97,23 +95,12 @@ def _plotter(stage: ShownSurface, high: float) -> Any:
             else:
                 plotter.add_mesh(body, color="#d9d9d9", split_sharp_edges=True, smooth_shading=True)
         for T in np.asarray(stage.T_o_t, np.float64):
-            _add_square(pv, plotter, T)
-        plotter.enable_parallel_projection()
-        plotter.view_vector(VIEW_DIRECTION, viewup=(0, 0, 1))
+            plotter.add_mesh(skin_square(pv, T).extract_feature_edges(), color=GREEN, line_width=2)
+        set_view(plotter)
     return plotter
 
 
-def _add_square(pv: Any, plotter: Any, T_o_t: np.ndarray) -> None:
-    """The outline of the skin at a touch."""
-    half = PAD_WINDOW * MM_PER_M / 2
-    corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
-    square = pv.PolyData(corners @ T_o_t[:3, :3].T + T_o_t[:3, 3] * MM_PER_M, [4, 0, 1, 2, 3])
-    plotter.add_mesh(square.extract_feature_edges(), color=GREEN, line_width=2)
-
-
 def _show(axes: Any, plotter: Any, label: str) -> None:
-    picture = np.asarray(plotter.screenshot(return_img=True))
-    plotter.close()
-    axes.imshow(trimmed(picture) if (picture < WHITE).any() else picture)  # a surface may be nowhere, before any touch
+    axes.imshow(image_of(plotter))  # a surface may be nowhere, before any touch
     axes.set_axis_off()
     axes.set_title(label, fontsize=10)

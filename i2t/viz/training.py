@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 
 from i2t.types import PATCH_WINDOW, REACH, Array, Board
 from i2t.viz.patches import draw_patch
-from i2t.viz.skins import ARROW_MM, draw_reading, draw_skin
+from i2t.viz.skins import draw_reading, draw_skin, explained
 from i2t.viz.style import BLUE, COLOURS, GREEN, GREY, ORANGE, RED, Picture, titled
 
 NORMAL_QUANTILE_90 = 1.645  # standard deviations each way that contain nine in ten
@@ -57,11 +57,7 @@ def plot_predicted_touches(
     axes[1, 0].set_ylabel("tool y (mm)")
     figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
     figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="upper right", ncols=len(sets))
-    figure.suptitle(
-        f"{titled(title, simulated)}\narrows: field in the skin's plane, {ARROW_MM:g} mm = {scale:.0f} µT; discs: "
-        "normal field, filled outwards",
-        fontsize=10,
-    )
+    figure.suptitle(f"{titled(title, simulated)}\n{explained(board, scale)}", fontsize=10)
     return figure
 
 

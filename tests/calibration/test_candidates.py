@@ -1,12 +1,10 @@
-"""Which board a skin lies on, where nobody says: what presses tell of it, in words, on disk and from older files."""
+"""Which board a skin lies on, where nobody says: what presses tell of it, in words and on disk."""
 
 import numpy as np
 import pytest
 
-from i2t import serialization
 from i2t.calibration import Calibration, calibrate, load_calibration
 from i2t.calibration.candidates import MAX_CANDIDATE_BOARDS, board_candidates
-from i2t.calibration.model import POPULATION_FILE_KIND, PopulationRecord
 from i2t.skin.boards import anyskin_board, grid_board, reskin_board
 
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -76,17 +74,3 @@ def test_a_board_that_is_given_is_tried_alone_and_may_be_overruled():
     wrong = calibrate(*pressed(chips_of(reskin_board()), 40), load_kind="force", board=anyskin_board())
     assert set(wrong.board_shares) == {"none", "the given board"}
     assert wrong.board_shares["none"] > 0.5
-
-
-def test_a_file_that_knows_one_board_by_its_chips_alone_still_loads(told, tmp_path):
-    """As versions before had it: chips of one board, weights of one kind, and no member's board."""
-    components = told.gp.components._replace(board=None)
-    gp = told.gp._replace(components=components, chip_positions=told.gp.chip_positions[0], far_weights=None)
-    record = PopulationRecord(gp, told.interval_scaling)
-    serialization.save(tmp_path / "old.npz", POPULATION_FILE_KIND, record, {"load": "force", "about": {"skin": "old"}})
-    again = load_calibration(tmp_path / "old.npz")
-    assert again.metadata == {"skin": "old"}
-    assert again.boards == ("the given board",)
-    position, force, _ = pressed(chips_of(reskin_board()), 40)
-    # Where it was pressed, members near the presses are all that count.
-    np.testing.assert_allclose(again.predict(position, force)[0], told.predict(position, force)[0], rtol=1e-6)

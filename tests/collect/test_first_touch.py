@@ -55,7 +55,7 @@ def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(off):
 
 
 @pytest.mark.parametrize(
-    ("off", "sentence"), [(0.010, "met nothing up to 4 mm past"), (-0.018, "met something 16 mm before")]
+    ("off", "sentence"), [(0.010, "met nothing up to 4 mm past"), (-0.018, "something was met 16 mm before")]
 )
 def test_an_object_that_is_met_elsewhere_is_said_and_the_tool_retreats(monkeypatch, off, sentence):
     procedure, sampler = make(settings=QUICK), Block()
@@ -98,9 +98,10 @@ def _unsure():
 
 def test_the_slow_touch_goes_as_far_as_the_placement_may_err():
     procedure, sampler = _unsure(), Block()
-    assert plan_first_touch(procedure, sampler).touch.past == pytest.approx(15e-3)
+    assert plan_first_touch(procedure, sampler).slow.settings.overtravel == pytest.approx(15e-3)
     sampler.height = HEIGHT + 0.012  # the plane is met 12 mm past where the sites are
-    said = module._touch(procedure, plan_first_touch(procedure, sampler).touch)
+    plan = plan_first_touch(procedure, sampler)
+    said = module._touch(plan.slow, plan.looks[0])
     late = float(re.search(r"met the object ([+-][\d.]+) mm", said)[1])
     assert late - 12 == pytest.approx(0.15, abs=0.2)  # the skin gives until it is felt
 
@@ -117,21 +118,21 @@ def test_the_slow_touch_goes_no_further_than_the_arm_can():
         return "too low" if any(below) else ""
 
     procedure.arm.why_unreachable = why_unreachable
-    touch = plan_first_touch(procedure, Block()).touch
-    assert touch.past == QUICK.overtravel
+    slow = plan_first_touch(procedure, Block()).slow.settings
+    assert slow.overtravel == QUICK.overtravel
     assert min(goal[2, 3] for goal in asked) == pytest.approx(HEIGHT - 15e-3)  # it was asked
-    assert touch.above[2, 3] > highest
+    assert slow.prepare > highest - HEIGHT
     # Not to the place above that where it prepares: it begins at the latter.
-    procedure.arm.why_unreachable = lambda goals: "turned" if len(goals) == 4 and goals[1][2, 3] > highest else ""
-    touch = plan_first_touch(procedure, Block()).touch
-    assert touch.past == pytest.approx(15e-3)
-    np.testing.assert_array_equal(touch.above, touch.prepare)
+    procedure.arm.why_unreachable = lambda goals: "turned" if goals[-2][2, 3] > highest else ""
+    slow = plan_first_touch(procedure, Block()).slow.settings
+    assert slow.overtravel == pytest.approx(15e-3)
+    assert slow.prepare == QUICK.prepare
     # Nor where the box ends in the object.
     procedure.arm.why_unreachable = lambda goals: ""
     limits = procedure.rig.limits
     shallow = replace(limits, lower=(*limits.lower[:2], HEIGHT - 8e-3))
     procedure.rig = replace(procedure.rig, limits=shallow)
-    assert plan_first_touch(procedure, Block()).touch.past == QUICK.overtravel
+    assert plan_first_touch(procedure, Block()).slow.settings.overtravel == QUICK.overtravel
 
 
 def test_the_expected_view_is_the_block_s_top():

@@ -14,9 +14,9 @@ import pytest
 
 from i2t import dataset
 from i2t.collect import command
-from i2t.collect.devices import DeviceConfig, make_devices
+from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
+from i2t.collect.devices import make_devices
 from i2t.depth.camera import Camera
-from i2t.emulators.world import WorldConfig
 from i2t.hardware import hand_eye, plugins
 from i2t.hardware.kinematics import arms
 from i2t.hardware.plugins import DeviceSetup, PluginConfig, load_plugin
@@ -161,6 +161,6 @@ def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch, board
     import acme_devices
 
     monkeypatch.setattr(acme_devices.AcmeSkin, "board", board)
-    config = DeviceConfig(PluginConfig("acme"), PluginConfig("acme"), PluginConfig("acme"), WorldConfig("hexagon"))
+    args = CollectArgs(arm=ArmArgs("acme"), skin=SkinArgs("acme"), camera=CameraArgs("acme"))
     with ExitStack() as stack, pytest.raises(ValueError, match=said):
-        make_devices(config, Rig(), stack)
+        make_devices(args, Rig(), stack)

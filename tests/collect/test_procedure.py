@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from i2t.collect.settings import TouchSettings
-from i2t.collect.stopping import SkinStopCondition, StopRule, nonuniform_field, onset_distance
-from i2t.collect.touch import MissedContactError, TouchFailedError, UnreachableError
+from i2t.collect.stopping import StopCondition, nonuniform_field, onset_distance
+from i2t.collect.touch import MissedContactError, SkinOnTool, TouchFailedError, UnreachableError
 from i2t.emulators.in_process import SLOW_FIELD_S, TICK_S
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.protocols import ArmState, Samples
@@ -35,7 +35,7 @@ class Memory:
     def abandon(self, reason):
         self.abandoned.append(reason)
 
-    def samples(self, samples):
+    def samples(self, samples, skin=""):
         self.numbers.update(samples.number.tolist())
 
     def state(self, state):
@@ -212,9 +212,7 @@ class Batches:
 
 def stops(batches, board, ambient):
     """Whether the procedure's own stop condition stops a press on these batches of samples (looks, 10, channels)."""
-    settings, skin = TouchSettings(), Batches(batches)
-    rule = StopRule(settings.skin_change, settings.nonuniform_share, settings.averaged_samples, settings.silence)
-    condition = SkinStopCondition(skin, board, rule, ambient, Memory())
+    condition = StopCondition([SkinOnTool("", Batches(batches), board)], TouchSettings(), {"": ambient}, Memory())
     state = ArmState(0.0, np.eye(4), np.zeros(6), np.zeros(6), np.zeros(6), True, True)
     return any(condition(state) is not None for _ in batches)
 

@@ -11,10 +11,10 @@ import pytest
 from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
 
 from i2t import dataset
-from i2t.collect import event_log, recorder
-from i2t.collect.event_log import StorageError, read_raw
-from i2t.collect.recorder import Recorder, touches_in, written_at
+from i2t.collect import notes, recorder
+from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, written_at
 from i2t.errors import DataError, DeviceError
+from i2t.files import unwritable
 from i2t.types import ReturnCode
 
 
@@ -54,7 +54,7 @@ def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(l
     assert record.counters["site"] == recorder.site_number_of(path) == 3
     np.testing.assert_allclose(record.images["depth"].values * record.images["depth"].scale, 0.104, atol=5e-5)
     np.testing.assert_array_equal(record.images["colour"].values, 0)
-    np.testing.assert_allclose(record.series["ambient"].values[0], touched.ambient, rtol=1e-6)
+    np.testing.assert_allclose(record.series["ambient"].values[0], touched.skins[""].ambient, rtol=1e-6)
     assert [text for _, text in record.events][:3] == ["site 3, attempt 1", "look", "prepare"]
     for name in (recorder.UNDER_WAY, recorder.INTERRUPTED):  # no raw file is left
         assert not (recording.folder / name).exists()
@@ -95,10 +95,7 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab
     assert sum(len(rows) for kind, rows in entries if kind == "skin") > 400
     assert any(kind == "arm" for kind, _ in entries)
     whole = raw.read_bytes()
-    ends, at = [], whole.index(b"\n") + 1
-    while at < len(whole):
-        at += event_log.ENTRY_HEADER.size + event_log.ENTRY_HEADER.unpack_from(whole, at)[1]
-        ends.append(at)
+    ends = np.cumsum([len(line) for line in whole.splitlines(keepends=True)])[1:]
     assert ends[-1] == len(whole)
     for cut in (len(whole) - 1, len(whole) // 2, ends[3], ends[3] - 1, ends[3] + 2, whole.index(b"\n") + 1):
         raw.write_bytes(whole[:cut])
@@ -110,12 +107,9 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab
     raw.write_bytes(b"something else")
     with pytest.raises(DataError, match="no raw file"):
         list(read_raw(raw))
-    row = np.arange(22.0)  # as an earlier version wrote it
-    entry = event_log.ENTRY_HEADER.pack(b"s", row.nbytes) + row.astype("<f8").tobytes()
-    raw.write_bytes(b'{"touch": "i2t raw", "version": 1}\n' + entry)
-    ((kind, rows),) = read_raw(raw)
-    assert kind == "skin"
-    np.testing.assert_array_equal(rows, row[None])
+    raw.write_bytes(b'{"touch": "i2t raw", "version": 1}\n')
+    with pytest.raises(DataError, match="one of an earlier version"):
+        list(read_raw(raw))
 
 
 KILLED = """
@@ -158,7 +152,7 @@ def test_two_collections_cannot_write_to_one_folder(lab):
 def test_a_folder_that_cannot_be_made_and_a_disk_that_is_nearly_full_are_found_before_the_arm_moves(tmp_path):
     (tmp_path / "file").write_text("")
     procedure = make()
-    with pytest.raises(DeviceError, match="choose another folder"):
+    with pytest.raises(DeviceError, match="choose a folder you may write to"):
         Recorder(tmp_path / "file" / "data", names(procedure), procedure.clock)
     with (
         Recorder(tmp_path, names(procedure), procedure.clock, reserve=2**60) as recording,
@@ -169,26 +163,26 @@ def test_a_folder_that_cannot_be_made_and_a_disk_that_is_nearly_full_are_found_b
 
 
 @pytest.mark.parametrize(
-    ("where", "code", "said"), [("raw", errno.ENOSPC, "disk is full"), ("touch", errno.EROFS, "only be read")]
+    ("where", "code", "said"), [("raw", errno.ENOSPC, "No space left"), ("touch", errno.EROFS, "Read-only")]
 )
 def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypatch, where, code, said):
     procedure, recording = lab
     list(procedure.run(sites(0), recording))
     error = OSError(code, os.strerror(code))
     if where == "raw":
-        write, count = event_log.EventLog._write, []
+        write, count = recorder.EventLog._write, []
 
-        def failing(made, kind, payload):
-            count.append(kind)
-            if count.count(b"a") > 20:  # in the middle of an approach
-                raise event_log.storage_error(recording.folder, error)
-            write(made, kind, payload)
+        def failing(made, entry):
+            count.append(entry[0] if isinstance(entry, list) else "")
+            if count.count("arm") > 20:  # in the middle of an approach
+                raise recorder._not_kept(recording.folder, error)
+            write(made, entry)
 
-        monkeypatch.setattr(event_log.EventLog, "_write", failing)
+        monkeypatch.setattr(recorder.EventLog, "_write", failing)
     else:
 
         def full(*_):
-            raise DataError("not written") from error
+            raise unwritable(recording.folder, error) from error
 
         monkeypatch.setattr(recorder.dataset, "write_touch", full)
     with pytest.raises(StorageError, match=said) as ended:
@@ -221,12 +215,13 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
 
 
 def test_notes_survive_and_damage_is_named(tmp_path):
-    assert recorder.read_notes(tmp_path) is None
-    recorder.write_notes(tmp_path, {"run": "a", "unreachable": {"3": "far"}})
-    assert recorder.read_notes(tmp_path) == {"run": "a", "unreachable": {"3": "far"}}
-    (tmp_path / recorder.NOTES).write_text("{")
-    with pytest.raises(DataError, match="cannot be read"):
-        recorder.read_notes(tmp_path)
+    assert notes.read_notes(tmp_path) is None
+    notes.write_notes(tmp_path, {"run": "a", "unreachable": {"3": "far"}})
+    assert notes.read_notes(tmp_path) == {"run": "a", "unreachable": {"3": "far"}}
+    for damaged in ("{", "3"):
+        (tmp_path / notes.NOTES).write_text(damaged)
+        with pytest.raises(DataError, match="cannot be read"):
+            notes.read_notes(tmp_path)
 
 
 def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the_order_of_time(lab):
@@ -277,5 +272,5 @@ def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(lab, mon
     recording.save(outcome.touch)
     assert done[:3] == ["file", "rename", "folder"]
     done.clear()
-    recorder.write_notes(recording.folder, {"seed": 0})
+    notes.write_notes(recording.folder, {"seed": 0})
     assert done == ["file", "rename", "folder"]

@@ -5,22 +5,22 @@ import os
 import signal
 from contextlib import ExitStack
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
 from i2t import dataset
-from i2t.collect import command, recorder, session
+from i2t.collect import command, notes, recorder, session
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs, WorldArgs
-from i2t.collect.device_configs import device_config
+from i2t.collect.checks import check_collect_args
 from i2t.collect.devices import make_devices
+from i2t.collect.touch import SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
 from i2t.errors import DataError
-from i2t.hardware.reskin.config import ReSkinConfig
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.config import UrConfig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
@@ -57,8 +57,8 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
 
     code, said = run(touches=1)
     assert code == 0
-    for sentence in ("SIMULATED: no real device takes part", "skin at rest: 400 Hz", "first touch: met the object",
-                     "touch 1/1"):  # fmt: skip
+    for sentence in ("SIMULATED: no real device takes part", "the simulated skin: at rest 400 Hz",
+                     "first touch: met the object", "touch 1/1"):  # fmt: skip
         assert sentence in said
     first = dataset.load_dataset(tmp_path / "set")
     assert (len(first), first.source, first.objects) == (1, "simulated", ("hexagon",))
@@ -107,8 +107,8 @@ def test_no_session_starts_and_no_dry_run_passes_on_a_skin_that_lies(tmp_path, r
 
 def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
     args = CollectArgs(out=tmp_path)
-    _, notes = session._resume(args, "hexagon", Rig(), BOX)
-    recorder.write_notes(tmp_path, notes)
+    _, begun = notes.resume(args, "hexagon", Rig(), BOX)
+    notes.write_notes(tmp_path, begun)
     harder = replace(args, settings=replace(args.settings, press=0.004, force=9.0))
     heavier, larger = replace(Rig(), mass=Rig().mass + 0.1), BOX._replace(vertices=1.1 * BOX.vertices)
     for now, lab_now, mesh, said in (
@@ -117,15 +117,24 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
         (args, Rig(), larger, "begun with another mesh"),  # of the same name, in another folder
     ):
         with pytest.raises(DataError, match=said):
-            session._resume(now, "hexagon", lab_now, mesh)
+            notes.resume(now, "hexagon", lab_now, mesh)
+    for damaged in ({"unreachable": {}}, {"session": "a", "unreachable": {"three": "far"}}, {"run": "a"}):
+        notes.write_notes(tmp_path, damaged)
+        with pytest.raises(DataError, match="is damaged"):
+            notes.resume(args, "hexagon", Rig(), BOX)
+    notes.write_notes(tmp_path, begun)
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
-    _, notes = session._resume(patient, "hexagon", Rig(), BOX)
-    for device in ("skin", "camera", "arm", "skin right"):
+    _, begun = notes.resume(patient, "hexagon", Rig(), BOX)
+    for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):
         for serial in ("", "A1", "", "A1"):  # a number that is known only later counts from then on
-            session._keep_serial(notes, device, serial, tmp_path)
-        with pytest.raises(DataError, match=f"begun with the {device.split()[0]} A1, and this one is B2"):
-            session._keep_serial(notes, device, "B2", tmp_path)
-    assert session._rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
+            notes.keep_devices(begun, kind, {name: SimpleNamespace(serial_number=serial)}, tmp_path)
+        with pytest.raises(DataError, match=f"begun with the {kind} A1, and this one is B2"):
+            notes.keep_devices(begun, kind, {name: SimpleNamespace(serial_number="B2")}, tmp_path)
+    for board in (grid_board(2, 2), grid_board(2, 2)):
+        notes.keep_boards(begun, [SkinOnTool("", None, board)], tmp_path)
+    with pytest.raises(DataError, match="begun with a board whose chips lie or turn otherwise; pass that board"):
+        notes.keep_boards(begun, [SkinOnTool("", None, grid_board(2, 3))], tmp_path)
+    assert notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
 
 
 def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
@@ -134,7 +143,6 @@ def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
     for sentence in ("nothing was moved", "0 of 5 cannot be reached", "a collision at 10 N/mm ends at 30 N at the"):
         assert sentence in said
     assert "BAD" not in said
-    assert (tmp_path / "dry-plan.png").stat().st_size > 1000
     assert (tmp_path / "dry-rig.png").stat().st_size > 10_000
     assert not (tmp_path / "dry").exists()
 
@@ -175,23 +183,28 @@ def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong
 
 def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_path, four_chips):
     arm, skin = ArmArgs("ur", "10.0.0.2", watchdog_rate=5.0), SkinArgs("reskin", "/dev/skin", board="grid-4x4")
-    camera, world = CameraArgs("folder", tmp_path), WorldArgs()
-    config = device_config(arm, skin, camera, world)
-    assert config.arm == UrConfig("10.0.0.2", watchdog_rate=5.0)
-    assert config.skin == ReSkinConfig("/dev/skin", "grid-4x4")
+    args = CollectArgs(arm=arm, skin=skin, camera=CameraArgs("folder", tmp_path))
+
+    def made(args):
+        check_collect_args(args)
+        with ExitStack() as stack:
+            return make_devices(args, Rig(), stack)
+
     for wrong_arm, wrong_skin, said in (
         ({"host": None}, {}, "pass --host"),
-        ({}, {"kind": "emulated", "port": None}, "feels nothing"),
-        ({"kind": "emulated"}, {"kind": "emulated", "port": None}, "pass both, or neither"),
-        ({"kind": "simulated"}, {"kind": "emulated"}, "leave out --port"),
+        ({}, {"kind": "emulated", "port": None}, "--skin is emulated, and feels nothing on this arm"),
+        ({"kind": "emulated"}, {"kind": "emulated", "port": None}, "give both, or neither"),
+        ({"kind": "simulated", "host": None}, {"kind": "emulated"}, "pass --arm emulated"),
         ({}, {"kind": "somewhere:Skin"}, "--board grid-4x4 means nothing to --skin somewhere:Skin"),
+        ({"kind": "somewhere"}, {}, "--arm somewhere is not known; give one of ur, simulated, emulated"),
     ):
+        wrong = replace(args, arm=replace(arm, **wrong_arm), skin=replace(skin, **wrong_skin))
         with pytest.raises(ValueError, match=said):
-            device_config(replace(arm, **wrong_arm), replace(skin, **wrong_skin), camera, world)
-    of_four_chips = device_config(ArmArgs("emulated"), SkinArgs("emulated"), CameraArgs(), WorldArgs(pad=four_chips))
+            made(wrong)
+    of_four_chips = CollectArgs(arm=ArmArgs("emulated"), skin=SkinArgs("emulated"), world=WorldArgs(pad=four_chips))
     said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
-    with ExitStack() as stack, pytest.raises(ValueError, match=said):
-        make_devices(of_four_chips, Rig(), stack)
+    with pytest.raises(ValueError, match=said):
+        made(of_four_chips)
 
 
 @pytest.mark.full

@@ -9,11 +9,10 @@ from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 
 from i2t import dataset
 from i2t.collect import command, recorder
-from i2t.collect.carried import SkinOnTool
-from i2t.collect.event_log import read_raw
-from i2t.collect.recorder import CarriedSkinInfo, Recorder, touches_in
-from i2t.collect.session_ambient import fitted_ambient
+from i2t.collect.free_poses import fitted_ambient
+from i2t.collect.recorder import Recorder, SkinInfo, read_raw, touches_in
 from i2t.collect.settings import AmbientSettings
+from i2t.collect.touch import SkinOnTool
 from i2t.convert import commands
 from i2t.dataset import SkinChoiceError
 from i2t.depth.camera import Camera
@@ -53,7 +52,7 @@ def two(out_by: float):
 
 
 def info_of(procedure):
-    about = {each.name: CarriedSkinInfo(each.pad, each.board, {"skin": "right's"}) for each in procedure.carried}
+    about = {each.name: SkinInfo(each.pad, each.board, {"skin": "right's"}) for each in procedure.carried}
     return replace(names(procedure), skin=procedure.rig.skin, carried=about)
 
 
@@ -67,8 +66,8 @@ def touched(folder, procedure, count=1):
 @pytest.mark.parametrize("out_by", [-5e-3, 2e-3])
 def test_the_skin_that_is_further_out_feels_the_press_stops_it_and_has_the_force_to_itself(tmp_path, out_by):
     touch = touched(tmp_path, two(out_by))
-    right = touch.carried["right"]
-    pair = ((touch, GAIN), (right, SQUARE_GAIN))
+    right = touch.skins["right"]
+    pair = ((touch.skins[""], GAIN), (right, SQUARE_GAIN))
     (felt, gain), (silent, _) = pair if out_by < 0 else pair[::-1]
     assert (felt.code, silent.code) == (ReturnCode.SKIN, ReturnCode.AIR)
     np.testing.assert_allclose(felt.reading, felt.force * gain, rtol=1e-3)
@@ -85,7 +84,7 @@ def test_the_skin_that_is_further_out_feels_the_press_stops_it_and_has_the_force
 def test_two_skins_that_feel_a_press_share_its_force_which_is_then_unknown_for_each(tmp_path):
     """Two springs side by side: the arm measures their sum, and the torque of the one that lies aside."""
     touch = touched(tmp_path, two(0.0))
-    right = touch.carried["right"]
+    right = touch.skins["right"]
     assert touch.code == right.code == ReturnCode.SKIN
     assert np.isnan([touch.force, right.force]).all()
     sunk = HEIGHT - touch.T_w_t[2, 3]
@@ -125,8 +124,8 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
     right = record.skins["right"]
     assert right.pads == ("right pad",)
     assert right.meta["skin"] == "right's"
-    np.testing.assert_allclose(right.touches.reading[0], touch.carried["right"].reading, rtol=1e-6)
-    np.testing.assert_allclose(right.touches.T_w_t[0], touch.carried["right"].T_w_s, atol=1e-7)
+    np.testing.assert_allclose(right.touches.reading[0], touch.skins["right"].reading, rtol=1e-6)
+    np.testing.assert_allclose(right.touches.T_w_t[0], touch.skins["right"].T_w_s, atol=1e-7)
     np.testing.assert_allclose(record.touch.touches.reading[0], touch.reading, rtol=1e-6)
     assert [record.series[name].values.shape[1] for name in ("tactile", "tactile right")] == [15, 12]
     assert len(record.series["tactile right"].time) > 400
@@ -154,8 +153,8 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
 def test_each_skin_has_an_ambient_field_of_its_own_in_the_same_poses(tmp_path):
     procedure = two(0.0)
     procedure.arm.lab.scene.room = procedure.carried[0].skin.lab.scene.room = RoomField()
-    field = fitted_ambient(procedure, AmbientSettings(poses=6, seconds=0.1), tmp_path)
-    right = procedure.carried[0].ambient_field
+    fields = fitted_ambient(procedure, AmbientSettings(poses=6, seconds=0.1), tmp_path)
+    field, right = fields[""], fields["right"]
     np.testing.assert_allclose(right.earth, field.earth, atol=0.5)  # of one room, in the base
     assert right.offset.shape == (4, 3)
     kept, _ = load_ambient(tmp_path / ".ambient-right.npz", SQUARE)
@@ -193,11 +192,10 @@ def test_a_rig_with_skins_is_read_as_it_was_written_and_one_that_cannot_be_is_re
 
 @pytest.mark.parametrize(("device", "flags", "said"), [
     ("simulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "skins.right.device is simulated"),
-    ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "feels nothing on this arm"),
+    ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, and feels nothing on this"),
     ("nobody's", [], "skins.right.device is \"nobody's\"; give one of reskin"),
-    ("reskin", ["--skin", "reskin", "--port", "/dev/ttyACM1"], "the board /dev/ttyACM1 is named for two skins"),
 ])  # fmt: skip
-def test_skins_that_do_not_go_with_the_arm_or_each_other_are_refused(rig, tmp_path, capsys, device, flags, said):
+def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, said):
     path = rig(device, "/dev/ttyACM1" if device == "reskin" else "")
     assert command.main(["--rig", str(path), "--out", str(tmp_path / "out"), "--object", "cylinder", *flags]) == 2
     assert said in capsys.readouterr().err
@@ -224,7 +222,7 @@ def test_two_simulated_skins_are_collected_packed_and_not_mixed_with_another_rig
     path, out = rig("simulated"), tmp_path / "out"
     words = ["--rig", str(path), "--out", str(out), "--object", "cylinder", "--skip-first-touch"]
     assert command.main([*words, "--touches", "1"]) == 0
-    assert "skin right at rest: 400 Hz" in capsys.readouterr().out
+    assert "the skin right, the simulated skin: at rest 400 Hz" in capsys.readouterr().out
     assert [len(dataset.load_dataset(out, skin=name)) for name in ("left", "right")] == [1, 1]
     assert commands.main(["pack", str(out), str(tmp_path / "packed")]) == 2
     assert "holds touches of 2 skins" in capsys.readouterr().err

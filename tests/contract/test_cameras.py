@@ -43,7 +43,7 @@ class TestRecordingOfTheSdk(OurCameras):
 
         path = tmp_path / "views.db3"
         realsense_file.write(path, CAMERA, VIEWS)
-        return lambda: RealSense(file=path, size=(64, 48), model="D405")
+        return lambda: RealSense(file=path, size=(64, 48))
 
 
 class TestFolderOfViews(OurCameras):

@@ -9,14 +9,12 @@ import tifffile
 from helpers import authors_layout
 from helpers.damage import VARIANTS, Recorded, press
 from helpers.recordings import READING_NAMES, converted, write_session, write_table
-from scipy.spatial.transform import Rotation
 
 from i2t import unknowns
 from i2t.types import ReturnCode
 
 N = 12
 POSES = "star/star_poses/experiment_1"
-ROTATIONS = f"{POSES}_rotations"
 FORCES = "star/star_forces/experiment_1_forces_torques"
 
 
@@ -29,18 +27,6 @@ def images_of_tenths(source):
         tifffile.imwrite(path, (10 * tifffile.imread(path)).astype(np.uint16))
 
 
-def scalar_first(quaternions):
-    return np.roll(quaternions, 1, axis=1)
-
-
-def turned_over(quaternions):
-    return (Rotation.from_quat(quaternions) * Rotation.from_euler("x", 180, degrees=True)).as_quat()
-
-
-def in_degrees(quaternions):
-    return Rotation.from_quat(quaternions).as_rotvec(degrees=True)
-
-
 def millimetres(source):
     for name in ("final", "prepare"):
         change(source / f"{POSES}_{name}_contact", lambda at: 1e3 * (at + np.array([0, 0, 0.4])))
@@ -49,9 +35,6 @@ def millimetres(source):
 MISTAKES = {
     "as if they pulled": lambda source: change(source / FORCES, np.negative),
     "they are read as millimetres": millimetres,
-    "the scalar first": lambda source: change(source / ROTATIONS, scalar_first),
-    "turned over": lambda source: change(source / ROTATIONS, turned_over),
-    "vectors in degrees": lambda source: change(source / ROTATIONS, in_degrees),
     "0.1 mm": images_of_tenths,
 }
 
@@ -139,42 +122,3 @@ def test_presses_to_one_height_have_no_depth_and_the_robot_frame_and_times_are_k
     assert not unknowns.find(findings, "height zero").identifiable
     given = converted("eflesh", tmp_path / "src", tmp_path / "given", "--z0-mm", 145, "--as-stated")
     np.testing.assert_allclose(given.touches.depth, 2.4e-3, atol=1e-8)
-
-
-def test_a_set_whose_quaternions_fit_either_order_is_read_as_documented_and_nothing_is_said(tmp_path, capsys):
-    """Of an arm that goes straight up with a tool a few degrees off, both orders tell about the same axis."""
-    source = tmp_path / "src"
-    rng = np.random.default_rng(1)
-    for number in range(6):
-        name = f"object{number}"
-        authors_layout.write(source, name, "1", N, seed=number)
-        poses = source / name / f"{name}_poses"
-        tilt = Rotation.from_euler("xyz", rng.normal(0, 1, (N, 3)) * [2.5, 0.5, 0], degrees=True)
-        final = rng.uniform(-0.3, 0.3, (N, 3))
-        authors_layout.save(poses / "experiment_1_final_contact", final)
-        authors_layout.save(poses / "experiment_1_prepare_contact", final - [0, 0, 0.05])
-        authors_layout.save(poses / "experiment_1_rotations", tilt.as_quat())
-    found = converted("imagine2touch", source, tmp_path / "dst").touches
-    assert "scalar" not in capsys.readouterr().out
-    stored = np.concatenate([np.load(path) for path in sorted(source.glob("*/*_poses/experiment_1_rotations"))])
-    np.testing.assert_allclose(found.T_w_t[:, :3, :3], Rotation.from_quat(stored).as_matrix(), atol=1e-5)
-
-
-def test_the_order_of_quaternions_is_decided_once_for_a_whole_set(tmp_path, capsys):
-    """One folder of a set would not tell; with the others it does, and all are read alike."""
-    source = tmp_path / "src"
-    truth = [authors_layout.write(source, name, "1", N, seed=i) for i, name in enumerate(("cube", "star"))]
-    for name in ("cube", "star"):
-        change(source / name / f"{name}_poses/experiment_1_rotations", scalar_first)
-    poses = source / "cube/cube_poses"
-    final = np.load(poses / "experiment_1_final_contact")
-    moved = np.arange(N)[:, None] < 2  # two touches move at all
-    change(poses / "experiment_1_prepare_contact", lambda at: np.where(moved, at, final))
-    found = converted("imagine2touch", source, tmp_path / "dst").touches
-    said = [line for line in capsys.readouterr().out.splitlines() if "scalar first" in line]
-    assert said == [
-        "corrected: quaternions have the scalar first, as 14 of 14 touches of 2 runs move along tool z so, and 0 as "
-        "documented"
-    ]
-    rotations = np.concatenate([one.rotation for one in truth])
-    np.testing.assert_allclose(found.T_w_t[:, :3, :3], rotations, atol=1e-5)

@@ -106,7 +106,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path):
     [
         ("time_s", "date", "column time_s is missing"),
         ("\n0.5,", "\n0.1,", "at line 202 time does not increase"),
-        ("\n0.5,", "\nnoon,", "line 202 has no such number in column time_s"),
+        ("\n0.5,", "\nnoon,", "line 202 has 'noon' in column time_s"),
         ("", "", "nothing presses in its"),
     ],
 )

@@ -27,7 +27,6 @@ from i2t.dataset import (
     holdout_blocks,
     holdout_last,
     holdout_names,
-    index,
     load_dataset,
     read_touch,
     save_dataset,
@@ -127,7 +126,6 @@ def test_a_file_of_the_first_schema_is_read(tmp_path):
     header = f"i2t-touches 1 sha256 {hashlib.sha256(content).hexdigest()}\n".encode().ljust(512, b"\0")
     path.write_bytes(header + content)
     assert_equal(load_dataset(path), dataset)
-    assert index(tmp_path)["old.h5"]["sessions"] == dataset.summary()["sessions"]
 
 
 def test_a_newer_schema_is_told_apart_from_damage_and_a_broken_one_is_named(packed, tmp_path):
@@ -201,34 +199,6 @@ def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path):
         assert_equal(read_touch(path).touch, make(1, int(seed)))
     missed = len(load_dataset(tmp_path)) - len(acknowledged)
     assert missed in (0, 1)  # one may be complete and not yet acknowledged
-
-
-def test_the_index_is_rebuilt_where_it_is_wrong_and_never_trusted_over_the_files(tmp_path):
-    dataset = make(5)
-    path = save_dataset(tmp_path / "a.h5", dataset)
-    write_touch(tmp_path / "more", Record(make(1)))
-    entries = index(tmp_path)
-    assert [entry["touches"] for entry in entries.values()] == [5, 1]
-    assert entries["a.h5"]["objects"] == dataset.summary()["objects"]
-    cache = tmp_path / "index.json"
-    good = cache.read_text()
-    stale = json.loads(good)
-    stale["files"]["a.h5"] |= {"touches": 99, "changed_ns": 1}
-    stale["files"]["gone.h5"] = stale["files"]["a.h5"]
-    for wrong in ("", "[]", '{"version": 1, "files": {"a.h5": {}}}', '{"version": 0}', json.dumps(stale)):
-        cache.write_text(wrong)
-        assert index(tmp_path) == entries
-        assert cache.read_text() == good
-    cache.write_text(good.replace('"touches": 5', '"touches": 6'))
-    assert index(tmp_path)["a.h5"]["touches"] == 6  # so what is right was not read again
-    state = path.stat()
-    path.write_bytes(path.read_bytes()[:-1] + b"?")
-    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
-    with pytest.raises(DataError, match=r"a\.h5: .* damaged"):
-        load_dataset(tmp_path)
-    os.utime(path)
-    with pytest.raises(DataError, match=r"a\.h5: .* damaged"):
-        index(tmp_path)
 
 
 def broken(name, value, part=1):

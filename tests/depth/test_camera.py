@@ -18,8 +18,6 @@ LENSES = {
     Distortion.BROWN_CONRADY: (-0.12, 0.05, 1e-3, -8e-4, 0.02),
     Distortion.MODIFIED_BROWN_CONRADY: (-0.12, 0.05, 1e-3, -8e-4, 0.02),
     Distortion.INVERSE_BROWN_CONRADY: (0.14, -0.04, -1e-3, 8e-4, 0.01),
-    Distortion.FTHETA: (0.9,),
-    Distortion.KANNALA_BRANDT4: (-0.02, 0.01, -5e-3, 1e-3),
 }
 PIXEL = 1e-3  # float32 holds a column of 640 to 6e-5 pixels; a lens and back is some ten roundings
 
@@ -70,30 +68,19 @@ def test_brown_conrady_against_a_solver(model):
     np.testing.assert_allclose(points[:, :2], expected, atol=PIXEL / 322)
 
 
-def test_fisheyes_against_their_formula_and_against_opencv():
+def test_brown_conrady_against_opencv():
     cv2 = pytest.importorskip("cv2")
     points = np.concatenate([np.random.default_rng(0).uniform(-0.8, 0.8, (50, 2)), np.ones((50, 1))], 1)
-    r, w = np.hypot(*points[:, :2].T), LENSES[Distortion.FTHETA][0]
-    bent = points[:, :2] * (np.arctan(2 * r * np.tan(w / 2)) / w / r)[:, None]
-    expected = {Distortion.FTHETA: [318.7, 181.2] + bent * [322.4, 322.1]}
     K = np.array([[322.4, 0, 318.7], [0, 322.1, 181.2], [0, 0, 1.0]])
-    at_rest = (np.zeros(3), np.zeros(3), K)
-    coefficients = {model: np.array(LENSES[model]) for model in LENSES}
-    theirs, _ = cv2.projectPoints(points, *at_rest, coefficients[Distortion.BROWN_CONRADY])
-    expected[Distortion.BROWN_CONRADY] = theirs[:, 0]
-    theirs, _ = cv2.fisheye.projectPoints(points[:, None], *at_rest, coefficients[Distortion.KANNALA_BRANDT4])
-    expected[Distortion.KANNALA_BRANDT4] = theirs[:, 0]
-    for model, pixels in expected.items():
-        np.testing.assert_allclose(project(camera(model), jnp.float32(points)), pixels, atol=PIXEL)
+    theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.array(LENSES[Distortion.BROWN_CONRADY]))
+    found = project(camera(Distortion.BROWN_CONRADY), jnp.float32(points))
+    np.testing.assert_allclose(found, theirs[:, 0], atol=PIXEL)
 
 
-def test_a_pinhole_and_what_a_fisheye_cannot_see():
+def test_a_pinhole():
     x, y = pixel_rays(Camera(4, 3, 2.0, 2.0, 1.0, 1.0))
     np.testing.assert_allclose(x[0], [-0.5, 0, 0.5, 1])
     np.testing.assert_allclose(y[:, 0], [-0.5, 0, 0.5])
-    beyond = pixel_rays(Camera(400, 4, 50.0, 50.0, 200.0, 2.0, "kannala_brandt4"))[0]  # 90 degrees at 78 pixels
-    assert np.isfinite(beyond[2, 123:278]).all()
-    assert np.isnan(beyond[2, :121]).all()
 
 
 @pytest.mark.parametrize(
@@ -135,7 +122,7 @@ def test_files(tmp_path):
 def test_hostile_files(tmp_path):
     good = np.full((4, 5), 300, np.uint16)
     for path, said in (
-        (png(tmp_path / "b.png", good.astype(np.uint8)), "mode L"),
+        (png(tmp_path / "b.png", good.astype(np.uint8)), "uint8"),
         (png(tmp_path / "d.png", 0 * good), "no pixel"),
         (tif(tmp_path / "g.tif", -good.astype(np.float32)), "negative"),
         (tif(tmp_path / "i.tif", good[:1]), "edge"),

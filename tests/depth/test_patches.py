@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
-from i2t.depth.patches import LOOKING_DISTANCE_M, crop_patch, patch_from_depth
+from i2t.depth.patches import patch_from_depth
 from i2t.objects.catalogue import make_object
 from i2t.rendering.render import contact_mask, prepare_surface, render_patch
 from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -31,7 +31,7 @@ HAMMER_HEAD = (0.121, 0.005, 0.025)
 
 STATIC = ("camera", "window", "pixels", "reach", "standoff", "grazing", "step", "fill")
 extract = jax.jit(patch_from_depth, static_argnames=STATIC)
-crop = jax.jit(crop_patch, static_argnames=("camera", "distance", "window", "pixels", "reach"))
+LOOKING_DISTANCE_M = 104e-3  # from the camera to the tool's origin when the paper's arm looks
 render = jax.jit(render_patch, static_argnames=("window", "pixels", "reach"))
 
 
@@ -262,30 +262,6 @@ def test_hostile_values():
         extract(plane().T, CAMERA, eye, T_w_t)
     with pytest.raises(ValueError, match="uint16"):
         extract(np.ones((360, 640), np.uint16), CAMERA, eye, T_w_t)
-
-
-def test_the_authors_crop():
-    """Right on a plane at its distance, too large nearer by; it knows its holes, and refuses what it cannot hold."""
-    cropped = crop(plane(), CAMERA)
-    np.testing.assert_allclose(cropped.patch.nearest, 0, atol=FLAT)
-    np.testing.assert_array_equal(cropped.patch.depth, 0)
-    assert np.asarray(cropped.valid_mask).all()
-    depth = plane()
-    depth[:180] = 0.1  # above the principal point, so at negative y
-    depth[180, 320] = np.nan
-    cropped = crop(depth, CAMERA)
-    np.testing.assert_allclose(cropped.patch.nearest, 0.1 - LOOKING_DISTANCE_M, atol=FLAT)
-    np.testing.assert_allclose(cropped.patch.depth[:24], 0, atol=FLAT)
-    assert cropped.patch.depth[24, 24] == np.float32(REACH)
-    np.testing.assert_array_equal(np.argwhere(~np.asarray(cropped.valid_mask)), [[24, 24]])
-    np.testing.assert_allclose(np.asarray(cropped.patch.depth)[25:], 4e-3, atol=FLAT)
-    exact = extract(depth, CAMERA, np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M]))
-    assert exact.patch.nearest == pytest.approx(0.1 - LOOKING_DISTANCE_M, abs=FLAT)
-    empty = crop(0 * plane(), CAMERA)
-    assert empty.patch.nearest == np.inf
-    np.testing.assert_array_equal(empty.patch.depth, np.float32(REACH))
-    with pytest.raises(ValueError, match="does not hold"):
-        crop(plane(), CAMERA, window=0.2)
 
 
 @pytest.mark.full

@@ -144,7 +144,7 @@ def test_the_nearer_of_two_surfaces_is_seen_and_a_bent_lens_is_refused():
         assert depth[30, 40] == pytest.approx(0.1)
         assert depth[10, 10] == pytest.approx(0.2)
     with pytest.raises(ValueError, match="lens"):
-        render_view(near[None], pose(0, 0, 0.2), Camera(8, 8, 5.0, 5.0, 4.0, 4.0, "ftheta", (1.0,)))
+        render_view(near[None], pose(0, 0, 0.2), Camera(8, 8, 5.0, 5.0, 4.0, 4.0, "brown_conrady", (1.0,)))
 
 
 def test_noise_at_rest_has_the_size_that_real_boards_have():

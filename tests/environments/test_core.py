@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 from helpers.environments import CHANNELS, OBJECTS, SITES, random_environment
 
-from i2t.environments.core import (
-    EnvironmentConfig,
-    TouchAction,
-    Workspace,
-    features,
-    pose_of_numbers,
-    sensor_noise,
-)
-from i2t.environments.tasks import WhereIsIt, WhichObject
-from i2t.geometry import is_rigid
+from i2t.environments.core import EnvironmentConfig, TouchAction, features, sensor_noise
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import reskin_board
 from i2t.skin.noise import Noise, add_sensor_noise
@@ -92,28 +83,9 @@ def test_objects_and_pads_are_drawn_in_every_episode_and_held_out_pads_are_other
 
 
 @pytest.mark.full
-def test_numbers_of_a_pose_are_rigid_and_straight_down_at_zero():
-    numbers = np.random.default_rng(0).uniform(-1, 1, (20, 6))
-    poses = jax.vmap(partial(pose_of_numbers, workspace=Workspace()))(jnp.float32(numbers))
-    assert np.all(jax.vmap(is_rigid)(poses))
-    assert (poses[:, 2, 2] < 0).all()
-    np.testing.assert_allclose(pose_of_numbers(jnp.zeros(6), Workspace())[:3, 2], [0, 0, -1], atol=1e-6)
-
-
-@pytest.mark.full
 def test_noise_is_distributed_as_that_of_the_skin():
     board, noise = reskin_board(), Noise()
     keys = jax.random.split(jax.random.key(0), 20_000)
     ours = jax.vmap(lambda key: sensor_noise(key, board, noise))(keys)
     whole = jax.vmap(lambda key: add_sensor_noise(key, jnp.zeros(15), board, noise))(jax.random.clone(keys))
     np.testing.assert_allclose(np.cov(ours.T), np.cov(whole.T), atol=0.04 * float(np.cov(whole.T).max()))
-
-
-@pytest.mark.full
-def test_where_it_is_has_a_target_within_its_bounds_and_a_loss_of_a_third_for_silence():
-    task = WhereIsIt()
-    T = jax.vmap(lambda key: task.placement(key, SimulationErrors()))(jax.random.split(jax.random.key(0), 500))
-    target = jax.vmap(lambda T: task.target(jnp.int32(0), T, 1))(T)
-    assert np.abs(target).max() <= 1 + 1e-5
-    assert np.mean(jax.vmap(lambda t: task.loss(jnp.zeros(3), t))(target)) == pytest.approx(1 / 3, abs=0.03)
-    assert WhichObject().loss(jnp.zeros(4), jax.nn.one_hot(1, 4)) == pytest.approx(np.log(4), abs=1e-6)

@@ -1,4 +1,4 @@
-"""Gymnasium's own checker, the vector's contract, and ap_gym where it is installed."""
+"""Gymnasium's own checker, and the vector's contract."""
 
 import numpy as np
 import pytest

@@ -8,48 +8,44 @@ import jax
 import pytest
 import trimesh
 
-from experiments.benchmark import rendering, skin, timing
+from experiments.benchmark import contests, processes, rendering, skin
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
-from experiments.benchmark.logs import Logs
-from experiments.benchmark.rendering import Rendering
-from experiments.benchmark.run import Benchmark
-from experiments.benchmark.skin import SkinBenchmark
-from experiments.benchmark.timing import BenchmarkRow
-from experiments.benchmark.training import Training
+from experiments.benchmark.arguments import BenchmarkArgs
+from experiments.benchmark.contests import BenchmarkRow, Contest
 from i2t import training
 from i2t.errors import MissingExtraError
 from i2t.paper import loss, network
-from i2t.paper.config import PaperConfig
-from i2t.training import Learner, TrainConfig
+from i2t.training import Learner
 
-TINY = Training(
-    touches=20,
-    epochs=2,
-    model=PaperConfig(pixels=6),
-    train=TrainConfig(schedule="constant", batch_size=8, learning_rate=1e-4),
-)
+
+def run(section: str, turns: int = 1, out: Path | None = None) -> list[BenchmarkRow]:
+    """Rows of a section in its smallest size, which are all positive."""
+    rows = benchmark.run(BenchmarkArgs(sections=(section,), turns=turns, preset="debug", out=out))  # type: ignore[arg-type]
+    assert all(row.ours > 0 and row.peer > 0 for row in rows)
+    return rows
 
 
 def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The section itself checks that both trainings have the same losses, and fails where they have not."""
     pytest.importorskip("torch", reason="the extra bench is not installed")
-    rows = benchmark.run(Benchmark(sections=("training",), turns=2, out=tmp_path / "out", training=TINY))
-    assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch"]
+    rows = run("training", 2, tmp_path / "out")
+    assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch"] * 2
     report = json.loads((tmp_path / "out" / "benchmark.json").read_text())
     assert [BenchmarkRow(**row) for row in report["rows"]] == rows
-    assert report["config"]["training"]["touches"] == 20
+    assert report["config"]["turns"] == 2
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
 
 
 def test_unequal_work_is_not_compared() -> None:
     torch = pytest.importorskip("torch", reason="the extra bench is not installed")
-    batch = benchmark_training._random_touches(TINY)
-    learner = Learner(TINY.model, network.init, loss.losses)
-    state = training.init(jax.random.key(0), learner, TINY.train, TINY.touches)
-    peer = benchmark_training.TorchTraining(TINY, state, batch, "foreach")
+    setup = benchmark_training.SMALL
+    batch = benchmark_training.random_touches(setup)
+    learner = Learner(setup.model, network.init, loss.losses)
+    state = training.init(jax.random.key(0), learner, setup.train, setup.touches)
+    peer = benchmark_training.TorchTraining(setup, state, batch, "foreach")
     before = peer.epochs()
-    again = benchmark_training.TorchTraining(TINY, state, batch, "foreach")
+    again = benchmark_training.TorchTraining(setup, state, batch, "foreach")
     with torch.no_grad():
         again.decoder[0].bias += 1.0
     assert abs(again.epochs()[0] / before[0] - 1) > 1e-2  # ten times what the section lets pass
@@ -57,35 +53,32 @@ def test_unequal_work_is_not_compared() -> None:
 
 def test_a_missing_peer_is_named_with_its_remedy_before_any_section_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.setitem(benchmark.SECTIONS, "policy", lambda cfg: pytest.fail("it ran"))
     with pytest.raises(MissingExtraError, match=r"section training needs torch, .* 'imagine2touch\[bench\]'"):
-        benchmark.run(Benchmark(sections=("policy", "training"), training=TINY))
+        BenchmarkArgs(sections=("policy", "training")).check()
 
 
-def test_every_contender_gets_every_turn_in_order() -> None:
+def test_contenders_take_turns_and_a_row_has_the_median_of_the_ratios_of_turns() -> None:
     calls: list[str] = []
-    seconds = timing.interleave({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
+    seconds = contests.interleave({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
     assert calls == ["a", "b"] * 3
     assert {name: len(each) for name, each in seconds.items()} == {"a": 2, "b": 2}
+    ours, peer = iter([1.0, 2.0, 4.0]), iter([6.0, 6.0, 6.0])
+    contest = Contest("work", lambda: next(ours), "them", lambda: next(peer), 0.5, 2.0, unit="MiB", measured=True)
+    row = contests.measure("logs", contest, 3)
+    assert row == BenchmarkRow("logs", "work", "MiB", 1.0, "them", 12.0, 12.0)
 
 
-def test_rendering_section_against_ray_casters(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rendering_section_against_ray_casters() -> None:
     """The section itself checks that all see the same, and fails where they do not."""
     pytest.importorskip("open3d", reason="the extra bench is not installed", exc_type=ImportError)
-    tiny = Rendering(spheres=(1,), shapes=("star",), batch=4, batches=(1,), largest=8)
-    rows = benchmark.run(Benchmark(sections=("rendering",), turns=1, rendering=tiny))
+    rows = run("rendering")
     assert [row.peer_name for row in rows] == [*["Open3D", "embreex", "Open3D, rays given"] * 3, "rays and distances"]
-    assert all(row.ours > 0 and row.peer > 0 for row in rows)
-    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
 
 
 @pytest.mark.full
 def test_skin_section_against_contact_mechanics() -> None:
     """The section itself checks that both find the same pressures, and fails where they do not."""
-    tiny = SkinBenchmark(batch=2, cells=(20,), dipoles=(10,), shapes=("tilted punch",), steady=0)
-    rows = benchmark.run(Benchmark(sections=("skin",), turns=1, skin=tiny))
-    assert [row.peer_name for row in rows] == ["ContactMechanics"] * 3 + ["the contact alone"]
-    assert all(row.ours > 0 and row.peer > 0 for row in rows)
+    assert [row.peer_name for row in run("skin")] == ["ContactMechanics"] * 3 + ["the contact alone"]
 
 
 def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
@@ -113,8 +106,20 @@ def test_patches_of_another_mesh_are_not_compared() -> None:
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("section", ["policy", "environment", "startup"])
+def test_other_sections_run_in_their_smallest_size(section: str) -> None:
+    assert run(section)
+
+
+@pytest.mark.full
+def test_processes_that_share_touches_have_the_same() -> None:
+    both, alone = (processes.processor_time(count, 4, 2) for count in (2, 1))
+    assert both[1] == alone[1]
+
+
+@pytest.mark.full
 def test_logs_section_measures_memory_and_time_of_an_import() -> None:
-    rows = benchmark.run(Benchmark(sections=("logs",), logs=Logs(long=6000, short=3000)))
+    rows = run("logs")
     assert [row.unit for row in rows] == ["MiB", "s"]
     assert 20 < rows[0].ours < 2000
     assert rows[0].ratio == pytest.approx(1, abs=0.2)

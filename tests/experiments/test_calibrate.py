@@ -2,21 +2,26 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from experiments.calibrate import __main__ as command
-from experiments.calibrate import config, fitted_pad, methods, report
-from experiments.calibrate import run as calibrate
+from experiments.calibrate import arguments, methods, pad, prior_search, simulated, skins
 from experiments.calibrate.data import hold_out, read_presses
-from experiments.calibrate.evaluate import explained
+from experiments.calibrate.evaluate import explained, over_blocks
+from i2t import calibration, serialization
 from i2t import dataset as data
 from i2t.calibration import load_calibration, plain_gp
-from i2t.calibration.physics import RoundTip
+from i2t.calibration.physics import PadFit, RoundTip, layer_prior
+from i2t.calibration.prior import PRIOR_KIND, KernelPrior, load_prior
 from i2t.dataset import Dataset, missing_context
 from i2t.prediction.metrics import score
 from i2t.skin import boards
+from i2t.skin.files import load_pad, load_pad_about
+from i2t.skin.pad import sample_pad
 from i2t.types import ReturnCode, Touches
 
 
@@ -60,7 +65,7 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     kept = load_calibration(tmp_path / "out" / "calibration.npz")
     assert kept.load_kind == "depth"
     assert kept.predict(np.zeros(2), 2e-3)[0].shape == (15,)
-    assert set(metrics["r2"]["random presses"]) > {methods.SCRATCH, methods.PRETRAINED, methods.CALIBRATED}
+    assert set(metrics["r2"]["random presses"]) == set(methods.METHODS)
     assert metrics["kept"]["board_shares"] == kept.board_shares
     assert f"kept in calibration.npz: {kept.about_board}" in capsys.readouterr().out
     for by_method in metrics["r2"].values():
@@ -71,17 +76,14 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     assert r2[methods.STRUCTURED]["20"]["mean"] > r2[methods.NEIGHBOURS]["20"]["mean"]
     best = max(r2[name]["20"]["mean"] for name in (methods.PLAIN, methods.NEIGHBOURS))
     assert r2[methods.CALIBRATED]["20"]["mean"] > best - 0.03
-    later = metrics["r2"]["second half in time"]
-    assert later[methods.PREVIOUS_MEAN]["5"]["mean"] > later[methods.HEIGHT]["5"]["mean"]  # the skin did not change
-    needed = metrics["presses_for_the_same_r2"]["random presses"][methods.STRUCTURED]["5"]
-    assert needed[methods.PLAIN] > 5
+    assert metrics["differences"]["random presses"][f"{methods.CALIBRATED} - {methods.MEAN}"]["20"]["mean"] > 0
     capsys.readouterr()
     assert command.main(args) == 2
     assert "finished run" in capsys.readouterr().err
 
 
 def test_held_out_presses_are_never_in_a_pool():
-    cfg = config.PRESETS["paper"]
+    cfg = arguments.PRESETS["paper"]
     presses = read_presses(recording(600), "auto")
     held, blocks = hold_out(presses, cfg.held_out_presses, cfg.block_mm, cfg.block_share, 0)
     assert held.sum() == 150
@@ -92,24 +94,19 @@ def test_held_out_presses_are_never_in_a_pool():
     np.testing.assert_array_equal(held, again)
 
 
-def test_presses_saved_are_read_off_the_curves():
-    needed = report.equivalent_presses({"slow": {10: [0.1], 100: [0.5], 1000: [0.9]}, "fast": {10: [0.7], 100: [0.95]}})
-    assert needed["fast"][10]["slow"] == pytest.approx(10**2.5)  # half-way from 0.5 to 0.9
-    assert needed["fast"][100]["slow"] is None
-    assert needed["slow"][10]["fast"] == 10
-
-
 @pytest.mark.full
 def test_presses_at_one_depth_are_calibrated_no_worse_than_by_neighbours_or_a_plain_process():
     """On the mean over ten draws of 20 presses, whose difference from the plain process scatters by 0.014."""
     flat = recording(400, depth=np.zeros(400), nearest=np.zeros(400))
-    predictors = methods.Predictors(read_presses(flat, "auto")).by_name()
+    presses = read_presses(flat, "auto")
     names = methods.CALIBRATED, methods.PLAIN, methods.NEIGHBOURS
     draws = [np.random.default_rng(seed).permutation(400) for seed in range(10)]
-    calibrated, plain, neighbours = np.mean(
-        [[score(flat.touches.reading[rows[20:]], predictors[name](rows[:20], rows[20:])).r2 for name in names]
-         for rows in draws], axis=0,
-    )  # fmt: skip
+
+    def r2(name, rows):
+        known, test = rows[:20], rows[20:]
+        return score(flat.touches.reading[test], methods.METHODS[name](presses, known, test)).r2
+
+    calibrated, plain, neighbours = np.mean([[r2(name, rows) for name in names] for rows in draws], axis=0)
     assert calibrated > max(plain, neighbours) - 0.03
 
 
@@ -121,30 +118,13 @@ def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.full
-def test_an_earlier_session_of_one_place_helps(tmp_path):
-    rng = np.random.default_rng(0)
-    place, channels = np.tile(np.eye(4), (120, 1, 1)), np.linspace(-60, 60, 15)
-    for name in ("earlier", "later"):
-        depth = rng.permutation(np.linspace(0.5e-3, 4e-3, 120))
-        reading = channels * ((depth + 3e-3) / 5e-3)[:, None] ** 1.75 + rng.normal(size=(120, 15))
-        data.save_dataset(tmp_path / f"{name}.h5", recording(120, T_w_o=place, depth=depth, reading=reading))
-    args = ["--dataset", str(tmp_path / "later.h5"), "--previous-session", str(tmp_path / "earlier.h5")]
-    assert command.main([*args, "--out", str(tmp_path / "out"), "--preset", "debug"]) == 0
-    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert metrics["warnings"] == {"previous": [], "later": []}
-    (r2,) = metrics["r2"].values()
-    assert r2[report.SESSION[methods.PREVIOUS_MEAN]]["5"]["mean"] > 0.95
-    assert r2[report.SESSION[methods.PREVIOUS_ALONE]]["5"] == r2[report.SESSION[methods.PREVIOUS_ALONE]]["20"]
-
-
 def test_intervals_over_blocks_are_those_of_whole_blocks():
     rng = np.random.default_rng(0)
     readings, block = rng.normal(size=(90, 15)), np.repeat([0, 1, 2], 30)
     error = 15 * rng.uniform(0, 1, 90) * np.array([0.01, 0.2, 0.5])[block]
     draws = [error * (1 + share) for share in (-0.5, 0.5)]  # whose mean is the error
     errors = {methods.CALIBRATED: {20: draws}, methods.PLAIN: {20: [2 * error]}}
-    found = report.over_blocks(readings, errors, block)
+    found = over_blocks(readings, errors, block)
     assert found["blocks"] == 3
     # One block in 27 resamples is drawn three times, more than the 2.5 % beyond each end: the ends are those of each
     # extreme block alone.
@@ -211,33 +191,76 @@ def test_loads_that_say_nothing_are_refused_at_once(change, said):
         read_presses(recording(60, **change), "auto")
 
 
-@pytest.mark.parametrize("of", ["dataset", pytest.param("calibration", marks=pytest.mark.full)])
-def test_presses_and_the_calibration_of_them_give_the_same_pad(of, tmp_path, capsys, monkeypatch):
-    """All that differs is where the presses come from."""
+def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, capsys, monkeypatch):
     made = recording(60)
     made = replace(made, objects=("sphere:4.0",), touches=made.touches._replace(force=1e3 * made.touches.depth))
     data.save_dataset(tmp_path / "set.h5", made)
-    pressed = []
+    fitted, given = sample_pad(jax.random.key(0)), {}
 
-    def fitting(given, tip):
-        pressed.append((given, tip))
-        raise ValueError("seen enough")
+    def fitting(presses, readings, **how):
+        given.update(how, load=np.asarray(presses.load), readings=np.asarray(readings))
+        return PadFit(fitted, layer_prior().median, readings + 3.0)
 
-    monkeypatch.setattr(fitted_pad, "fit_pressed_pad", fitting)
-    words = ["--save-pad", str(tmp_path / "pad.npz")]
-    if of == "dataset":
-        words += ["--dataset", str(tmp_path / "set.h5")]
-    else:
-        cfg, given = config.preset_of(config.CalibrateArgs(preset="debug")), made
-        args = config.CalibrateArgs(dataset=tmp_path / "set.h5", out=tmp_path)
-        calibrate.save_calibration(args, cfg, given, read_presses(given, "force"), np.ones(60, bool))
-        words += ["--calibration", str(tmp_path / "calibration.npz")]
+    monkeypatch.setattr(pad, "fit_pad", fitting)
+    words = ["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(tmp_path / "pad.npz")]
+    assert command.main(words) == 0
+    assert given["tip"] == RoundTip("sphere", 4e-3)
+    assert given["by_force"]
+    order, wanted = np.argsort(given["load"]), np.argsort(made.touches.force)
+    np.testing.assert_allclose(given["load"][order], made.touches.force[wanted], rtol=1e-6)
+    np.testing.assert_allclose(given["readings"][order], made.touches.reading[wanted], rtol=1e-5)
+    np.testing.assert_allclose(given["board"].chips, boards.eflesh_board().chips, atol=1e-7)
+    about = load_pad_about(tmp_path / "pad.npz")
+    assert (about.name, about.made_from) == ("skin 0", ", fitted to 60 simulated presses")
+    assert about.error_std == pytest.approx(3.0, rel=1e-3)
+    np.testing.assert_array_equal(load_pad(tmp_path / "pad.npz").magnetization, fitted.magnetization)
     assert command.main(words) == 2
-    assert "seen enough" in capsys.readouterr().err
-    (given, tip) = pressed[0]
-    assert tip == RoundTip("sphere", 4e-3)
-    assert given.by_force
-    order, wanted = np.argsort(given.load), np.argsort(made.touches.force)
-    np.testing.assert_allclose(given.load[order], made.touches.force[wanted], rtol=1e-6)
-    np.testing.assert_allclose(given.readings[order], made.touches.reading[wanted], atol=0.2)
-    np.testing.assert_allclose(given.board.chips, boards.eflesh_board().chips, atol=1e-7)
+    assert "pass --overwrite" in capsys.readouterr().err
+
+
+def test_the_prior_of_the_package_is_what_the_search_makes_of_its_constants():
+    _, about = serialization.load(Path(calibration.__file__).parent / "prior.npz", PRIOR_KIND, KernelPrior)
+    cfg = prior_search.PRESETS["paper"]
+    assert about["source"] == "simulated"
+    assert about["seed"] == prior_search.POPULATION_SEED != simulated.SKINS_SEED
+    assert tuple(about["kinds"]) == skins.SKIN_KINDS
+    assert about["skins_of_each"] == cfg.skins
+    assert about["candidates"] == cfg.wide + len(prior_search.ANCHORS) * cfg.anchored + cfg.second
+    assert len(load_prior().kernels.load_power) == cfg.kept
+
+
+def test_candidates_lie_in_their_ranges_and_the_known_ones_are_among_those_about_them():
+    rng = np.random.default_rng(0)
+    drawn = prior_search.draw_wide(rng, 400)
+    for name, (low, high, _) in prior_search.RANGES.items():
+        values = getattr(drawn, name)
+        off = {"far_amplitude": 1.0, "static_variance": 0.0}.get(name)
+        assert ((values >= low) & (values <= high) | (values == off)).all(), name
+    for known in prior_search.ANCHORS.values():
+        about = prior_search.near(rng, known, 10)
+        for name, values in known._asdict().items():
+            np.testing.assert_array_equal(getattr(about, name)[: len(values)], values)
+        assert (about.far_amplitude[known.far_amplitude[np.arange(10) % len(known.load_power)] == 1] == 1).all()
+
+
+def test_shares_go_to_what_predicts_best_and_some_to_what_was_known():
+    error = np.full((4, 3, 6), 0.5)
+    error[:2, :, 1] = 0.1  # of skins of one load
+    error[2:, :, 4] = 0.1  # of the other
+    own = np.array([True, True, False, False])
+    share = prior_search._shares(error, own, np.array([3]))
+    assert share.sum() == pytest.approx(1)
+    assert share.argmax() == 1
+    assert prior_search.ANCHOR_SHARE <= share[3] < 0.3
+    assert share[4] > share[0]  # a tenth is of all skins
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("what", ["prior", "simulated"])
+def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
+    assert command.main([f"--{what}", "--preset", "debug", "--out", str(tmp_path)]) == 0
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    if what == "prior":
+        assert (tmp_path / "prior.npz").stat().st_size < 100_000
+    else:
+        assert set(metrics["cases"]["lattice, depth"]["r2"]) == set(methods.METHODS)

@@ -9,19 +9,12 @@ import pytest
 from experiments.check_docs import __main__ as command
 from experiments.check_docs import code, numbers, pages
 from experiments.check_docs.pages import ROOT, Finding
-from experiments.check_docs.reading import reading_grade, sentences_of, syllables
 
-HARD = (
-    "Notwithstanding considerable methodological disagreement, contemporary investigators characteristically "
-    "acknowledge that probabilistic interpretation necessitates extraordinarily comprehensive documentation."
-)
 PLANTED = [
     (pages.links, "See [it](nowhere.md).", "nowhere.md does not exist"),
     (pages.links, "See `i2t/nowhere.py`.", "i2t/nowhere.py does not exist"),
     (pages.links, "See [it](start.md), [that](https://example.org/x) and `i2t/types.py`.", ""),
     (pages.figures, "![short](figures/a.png)", "has no text"),
-    (pages.formulas, "$$\n\\frac12 \\log x\n$$\n", "needs braces"),
-    (pages.formulas, "$$\n\\frac{1}{2} \\log x\n$$\n", ""),
     (pages.tests, "`test_nowhere.py` shows it.", "no test test_nowhere.py"),
     (pages.tests, "`test_check_docs.py::test_nothing` shows it.", "test_nothing"),
     (pages.tests, "`tests/experiments/test_check_docs.py` shows it.", ""),
@@ -37,10 +30,6 @@ PLANTED = [
     (pages.python, "```python\ni2t.make_object('a').mesh.anything()\n```", ""),
     (pages.tables, "<!-- table: paper mean -->\n| of before |\n<!-- end of table -->", "not what docs/results holds"),
     (pages.tables, "<!-- table: nothing mean -->\n<!-- end of table -->", "no step nothing"),
-    (pages.grade, HARD, "grade"),
-    (pages.grade, "It is soft. " + "so soft and " * 20 + "so.", "64 words"),
-    (pages.terms, "# A pad\n\nThe `skin` is, [say](glossary.md), a pad.", "the first pad"),
-    (pages.terms, "A [depth patch](glossary.md) shows what the *skin*, a soft layer, meets. The skin is soft.", ""),
     (pages.advice, "Type `pip install 'i2t[view]'`.", "installs what there is not"),
     (pages.advice, "Type `pip install -e '.[view]'`.", ""),
     (pages.notebook, json.dumps({"cells": [{"cell_type": "code", "source": ["from experiments import a"],
@@ -116,11 +105,3 @@ def test_findings_are_lines_and_the_exit_code(monkeypatch, capsys):
     monkeypatch.setattr(pages, "site", lambda root: [Finding(root / "docs" / "a.md", 3, "it is wrong")])
     assert command.main([]) == 1
     assert capsys.readouterr().out.splitlines()[-1] == "docs/a.md:3: it is wrong"
-
-
-def test_sentences_are_found_and_graded_as_the_formula_says():
-    spoken = {"skin": 1, "scale": 1, "reading": 2, "measured": 2, "recording": 3, "calibration": 4, "magnetisation": 5}
-    assert {word: syllables(word) for word in spoken} == spoken
-    assert reading_grade("The cat sat on the mat.").grade == pytest.approx(0.39 * 6 + 11.8 - 15.59)
-    page = "# A heading\n\n| a |\n\nIt is 1.5 mm thick. [It rests](a.md) on `i2t.types`.\n\n- An item is one.\n"
-    assert sentences_of(page) == ["It is 1.5 mm thick.", "It rests on Widget.", "An item is one."]

@@ -133,6 +133,8 @@ def test_the_report_is_one_file_with_its_pictures(tmp_path, monkeypatch, capsys)
     r2 = metrics["recordings"]["mine <b>"]["Calibration curves"]["r2"]
     assert {"random presses", "later in time"} <= set(r2)
     assert set(r2["random presses"]) == {"mean reading", "k nearest presses", "plain Gaussian process", "i2t.calibrate"}
+    across = metrics["recordings"]["Across sessions"]["What one session says of another"]["r2"]
+    assert across["mine <b> -> other"]["as it is"] > 0.9  # they are the same presses
     heads_across = metrics["recordings"]["Across sessions"]["Heads across sessions"]["heads"]
     assert heads_across["position: mine <b> -> other"]["rows"] == 90
     assert heads_across["position: mine <b> -> other"]["median"] < 1.0
@@ -233,7 +235,21 @@ def test_a_range_that_holds_too_few_rows_is_said():
     score = heads.HeadScore(rows=40, rmse=0.2, median=0.1, r2=0.9, inside_90=0.68, unfamiliar=0.0)
     (sentence,) = heads.missed_ranges("force", {"random rows": score, "later": score._replace(inside_90=0.85)})
     assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
-    assert heads.missed_ranges("contact", {"random rows": score}) == []  # whose last number but one is another
+
+
+def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
+    """In both directions."""
+    section, big = Section("across"), presses_of_a_skin(600)
+    depth = big.targets["depth"][:, 0]
+    later = np.flatnonzero(np.arange(600) >= 300)
+    near = later[np.argsort(np.abs(depth[later] - np.quantile(depth, 0.7)))[:30]]
+    level = replace(big.rows(near), name="level", targets={"position": big.targets["position"][near]})
+    curves.across_sessions([big.rows(slice(300)), level], replace(TINY, forward_rows=300), 0, section)
+    (table,) = section.tables.values()
+    assert [row[:2] for row in table[1:]] == [[big.name, "level"], ["level", big.name]]
+    found = section.numbers["r2"][f"{big.name} -> level"]
+    assert found["aligned"] > 0.9
+    assert found["aligned"] > found["as it is"]
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
@@ -298,16 +314,6 @@ def test_what_is_held_out_is_never_fitted_to():
     masked = heads._known_of(SKIN, "depth", np.arange(10))
     assert masked.known("depth").sum() == 10
     assert SKIN.known("depth").all()
-
-
-def test_area_under_the_curve_and_calibration_error_by_counting():
-    rng = np.random.default_rng(0)
-    score, yes = rng.integers(0, 9, 200) / 9, rng.uniform(size=200) < 0.4
-    pairs = [np.sign(a - b) for a in score[yes] for b in score[~yes]]
-    assert heads.area_under_curve(score, yes) == pytest.approx(0.5 + 0.5 * np.mean(pairs))
-    assert np.isnan(heads.area_under_curve(score, np.ones(200, bool)))
-    assert heads.calibration_error(np.full(200, 0.9), np.arange(200) < 180) == pytest.approx(0)
-    assert heads.calibration_error(np.full(200, 0.9), np.arange(200) < 20) == pytest.approx(0.8)
 
 
 def test_heads_are_fitted_by_one_command(tmp_path, capsys):

@@ -30,8 +30,6 @@ def run(name: str) -> list[object]:
 def _small(monkeypatch, tmp_path, request):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("I2T_NOTEBOOK", "debug")
-    # Interactive pages are megabytes of their own; stills show the same.
-    monkeypatch.setattr("i2t.viz.scene.interactive", lambda make_plotter, still: still())
     monkeypatch.setitem(os.environ, "I2T_EFLESH", str(tmp_path / "none"))
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.real_frames.arguments import RealFrames
-from experiments.real_frames.frames import Compared, summary
-from experiments.real_frames.run import run
+from experiments.registration.arguments import FramesArgs
+from experiments.registration.frames import Compared, run, summary
 from i2t.depth.patches import DepthPatch
 from i2t.types import Patch
 
@@ -36,18 +35,18 @@ def test_summary_of_known_differences():
 
 def test_it_refuses(tmp_path):
     with pytest.raises(ValueError, match="ycbvideo is missing"):
-        run(RealFrames(tmp_path, tmp_path / "out"))
+        run(FramesArgs(tmp_path, tmp_path / "out"))
     for folder in ("ycbvideo", "ycb_meshes", "apc_depth"):
         (tmp_path / folder).mkdir()
     (tmp_path / "metrics.json").write_text("{}")
     with pytest.raises(ValueError, match="holds no run of this experiment"):
-        run(RealFrames(tmp_path, tmp_path))
+        run(FramesArgs(tmp_path, tmp_path))
 
 
 @pytest.mark.full
 def test_real_run(shared_data: Path, tmp_path):
     """The camera's own step is 1 mm and its noise as much: a median difference beyond 1 mm means a wrong frame."""
-    run(RealFrames(shared_data, tmp_path, sites=4, windows=(17e-3,)))
+    run(FramesArgs(shared_data, tmp_path, sites=4, windows=(17e-3,)))
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert set(metrics["objects"]) == {"009_gelatin_box", "025_mug", "061_foam_brick"}
     for windows in metrics["objects"].values():
@@ -55,4 +54,3 @@ def test_real_run(shared_data: Path, tmp_path):
         assert abs(windows["17 mm"]["bias_median_mm"]) < 1
     for frame in metrics["f200"].values():
         assert max(frame["seen"]) > 0.1
-    assert len(list(tmp_path.glob("*.png"))) == 5

@@ -1,4 +1,4 @@
-"""The command that reconstructs unseen objects: its refusals, its split, and one small run of everything."""
+"""The command that reconstructs: objects and patches that no method has seen, and objects from recorded touches."""
 
 import json
 from dataclasses import replace
@@ -6,42 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from helpers import random_touches
 
 from experiments.reconstruct.__main__ import main
+from experiments.reconstruct.patch import CURVE, FIRST_STOP, NEIGHBOURS, PRIOR
 from experiments.reconstruct.recorded import choose_object, read_touches
 from i2t.errors import DataError
 from i2t.objects.mesh_files import load_object
 from i2t.types import ReturnCode
-
-
-def _write(folder, number, size):
-    (folder / number).mkdir(parents=True)
-    box = trimesh.creation.box(size)
-    other = trimesh.creation.box(size[::-1]).apply_translation([0.4 * size[0], 0, 0])
-    trimesh.util.concatenate([box, other]).export(folder / number / f"{number}.stl")
-
-
-@pytest.mark.full
-def test_folders_that_end_in_0_are_unseen_and_meshes_are_scaled_and_joined(tmp_path):
-    from experiments.reconstruct import world
-    from experiments.reconstruct.arguments import ReconstructArgs
-
-    for number in range(15):
-        _write(tmp_path, f"{number:03d}", (20.0 + number, 30.0, 12.0))
-    args = ReconstructArgs(meshes=tmp_path, unit="mm", test=5, train=6)
-    split = world.split_objects(args, args.sizes)
-    assert [item.name for item in split.test] == ["000", "010"]
-    names = [item.name for part in split for item in part]
-    assert len(set(names)) == len(names)
-    assert (len(split.train), len(split.validation)) == (6, args.sizes.validation)
-    for item in split.test:
-        side = np.ptp(item.mesh.vertices, axis=0).max()
-        assert 60e-3 <= side <= 90e-3
-        assert trimesh.Trimesh(item.mesh.vertices, item.mesh.faces).body_count == 1
-    with pytest.raises(ValueError, match=r"0 unseen files .* and 1 others"):
-        world.split_objects(ReconstructArgs(meshes=tmp_path / "001"), args.sizes)
 
 
 @pytest.mark.full
@@ -61,10 +33,26 @@ def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
     start = {name: found["after"]["0"]["chamfer_mm"][0] for name, found in report["conditions"].items()}
     assert start["random"] == start["contact pose only"]
     assert start["one view first"] < start["random"]
-    assert "hidden_ratio" in report["conditions"]["one view first"]["after"]["2"]
-    assert {"errors.png", "bands.png", "growing.png", "table.md"} <= {path.name for path in out.iterdir()}
+    assert {"errors.png", "growing.png"} <= {path.name for path in out.iterdir()}
     assert "grid floor" in capsys.readouterr().out
     assert main(words) == 2
+
+
+@pytest.mark.full
+def test_presses_of_unseen_shapes_are_told_and_scored_by_every_method(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(["patch", "--preset", "debug", "--out", str(out)]) == 0
+    report = json.loads((out / "metrics.json").read_text())
+    assert report["source"] == "simulated"
+    assert report["touches"] == report["counts"]["test"] > 0
+    prior, curve = report["methods"]["prior"], report["methods"]["by imagination, press curve"]
+    assert set(report["methods"]) == {PRIOR, FIRST_STOP, CURVE, NEIGHBOURS}
+    assert prior["crps_ratio"][0] == 1
+    assert curve["centre_mm_median"][0] < prior["centre_mm_median"][0]
+    for found in report["methods"].values():
+        assert all(0 <= found[name][0] <= 1 for name in ("mask_iou", "contact_iou", "coverage_90"))
+    assert (out / "posteriors.png").exists()
+    assert "simulated" in capsys.readouterr().out
 
 
 @pytest.mark.full

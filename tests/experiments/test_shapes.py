@@ -10,17 +10,15 @@ import numpy as np
 import pytest
 
 from experiments.shapes import __main__ as command
-from experiments.shapes import methods, networks, pad, world
-from experiments.shapes.config import PRESETS
+from experiments.shapes import methods, pad, world
 from experiments.shapes.methods import FOLDS, make_benchmark, presses_on, split_folds
+from experiments.shapes.run import PRESETS
 from experiments.tsne import __main__ as tsne
 from i2t import dataset as data
 from i2t.errors import DataError
 from i2t.geometry import random_motion
 from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface, render_heights
-from i2t.skin.faults import Faults
-from i2t.skin.noise import Noise
 from i2t.skin.pad import numbered_pad
 from i2t.types import PAD_WINDOW
 
@@ -57,7 +55,7 @@ def test_a_stamp_is_met_as_the_renderer_sees_it():
 def test_a_press_lies_where_it_says_and_bears_its_force():
     touches = pressed().touches
     where = presses_on(pressed(), 0)
-    assert np.abs(where.position).max() <= CFG.pressing.max_position + 1e-6
+    assert np.abs(where.position).max() <= world.MAX_POSITION_M + 1e-6
     assert touches.truth.force.min() >= 1
     assert touches.truth.force.max() <= 3
     # The patch is deepest where the face is not, and the face touches: its nearest point lies in the skin.
@@ -95,11 +93,11 @@ def test_a_classifier_learns_what_can_be_told_and_no_more():
     rng = np.random.default_rng(0)
     y = np.arange(200) % 4
     x = 8 * np.eye(4, 6)[y] + rng.normal(size=(200, 6))
-    cfg = networks.Classifier((32, 10), 400)
-    log_p = networks.classify(cfg, x[:150], y[:150], x[150:], classes=4, seed=0)
+    cfg = methods.Classifier((32, 10), 400)
+    log_p = methods.classify(cfg, x[:150], y[:150], x[150:], classes=4, seed=0)
     np.testing.assert_allclose(np.exp(log_p).sum(1), 1, rtol=1e-5)
     assert (log_p.argmax(1) == y[150:]).mean() > 0.9  # means are 11 standard deviations apart
-    lost = networks.classify(cfg, rng.normal(size=(150, 6)), y[:150], x[150:], classes=4, seed=0)
+    lost = methods.classify(cfg, rng.normal(size=(150, 6)), y[:150], x[150:], classes=4, seed=0)
     assert (lost.argmax(1) == y[150:]).mean() < 0.7  # chance is 0.25 of 50
 
 
@@ -174,7 +172,7 @@ def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_reading
 def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
     path, out = tmp_path / "presses.h5", tmp_path / "map"
     data.save_dataset(path, pressed())
-    arguments = ["--preset", "debug", "--dataset", str(path), "--no-network", "--out", str(out)]
+    arguments = ["--preset", "debug", "--dataset", str(path), "--out", str(out)]
     assert tsne.main(arguments) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert sum(metrics["cluster_sizes"]) == metrics["touches"] == 50
@@ -189,13 +187,8 @@ def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
 
 
 @pytest.mark.full
-def test_presses_are_read_again_by_an_ideal_sensor_and_one_shape_is_refused():
-    dataset = pressed()
-    ideal = replace(CFG.pressing.errors, noise=Noise.none(), faults=Faults())
-    again = methods.read_again(dataset, [numbered_pad(0)], ideal, 0)
-    # The mean of ten samples of float32 less that of ten zeros.
-    np.testing.assert_allclose(again, dataset.touches.truth.reading, rtol=1e-6, atol=1e-4)
+def test_one_shape_and_unknown_stamps_are_refused():
     with pytest.raises(DataError, match="two at least"):
-        methods.shapes_of(replace(dataset, objects=("T",)))
+        methods.shapes_of(replace(pressed(), objects=("T",)))
     with pytest.raises(ValueError, match="no stamp is called"):
         world.stamps(["banana"])

@@ -1,28 +1,130 @@
-"""The small formulas of the studies of recognition and of their reports."""
+"""The formulas of the studies of recognition, their settings, and the tables that their reports give."""
 
 import json
-from dataclasses import replace
+from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.reproduce.tables import study_table
-from experiments.studies import lab, open_set, planar, pose_error, sites
+from experiments.recognize.config import PRESETS
+from experiments.reproduce.tables import STUDY_TABLES, TABLES, study_table
+from experiments.studies import open_set, report, settings
+from experiments.studies.run import STUDIES
+from i2t.recognition.belief import fit_likelihood
 from i2t.recognition.intervals import Estimate
-from i2t.recognition.planar import pose_cells
-from i2t.simulation.touches import SimulationErrors
-from i2t.types import TWIST_LEVER_M
+from i2t.recognition.pad_model import PadModel
+
+EPISODES = 50
+RNG = np.random.default_rng(0)
+PLAN = {"truth": np.arange(EPISODES) % 5, "pool": np.arange(EPISODES) // 5}
+PADS = ["0", "1", "2"]
+
+
+def beliefs(touches: int, objects: int = 5) -> np.ndarray:
+    """Beliefs of all episodes that know nothing."""
+    drawn = RNG.random((EPISODES, touches, objects))
+    return drawn / drawn.sum(-1, keepdims=True)
+
+
+def open_set_part(episodes: int = 8) -> dict:
+    """Each unknown object is always told or never: episodes say as little as their eight objects."""
+    part = {}
+    for name in ("validation", "test"):
+        there = open_set.draw_objects(5, 8, episodes, seed=0)
+        unknown = there >= 5
+        hidden = unknown & (there % 2 == 0)  # half of the unknown objects look like known ones
+        p_unknown = np.where(unknown & ~hidden, 0.9, 0.1) + 1e-3 * np.random.default_rng(0).random(len(there))
+        p = np.repeat(((1 - p_unknown) / 5)[:, None, None], 5, 2)
+        part[name] = open_set.OpenSetEpisodes(
+            np.where(unknown, -1, there), p, p_unknown[:, None], there, np.arange(len(there)) // 5
+        )._asdict()
+    return part
+
+
+def part(study: str) -> dict:
+    """What a study made of one pad."""
+    if study == "policy":
+        return {"truth": PLAN["truth"]} | {name: beliefs(10) for name in ("random", "heuristic", "information")}
+    if study == "object_count":
+        return {f"{n} objects": PLAN | {"truth": np.arange(EPISODES) % n, "p": beliefs(20, n)} for n in (10, 25)}
+    if study == "open_set":
+        return open_set_part()
+    return PLAN | {"fused, first": beliefs(10), "fused, other": beliefs(10), "position and presence": beliefs(10)}
+
+
+def test_every_study_names_the_tables_that_the_documents_may_ask_for():
+    assert set(STUDY_TABLES) == set(STUDIES)
+    assert all(TABLES[study].keys() == set(names) for study, names in STUDY_TABLES.items())
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_report_has_the_tables_of_its_study(name, capsys):
+    found = json.loads(json.dumps(STUDIES[name].report([part(name) for _ in range(3)], PADS)))
+    assert set(found["tables"]) == set(STUDY_TABLES[name])
+    for table in STUDY_TABLES[name]:
+        lines = study_table(table)(found).splitlines()
+        assert len(lines) > 2
+        assert len({line.count(" | ") for line in lines}) == 1
+    report.print_tables(found["tables"])
+    assert capsys.readouterr().out.count("\n") > 2 * len(found["tables"])
+
+
+def test_settings_are_compared_with_the_first_and_counted_as_by_hand():
+    right = np.eye(5)[PLAN["truth"]][:, None].repeat(2, 1)
+    wrong = np.eye(5)[(PLAN["truth"] + 1) % 5][:, None].repeat(2, 1)
+    one = PLAN | {"fused, usual": right, "fused, broken": np.concatenate([right[:25], wrong[25:]])}
+    table = report.report_settings([one] * 3, PADS)["tables"]["methods"]
+    usual, broken = table["rows"]
+    assert (usual[0], usual[1], usual[2]["mean"], usual[3]["mean"]) == ("usual", "fused", 1.0, 0.0)
+    assert (broken[0], broken[2]["mean"], broken[3]["mean"], broken[5]["mean"]) == ("broken", 0.5, -0.5, -0.5)
+    assert table["columns"][3] == {"name": "minus usual", "decimals": 3, "signed": True, "percent": False}
+    with pytest.raises(ValueError, match="'fused, usual' is in some of them only"):
+        report.report_settings([one, {name: one[name] for name in one if name != "fused, usual"}], ["0", "1"])
+
+
+def lab(preset: str = "debug") -> SimpleNamespace:
+    """As much of a lab as settings ask for, which fits no pad model."""
+    likelihood = fit_likelihood(RNG.normal(size=(50, 3)), jnp.ones(3), jnp.ones(3), overtravel=6e-3, position_std=1e-4)
+    model = PadModel(None, likelihood, np.ones(3), 0.5, np.ones((4, 3)))
+    return SimpleNamespace(
+        args=SimpleNamespace(debug=preset == "debug"), cfg=PRESETS["paper"], pad_model=model, seed=0,
+        refit=lambda key, **changed: model._replace(r2=0.1),
+    )  # fmt: skip
+
+
+def test_sensitivity_tells_the_belief_the_errors_and_mismatch_does_not():
+    some = lab("paper")
+    known, blind = (make(some, jax.random.key(0)) for make in (settings.sensitivity, settings.mismatch))
+    assert next(iter(known)) == "default"
+    assert next(iter(blind)) == "matched"
+    far = known["placement 2 mm, 2 deg"]
+    assert far.world.errors(some.cfg.errors).placement == far.stated.placement == pytest.approx(2e-3)
+    assert known["no errors of pose"].stated.placement == settings.MIN_PLACEMENT_M
+    usual, noisy = (known[name].model.likelihood.inflation for name in ("default", "noise x 3"))
+    assert noisy == pytest.approx(3 * usual)
+    harder, fitted = (known[f"stop at 50 uT{end}"] for end in ("", ", fitted there"))
+    assert harder.world is fitted.world
+    assert harder.world.limits(some.cfg.limits).skin_change == 50
+    assert fitted.model.r2 == 0.1
+    assert known["ambient every 5 touches, drift followed"].model.likelihood.drift_std == settings.FOLLOWED_DRIFT_UT
+    assert all(each.model is each.stated is None for each in blind.values())
+    twice = blind["placement off twice as far as stated"].world.errors(some.cfg.errors)
+    assert twice.placement == 2 * some.cfg.errors.placement
+    assert set(settings.mismatch(lab(), jax.random.key(0))) == set(settings.DEBUG_WORLDS)
 
 
 def test_episodes_of_studies_are_alike_by_pad_by_sites_and_by_object():
     part = {"truth": np.zeros(6, int), "pool": np.arange(6) // 2, "there": np.array([0, 1, 5, 0, 1, 6])}
     parts, one = [part] * 3, {"truth": part["truth"]}
-    pad, pool, there = lab.clusters_of(parts, ["0", "0", "1"], objects="there")
+    pad, pool, there = report.clusters_of(parts, ["0", "0", "1"], objects="there")
     assert pad.tolist() == [0] * 12 + [1] * 6
     assert pool.tolist() == [i // 2 for i in range(18)]  # each run's sites are its own
     assert there.tolist() == [0, 1, 2, 0, 1, 3] * 3
-    assert len(lab.clusters_of([one] * 3, ["0", "1", "2"])) == 1
-    assert lab.clusters_of([one] * 2, ["0", "1"]) == []  # nothing tells the episodes of two pads apart
+    assert len(report.clusters_of([one] * 3, PADS)) == 1
+    assert report.clusters_of([one] * 2, ["0", "1"]) == []  # nothing tells the episodes of two pads apart
 
 
 def test_unknown_objects_come_about_equally_often():
@@ -31,68 +133,22 @@ def test_unknown_objects_come_about_equally_often():
     assert set(np.bincount(there[50:])[5:]) <= {6, 7}
 
 
-def test_detecting_unknown_objects_is_as_uncertain_as_the_objects_are_few(tmp_path):
-    """Each unknown object is always told or never: episodes say as little as their eight objects."""
-    part = {}
-    for name in ("validation", "test"):
-        there = open_set.draw_objects(5, 8, 8, seed=0)
-        unknown = there >= 5
-        hidden = unknown & (there % 2 == 0)  # half of the unknown objects look like known ones
-        p_unknown = np.where(unknown & ~hidden, 0.9, 0.1) + 1e-3 * np.random.default_rng(0).random(len(there))
-        p = np.repeat(((1 - p_unknown) / 5)[:, None, None], 5, 2)
-        part[name] = open_set.OpenSetEpisodes(
-            np.where(unknown, -1, there), p, p_unknown[:, None], there, np.arange(80) // 5
-        )._asdict()
-    area = open_set.report([part] * 3, tmp_path, ["0", "1", "2"])["auroc"]
-    assert area["mean"][0] == pytest.approx(0.75, abs=0.06)
-    assert area["high"][0] - area["low"][0] > 0.25  # independent episodes would give .1
+def test_detecting_unknown_objects_is_as_uncertain_as_the_objects_are_few():
+    found = open_set.report([open_set_part()] * 3, PADS)["tables"]
+    area = found["auroc"]["rows"][0][1]
+    assert area["mean"] == pytest.approx(0.75, abs=0.06)
+    assert area["high"] - area["low"] > 0.25  # independent episodes would give .1
+    half = found["accuracy"]["rows"][-1]
+    assert (half[0], half[2]["mean"]) == ("50%", 1.0)
 
 
 def test_tables_of_studies_are_written_from_one_form():
-    columns = ["a", lab.Column("b", 2), lab.Column("c", 1, signed=True), lab.Column("d", 0, percent=True)]
+    columns = ["a", report.Column("b", 2), report.Column("c", 1, signed=True), report.Column("d", 0, percent=True)]
     half = Estimate(np.float64(0.5), np.float64(0.25), np.float64(0.75))
     nothing = {"mean": None, "low": None, "high": None}
-    made = lab.make_table(columns, [["x", 0.123, half, half], [half, "-", nothing, {"mean": 0.5, "low": 0, "high": 1}]])
+    cells = [["x", 0.123, half, half], [half, "-", nothing, {"mean": 0.5, "low": 0, "high": 1}]]
+    made = report.make_table(columns, cells)
     lines = study_table("some")({"tables": {"some": json.loads(json.dumps(made))}}).splitlines()
     assert lines[0] == "| a | b | c | d |"
     assert lines[2] == "| x | 0.12 | +0.5 [+0.2, +0.8] | 50 % [25, 75] |"
     assert lines[3] == "| 0.500 [0.250, 0.750] | - | - | 50 % [0, 100] |"
-
-
-def test_a_rotation_of_a_symmetric_object_is_wrong_up_to_half_its_period_only():
-    angle = np.radians([100.0, 100.0, 100.0, -350.0])
-    found = planar.rotation_error(angle, np.array([4, 0, 1, 1]))
-    np.testing.assert_allclose(np.degrees(found), [10, 0, 100, 10])
-
-
-def test_a_table_that_is_higher_or_tilted_is_met_elsewhere():
-    """In the object's frame the tool starts lower by the height, and lower where the table rises."""
-    up, tilted = np.zeros((2, 6))
-    up[2], tilted[3] = 1e-3, 0.01 * TWIST_LEVER_M  # about x: the table rises along y
-    grid = planar.PlanarGrid(half=10e-3, reach=10e-3, step=5e-3, turns=4)
-    site = np.array([[3e-3, 20e-3], [-5e-3, 0.0]])
-    presses = [
-        planar.TablePresses(np.zeros(1, int), np.zeros((1, 3)), site[None], t[None]) for t in (0 * up, up, tilted)
-    ]
-    level, higher, sloped = (planar._object_frame_sites(each, grid) for each in presses)
-    np.testing.assert_allclose(higher[:, :3, 3] - level[:, :3, 3], [[0, 0, -1e-3]] * 2, atol=1e-8)
-    np.testing.assert_allclose(sloped[:, 2, 3] - level[:, 2, 3], -0.01 * site[:, 1], atol=2e-6)  # of an angle's square
-    np.testing.assert_allclose(np.linalg.norm(sloped[:, :3, 2] - level[:, :3, 2], axis=1), 0.01, rtol=1e-3)
-
-
-def test_the_belief_allows_for_a_table_that_is_higher_and_tilted():
-    std = planar.table_std(replace(SimulationErrors.none(), placement=2e-3, placement_angle=0.1))
-    np.testing.assert_allclose(std, [0, 0, 2e-3, 0.1 * TWIST_LEVER_M, 0.1 * TWIST_LEVER_M, 0])
-    _, cells = pose_cells(planar.PlanarGrid(half=5e-3, reach=5e-3, step=5e-3, turns=4))
-    added = planar.add_table_errors(cells, std).covariance - cells.covariance
-    np.testing.assert_allclose(added, np.broadcast_to(np.diag(std**2), added.shape), atol=1e-9)
-
-
-def test_lines_change_sign_where_they_meet_zero():
-    assert pose_error.sign_changes([0, 1, 3], [1.0, -1.0, 3.0]) == [0.5, 1.5]
-    assert pose_error.sign_changes([0, 1], [1.0, 2.0]) == []
-
-
-def test_information_is_counted_from_guessing():
-    p = np.array([[0.25, 0.25, 0.25, 0.25], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]])
-    np.testing.assert_allclose(sites.information_bits(p, np.array([3, 0, 1])), [0, 2, 1])

@@ -11,13 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from i2t.emulators.reskin_board import NOISE_UT, Readings, corrupt
-from i2t.hardware.reskin import frames, quantization
-from i2t.hardware.reskin.frames import Decoder, FrameLimits, decode, decode_any, decoders, diagnose
+from i2t.hardware.reskin import frames
+from i2t.hardware.reskin.driver import diagnose
+from i2t.hardware.reskin.frames import (
+    FIELD_RANGE_UT,
+    MAX_JUMP_UT,
+    TEMPERATURE_RANGE_C,
+    Decoder,
+    decode,
+    decode_any,
+    decoders,
+)
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 from i2t.skin.boards import make_board
 
 SIZE, FRAMED_SIZE = 82, 64  # bytes of a frame of five chips
-LIMITS = FrameLimits()
 
 
 def rest(count: int, seed: int = 0, noise: float = 1.0, temperature: float | None = None, board=None) -> tuple:
@@ -99,8 +107,8 @@ def test_every_frame_of_a_clean_stream_of_any_board_arrives_once(form, chips):
     np.testing.assert_allclose([frame.reading for frame in found], readings[1:], atol=step)
     expected = celsius[1:] if form in WITH_TEMPERATURE else np.full((39, chips), np.nan)
     np.testing.assert_allclose([frame.temperature for frame in found], expected, atol=step)
-    assert not decode_any(decoders(chips=chips + 1), data)[1]
-    assert f"frames of {chips} chips come, not of 7" in diagnose(data, chips=7)
+    assert not decode_any(decoders(chips + 1), data)[1]
+    assert f"frames of {chips} chips come, not of 7" in diagnose(data, 7)
 
 
 @settings(max_examples=30, deadline=None)
@@ -121,15 +129,14 @@ def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, see
         assert all(adds_up(decoder, end) for decoder in candidates)
     assert [frame.end for frame in found] == [frame.end for frame in expected]
     np.testing.assert_array_equal([frame.reading for frame in found], [frame.reading for frame in expected])
-    arrays = {"last", "early", "steps", "usual", "wrapped"}
     for one, other in zip(candidates, once, strict=True):
-        for name in set(Decoder._fields) - arrays:
+        for name in Decoder._fields:
             np.testing.assert_equal(getattr(one, name), getattr(other, name))
     for frame in found:
         size = np.abs(frame.reading)
-        assert not ((size > 0) & (size < LIMITS.min_field)).any()
-        assert not (size > LIMITS.full_scale).any()
-        assert not ((frame.temperature < LIMITS.min_temperature) | (frame.temperature > LIMITS.max_temperature)).any()
+        assert not ((size > 0) & (size < FIELD_RANGE_UT[0])).any()
+        assert not (size > FIELD_RANGE_UT[1]).any()
+        assert not ((frame.temperature < TEMPERATURE_RANGE_C[0]) | (frame.temperature > TEMPERATURE_RANGE_C[1])).any()
 
 
 @settings(max_examples=40, deadline=None)
@@ -138,7 +145,7 @@ def test_noise_is_no_board(data, form):
     decoder, found = decoded(data, form)
     assert not found
     assert adds_up(decoder, len(data))
-    assert diagnose(data)
+    assert diagnose(data, 5)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +159,7 @@ def test_noise_is_no_board(data, form):
 )
 def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     count, rng = 2500, np.random.default_rng(7)
-    (truth, celsius), known = rest(count), 300  # frames after which the converter's steps are known
+    truth, celsius = rest(count)
     whole = sent(truth, celsius, form)
     arrived = [corrupt(frame, substitute, drop, rng) for frame in whole]
     number = {int(end): i for i, end in enumerate(np.cumsum([len(frame) for frame in arrived]))}
@@ -164,15 +171,14 @@ def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     off = [np.abs(frame.reading - truth[i]).max() for i, frame in zip(delivered, found, strict=True) if i is not None]
     lost = count - min(i for i in delivered if i is not None) - len(found)
     if form == Format.FRAMED:
-        assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= 0.001 * len(found)
+        assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= 0.002 * len(
+            found
+        )  # of two changes one in 255 cancels
         assert abs(decoder.lost - lost) <= 5  # the counter tells how many are missing
     else:
         assert None not in delivered  # every frame ends where one was sent
         # What passes unseen lies within the jump of the frame before, which itself may be off.
-        assert max(off) <= 2 * LIMITS.max_jump + 8 * max(NOISE_UT)
-        # Powers of two times a value, its negative, and sums like 5 x 0.150 = 2^-1 + 2^-2 are whole numbers of steps.
-        changed = set(range(known, count)) - intact
-        assert len(changed & set(delivered)) <= 0.04 * len(changed)
+        assert max(off) <= 2 * MAX_JUMP_UT + 8 * max(NOISE_UT)
         assert abs(decoder.lost - lost) <= 0.05 * lost + 2
 
 
@@ -191,11 +197,11 @@ def test_line_ends_within_numbers_do_not_mislead(noise):
 def test_two_alignments_are_one_too_many(start):
     """A frame that repeated is just as plausible three bytes later."""
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
-    assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE], LIMITS) is not None
+    assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE]) is not None
     data = (20 * frame)[start:]
     decoder, found = decoded(data)
     assert not found
-    assert "alignments" in diagnose(data)
+    assert "alignments" in diagnose(data, 5)
     _, found = decode(decoder, b"".join(stream(5)))
     assert [frame.end for frame in found] == [len(data) + SIZE * (i + 1) for i in range(5)]
 
@@ -262,79 +268,12 @@ def test_frames_without_any_chip_are_counted_and_not_delivered():
 
 
 def test_what_is_wrong_is_said():
-    thirteen = b"1.00\t2.00\t3.00\t24.50\t" * 3 + b"1.00\t\r\n"
     readings, celsius = rest(20)
     cold = np.where(np.arange(5) == 3, -998.1, celsius)  # what the firmware makes of a chip that does not answer
-    framed = bytearray(b"".join(sent(readings, celsius, Format.FRAMED)))
-    framed[FRAMED_SIZE - 1 :: FRAMED_SIZE] = bytes(20)
     for data, why in (
         (b"", "sends nothing"),
         (np.random.default_rng(0).bytes(2000), "baud"),
-        (10 * thirteen, "13 plausible numbers, not 20"),
-        (b"".join(sent(readings, cold)), "chip 3 reads -998.1 degrees"),
+        (b"".join(sent(readings, cold)), "chip 3 reads -998.1, "),
         (b"".join(sent(np.nan * readings, celsius, Format.FRAMED)), "no chip answers"),
-        (bytes(framed), "checksums do not fit"),
     ):
-        assert why in diagnose(data)
-
-
-# The converter's steps, and its end.
-
-
-def test_steps_are_learned_exactly_and_in_spite_of_damage():
-    def learned(substitute: float) -> tuple:
-        decoder, found = decoded(corrupt(b"".join(stream(300)), substitute, 0.0, np.random.default_rng(0)))
-        return decoder.steps, [np.column_stack([f.temperature, f.reading.reshape(5, 3)]) for f in found]
-
-    found, _ = learned(0.0)
-    np.testing.assert_allclose(found.size[1:], [0.150, 0.150, 0.242], rtol=2.0**-24)  # the rounding of one value
-    # Counts from 25 degrees are some twenty, in float32 about 24.6 degrees.
-    np.testing.assert_allclose(found.size[0], 1 / 45.2, rtol=np.spacing(np.float32(24.6)) / 0.4)
-    damaged, delivered = learned(0.01)
-    np.testing.assert_allclose(damaged.size[1:], found.size[1:], rtol=2.0**-24)
-    assert sum(found.fit(table) for table in delivered) < len(delivered)
-
-
-def test_steps_that_no_longer_fit_are_given_up():
-    readings, celsius = rest(400)
-    readings[200:] += np.random.default_rng(0).uniform(-0.07, 0.07, (200, 15))
-    decoder, delivered = decoded(b"".join(sent(readings, celsius)))
-    assert np.isnan(decoder.steps.size).all()
-    assert decoder.lost == 400 - len(delivered) == frames.MAX_MISFITS
-
-
-@pytest.mark.full
-def test_real_boards_send_whole_numbers_of_steps(shared_data):
-    """eFlesh's recordings: 16 times the MLX90393's finest steps, 0.150 and 0.242 uT, in every one of 3600 samples."""
-    path = shared_data / "eflesh" / "normal" / "20250401_014340_probe" / "sensor.csv.gz"
-    fields = np.loadtxt(path, delimiter=",")[:, 1:]
-    recorded = np.concatenate([np.full((len(fields), 5, 1), 24.0), fields.reshape(-1, 5, 3)], axis=2)
-    found = quantization.learn_steps(recorded[:128])
-    np.testing.assert_allclose(found.size[1:], [2.4, 2.4, 3.872], rtol=1e-7)
-    assert np.isnan(found.size[0])  # constant here
-    assert all(found.fit(table) for table in recorded)
-    # And what was recorded comes back through the decoder.
-    fields = fields[:1500]
-    _, read = decoded(b"".join(sent(fields, recorded[:1500, :, 0])))
-    assert len(read) >= 0.999 * len(fields)  # a value that is off alone, and for one frame, may be damage
-    np.testing.assert_array_equal([frame.reading for frame in read], fields[numbers(read)])
-
-
-@pytest.mark.parametrize("form", [Format.FRAMED, Format.FRAMED_TEXT, Format.BINARY])
-def test_a_field_that_goes_over_the_converters_end_is_carried_on(form):
-    board, wrapped = Readings(1.0, 0.0, None, 0), []
-    path = np.concatenate([np.zeros(150), np.linspace(0, 9.5e3, 300), np.full(20, 9.5e3), np.linspace(9.5e3, 0, 300)])
-    for size in path:
-        board.field = np.tile([0.0, 0.0, -size], 5)
-        wrapped.append(board.at(0.0)[0])
-    assert np.ptp(np.array(wrapped)[:, 2]) > 15e3  # 15.86 mT, from one end to the other
-    whole = sent(wrapped, np.full((len(path), 5), 24.0), form)
-    decoder, found = decoded(b"\n" + b"".join(whole) + b"\n", form)
-    read = np.array([frame.reading[2] for frame in found])
-    assert len(read) >= len(path) - 5
-    assert decoder.wraps >= 10  # five chips, there and back; noise may cross the end again
-    if form != Format.FRAMED_TEXT:  # whose lines are of many lengths
-        at = [(frame.end - 2) // len(whole[0]) for frame in found]
-        np.testing.assert_allclose(read, -41.0 - path[at], atol=30)
-    assert max(np.abs(np.diff(read))) < 150
-    assert read[-1] == pytest.approx(-41.0, abs=25)
+        assert why in diagnose(data, 5)

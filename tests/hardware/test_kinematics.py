@@ -9,7 +9,7 @@ from i2t.collect.path import TouchPath
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, UnreachableError
 from i2t.hardware import kinematics
-from i2t.hardware.kinematics import JointPath, arms, dexterity, follow, forward, plan, solve
+from i2t.hardware.kinematics import JointPath, arms, follow, forward, plan, solve
 from i2t.hardware.rig import Rig
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -47,7 +47,7 @@ def test_the_jacobian_is_the_derivative_and_poses_that_an_arm_takes_are_found_ag
         assert len(found)
         np.testing.assert_allclose(forward(arm, found), np.broadcast_to(T, (len(found), 4, 4)), atol=2e-4)
         assert ((found >= arm.low) & (found <= arm.high)).all()
-        dexterous = [dexterity(arm, each) for each in found]
+        dexterous = kinematics._dexterity(arm, found).tolist()
         assert dexterous == sorted(dexterous, reverse=True)
 
 
@@ -59,8 +59,8 @@ def test_a_line_is_followed_within_the_limits_or_not_at_all():
     np.testing.assert_allclose(ends[-1][:3, 3], (0.45, -0.1, 0.1), atol=1e-4)
     assert np.abs(np.diff(way.joints, axis=0)).max() < kinematics.JUMP_RAD
     assert "cannot reach it: 1.20 m" in plan(arm, [pose(1.2, 0.0, 0.1)])
-    starts = solve(arm, pose(0.7, 0.0, 0.2))[:1]
-    assert "on the line to pose 2" in follow(arm, [pose(0.7, 0.0, 0.2), pose(1.1, 0.0, 0.2)], starts)[0]
+    start = solve(arm, pose(0.7, 0.0, 0.2))[0]
+    assert "on the line to pose 2" in follow(arm, [pose(0.7, 0.0, 0.2), pose(1.1, 0.0, 0.2)], start)
 
 
 def test_a_straight_elbow_and_a_turned_wrist_are_refused():

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
-from i2t.hardware import rig as rigs
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.rig import Rig
+from i2t.hardware.rig import __main__ as rigs
 
 
 def pose(rotvec, at):
@@ -153,7 +153,7 @@ def test_an_object_outside_the_box_and_what_is_nearly_always_a_mistake_are_doubt
 
 @pytest.mark.full
 def test_the_hardware_layer_needs_no_jax_and_no_sdk():
-    folder = Path(rigs.__file__).parent
+    folder = Path(rigs.__file__).parents[1]
     files = [path.relative_to(folder).with_suffix("") for path in [*folder.glob("*.py"), *folder.glob("reskin/*.py")]]
     names = [".".join(file.parts) for file in files if not file.stem.startswith("__")]
     code = f"import sys, i2t.emulators.reskin_board, {', '.join(f'i2t.hardware.{name}' for name in sorted(names))}\n"

@@ -64,16 +64,21 @@ def frozen(values):
     ("part", "change", "sentence", "stops"),
     [
         (np.s_[:, 2], np.zeros_like, "chip 2 sends zeros", True),
-        (np.s_[:, 3], frozen, "chip 3's x, y and z stand still", True),
-        (np.s_[:, 1, 1], frozen, "chip 1's y stands still", True),
-        (np.s_[:, 4, 2], lambda x: CONVERTER_END_UT[2], "chip 4's z is at the end of its range, at 7930.0 uT", True),
+        (np.s_[:, 3], frozen, "chip 3 stands still along x, y, z", True),
+        (np.s_[:, 1, 1], frozen, "chip 1 stands still along y", True),
+        (
+            np.s_[:, 4, 2],
+            lambda x: CONVERTER_END_UT[2],
+            "chip 4 is at the end of its range along z, at 7930.0 uT",
+            True,
+        ),
         (
             np.s_[:, 0, 0],
             lambda x: np.minimum(x - x.mean() + 4914, 4915),
-            "chip 0's x is at the end of its range",
+            "chip 0 is at the end of its range along x",
             True,
         ),
-        (np.s_[:], frozen, "every axis of every chip stands still", True),
+        (np.s_[:], frozen, "every chip stands still", True),
         (np.s_[:], np.zeros_like, "every chip sends zeros", True),
         (np.s_[:, 1:4], lambda x: np.nan, "only 2 of 5 chips answer, without chip 1, chip 2, chip 3", True),
         # What makes readings worse stops nothing.

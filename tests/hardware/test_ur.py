@@ -83,7 +83,7 @@ def connected(host, **options):
 
 def test_a_line_takes_the_time_of_a_trapezoid_and_a_stop_its_distance():
     length, speed, a = 0.1, 0.1, 0.5
-    robot = robot_motion.Robot(np.zeros(6), robot_motion.plane(0.0, 0.0), np.zeros(6), 0.0)
+    robot = robot_motion.Robot(np.zeros(6), robot_motion.plane(0.0, 0.0), 0.0)
     robot.line_to(np.array([length, 0, 0, 0, 0, 0.1]), speed, a)
     ticks = 0
     while robot.motion is not None:
@@ -218,7 +218,8 @@ def above(touching):
 
 
 def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start):
-    host = start("--bias", "0.5", "-1", "2")
+    host = start()
+    ask(host, "wrench 0.5 -1 2 0 0 0")
     with connected(host, payload=(0.3, (0.0, 0.0, 0.05)), tool=pose(0, 0, 0.1, 0)) as arm:
         begun = status(host)
         assert begun["payload"] == 0.3
@@ -234,7 +235,8 @@ def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start
         np.testing.assert_allclose(from_ur(after["pose"]), goal, atol=1e-6)
         assert 0.09 < after["fastest"] <= 0.1 * (1 + 1e-9)
     assert status(host)["runtime"] == ur_controller.STOPPED
-    host = start("--after", "0", "speed 0.5")
+    host = start()
+    ask(host, "speed 0.5")
     with connected(host) as arm:
         arm.go(pose(0.4, 0.03, 0.3), 0.2)
         assert 0.09 < status(host)["fastest"] <= 0.1 * (1 + 1e-9)
@@ -248,7 +250,7 @@ def test_what_is_beyond_the_limits_is_refused_before_anything_is_sent(above):
         (lambda: arm.move(pose(np.nan, 0.0, 0.3)), "finite"),
         (lambda: arm.move(BEGIN * [[-1], [1], [1], [1]]), "rotation"),
         (lambda: arm.approach(0.25), "outside the box"),
-        (lambda: arm.approach(0.31), "limit for the approach distance"),
+        (lambda: arm.approach(0.31), "approach's distance"),
         (lambda: arm.approach(0.01, force=50.0), r"force 50\.0 is outside"),
     ):
         with pytest.raises(ValueError, match=why):
@@ -306,22 +308,6 @@ def test_stop_from_another_thread(above):
     thread.join()
     assert not stopped[0][1]["moving"]
     assert 0 < stopped[0][1]["pose"][1] < 0.2
-
-
-@pytest.mark.full
-def test_the_client_alone_touches_and_pushes(start):
-    from rtde_control import RTDEControlInterface
-
-    host = start("--plane", "0.298", "--stiffness", "5000")
-    control = RTDEControlInterface(host)
-    assert control.moveUntilContact([0, 0, -0.02, 0, 0, 0], [0] * 6, 0.5)
-    # Back to the last tick before the contact.
-    assert 0.298 <= status(host)["pose"][2] < 0.298 + 0.02 * TICK + 1e-9
-    assert control.forceMode([0.0] * 6, [0, 0, 1, 0, 0, 0], [0, 0, -4.0, 0, 0, 0], 2, [0.05] * 6)
-    eventually(lambda: status(host)["force"][2] == pytest.approx(4.0, abs=1e-3))
-    assert control.forceModeStop()
-    control.stopScript()
-    control.disconnect()
 
 
 # Faults

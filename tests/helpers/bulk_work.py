@@ -1,17 +1,14 @@
-"""A little of everything that is laid over devices, as a program: `python bulk_work.py OUT [PROCESSES NUMBER PORT]`.
+"""A little of everything that is laid over devices, as a program: `python bulk_work.py OUT`.
 
-OUT gets all numbers, by name. With the other words it is one of several processes that work as one, each of them a
-little later than the one before. Each works on one core, because XLA divides a loop by the number of cores, which may
-change last bits.
+OUT gets all numbers, by name. It works on one core, because XLA divides a loop by the number of cores, which may change
+last bits.
 """
 
 import os
 import sys
-import time
 
 if __name__ == "__main__" and hasattr(os, "sched_setaffinity"):  # before XLA counts cores
-    cores = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {cores[int((sys.argv[3:4] or ["0"])[0]) % len(cores)]})
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +30,6 @@ NETWORK = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24
 
 def compute() -> dict[str, np.ndarray]:
     """Touches of five sessions, posteriors along episodes of given touches, and an ensemble of three networks."""
-    # Here, because it makes arrays, which must not be before the processes know each other.
     from helpers.predicted_touches import CHANNELS, PARTICLES, SITES, likelihood, predicted_touches
 
     surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "hexagon")])
@@ -63,10 +59,5 @@ def _trained(rng: np.random.Generator) -> training.TrainState:
 
 
 if __name__ == "__main__":
-    out, *several = sys.argv[1:]
-    if several:
-        processes, number, port = map(int, several)
-        jax.distributed.initialize(f"127.0.0.1:{port}", processes, number)
-        time.sleep(40 * number)  # longer than collectives wait
-    print(f"{jax.device_count()} devices of {jax.process_count()} processes")
-    np.savez(out, **compute())
+    print(f"{jax.device_count()} devices")
+    np.savez(sys.argv[1], **compute())

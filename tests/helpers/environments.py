@@ -36,7 +36,6 @@ def random_environment(config: EnvironmentConfig | None = None) -> tuple[TouchEn
         T_w_site=jnp.float32(poses),
         owner=jnp.arange(SITES) % OBJECTS,
         allowed=jnp.arange(SITES) < SITES - 1,
-        hypotheses=jnp.eye(4)[None],
         table=OutcomeTable(outcome, jnp.tile(jnp.eye(4), (PLACEMENTS, 1, 1))),
     )
     return TouchEnvironment(config=config or EnvironmentConfig(touches=4)), params

@@ -25,12 +25,11 @@ import h5py
 import numpy as np
 from helpers import random_touches
 
-from i2t.calibration.heads.head import load_head
-from i2t.calibration.heads.recording import read_recordings
+from i2t.calibration.heads import load_head, read_recordings
 from i2t.calibration.model import load_calibration
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.event_log import ENTRY_HEADER, RAW_FILE_KIND, read_raw
-from i2t.collect.session import _resume
+from i2t.collect.notes import resume
+from i2t.collect.recorder import RAW_FILE_HEADER, read_raw
 from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset
 from i2t.depth.camera import read_depth
@@ -41,7 +40,6 @@ from i2t.hardware.reskin.driver import Replay
 from i2t.hardware.reskin.recording import CHUNK, RECORDING_HEADER
 from i2t.hardware.rig import Rig
 from i2t.objects import load_mesh, load_point_cloud, make_object
-from i2t.prediction.checkpoint import restore
 from i2t.prediction.predictor import load_predictor
 from i2t.recognition.pad_model_files import load_pad_model
 from i2t.serialization import _digest
@@ -214,13 +212,10 @@ def about(whole: dict[str, Any], **changes: Any) -> str:
 
 
 PREDICTOR = {
-    "format": "i2t predictor", "version": 2, "pressure": None, "network": None, "baseline": None,
+    "format": "i2t predictor", "version": 4, "model": {"class": "i2t.prediction.gp_method:GPModel", "settings": {}},
     "window": 0.017, "reach": 0.004, "default_force": 1.0, "default_depth": None, "std_scale": 1.0, "metadata": {},
-    "shapes": {"params": [3]},
+    "shapes": {"params": ["float32", 3]},
 }  # fmt: skip
-TRAINING = {"format": "i2t checkpoint", "version": 1, "model": {}, "train": {}, "touches": 100,
-            "packages": {"i2t": "0"}, "extra": {}}  # fmt: skip
-
 
 # Images
 
@@ -261,9 +256,8 @@ def eflesh_session(states: Callable[[Path], bytes]) -> Content:
     return {"states.csv.gz": states, "sensor_post_baselines.csv": "0," + ",".join("1" * 15) + "\n"}
 
 
-def raw(kind: bytes, payload: bytes, chips: int = 5) -> bytes:
-    header = json.dumps({"touch": RAW_FILE_KIND, "version": 2, "chips": chips}).encode()
-    return header + b"\n" + ENTRY_HEADER.pack(kind, len(payload)) + payload
+def raw(entry: str) -> str:
+    return f"{RAW_FILE_HEADER.decode()}\n{entry}\n"
 
 
 def stream(last: float) -> bytes:
@@ -335,11 +329,7 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     },
     ("predictor", "theirs/_CHECKPOINT_METADATA"): {
         "nested deep": DEEP,
-        "a trillion numbers": about(PREDICTOR, shapes={"gp": {"a": [10**6, 10**6]}}),
-    },
-    ("checkpoint", "theirs/7/_CHECKPOINT_METADATA"): {
-        "100_000 layers": lambda _: about(TRAINING, model={"channels": [8] * 100_000}),
-        "layers of a trillion": about(TRAINING, model={"encoder_width": 10**12}),
+        "a trillion numbers": about(PREDICTOR, shapes={"gp": {"a": ["float32", 10**6, 10**6]}}),
     },
     ("depth", "a.png"): {
         "ten billion pixels": png(100_000, 100_000),
@@ -389,9 +379,9 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
         "sites without numbers": json.dumps(NOTES | {"unreachable": {"three": "far"}}),
     },
     ("raw", "a.raw"): {
-        "a broken event": raw(b"e", b"[1.0"),
-        "half a sample": raw(b"s", bytes(13)),
-        "a billion chips": raw(b"s", bytes(13), chips=10**9),
+        "a broken event": raw('["event", [1.0'),
+        "samples of two sizes": raw('["skin", [[0.0, 0.0], [0.0]]]'),
+        "no pair": raw('["skin"]'),
     },
     ("replay", "a.raw"): {"no times": stream(float("nan")), "a thousand years": stream(3e10)},
 }
@@ -413,7 +403,7 @@ def _views(path: Path) -> None:
 
 
 def _session(path: Path) -> None:
-    _resume(CollectArgs(out=path.parent), "star", Rig(), make_object("star").mesh)
+    resume(CollectArgs(out=path.parent), "star", Rig(), make_object("star").mesh)
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
@@ -427,7 +417,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "ambient": load_ambient,
     "head": load_head,
     "predictor": lambda path: load_predictor(path.parent),
-    "checkpoint": lambda path: restore(path.parent.parent),
     "depth": lambda path: read_depth(path, "mm"),
     "rig": Rig.read,
     "views": _views,

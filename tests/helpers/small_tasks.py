@@ -25,22 +25,6 @@ def refuse(path: Path) -> None:
     raise ValueError(f"{path.name} cannot be made")
 
 
-def write_nothing(path: Path) -> None:
-    """What a worker of another folder does, seen from here."""
-
-
 def write_cores(path: Path) -> None:
     """The cores that a worker may use."""
     path.write_text(repr(sorted(os.sched_getaffinity(0))))
-
-
-class UntravelledError(Exception):
-    """One that cannot be pickled."""
-
-    def __init__(self, one: int, two: int) -> None:
-        super().__init__(one + two)
-
-
-def refuse_strangely(path: Path) -> None:
-    """A defect."""
-    raise UntravelledError(1, 2)

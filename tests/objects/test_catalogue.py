@@ -13,13 +13,13 @@ from i2t.objects import (
     STAMPS,
     TOOLS,
     Mesh,
-    catalogue,
     make_object,
+    primitives,
     random_object,
     surrogate_unknown,
     transform_mesh,
 )
-from i2t.objects.solids import SAGITTA_MM, segments
+from i2t.objects.drawing import SAGITTA_MM, segments
 
 # Outlines pass through a polygon clipper that rounds to 1e-8 mm, so lengths of 10 mm and more are exact to 1e-9, areas
 # to twice and volumes to three times that.
@@ -51,6 +51,13 @@ def check_shape(mesh: Mesh) -> None:
 FAMILIES = {"primitive": PRIMITIVES, "stamp": STAMPS, "tool": TOOLS}
 
 
+def test_the_catalogue_is_as_it_is_drawn():
+    for name in NAMES:
+        kept, drawn = make_object(name).mesh, primitives.draw_object(name)
+        np.testing.assert_allclose(kept.vertices, drawn.vertices, atol=1e-12)
+        np.testing.assert_array_equal(kept.faces, drawn.faces)
+
+
 def test_every_object_of_the_catalogue_is_closed_outward_settled_and_of_its_family():
     assert PRIMITIVES[:6] == ("hexagon", "parallelogram", "star", "square", "flower", "cylinder")
     assert len(set(NAMES)) == len(NAMES) == sum(map(len, FAMILIES.values()))
@@ -76,17 +83,17 @@ H = 30e-3  # m, the prisms' height
 @pytest.mark.parametrize(
     ("mesh", "volume", "extent"),
     [
-        (catalogue.polygon(6, 60e-3, H), 3 * 3**0.5 / 8 * 60e-3**2 * H, [60e-3, 30e-3 * 3**0.5, H]),
-        (catalogue.polygon(3, 64e-3, H), 3 * 3**0.5 / 16 * 64e-3**2 * H, None),
-        (catalogue.square(50e-3, H), 50e-3**2 * H, [50e-3, 50e-3, H]),
-        (catalogue.parallelogram(50e-3, 40e-3, 20e-3, H), 50e-3 * 40e-3 * H, [70e-3, 40e-3, H]),
-        (catalogue.star(5, 70e-3, 0.5, H), 5 * 35e-3 * 17.5e-3 * np.sin(np.pi / 5) * H, None),
-        (catalogue.cross(60e-3, 22e-3, H), (2 * 60e-3 - 22e-3) * 22e-3 * H, [60e-3, 60e-3, H]),
-        (catalogue.pyramid(60e-3, 15e-3, 36e-3), 12e-3 * (60e-3**2 + 15e-3**2 + 60e-3 * 15e-3), [60e-3, 60e-3, 36e-3]),
-        (catalogue.wedge(60e-3, 50e-3, 10e-3, 35e-3), 60e-3 * 50e-3 * (10e-3 + 35e-3) / 2, [60e-3, 50e-3, 35e-3]),
-        (catalogue.stairs(3, 60e-3, 50e-3, 36e-3), 60e-3 * 50e-3 * 36e-3 * (1 + 2 + 3) / 9, [60e-3, 50e-3, 36e-3]),
-        (catalogue.ridge(60e-3, 50e-3, 20e-3, 12e-3), None, [60e-3, 50e-3, 32e-3]),
-        (catalogue.ellipsoid(70e-3, 50e-3, 40e-3), None, [70e-3, 50e-3, 40e-3]),
+        (primitives.polygon(6, 60e-3, H), 3 * 3**0.5 / 8 * 60e-3**2 * H, [60e-3, 30e-3 * 3**0.5, H]),
+        (primitives.polygon(3, 64e-3, H), 3 * 3**0.5 / 16 * 64e-3**2 * H, None),
+        (primitives.square(50e-3, H), 50e-3**2 * H, [50e-3, 50e-3, H]),
+        (primitives.parallelogram(50e-3, 40e-3, 20e-3, H), 50e-3 * 40e-3 * H, [70e-3, 40e-3, H]),
+        (primitives.star(5, 70e-3, 0.5, H), 5 * 35e-3 * 17.5e-3 * np.sin(np.pi / 5) * H, None),
+        (primitives.cross(60e-3, 22e-3, H), (2 * 60e-3 - 22e-3) * 22e-3 * H, [60e-3, 60e-3, H]),
+        (primitives.pyramid(60e-3, 15e-3, 36e-3), 12e-3 * (60e-3**2 + 15e-3**2 + 60e-3 * 15e-3), [60e-3, 60e-3, 36e-3]),
+        (primitives.wedge(60e-3, 50e-3, 10e-3, 35e-3), 60e-3 * 50e-3 * (10e-3 + 35e-3) / 2, [60e-3, 50e-3, 35e-3]),
+        (primitives.stairs(3, 60e-3, 50e-3, 36e-3), 60e-3 * 50e-3 * 36e-3 * (1 + 2 + 3) / 9, [60e-3, 50e-3, 36e-3]),
+        (primitives.ridge(60e-3, 50e-3, 20e-3, 12e-3), None, [60e-3, 50e-3, 32e-3]),
+        (primitives.ellipsoid(70e-3, 50e-3, 40e-3), None, [70e-3, 50e-3, 40e-3]),
     ],
 )
 def test_volumes_and_extents_of_solids(mesh, volume, extent):
@@ -98,31 +105,31 @@ def test_volumes_and_extents_of_solids(mesh, volume, extent):
 
 
 def test_round_solids_have_their_corners_on_the_surface_and_their_chords_within_the_sagitta():
-    cylinder = catalogue.cylinder(60e-3, H)
+    cylinder = primitives.cylinder(60e-3, H)
     rim = np.linalg.norm(cylinder.vertices[:, :2], axis=1)
     np.testing.assert_allclose(rim, 30e-3, rtol=EXACT)
     n = segments(30.0)
     assert solid(cylinder).volume == pytest.approx(n / 2 * 30e-3**2 * np.sin(2 * np.pi / n) * H, rel=EXACT)
     assert 30 * (1 - np.cos(np.pi / n)) <= SAGITTA_MM
 
-    cone = catalogue.cone(60e-3, 20e-3, 35e-3)
+    cone = primitives.cone(60e-3, 20e-3, 35e-3)
     radius = 30e-3 + (10e-3 - 30e-3) * cone.vertices[:, 2] / 35e-3
     np.testing.assert_allclose(np.linalg.norm(cone.vertices[:, :2], axis=1), radius, rtol=EXACT)
 
-    dome = catalogue.dome(60e-3).vertices
+    dome = primitives.dome(60e-3).vertices
     shell = dome[dome[:, 2] > 0]
     np.testing.assert_allclose(np.linalg.norm(shell, axis=1), 30e-3, rtol=EXACT)
 
-    ellipsoid = catalogue.ellipsoid(70e-3, 50e-3, 40e-3).vertices - [0, 0, 20e-3]
+    ellipsoid = primitives.ellipsoid(70e-3, 50e-3, 40e-3).vertices - [0, 0, 20e-3]
     np.testing.assert_allclose(np.linalg.norm(ellipsoid / [35e-3, 25e-3, 20e-3], axis=1), 1, rtol=EXACT)
 
-    torus = catalogue.torus(68e-3, 20e-3).vertices
+    torus = primitives.torus(68e-3, 20e-3).vertices
     upper = torus[torus[:, 2] > 1e-9]
     tube = np.hypot(np.linalg.norm(upper[:, :2], axis=1) - 24e-3, upper[:, 2])
     np.testing.assert_allclose(tube, 10e-3, rtol=EXACT)
 
     # An even flower is symmetric, so settling does not move it and its outline stays centred.
-    flower = catalogue.flower(6, 70e-3, 0.15, H).vertices
+    flower = primitives.flower(6, 70e-3, 0.15, H).vertices
     outline = 35e-3 * (1 + 0.15 * np.cos(6 * np.arctan2(flower[:, 1], flower[:, 0]))) / 1.15
     # 6 * 0.15 more for the angle's own rounding
     np.testing.assert_allclose(np.linalg.norm(flower[:, :2], axis=1), outline, rtol=4 * EXACT)

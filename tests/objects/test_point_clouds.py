@@ -1,16 +1,19 @@
 """Point clouds: both formats in every encoding, missing points, bad files, and disks against known surfaces."""
 
-import json
 import struct
 
+import jax
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from experiments.clouds import run as experiment
 from i2t.objects import load_point_cloud, make_object, surface_from_points
 from i2t.objects.point_clouds import suggest_radius
+from i2t.rendering.ops import element
+from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
+from i2t.simulation.sites import collect_sites
+from i2t.types import REACH
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-0.05, 0.05, (50, 3)).astype(np.float32)
@@ -195,12 +198,21 @@ def test_suggested_radius_is_two_spacings_outliers_are_left_out_and_sparse_cloud
 
 
 @pytest.mark.full
-def test_patches_of_disks_are_those_of_the_mesh(tmp_path):
+def test_patches_of_disks_are_those_of_the_mesh():
     """Within what is promised: flattening of radius^2 / 2R and noise averaged over the dozen points of a disk."""
-    args = experiment.CloudArgs(out=tmp_path, shapes=("dome",), spacings=(0.5e-3,), noises=(0.0, 0.1e-3), sites=8)
-    clean, noisy = experiment.run(args)
-    assert json.loads((tmp_path / "clouds.json").read_text())["source"] == "simulated"
-    flat = (1.5 * clean.radius) ** 2 / (2 * 30)  # mm, on the dome's radius of 30 mm; disks look 1.5 radii around
-    assert clean.median < flat
-    assert clean.holes < (0.5 / 17) ** 2  # less than one point's own square in each patch
-    assert noisy.median < flat + 0.1
+    mesh = make_object("dome").mesh
+    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    points, face = trimesh.sample.sample_surface(whole, int(whole.area / 0.5e-3**2), seed=0)
+    radius, normals = suggest_radius(points), whole.face_normals[face]
+    clouds = [points + noise * RNG.normal(size=(len(points), 1)) * normals for noise in (0.0, 0.1e-3)]
+    disks = [surface_from_points(cloud, radius, normals) for cloud in clouds]
+    surfaces = stack_surfaces([prepare_surface(each) for each in (mesh, *disks)])
+    poses = collect_sites(jax.random.key(0), element(surfaces, 0), 8, name="dome")
+    look = jax.jit(jax.vmap(render_patch, (None, 0)))
+    true, clean, noisy = (jax.device_get(look(element(surfaces, i), poses)) for i in range(3))
+    solid = true.depth < 3e-3
+    assert (clean.depth >= REACH)[solid].mean() < (0.5 / 17) ** 2  # less than one point's own square in each patch
+    flat = (1.5 * radius) ** 2 / (2 * 30e-3)  # m, on the dome's radius; disks look 1.5 radii around
+    for seen, allowed in ((clean, flat), (noisy, flat + 0.1e-3)):
+        off = (seen.nearest[:, None, None] + seen.depth) - (true.nearest[:, None, None] + true.depth)
+        assert np.median(np.abs(off)[solid & (seen.depth < REACH)]) < allowed

@@ -67,23 +67,6 @@ def test_forward_pass_is_the_one_written_out_by_hand() -> None:
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=3 * 145 * EPS, rtol=3 * 145 * EPS), got, expected)
 
 
-def test_a_convolution_is_the_one_written_out_by_hand() -> None:
-    cfg = replace(SMALL, pixels=5, encoder="cnn", channels=(2,), auxiliary=False)
-    params = start(cfg)
-    params["conv0"]["bias"] = jnp.array([0.1, -0.2])
-    example = jax.tree.map(lambda leaf: leaf[0], examples(cfg, 1))
-    got = jax.jit(partial(apply, cfg=cfg))(params, inputs=example).latent
-
-    weights = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), params)
-    padded = np.pad(np.asarray(example.image, np.float64), 2)
-    kernel, steps = weights["conv0"]["kernel"][:, :, 0], (0, 2, 4)
-    features = np.array([[np.einsum("ij,ijc->c", padded[y : y + 5, x : x + 5], kernel) for x in steps] for y in steps])
-    features = np.maximum(features + weights["conv0"]["bias"], 0).ravel()
-    hidden = np.maximum(features @ weights["encoder"]["kernel"] + weights["encoder"]["bias"], 0)
-    expected = hidden @ weights["bottleneck"]["kernel"] + weights["bottleneck"]["bias"]
-    np.testing.assert_allclose(got, expected, atol=3 * 25 * EPS, rtol=3 * 25 * EPS)
-
-
 def test_weights_of_a_seed_are_those_of_earlier_versions() -> None:
     """Whoever trained with a seed before gets the same network again."""
     params = start(ModelConfig(pixels=4, encoder_width=3, auxiliary=False))
@@ -130,7 +113,6 @@ def test_mixture_has_the_moments_worked_out_by_hand() -> None:
     ("field", "value", "words"),
     [
         ("input", "rgb", "choose one of depth, mask, pressure"),
-        ("encoder", "vit", "choose one of mlp, cnn"),
         ("conditions", ("force", "colour"), "name each of force, nearest, depth"),
         ("conditions", ("force", "force"), "at most once"),
         ("bottleneck", 0, "paper.bottleneck is 0"),

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from orbax.checkpoint import v1 as ocp
 
 from i2t import geometry
 from i2t.errors import CheckpointError
@@ -120,43 +118,16 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
         assert (many.std > 0).all()
 
 
-def save_as_before(folder: Path, made: Predictor) -> None:
-    """A predictor on disk as version 1 wrote it, which had other words for its parts; a baseline as version 3 did."""
-    predictor.save(folder, made)
-    about = json.loads((folder / "_CHECKPOINT_METADATA").read_text())["custom_metadata"]
-    arrays = predictor._load_arrays(folder, about)
-    described = about.pop("model")
-    settings, kind = described["settings"], described["class"].partition(":")[2]
-    pressure = settings.get("pressure")
-    about |= {"version": 3, "pressure": pressure and pressure["values"]}
-    about |= {"network": None, "baseline": None}
-    if "conditions" in settings:
-        about["baseline"] = {"kind": kind, "conditions": settings["conditions"]}
-        arrays, about["shapes"] = {"baseline": arrays}, {"baseline": about["shapes"]}
-    elif "gp" in arrays:
-        arrays, about["shapes"] = {"process": arrays["gp"]}, {"process": about["shapes"]["gp"]}
-    else:
-        about["network"] = {name: value for name, value in settings["cfg"]["values"].items() if name != "readings"}
-    if not about["baseline"]:
-        words = {
-            "pressure": "imagination", "default_force": "load", "default_depth": "depth", "std_scale": "spread",
-            "metadata": "about",
-        }  # fmt: skip
-        about = {words.get(name, name): value for name, value in about.items()} | {"version": 1}
-    ocp.save_checkpointables(folder, arrays, custom_metadata=about, overwrite=True)
-
-
 @pytest.mark.full
-@pytest.mark.parametrize("save", [predictor.save, save_as_before], ids=["today", "before"])
 @pytest.mark.parametrize("which", ["process", "network", "on_pressure", "ridge"])
-def test_what_is_saved_is_what_is_loaded(which, save, patches, request, tmp_path):
+def test_what_is_saved_is_what_is_loaded(which, patches, request, tmp_path):
     if which == "ridge":
         made, small = request.getfixturevalue("baseline_predictors")["ridge-measured"], patches[:, ::6, ::6]
         patches = small - small.min((1, 2), keepdims=True)
     else:
         made = request.getfixturevalue(which)
         made = made[0] if which == "process" else made
-    save(tmp_path / "p", made)
+    predictor.save(tmp_path / "p", made)
     loaded = predictor.load_predictor(tmp_path / "p")
     assert type(loaded.model) is type(made.model)
     fields = ("pressure", "window", "reach", "default_force", "default_depth", "std_scale", "metadata")
@@ -167,7 +138,7 @@ def test_what_is_saved_is_what_is_loaded(which, save, patches, request, tmp_path
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"version": 99}, "of version 99, but this i2t reads"),
+        ({"version": 3}, "of version 3, but this i2t reads version 4; use the i2t that wrote it, or train again"),
         ({"window": None}, "lacks window"),
         (None, "holds no predictor"),
     ],

@@ -190,13 +190,13 @@ def test_particles_have_the_variance_of_the_prior():
     half = np.random.default_rng(0).normal(size=(6, 5)) * 1e-3
     # Of independent coordinates; of a registered pose, correlated and known exactly in one direction.
     for told, prior, loose in ((SPREAD, np.diag(SPREAD**2), 3), (half @ half.T, half @ half.T, 10)):
-        many, scale = belief.sample_particles(told, 4096, seed=3, scales=None), np.sqrt(np.diagonal(prior))
+        many, scale = belief.sample_particles(told, 4096, seed=3), np.sqrt(np.diagonal(prior))
         # Quasi-random: an error of some log(n) / n, against 1 / sqrt(n) = 0.016 of random ones.
         off = (total_covariance(many.twist, many.covariance) - prior) / np.outer(scale, scale)
         np.testing.assert_allclose(off, 0, atol=np.log(4096) / 4096 * loose)
         np.testing.assert_allclose(many.twist.mean(0) / scale, 0, atol=np.log(4096) / 4096 * loose)
         np.testing.assert_array_equal(many.twist[0], 0)
-    narrow = belief.sample_particles(SPREAD, 8, std_ratio=1.0, scales=None)  # all of it about the origin
+    narrow = belief.sample_particles(SPREAD, 8, std_ratio=1.0)  # all of it about the origin
     np.testing.assert_allclose(narrow.twist, 0, atol=1e-9)
     np.testing.assert_allclose(narrow.covariance, np.tile(np.diag(SPREAD**2), (8, 1, 1)), rtol=1e-6)
 
@@ -204,7 +204,7 @@ def test_particles_have_the_variance_of_the_prior():
 # --- an episode -------------------------------------------------------------------------------------------------------
 
 OBJECTS, COUNT = 2, 2048
-PLACES = belief.sample_particles(SPREAD, COUNT, scales=None)
+PLACES = belief.sample_particles(SPREAD, COUNT)
 
 
 def lines(outcome: PredictedTouch, places: Particles) -> PredictedTouch:
@@ -228,31 +228,6 @@ def after_touches(rng, places: Particles, twist: np.ndarray, touches: int):
         errors.append(advance - ends)
         now = update(now, measured(np.zeros(15), LOADS[1], advance, True), lines(outcome, places), likelihood)
     return now, np.stack(slopes), np.stack(errors)
-
-
-@pytest.mark.full
-def test_the_scale_of_the_placement_is_inferred():
-    """Against Bayes' rule by quadrature: positions of a placement that is off three times as far as told."""
-    rng = np.random.default_rng(21)
-    places = belief.sample_particles(SPREAD, COUNT, seed=1, scales=belief.ScalePrior())
-    now, H, y = after_touches(rng, places, 3 * rng.choice([-1, 1], 6) * SPREAD, 3)
-    log = np.linspace(np.log(0.5), np.log(8), 400)
-    joint = np.zeros(400)
-    for o, weight in enumerate(posterior(now)):
-        density = [
-            stats.multivariate_normal(
-                cov=H[:, o] @ np.diag((np.exp(s) * SPREAD) ** 2) @ H[:, o].T + 0.25e-6 * np.eye(3)
-            ).pdf(y[:, o])
-            for s in log
-        ] * stats.norm.pdf(log, scale=0.7)
-        joint += float(weight) * density / density.sum()
-    mean = joint @ log
-    sd = np.sqrt(joint @ (log - mean) ** 2)
-    scale, spread = belief.scale_posterior(now, places)
-    few = sd / np.sqrt(effective(now).min())
-    assert np.log(float(scale)) == pytest.approx(mean, abs=SIGMAS * few)
-    assert float(spread) == pytest.approx(sd, abs=SIGMAS * few)
-    assert mean > 0.5
 
 
 @pytest.mark.full
@@ -360,7 +335,7 @@ def test_the_zero_of_the_sensor_is_followed():
 def test_probabilities_are_those_of_being_right():
     """All that happens is drawn from the model, which is known to be right then."""
     kinds, few, episodes, sites, shape = 3, 16, 1500, 6, (1500, 3)
-    model, places = like(outlier_rate=1e-9, position_std=[0.5e-3]), belief.sample_particles(SPREAD, 16, scales=None)
+    model, places = like(outlier_rate=1e-9, position_std=[0.5e-3]), belief.sample_particles(SPREAD, 16)
     rng = np.random.default_rng(12)
     table = outcomes(rng, sites, kinds, few)
     # Objects are hard to tell apart: readings differ by a good part of their errors, approach distances by those of

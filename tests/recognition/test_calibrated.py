@@ -1,9 +1,8 @@
-"""Calibrated beliefs: known temperatures and logit scalings are found again, and sets cover what they promise."""
+"""Calibrated beliefs: known temperatures and logit scalings are found again; priors are moved by Bayes' rule."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.forecasters import calibrated_forecaster
 from scipy.special import expit, logsumexp
 
 from i2t.recognition import calibrated, metrics
@@ -50,27 +49,11 @@ def test_log_odds_with_a_wrong_slope_and_offset_are_put_right():
     np.testing.assert_allclose(nothing, nothing[0, 0, 0])  # knows none from another
 
 
-# --- conformal sets ---
-
-
-def test_sets_by_hand():
-    # Nine validation episodes whose truth is the second of two classes at 0.75: scores are 0.25 u below 1, all in
-    # (0.75, 1), and of ten ranks the ninth is the largest of them.
-    p = np.tile([0.75, 0.25], (9, 1, 1))
-    found = calibrated.conformal_sets(p, np.ones(9, int), p, np.zeros(9, int), level=0.9)
-    assert 0.75 < found.threshold[0] < 1
-    np.testing.assert_array_equal(found.coverage.mean, 1)  # the first class, at most 0.75, is in every set
-    fewer = calibrated.conformal_sets(p[:8], np.ones(8, int), p, np.zeros(9, int), level=0.9)
-    assert np.isinf(fewer.threshold[0])  # nine ranks cannot promise 90 %
-    np.testing.assert_array_equal(fewer.size.mean, 2)
-
-
-@pytest.mark.parametrize("power", [0.4, 3])
-def test_sets_cover_what_they_promise_however_wrong_the_beliefs(power):
-    p, truth = calibrated_forecaster(5, 8000)
-    q = p**power / (p**power).sum(-1, keepdims=True)
-    found = calibrated.conformal_sets(q[:4000], truth[:4000], q[4000:], truth[4000:])
-    # Threshold and coverage each vary by sqrt(0.09 / 4000) = 0.5 points.
-    assert np.abs(found.coverage.mean - 0.9).max() < 0.02
-    assert (np.diff(found.size.mean) < 0).all()  # touches tell
-    assert (found.size.mean < 0.9 * 5).all()  # 0.9 of all classes is what no knowledge needs
+def test_another_prior_of_the_unknown_class_is_bayes_rule():
+    p = np.array([[[0.3, 0.2]]])
+    q, other = calibrated.with_unknown_prior(p, np.array([[0.5]]), 0.2, 0.5)  # odds 1/4 to 1: four times as likely
+    np.testing.assert_allclose(np.append(q, other), np.array([0.3, 0.2, 2.0]) / 2.5)
+    closed, nothing = calibrated.with_unknown_prior(np.array([[0.0, 0.0]]), np.array([1.0]), 0.5, 0.0)
+    np.testing.assert_array_equal(np.append(closed, nothing), [0.5, 0.5, 0])
+    with pytest.raises(ValueError, match="with_unknown_prior: priors"):
+        calibrated.with_unknown_prior(p, np.array([[0.5]]), 0.0, 0.5)

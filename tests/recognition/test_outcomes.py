@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from i2t.objects.catalogue import make_object
-from i2t.objects.solids import ball, mesh_from_solid
+from i2t.objects.drawing import ball, mesh_from_solid
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure, GPHyperparameters
 from i2t.recognition import outcomes

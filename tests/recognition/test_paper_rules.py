@@ -7,10 +7,11 @@ import pytest
 from helpers.site_poses import TWO_POOLS
 
 from i2t.objects import catalogue
-from i2t.prediction.predictor import Reading
+from i2t.prediction.predictor import Predictor, Reading
+from i2t.prediction.touch_model import TouchBatch, TouchModel
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.episodes import Episodes, MeasuredTouches
-from i2t.recognition.paper_rules import ConstantPredictor, paper_rules, run_loop
+from i2t.recognition.paper_rules import constant_predictor, paper_rules, run_loop
 from i2t.recognition.site_pool import prepare_surfaces
 
 CHANNELS = 12  # of a 4-chip board
@@ -36,18 +37,23 @@ def beliefs() -> dict[str, np.ndarray]:
         jnp.float32(reading), jnp.full((1, 4), 0.5), jnp.zeros((1, 4)), jnp.ones((1, 4), bool)
     )
     episodes = Episodes(np.zeros(1, int), np.arange(4)[None], observations, np.float32(T))
-    predictors = {"table": Table(surfaces), "constant": ConstantPredictor(np.full(CHANNELS, STD * 0.25))}
+    table = Predictor(Table(len(surfaces)), 17e-3, 4e-3, default_force=1.0, default_depth=0.0)
+    predictors = {"table": table, "constant": constant_predictor(np.full(CHANNELS, STD * 0.25))}
     return paper_rules(predictors, np.full(CHANNELS, STD), surfaces, episodes)
 
 
-class Table:
+class Table(TouchModel):
     """Says nothing at all on the object that it is asked of first, and SECOND on the other."""
 
-    def __init__(self, surfaces: list) -> None:
-        self.asked, self.objects = 0, len(surfaces)
+    def __init__(self, objects: int) -> None:
+        self.asked, self.objects = 0, objects
 
-    def predict_views(self, patch, *, force=None, nearest=None, depth=None, wide=None) -> Reading:
-        mean = np.zeros((len(patch), CHANNELS), np.float32)
+    @property
+    def channels(self) -> int:
+        return CHANNELS
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        mean = np.zeros((len(touches.patch), CHANNELS), np.float32)
         mean[:, 0] = STD * SECOND * (self.asked % self.objects)
         self.asked += 1
         return Reading(mean, np.ones_like(mean))

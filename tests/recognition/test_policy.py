@@ -35,7 +35,7 @@ NORMAL = belief.fit_likelihood(
 )  # fmt: skip
 TACTILE = NORMAL._replace(spatial_weight=jnp.float32(0))
 SPATIAL = NORMAL._replace(tactile_weight=jnp.float32(0))
-PLACED = belief.sample_particles(SPREAD, COUNT, scales=None)
+PLACED = belief.sample_particles(SPREAD, COUNT)
 gains = jax.jit(partial(policy.expected_information_gain, num_draws=DRAWS, num_particles=PLACES))
 
 

@@ -38,8 +38,6 @@ def library(patches) -> PatchLibrary:
         newtons=jnp.asarray(newtons.reshape(count, len(loads), 400), jnp.float16),
         indentation=jnp.asarray(1e-4 * rng.uniform(1, 2, (count, 1)) * loads**0.6, jnp.float32),
         centre=jnp.asarray(centre, jnp.float32),
-        edge=jnp.zeros((count, 4)),
-        kind=jnp.asarray(np.arange(count) % 3),
     )
 
 

@@ -9,7 +9,6 @@ from i2t.reconstruction.signed_distances import (
     extract_mesh,
     grid_around,
     interpolate,
-    join_bodies,
     sample_surface,
     signed_distance_grid,
 )
@@ -19,6 +18,7 @@ from i2t.reconstruction.surface import (
     add_view,
     contact_evidence,
     estimate_surface,
+    image_evidence,
     init,
     posterior_covariance,
     posterior_evidence,
@@ -74,20 +74,9 @@ def test_the_signed_distance_of_a_ball_is_its_closed_form_and_its_mesh_has_its_v
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 30e-3, atol=0.6e-3)
 
 
-def test_bodies_that_overlap_become_one():
-    box = trimesh.creation.box((20e-3, 20e-3, 20e-3))
-    both = trimesh.util.concatenate([box, box.copy().apply_translation([10e-3, 0, 0])])
-    joined = join_bodies(Mesh(both.vertices, both.faces))
-    solid = trimesh.Trimesh(joined.vertices, joined.faces)
-    assert solid.volume == pytest.approx(30e-3 * 20e-3 * 20e-3, rel=1e-6)
-    inside = signed_distance_grid(Mesh(both.vertices, both.faces), GRID) < 0  # and without joining the sign is right
-    x, y, z = GRID.points().T
-    assert (inside == ((x > -10e-3) & (x < 20e-3) & (np.abs(y) < 10e-3) & (np.abs(z) < 10e-3))).all()
-
-
 def test_a_turned_shape_of_the_library_is_that_of_the_turned_mesh():
     box = trimesh.creation.box((30e-3, 10e-3, 10e-3)).apply_translation([10e-3, 5e-3, 10e-3])
-    model = surface_model([Mesh(box.vertices, box.faces)], config=SurfaceConfig(across=14), turns=4)
+    model = surface_model([Mesh(box.vertices, box.faces)], config=SurfaceConfig(across=14))
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # a quarter, counter-clockwise from above
     for quarters in range(4):
         turned = box.vertices @ np.linalg.matrix_power(turn, quarters).T
@@ -170,7 +159,7 @@ def test_a_floor_is_what_no_touch_takes_away():
         state, _ = init(model)
         height = np.zeros((48, 48))
         for x in np.linspace(-8e-3, 8e-3, 12):
-            touch = contact_evidence(_from_above(20e-3, x), height=height, std=height + 0.1e-3)
+            touch = image_evidence(_from_above(20e-3, x), height, height + 0.1e-3, height)
             state, _ = update(model, state, touch)
         return predict(model, regress(model, state), top)[1][0]
 
@@ -183,7 +172,7 @@ def test_heights_of_a_tactile_image_are_points_of_the_surface():
     model = _balls()
     y, x = np.meshgrid(*2 * [((np.arange(48) + 0.5) / 48 - 0.5) * 17e-3], indexing="ij")
     height = 25e-3 - np.sqrt(25e-3**2 - x**2 - y**2)
-    evidence = contact_evidence(_from_above(25e-3), height=height, std=np.full((48, 48), 0.1e-3))
+    evidence = image_evidence(_from_above(25e-3), height, np.full((48, 48), 0.1e-3), 0 * height)
     state, info = update(model, init(model)[0], evidence)
     assert RADII[info.log_likelihood.argmax()] == 25e-3
     cap = np.array([[4e-3, 4e-3, np.sqrt(25e-3**2 - 2 * 4e-3**2)]])

@@ -11,15 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.refine.arguments import RefineArgs
-from experiments.refine.run import run
+from experiments.registration.arguments import PatchPoseArgs
+from experiments.registration.patch import run
 from i2t.geometry import log
 from i2t.registration.patch import (
     PatchRegistrationConfig,
-    observable_directions,
     pose_information,
     refine_pose,
-    refine_pose_multistart,
     resolvable_eigenvalue,
 )
 from i2t.rendering.render import prepare_surface, render_patch
@@ -82,10 +80,10 @@ def test_gauss_newton_matrix_of_planes():
     normals = np.broadcast_to(normal, p.shape)
     slopes = np.concatenate([-normals, -np.cross(p, normals) / TWIST_LEVER_M], 1)
     expected = np.linalg.eigvalsh(slopes.T @ slopes / len(p))
-    values, directions = jax.jit(pose_information, static_argnums=2)(PLANE, T.astype(np.float32), PATCH_PIXELS)
+    values, directions = jax.jit(pose_information)(PLANE, T.astype(np.float32))
     np.testing.assert_allclose(values, expected, rtol=0, atol=1e-5)  # a few dozen roundings of numbers up to 1
     np.testing.assert_allclose(directions.T @ directions, np.eye(6), atol=1e-5)
-    assert observable_directions(values, 1e-3).sum() == 3
+    assert (values >= 1e-3).sum() == 3
     # At eigenvalue 1 (along the tool axis of a plane) the estimate is a mean of all pixels.
     assert resolvable_eigenvalue(noise=1.0, error=2 / 48, pixels=48) == pytest.approx(1)
     np.testing.assert_allclose(sorted(expected)[:3], 0, atol=1e-12)
@@ -147,22 +145,8 @@ def test_nothing_to_see_and_nowhere_to_start():
 
 
 @pytest.mark.full
-def test_several_starts_find_what_one_may_miss():
-    """Three millimetres of slide on waves 19 mm long: the best of several is at least as good as one, and right."""
-    true = np.eye(4, dtype=np.float32)
-    observed = look(WAVES, true)
-    start = jnp.asarray(off(6, 4e-3, 6.0, 1)[0])
-    best = jax.jit(
-        lambda key: refine_pose_multistart(
-            key, WAVES, observed, start, translation_std=2.5e-3, rotation_std=np.radians(3.5)
-        )
-    )(jax.random.key(0))
-    assert np.abs(twist_between(true, best.T_o_t[None])).max() < 1e-5
-
-
-@pytest.mark.full
 def test_the_experiment_in_small(tmp_path, capsys):
-    args = RefineArgs(out=tmp_path / "run", preset="debug")
+    args = PatchPoseArgs(out=tmp_path / "run", preset="debug")
     report = run(args)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text()) == report
     assert report["source"] == "simulated"

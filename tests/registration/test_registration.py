@@ -14,7 +14,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial.transform import Rotation
 
-from experiments.real_frames.frames import OBJECTS, frames
+from experiments.registration.frames import OBJECTS, frames
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import inverse, random_motion, to_twist

@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from i2t.geometry import contact_frame, inverse, transform
 from i2t.objects import make_object, transform_mesh
-from i2t.objects.solids import Mesh, box, mesh_from_solid
+from i2t.objects.drawing import box, mesh_from_solid
+from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import SiteLimits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites

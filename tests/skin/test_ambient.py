@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from i2t.emulators.room import RoomField, room_field
 from i2t.errors import SerializationError
 from i2t.skin.ambient import (
-    MODELS,
     FreePoses,
     ambient_changed,
     fit_ambient,
@@ -60,7 +59,7 @@ def sampled(rng, board, poses, offset=0.0, samples=10):
 def test_a_uniform_field_and_offsets_are_found_exactly_without_noise(name):
     board, rng = make_board(name), np.random.default_rng(0)
     poses, new, offset = turned(rng, 8), turned(rng, 5), rng.normal(0.0, 300.0, board.num_readings)
-    field = fit_ambient(FreePoses(poses, uniform(board, poses, EARTH, offset)[:, None]), board, model="uniform")
+    field = fit_ambient(FreePoses(poses, uniform(board, poses, EARTH, offset)[:, None]), board)
     np.testing.assert_allclose(field.earth, EARTH, atol=1e-6)
     np.testing.assert_allclose(board.to_board(field.offset), offset, atol=1e-6)
     left = subtract_ambient(field, board, new, uniform(board, new, EARTH, offset))
@@ -74,31 +73,18 @@ def test_a_uniform_field_and_offsets_are_found_exactly_without_noise(name):
         np.testing.assert_allclose(chips[4], [-EARTH[0], -EARTH[1], EARTH[2]], atol=1e-6)
 
 
-def test_iron_in_the_room_and_on_the_tool_is_found_where_it_matters():
+def test_iron_in_the_room_and_on_the_tool_is_found():
     rng = np.random.default_rng(2)
-    poses, new, errors = turned(rng, 30), turned(rng, 10), {}
+    poses, new = turned(rng, 30), turned(rng, 10)
     gains = 1 + 0.05 * rng.standard_normal(15)
     near = RoomField(iron_place=(0.4, -0.3, 0.2), iron_moment=(0.5, 0.2, -1.0))
-    for model in MODELS:
-        field = fit_ambient(FreePoses(poses, room(SKIN, poses, gains, where=near)[:, None]), SKIN, model=model)
-        assert field.model == model
-        errors[model] = np.abs(subtract_ambient(field, SKIN, new, room(SKIN, new, gains, where=near))).max()
-    assert errors["both"] < 0.8 * min(errors["gradient"], errors["response"])
-    assert max(errors["gradient"], errors["response"]) < errors["uniform"]
-
-
-def test_terms_are_kept_only_where_left_out_poses_ask_for_them():
-    rng = np.random.default_rng(3)
-    poses, gains = turned(rng, 16), 1 + 0.1 * rng.standard_normal(15)
-    plain = fit_ambient(sampled(rng, SKIN, poses, samples=20), SKIN)
-    assert plain.model == "uniform"
-    assert not plain.gradient.any()
-    assert not plain.response.any()
-    assert np.isfinite(plain.left_out).all()
-    assert fit_ambient(FreePoses(poses, measured(rng, SKIN, room(SKIN, poses, gains))), SKIN).model == "response"
-    poses[:, :3, 3] = 0.3
-    still = fit_ambient(FreePoses(poses, measured(rng, SKIN, room(SKIN, poses, gains))), SKIN)
-    assert np.isnan(still.left_out[[1, 3]]).all()  # no gradient can be told from one place
+    field = fit_ambient(FreePoses(poses, room(SKIN, poses, gains, where=near)[:, None]), SKIN)
+    truth = room(SKIN, new, gains, where=near)
+    none = field._replace(gradient=0 * field.gradient, response=0 * field.response)
+    assert (
+        np.abs(subtract_ambient(field, SKIN, new, truth)).max()
+        < 0.6 * np.abs(subtract_ambient(none, SKIN, new, truth)).max()
+    )
 
 
 def test_thirty_orientations_leave_less_than_two_microtesla_with_the_noise_of_real_boards():
@@ -123,7 +109,7 @@ def test_covariances_cover_what_they_say():
     for seed in range(60):
         rng = np.random.default_rng(seed)
         poses, new = turned(rng, 12), turned(rng, 1)[0]
-        field = fit_ambient(sampled(rng, SKIN, poses), SKIN, model="uniform")
+        field = fit_ambient(sampled(rng, SKIN, poses), SKIN)
         predicted, covariance = predict_ambient(field, SKIN, new)
         scores.append((predicted - uniform(SKIN, new[None], EARTH, 0.0)[0]) ** 2 / np.diag(covariance))
         earth.append((field.earth - EARTH) ** 2 / field.earth_std**2)
@@ -136,7 +122,7 @@ def test_a_field_and_a_chip_that_changed_are_told():
     for seed in range(25):
         rng = np.random.default_rng(seed)
         poses, new = turned(rng, 12), turned(rng, 2)
-        field = fit_ambient(sampled(rng, board, poses, 50.0), board, model="uniform")
+        field = fit_ambient(sampled(rng, board, poses, 50.0), board)
         read = sampled(rng, board, new, 50.0).samples
         moved = read + uniform(board, new, np.array([15.0, 0.0, 0.0]), 0.0)[:, None]
         seen += ambient_changed(field, board, FreePoses(new, moved), false_alarm=0.01).changed
@@ -148,10 +134,10 @@ def test_a_field_and_a_chip_that_changed_are_told():
 
 @pytest.mark.full
 def test_the_false_alarm_rate_is_the_one_that_is_asked_for():
-    tried, alarms = 400, dict.fromkeys((0.1, 0.01), 0)
+    tried, alarms = 150, dict.fromkeys((0.1, 0.01), 0)
     for seed in range(tried):
         rng = np.random.default_rng(seed)
-        field = fit_ambient(sampled(rng, SKIN, turned(rng, 12), 50.0), SKIN, model="uniform")
+        field = fit_ambient(sampled(rng, SKIN, turned(rng, 12), 50.0), SKIN)
         read = sampled(rng, SKIN, turned(rng, 3), 50.0)
         for share in alarms:
             alarms[share] += ambient_changed(field, SKIN, read, false_alarm=share).changed
@@ -162,7 +148,7 @@ def test_the_false_alarm_rate_is_the_one_that_is_asked_for():
 
 def test_fewer_samples_than_the_fit_had_are_judged_by_their_own_noise():
     rng, changed = np.random.default_rng(5), 0
-    field = fit_ambient(sampled(rng, SKIN, turned(rng, 12), samples=400), SKIN, model="uniform", burst=10)
+    field = fit_ambient(sampled(rng, SKIN, turned(rng, 12), samples=400), SKIN, burst=10)
     np.testing.assert_allclose(field.burst.chip, np.sqrt((1 - COMMON) / 10) * SIGMA, rtol=0.15)
     np.testing.assert_allclose(field.noise.chip, np.sqrt((1 - COMMON) / 400) * SIGMA, rtol=0.15)
     for pose in turned(rng, 40):
@@ -190,7 +176,7 @@ def test_chips_that_are_missing_are_left_out():
 def test_a_field_is_kept_in_a_file(tmp_path):
     rng, path = np.random.default_rng(7), tmp_path / "field.npz"
     poses = turned(rng, 8)
-    field = fit_ambient(sampled(rng, SKIN, poses), SKIN, model="both")
+    field = fit_ambient(sampled(rng, SKIN, poses), SKIN)
     save_ambient(path, field, {"skin": "A"})
     again, about = load_ambient(path, SKIN)
     assert about == {"skin": "A"}

@@ -4,30 +4,325 @@
 
 with ReSkin("/dev/ttyACM0") as skin:
     ambient = skin.read(10).reading.mean(axis=0)
+
+One thread reads, decodes (`i2t.hardware.reskin.frames`) and queues. Once it has ended, for whatever reason, every call
+says why until `connect` is called again. A sample's time is that of the read that brought its last byte, less what came
+after it in the same read at the board's rate.
 """
 
 import errno
 import os
+import threading
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple, SupportsIndex, TypeAlias
 
-from i2t.errors import DataError, DeviceError, DeviceTimeoutError
+import numpy as np
+
+from i2t.errors import DataError, DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.hardware.base import DeviceBase
+from i2t.hardware.protocols import READ_SPARE_S, Samples, SkinCounters, SkinFeatures, channel_names
 from i2t.hardware.reskin import frames, recording
-from i2t.hardware.reskin.frames import Decoder, Frame, FrameLimits
-from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format, FrameLayout
-from i2t.hardware.reskin.stream import START_UP_S, BoardInfo, Port, Stream, detect_format
+from i2t.hardware.reskin.frames import Decoder, Frame
+from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
 
 RATE_HZ = 400.0  # published
 BAUD_RATES = (115200, 921600, 460800, 230400, 57600, 9600)  # tried in this order; over USB any will do
-VENDORS = {
-    0x239A: "Adafruit",
-    0x1B4F: "SparkFun",
-    0x2341: "Arduino",
-    0x2886: "Seeed",
-}  # of boards that run the firmware
+VENDORS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}  # that run the firmware
 READ_TIMEOUT_S = 0.05
+PORT_BUFFER_BYTES = 4000  # a Linux terminal holds 4095, so that a read this long may come after an overflow
+FIRST_BYTE_S = 3.0  # that a board may need to start after its port is opened
+FIRST_FRAME_S = 1.5  # from its first byte to its first frame
+START_UP_S = 6.0  # that a board may send rubbish after it was reset, which opening its port may do
+RATE_WINDOW_S = 1.0  # over which the rate is taken
+JOIN_S = 1.0  # in which the thread ends
+DECODER_COUNTS = ("samples", "lost", "gaps", "skipped", "empty", "missing", "bytes")
+
+# A serial port or a played recording: `in_waiting`, `read` and `close`. No protocol, as a check of types at run time
+# would ask a port how much is waiting that may be gone.
+Port: TypeAlias = Any
+
+
+class StreamRow(NamedTuple):
+    """One sample; see `i2t.hardware.protocols.Samples`."""
+
+    number: int
+    time: float  # s
+    reading: np.ndarray  # (c,) uT, NaN for a chip that is missing
+    temperature: np.ndarray  # (chips,) degrees Celsius, NaN where the board does not tell
+
+
+class BoardInfo(NamedTuple):
+    """Properties of a connected board."""
+
+    port: str
+    baud: int | None
+    form: Format
+    description: str = ""  # as USB tells it
+    serial_number: str | None = None
+    usb: str | None = None  # vendor and product
+
+
+class Stream(DeviceBase):
+    """A skin whose bytes come through something with the face of a serial port; `_open` gives it.
+
+    Args:
+        name: Of the skin, for messages.
+        source: Real, emulated or replay.
+        chips: How many magnetometers the board has.
+        rate: Hz, nominal.
+        capacity: Samples that the queue holds.
+    """
+
+    def __init__(self, name: str, source: str, *, chips: int, rate: float, capacity: int) -> None:
+        self._features = SkinFeatures(name, source, channel_names(chips), "uT", rate)
+        self._chips = chips
+        self._queue: deque[StreamRow] = deque(maxlen=capacity)
+        self._changed = threading.Condition()  # guards what the thread and the calls share
+        self._counters = SkinCounters()  # of earlier connections, and of the computer
+        self._decoder = Decoder()
+        self._newest_given = -1  # newest sample that `since` has handed out
+        self._arrivals: deque[tuple[float, int]] = deque()  # (time, samples by then), the last second
+        self._failure: DeviceError | None = NotConnectedError(
+            f"{self._name} is not connected; call connect() or use with"
+        )
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._listened = -np.inf  # s, when the thread last came back from the port
+        self._file: BinaryIO | None = None
+        self._info: BoardInfo | None = None
+
+    # What a user of any skin holds.
+
+    @property
+    def features(self) -> SkinFeatures:
+        """Features, known before `connect`."""
+        return self._features
+
+    @property
+    def info(self) -> BoardInfo:
+        """Port, speed, format and USB names; raises NotConnectedError before the first connection."""
+        if self._info is None:
+            raise NotConnectedError(f"{self._name} has not been connected yet, so nothing is known of its board")
+        return self._info
+
+    @property
+    def counters(self) -> SkinCounters:
+        """Counts so far."""
+        with self._changed:
+            return self._total()._replace(rate=self._rate())
+
+    def connect(self) -> None:
+        """Open the port and wait for the first frames.
+
+        Raises:
+            DeviceError: There is no such board, or it does not send frames.
+        """
+        self.close()
+        port, decoder, found, self._info = self._open()
+        with self._changed:
+            self._counters = self._total()._replace(connects=self._counters.connects + 1)
+            self._failure = None
+            self._arrivals.clear()
+            self._accept(decoder, found, time.monotonic())
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._read_loop, args=(port, self._stop), name=self._name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop reading and give the port back."""
+        self._stop.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(JOIN_S)  # a read ends within a tick
+        self._thread = None
+        self.stop_recording()
+        self._fail(NotConnectedError(f"{self._name} was closed; connect it again"))
+
+    def latest(self, timeout: float = 0.4) -> Samples:
+        """The newest sample, at once, as in `Skin.latest`.
+
+        Raises:
+            DeviceTimeoutError: It is older than the timeout (s).
+            DeviceError: The skin is not connected or gone.
+        """
+        with self._changed:
+            self._check()
+            age = time.monotonic() - self._queue[-1].time
+            if age > timeout:
+                raise DeviceTimeoutError(self._silence(age))
+            return self._samples([self._queue[-1]])
+
+    def read(self, count: int, timeout: float | None = None) -> Samples:
+        """The next samples, all measured after the call, as in `Skin.read`.
+
+        Raises:
+            DeviceTimeoutError: They did not come in time.
+            DeviceError: The skin is not connected or gone.
+        """
+        if not 0 < count <= (self._queue.maxlen or 0):
+            raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
+        called = time.monotonic()
+        with self._changed:
+            newest, rate = (self._queue[-1].number if self._queue else -1), self._rate() or self._features.rate
+            timeout = 2 * count / min(rate, self._features.rate) + READ_SPARE_S if timeout is None else timeout
+
+            def fresh() -> list[StreamRow]:
+                return [row for row in self._after(newest) if row.time > called][:count]
+
+            self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
+            got = fresh()
+            if len(got) == count:
+                return self._samples(got)
+            self._check()
+            raise DeviceTimeoutError(
+                f"{self._name} gave {len(got)} of {count} samples in {timeout:.2g} s; check its cable and its rate"
+            )
+
+    def since(self, number: SupportsIndex) -> Samples:
+        """Samples after a given one that are still in the queue, without waiting, as in `Skin.since`.
+
+        Raises:
+            DeviceError: The skin is not connected or gone, and there are none.
+        """
+        with self._changed:
+            mark = int(number)
+            got = self._after(mark)
+            if not got:
+                self._check()
+                return self._samples(got)
+            if mark >= 0:
+                gone = max(0, got[0].number - max(mark, self._newest_given) - 1)
+                self._counters = self._counters._replace(overflowed=self._counters.overflowed + gone)
+            self._newest_given = max(self._newest_given, got[-1].number)
+            return self._samples(got)
+
+    def record(self, path: str | Path) -> None:
+        """Write every byte that comes from now on to a file (`i2t.hardware.reskin.recording`), until `stop_recording`
+        or `close`. A full disk ends the skin as an unplugged cable would.
+
+        Args:
+            path: Of the new file.
+
+        Raises:
+            DeviceError: It exists, or cannot be written.
+        """
+        self._check()
+        self.stop_recording()
+        try:
+            self._file = recording.create(path)
+        except FileExistsError:
+            raise DeviceError(f"{path} exists already; give the recording a new name") from None
+        except OSError as error:
+            raise DeviceError(f"{path} cannot be written ({error.strerror}); give another place") from error
+
+    def stop_recording(self) -> None:
+        """End the recording, if there is one."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+
+    # The thread, and what it shares with the calls above.
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise type(self._failure)(*self._failure.args) from self._failure.__cause__
+
+    def _after(self, number: int) -> list[StreamRow]:
+        rows = list(takewhile(lambda row: row.number > number, reversed(self._queue)))
+        return rows[::-1]
+
+    def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
+        """A port from which frames come."""
+        raise NotImplementedError
+
+    def _lost(self, error: Exception) -> DeviceError:
+        """Error that the end of a port means."""
+        raise NotImplementedError
+
+    def _read_loop(self, port: Port, stop: threading.Event) -> None:
+        try:
+            while not stop.is_set():
+                chunk = port.read(max(1, port.in_waiting))
+                self._listened = time.monotonic()
+                if chunk:
+                    self._process(chunk, self._listened)
+        except DeviceError as error:
+            self._fail(error)
+        except Exception as error:  # pyserial raises OSError, SerialException, TypeError and more
+            self._fail(self._lost(error))
+        finally:
+            port.close()
+
+    def _process(self, chunk: bytes, now: float) -> None:
+        file = self._file
+        if file is not None:
+            try:
+                recording.append(file, now, chunk)
+            except (OSError, ValueError) as error:
+                if self._file is file:  # not closed meanwhile
+                    sentence = f"recording {self._name} to {file.name} failed ({error}); free some space"
+                    raise DeviceError(sentence) from error
+        decoder, found = frames.decode(self._decoder, chunk)
+        with self._changed:
+            late = len(chunk) >= PORT_BUFFER_BYTES
+            self._counters = self._counters._replace(stalls=self._counters.stalls + late)
+            self._accept(decoder, found, now)
+
+    def _accept(self, decoder: Decoder, found: list[Frame], now: float) -> None:
+        self._decoder = decoder
+        if not found:
+            return
+        number = self._counters.samples + decoder.samples - len(found)
+        self._arrivals.append((now, number + len(found)))
+        while now - self._arrivals[0][0] > RATE_WINDOW_S:
+            self._arrivals.popleft()
+        per_byte = decoder.samples / decoder.taken / (self._rate() or self._features.rate)  # s
+        before = self._queue[-1].time if self._queue else -np.inf
+        for frame in found:
+            before = max(before, now - (decoder.bytes - frame.end) * per_byte)
+            self._queue.append(StreamRow(number, before, frame.reading, frame.temperature))
+            number += 1
+        self._changed.notify_all()
+
+    def _total(self) -> SkinCounters:
+        before, now = self._counters, self._decoder
+        return before._replace(**{name: getattr(before, name) + getattr(now, name) for name in DECODER_COUNTS})
+
+    def _rate(self) -> float:
+        if len(self._arrivals) < 2 or time.monotonic() - self._arrivals[-1][0] > RATE_WINDOW_S:
+            return 0.0
+        (start, first), (end, last) = self._arrivals[0], self._arrivals[-1]
+        return (last - first) / (end - start) if end - start > 0.2 else 0.0
+
+    def _silence(self, age: float) -> str:
+        if time.monotonic() - self._listened > age / 2:  # most of that time, so the board cannot be blamed
+            return f"this computer was too busy to listen to {self._name} for {age:.2g} s; end other programs"
+        if self._decoder.empty > self._decoder.samples:
+            return (
+                f"{self._name} has sent no value for {age:.2g} s, only frames without any chip; check the cable "
+                "between board and chips, and whether the sketch reads faster than they measure"
+            )
+        if self._decoder.gap > 3 * self._decoder.layout.size:
+            return f"{self._name} has sent no frame for {age:.2g} s, only bytes that are none; check its cable"
+        return f"{self._name} has been silent for {age:.2g} s; check its cable and that its sketch runs"
+
+    def _fail(self, error: DeviceError) -> None:
+        with self._changed:
+            self._failure = self._failure or error
+            self._changed.notify_all()
+
+    @property
+    def _name(self) -> str:
+        return self._features.name
+
+    def _samples(self, rows: list[StreamRow]) -> Samples:
+        number, times, reading, temperature = zip(*rows, strict=True) if rows else ((), (), (), ())
+        readings = np.array(reading, float).reshape(-1, 3 * self._chips)
+        temperatures = np.array(temperature, float).reshape(-1, self._chips)
+        return Samples(np.array(number, np.int64), np.array(times, float), readings, temperatures)
 
 
 class ReSkin(Stream):
@@ -38,7 +333,6 @@ class ReSkin(Stream):
         baud: Its rate; by default `connect` tries the usual ones.
         chips: How many magnetometers the board has.
         rate: Hz, nominal.
-        limits: What can be true of a frame.
         capacity: Samples that the queue holds.
         serial_number: Of the board, which then has to be there; in place of its port.
 
@@ -53,7 +347,6 @@ class ReSkin(Stream):
         *,
         chips: int = DEFAULT_CHIPS,
         rate: float = RATE_HZ,
-        limits: FrameLimits | None = None,
         capacity: int = 4096,
         serial_number: str | None = None,
     ) -> None:
@@ -65,7 +358,7 @@ class ReSkin(Stream):
         self._serial, self._comports = serial.Serial, list_ports.comports
         self._asked_port, self._asked_serial, self._baud = port, serial_number, baud
         name = f"the skin on {port}" if port else f"the skin {serial_number}" if serial_number else "the skin"
-        super().__init__(name, _source(port), chips=chips, rate=rate, limits=limits, capacity=capacity)
+        super().__init__(name, _source(port), chips=chips, rate=rate, capacity=capacity)
 
     def ports(self) -> list[BoardInfo]:
         """USB serial ports of this machine, those of likely boards first; nothing is opened."""
@@ -87,9 +380,8 @@ class ReSkin(Stream):
             info = known.get(os.path.realpath(port), BoardInfo(port, None, decoder.layout.form))
             return line, decoder, found, info._replace(port=port, baud=baud, form=decoder.layout.form)
         line.close()
-        tried = f" at {self._baud} baud" if self._baud else " at any usual baud rate" if heard else ""
         kind = DeviceError if heard else DeviceTimeoutError
-        raise kind(f"no skin on {port}{tried}: {frames.diagnose(heard, self._limits, self._chips)}")
+        raise kind(f"no skin on {port}: {diagnose(heard, self._chips, self._baud)}")
 
     def _listen(self, line: Port, rates: Sequence[int]) -> tuple[int, Decoder, list[Frame], bytes]:
         """The rate at which frames come, with what `detect_format` gives.
@@ -100,23 +392,19 @@ class ReSkin(Stream):
         end, current = time.monotonic() + START_UP_S, rates[0]
         while True:
             for baud in rates:
-                if baud != current:
-                    self._set_rate(line, baud)
-                    current = baud
-                decoder, found, heard = detect_format(line, self._limits, self._chips, self._lost)
+                try:
+                    if baud != current:
+                        line.baudrate = current = baud
+                        line.reset_input_buffer()
+                except ValueError as error:
+                    raise DeviceError(f"the port cannot be set to {baud} baud; give its rate with --baud") from error
+                except OSError as error:
+                    raise self._lost(error) from error
+                decoder, found, heard = detect_format(line, self._chips, self._lost)
                 if found or not heard:  # at a wrong rate bytes are wrong, but they come
                     return baud, decoder, found, heard
-            if time.monotonic() > end or frames.known_trouble(heard, self._limits, self._chips):
+            if time.monotonic() > end or frames.known_trouble(heard, self._chips):
                 return baud, decoder, found, heard
-
-    def _set_rate(self, line: Port, baud: int) -> None:
-        try:
-            line.baudrate = baud
-            line.reset_input_buffer()
-        except ValueError as error:
-            raise DeviceError(f"the skin's port cannot be set to {baud} baud; give the rate with --baud") from error
-        except OSError as error:
-            raise self._lost(error) from error
 
     def _find(self) -> str:
         """The port that was asked for, or the board that was there before, or the only likely one."""
@@ -124,25 +412,22 @@ class ReSkin(Stream):
         if self._asked_port is not None and (before is None or os.path.exists(self._asked_port)):
             return self._asked_port
         known = self.ports()
-        if self._asked_serial and self._asked_serial not in [board.serial_number for board in known]:
+        choices = [[board for board in known if before is not None and board.serial_number == before]]
+        if self._asked_serial and not choices[0]:
             there = ", ".join(f"{board.serial_number or 'one without a number'} on {board.port}" for board in known)
             raise DeviceError(
                 f"no board has the serial number {self._asked_serial} (USB serial ports here: {there or 'none'}); plug "
                 "it in, or correct the number"
             )
-        for choice in (
-            [board for board in known if before is not None and board.serial_number == before],
-            [] if self._asked_port else [board for board in known if int((board.usb or "0")[:4], 16) in VENDORS],
-            [] if self._asked_port else known,
-        ):
-            if len(choice) == 1:
-                return choice[0].port
-            if choice:
-                names = ", ".join(f"{board.port} ({board.description})" for board in choice)
-                raise DeviceError(f"more than one board may be the skin: {names}; name its port")
-        if self._asked_port is not None:
-            return self._asked_port
-        raise DeviceError("no USB serial port was found; plug the skin in, or name its port")
+        if self._asked_port is None:
+            choices += [[board for board in known if int((board.usb or "0")[:4], 16) in VENDORS], known]
+        choice = next(filter(None, choices), [])
+        if len(choice) > 1:
+            names = ", ".join(f"{board.port} ({board.description})" for board in choice)
+            raise DeviceError(f"more than one board may be the skin: {names}; name its port")
+        if not choice and self._asked_port is None:
+            raise DeviceError("no USB serial port was found; plug the skin in, or name its port")
+        return choice[0].port if choice else str(self._asked_port)
 
     def _open_port(self, port: str, baud: int) -> Any:
         try:
@@ -152,19 +437,19 @@ class ReSkin(Stream):
         except ValueError as error:
             raise DeviceError(f"{port} cannot be set to {baud} baud; give another rate") from error
         except OSError as error:
-            code, lock = error.errno, "exclusively lock" in str(error)
-            if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in str(error):
-                names = ", ".join(board.port for board in self.ports()) or "none"
-                raise DeviceError(
-                    f"there is no port {port} (USB serial ports here: {names}); plug the skin in or name its port"
-                ) from error
-            if code == errno.EACCES or "PermissionError" in str(error):
-                raise DeviceError(
-                    f"{port} may not be opened; add yourself to its group (often dialout) and log in again"
-                ) from error
-            if lock or code in (errno.EBUSY, errno.EAGAIN):
-                raise DeviceError(f"{port} is in use by another program; close that one") from error
-            raise DeviceError(f"{port} cannot be opened ({error}); is it a serial port?") from error
+            raise DeviceError(self._why_closed(port, error)) from error
+
+    def _why_closed(self, port: str, error: OSError) -> str:
+        """Sentence on a port that cannot be opened."""
+        code, said = error.errno, str(error)
+        if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in said:
+            names = ", ".join(board.port for board in self.ports()) or "none"
+            return f"there is no port {port} (USB serial ports here: {names}); plug the skin in or name its port"
+        if code == errno.EACCES or "PermissionError" in said:
+            return f"{port} may not be opened; add yourself to its group (often dialout) and log in again"
+        if "exclusively lock" in said or code in (errno.EBUSY, errno.EAGAIN):
+            return f"{port} is in use by another program; close that one"
+        return f"{port} cannot be opened ({error}); is it a serial port?"
 
     def _lost(self, error: Exception) -> DeviceError:
         port = self._info.port if self._info else self._asked_port
@@ -174,42 +459,28 @@ class ReSkin(Stream):
 
 
 class Replay(Stream):
-    """A recording as a skin; it fails when it is over.
+    """A recording as a skin (`i2t.hardware.reskin.recording`); it fails when it is over.
 
     Args:
-        path: Of the recording (`i2t.hardware.reskin.recording`), or of a board's bare bytes.
-        speed: How many times as fast as it was.
+        path: Of the recording.
         chips: How many magnetometers the board has.
-        rate: Hz, nominal; bare bytes come at this rate.
-        limits: What can be true of a frame.
         capacity: Samples that the queue holds.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        *,
-        speed: float = 1.0,
-        chips: int = DEFAULT_CHIPS,
-        rate: float = RATE_HZ,
-        limits: FrameLimits | None = None,
-        capacity: int = 4096,
-    ) -> None:
-        self._path, self._speed = Path(path), speed
-        self._byte_rate = rate * FrameLayout(chips=chips).binary.size  # 1/s
-        name = f"the recording {path}"
-        super().__init__(name, "replay", chips=chips, rate=rate * speed, limits=limits, capacity=capacity)
+    def __init__(self, path: str | Path, *, chips: int = DEFAULT_CHIPS, capacity: int = 4096) -> None:
+        self._path = Path(path)
+        super().__init__(f"the recording {path}", "replay", chips=chips, rate=RATE_HZ, capacity=capacity)
 
     def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
         try:
-            port = recording.PlayedPort(self._path, self._speed, self._byte_rate, READ_TIMEOUT_S)
+            port = recording.PlayedPort(self._path, READ_TIMEOUT_S)
         except OSError as error:
             raise DeviceError(f"{self._path} cannot be read ({error.strerror}); name a recording") from error
         except DataError as error:
             raise DeviceError(str(error)) from error
-        decoder, found, heard = detect_format(port, self._limits, self._chips, self._lost)
+        decoder, found, heard = detect_format(port, self._chips, self._lost)
         if not found:
-            raise DeviceError(f"no skin in {self._path}: {frames.diagnose(heard, self._limits, self._chips)}")
+            raise DeviceError(f"no skin in {self._path}: {diagnose(heard, self._chips)}")
         return port, decoder, found, BoardInfo(str(self._path), None, decoder.layout.form, "recording")
 
     def _lost(self, error: Exception) -> DeviceError:
@@ -218,19 +489,62 @@ class Replay(Stream):
         return DeviceError(f"{self._name} failed ({error})")
 
 
+def diagnose(heard: bytes, chips: int, baud: int | None = None) -> str:
+    """Explain why a board's bytes gave no frame.
+
+    Args:
+        heard: What it has sent.
+        chips: How many the board is taken to have.
+        baud: The only rate that was tried.
+
+    Returns:
+        Half a sentence with the remedy.
+    """
+    tried = f"at {baud} baud" if baud else "at any usual rate"
+    rubbish = (
+        f"{len(heard)} bytes came {tried} that are no frames; check the baud rate and that this port is the skin's"
+    )
+    return frames.known_trouble(heard, chips) or rubbish
+
+
+def detect_format(
+    port: Port, chips: int, lost: Callable[[Exception], DeviceError]
+) -> tuple[Decoder, list[Frame], bytes]:
+    """Read from a port until one of the formats gives a frame.
+
+    Args:
+        port: Where a board's bytes come from.
+        chips: How many the board has.
+        lost: The error to raise when reading fails.
+
+    Returns:
+        The decoder that fits, its first frames, and the last bytes that came; no frames if none fits in time.
+
+    Raises:
+        DeviceError: `lost` of what went wrong.
+    """
+    candidates, heard, end = frames.decoders(chips), b"", time.monotonic() + FIRST_BYTE_S
+    while time.monotonic() < end:
+        try:
+            chunk = port.read(max(1, port.in_waiting))
+        except EOFError:
+            break
+        except Exception as error:
+            raise lost(error) from error
+        end = time.monotonic() + FIRST_FRAME_S if chunk and not heard else end
+        heard = (heard + chunk)[-PORT_BUFFER_BYTES:]
+        candidates, found = frames.decode_any(candidates, chunk)
+        if found:
+            return candidates[0], found, heard
+    return candidates[0], [], heard
+
+
 def _source(port: str | None) -> str:
     """Source of the readings: boards are not on pseudo-terminals."""
     return "emulated" if port and os.path.realpath(port).startswith(("/dev/pts/", "/dev/ttys0")) else "real"
 
 
 def _board_info(port: Any) -> BoardInfo:
-    maker = f"{VENDORS[port.vid]} " if port.vid in VENDORS and VENDORS[port.vid] not in (port.description or "") else ""
-    usb = f"{port.vid:04x}:{port.pid:04x}"
-    return BoardInfo(
-        port=port.device,
-        baud=None,
-        form=Format.BINARY,
-        description=f"{maker}{port.description}",
-        serial_number=port.serial_number,
-        usb=usb,
-    )
+    maker, usb = VENDORS.get(port.vid, ""), f"{port.vid:04x}:{port.pid:04x}"
+    named = f"{maker} {port.description}".strip() if maker not in (port.description or "") else port.description
+    return BoardInfo(port.device, None, Format.BINARY, named, port.serial_number, usb)

@@ -34,10 +34,9 @@ VALUE_TEXT_BYTES = 20  # of a number in a line with its separator; it has at mos
 LINE_END = b"\r\n"
 HEADER = b"\xaa\x55"
 COUNTS = 256  # of the counter of framed bytes
+CONVERTER_COUNTS = 2**16  # of a chip's converter, which begins again at its other end
 
-_NUMBER = rb"(-?\d{1,6}\.\d\d)"
-_TENTHS = rb"-?\d{1,6}\.\d"
-_LINE_BEGIN = rb"(?:\n|\r[^\r\n0-9.\-]?)?"  # the end of the line before, of which the line feed may be lost or changed
+_NUMBER, _TENTHS = rb"(-?\d{1,6}\.\d\d)", rb"-?\d{1,6}\.\d"
 
 
 class Format(StrEnum):
@@ -64,19 +63,9 @@ class FrameLayout(NamedTuple):
     chips: int = DEFAULT_CHIPS
 
     @property
-    def binary(self) -> struct.Struct:
-        """The values and the end of a binary frame."""
-        return _binary(self.chips)
-
-    @property
-    def framed(self) -> struct.Struct:
-        """Header, counter, values and checksum of a framed one."""
-        return _framed(self.chips)
-
-    @property
     def size(self) -> int:
         """Bytes of a frame, approximately where it is text."""
-        return (self.framed if self.checked else self.binary).size
+        return _packed(self.checked, self.chips).size
 
     @property
     def checked(self) -> bool:
@@ -93,19 +82,9 @@ class FrameLayout(NamedTuple):
         """Tell whether the board sends its chips' temperatures."""
         return self.form not in (Format.FRAMED, Format.FRAMED_TEXT)
 
-    @property
-    def line(self) -> re.Pattern[bytes]:
-        """A line of text, from the end of the line before to its own carriage return."""
-        return _line(self.form, self.chips)
-
-    @property
-    def max_line_bytes(self) -> int:
-        """Greatest length of a line (bytes)."""
-        return VALUE_TEXT_BYTES * 4 * self.chips
-
 
 def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | None]:
-    """The next stretch that may be a frame. A stretch of text begins with the end of the line before it.
+    """The next stretch that may be a frame. A stretch of text begins with the line feed of the line before it.
 
     Args:
         layout: How frames look.
@@ -115,8 +94,8 @@ def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | No
     Returns:
         Its first byte and its end; or where to look again when more bytes have come, and None.
     """
+    size = layout.size
     if layout.form == Format.BINARY:
-        size = layout.binary.size
         found = data.find(LINE_END, search + size - len(LINE_END))
         if found < 0:
             return max(search, len(data) - size + 1), None
@@ -125,37 +104,16 @@ def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | No
         begin = data.find(HEADER, search)
         if begin < 0:
             return max(search, len(data) - data.endswith(HEADER[:1])), None
-        end = begin + layout.framed.size
-        return begin, end if end <= len(data) else None
+        return begin, begin + size if begin + size <= len(data) else None
+    longest = VALUE_TEXT_BYTES * 4 * layout.chips
     while (begin := data.find(b"\n", search)) >= 0:
-        end = data.find(b"\n", begin + 1, begin + layout.max_line_bytes)
+        end = data.find(b"\n", begin + 1, begin + longest)
         if end >= 0:
-            # Where a line feed was lost, the carriage return before it is still there.
-            return max(begin, data.rfind(b"\r", begin, end - 1)), end
-        if len(data) < begin + layout.max_line_bytes:
+            return begin, end
+        if len(data) < begin + longest:
             return begin, None
         search = begin + 1
     return len(data), None
-
-
-def adjoining(layout: FrameLayout, data: bytes, end: int) -> int | None:
-    """End of the stretch that begins at `end`.
-
-    Args:
-        layout: How frames look.
-        data: Bytes of the stream.
-        end: Of the stretch before.
-
-    Returns:
-        Its end; `end` if there is none, None if more bytes must come.
-    """
-    if not layout.is_text:
-        following = end + layout.size
-        return following if len(data) >= following else None
-    found = data.find(b"\n", end + 1, end + layout.max_line_bytes)
-    if found >= 0:
-        return found
-    return end if len(data) >= end + layout.max_line_bytes else None
 
 
 def parse(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
@@ -170,21 +128,19 @@ def parse(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
     """
     chips = layout.chips
     if layout.form == Format.BINARY:
-        *numbers, end = layout.binary.unpack(stretch)
+        *numbers, end = _packed(False, chips).unpack(stretch)
         return FrameValues(np.array(numbers).reshape(chips, 4)) if end == LINE_END else None
-    if layout.form == Format.FRAMED:
-        if len(stretch) != layout.framed.size:
-            return None
-        header, count, *numbers, check = layout.framed.unpack(stretch)
+    if layout.checked:
+        header, count, *numbers, check = _packed(True, chips).unpack(stretch)
         if header != HEADER or check != checksum(stretch[len(HEADER) : -1]):
             return None
-        return FrameValues(_without_temperature(np.array(numbers)), count)
-    line = layout.line.fullmatch(stretch)
+        return FrameValues(_without_temperature(numbers), count)
+    line = _line(layout.form, chips).fullmatch(stretch)
     if line is None:
         return None
     if layout.form == Format.FRAMED_TEXT:
-        shown = [b"0,0,0" if chip == b"ERR" else chip for chip in line.groups()]
-        return FrameValues(_without_temperature(np.array([float(x) for chip in shown for x in chip.split(b",")])))
+        shown = b",".join(b"0,0,0" if chip == b"ERR" else chip for chip in line.groups())
+        return FrameValues(_without_temperature([float(number) for number in shown.split(b",")]))
     table = np.array([float(number) for number in line.groups()]).reshape(chips, 4)
     return FrameValues(np.roll(table, 1, axis=1) if layout.form == Format.TEXT else table)
 
@@ -221,6 +177,7 @@ def encode(
     chips = len(temperature)
     field = reading.reshape(chips, 3)
     field = np.where(np.isnan(field).all(1, keepdims=True), 0.0, field)
+    rows = np.column_stack([temperature, field])
     if form == Format.FRAMED:
         content = struct.pack(f"<B{3 * chips}f", count % COUNTS, *field.ravel())
         return HEADER + content + bytes([checksum(content)])
@@ -228,43 +185,25 @@ def encode(
         shown = [b"%.1f,%.1f,%.1f" % tuple(chip) if chip.any() else b"ERR" for chip in field]
         return b"FRAME: " + b" ".join(b"[S%d:%s]" % (i + 1, chip) for i, chip in enumerate(shown)) + LINE_END
     if form == Format.BINARY:
-        return _binary(chips).pack(*np.column_stack([temperature, field]).ravel(), LINE_END)
+        return _packed(False, chips).pack(*rows.ravel(), LINE_END)
     if form == Format.TEXT:
-        return b"".join(b"%.2f\t" % value for value in np.column_stack([field, temperature]).ravel()) + LINE_END
-    rows = np.column_stack([temperature, field])
+        return b"".join(b"%.2f\t" % value for value in np.roll(rows, -1, axis=1).ravel()) + LINE_END
     return b"".join(b"\t".join(b"%.2f" % value for value in chip) for chip in rows) + LINE_END
 
 
-def numbers_in(line: bytes) -> int:
-    """Count the numbers of two decimals in a line.
-
-    Args:
-        line: Of text.
-
-    Returns:
-        Their count.
-    """
-    return len(re.findall(_NUMBER, line))
-
-
 @lru_cache
-def _binary(chips: int) -> struct.Struct:
-    return struct.Struct(f"<{4 * chips}f{len(LINE_END)}s")
-
-
-@lru_cache
-def _framed(chips: int) -> struct.Struct:
-    return struct.Struct(f"<{len(HEADER)}sB{3 * chips}fB")
+def _packed(checked: bool, chips: int) -> struct.Struct:
+    return struct.Struct(f"<2sB{3 * chips}fB" if checked else f"<{4 * chips}f2s")
 
 
 @lru_cache
 def _line(form: Format, chips: int) -> re.Pattern[bytes]:
     if form == Format.FRAMED_TEXT:
         each = [rb"\[S%d:(%b|ERR)\]" % (i + 1, b",".join([_TENTHS] * 3)) for i in range(chips)]
-        return re.compile(_LINE_BEGIN + rb"FRAME: " + b" ".join(each) + rb" ?\r?")
+        return re.compile(b"\nFRAME: " + b" ".join(each) + rb" ?\r?")
     numbers = rb"\t".join([_NUMBER] * (4 * chips)) if form == Format.TEXT else rb"\t".join([_NUMBER] * 4) * chips
-    return re.compile(_LINE_BEGIN + numbers + rb"\t?\r?")
+    return re.compile(b"\n" + numbers + rb"\t?\r?")
 
 
-def _without_temperature(fields: Float[np.ndarray, " c"]) -> Float[np.ndarray, "chips 4"]:
-    return np.column_stack([np.zeros(len(fields) // 3), fields.reshape(-1, 3)])
+def _without_temperature(fields: list[float]) -> Float[np.ndarray, "chips 4"]:
+    return np.column_stack([np.zeros(len(fields) // 3), np.reshape(fields, (-1, 3))])

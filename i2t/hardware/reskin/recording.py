@@ -2,7 +2,7 @@
 
 A file begins with a line of JSON (`{"stream": "i2t raw bytes", "version": 1}`); then every chunk that was read is its
 time (float64, s, monotonic), its length (uint32) and its bytes, little-endian. A file that was cut off ends with its
-last whole chunk. Any other file is taken as the bare bytes of the stream, as `cat /dev/ttyACM0 > file` writes them.
+last whole chunk.
 """
 
 import json
@@ -18,7 +18,6 @@ from i2t.files import read_bytes
 RECORDING_HEADER = json.dumps({"stream": "i2t raw bytes", "version": 1}).encode() + b"\n"
 CHUNK = struct.Struct("<dI")
 MAX_RECORDING_S = 1e7  # four months
-CHUNK_S = 5e-3  # between the chunks that bare bytes are played in
 
 
 def create(path: str | Path) -> BinaryIO:
@@ -58,26 +57,22 @@ def append(file: BinaryIO, at: float, chunk: bytes) -> None:
         raise OSError(28, "No space left on device")
 
 
-def chunks(path: str | Path, byte_rate: float) -> Iterator[tuple[float, bytes]]:
+def chunks(path: str | Path) -> Iterator[tuple[float, bytes]]:
     """Read a recording.
 
     Args:
         path: Of the file.
-        byte_rate: 1/s, of a file of bare bytes, which says no times.
 
     Yields:
         Times (s, from zero) and bytes.
 
     Raises:
         OSError: The file cannot be read.
-        DataError: It is no regular file, or its times cannot be.
+        DataError: It is no recording, or its times cannot be.
     """
     data = read_bytes(path)
     if not data.startswith(RECORDING_HEADER):
-        piece = max(1, round(byte_rate * CHUNK_S))
-        for i in range(0, len(data), piece):
-            yield i / byte_rate, data[i : i + piece]
-        return
+        raise DataError(f"{path}: is no recording; make one with python -m i2t.hardware.reskin --record FILE")
     at, first = len(RECORDING_HEADER), None
     while at + CHUNK.size <= len(data):
         when, size = CHUNK.unpack_from(data, at)
@@ -99,14 +94,11 @@ class PlayedPort:
 
     Args:
         path: Of the recording.
-        speed: How many times as fast as it was.
-        byte_rate: 1/s, of bare bytes.
         timeout: s that `read` waits for a first byte.
     """
 
-    def __init__(self, path: str | Path, speed: float, byte_rate: float, timeout: float) -> None:
-        self._chunks = list(chunks(path, byte_rate))
-        self._speed = speed
+    def __init__(self, path: str | Path, timeout: float) -> None:
+        self._chunks = list(chunks(path))
         self._timeout = timeout
         self._start: float | None = None
         self._next = 0
@@ -146,4 +138,4 @@ class PlayedPort:
         """Do nothing: there is no port to give back."""
 
     def _due(self) -> float:
-        return (self._start or 0.0) + self._chunks[self._next][0] / self._speed
+        return (self._start or 0.0) + self._chunks[self._next][0]

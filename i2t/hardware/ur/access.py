@@ -18,6 +18,7 @@ from i2t.hardware.ur.poses import from_ur
 from i2t.types import Array
 
 RTDE_PORT, DASHBOARD_PORT = 30004, 29999
+NO_LIBRARY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
 PROTOCOL_REQUEST = b"\x00\x05V\x00\x02"  # asks an RTDE server for version 2 of its protocol
 
 
@@ -80,10 +81,7 @@ def take_lock(host: str) -> IO[str]:
     except OSError:
         owner = lock.read().strip() or "unknown"
         lock.close()
-        raise DeviceError(
-            f"The arm at {host} is in use by process {owner}: end it first, as a second client would "
-            "replace it silently."
-        ) from None
+        raise DeviceError(f"The arm at {host} is in use by process {owner}: end it first.") from None
     lock.truncate(0)
     lock.write(str(os.getpid()))
     lock.flush()
@@ -183,9 +181,7 @@ def tool_pose(host: str) -> Array:
 
         listening = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
     except ImportError as error:
-        raise DeviceError(
-            "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
-        ) from error
+        raise DeviceError(NO_LIBRARY) from error
     except RuntimeError as error:
         raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
     try:

@@ -87,26 +87,16 @@ class RtdeConnection:
         self._heartbeat_time = -np.inf
         self._stop_requested = False
         self._brake: Future[None] | None = None
-        self._stops = 0
+        self.stops = 0  # by request
         self._motion = 0  # number of the newest motion
         self._guard: MotionGuard | None = None  # of that motion, until it has ended
         self._attended_time = 0.0
-        self._trip: Trip | None = None
+        self.trip: Trip | None = None  # why the newest motion was stopped, if its limits stopped it
 
     @property
     def is_open(self) -> bool:
         """Tell whether there is a connection, be it a broken one that has not been closed."""
         return self._thread is not None
-
-    @property
-    def stops(self) -> int:
-        """Number of stops by request."""
-        return self._stops
-
-    @property
-    def trip(self) -> Trip | None:
-        """Reason why the newest motion was stopped, if its limits stopped it."""
-        return self._trip
 
     def open(self, tool: Array | None, payload: tuple[float, tuple[float, float, float]] | None) -> None:
         """Connect, set tool, payload and watchdog, and wait for the first state.
@@ -213,7 +203,7 @@ class RtdeConnection:
             DeviceError: It is in a protective or emergency stop; and as in `running`.
         """
         state = self.running(self.state_timeout)
-        if self._stop_requested or self._stops != stops:
+        if self._stop_requested or self.stops != stops:
             raise MotionStoppedError(f"The arm at {self.host} was stopped by request.")
         if not state.arm.safe:
             raise DeviceError(
@@ -272,7 +262,7 @@ class RtdeConnection:
             with self._ordering:
                 self.movable(stops)
                 self._motion += 1
-                self._trip, self._guard = None, guard
+                self.trip, self._guard = None, guard
                 self.attend()
                 answer = self._send("move", arguments)
             self._wait(answer, ANSWER_S)
@@ -364,18 +354,11 @@ class RtdeConnection:
     def _take_state(self, raw: Message) -> None:
         T_b_t = from_ur(raw["pose"])
         wrench = np.array(raw["wrench"]).reshape(2, 3) @ T_b_t[:3, :3]
-        arm = ArmState(
-            time=raw["time"],
-            T_b_t=T_b_t,
-            joints=np.array(raw["joints"]),
-            velocity=np.array(raw["twist"]),
-            wrench=wrench.ravel(),
-            moving=raw["moving"],
-            safe=raw["safe"],
-        )
+        joints, twist = np.array(raw["joints"]), np.array(raw["twist"])
+        arm = ArmState(raw["time"], T_b_t, joints, twist, wrench.ravel(), moving=raw["moving"], safe=raw["safe"])
         if self._guard is not None and raw["motion"] == self._motion:
             if raw["tripped"]:
-                self._trip = Trip(raw["tripped"], arm)
+                self.trip = Trip(raw["tripped"], arm)
                 if not self._guard.attended:
                     force, torque = np.linalg.norm(wrench, axis=1)
                     self._failure = DeviceError(
@@ -404,7 +387,7 @@ class RtdeConnection:
                 self.give_up(f"The controller at {self.host} fell silent: it was told to stop.")
                 return
             with self._ordering:
-                self._stops += 1
+                self.stops += 1
                 self._guard = None
                 self._brake = self._send("brake")
         elif self._brake is not None and self._brake.done():

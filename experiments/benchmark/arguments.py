@@ -1,0 +1,29 @@
+"""The options of `python -m experiments.benchmark`, without JAX."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from i2t.cli import Limits
+from i2t.extras import require_extra
+
+BenchmarkSection = Literal["training", "rendering", "skin", "policy", "environment", "startup", "logs"]
+PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section compares with
+    "training": ("torch",), "rendering": ("open3d", "embreex"), "skin": ("ContactMechanics",),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BenchmarkArgs:
+    """Sections to run, repetitions, and the folder of `benchmark.json`."""
+
+    sections: tuple[BenchmarkSection, ...] = ("training", "rendering", "skin", "policy")  # which
+    out: Path | None = None  # folder; by default nothing is written
+    turns: Annotated[int, Limits(1)] = 5  # how often each is timed
+    preset: Literal["paper", "debug"] = "paper"  # sizes: as the documents say, or very small ones
+
+    def check(self) -> None:
+        """Refuse sections whose peer is not installed."""
+        for name in self.sections:
+            for peer in PEERS.get(name, ()):
+                require_extra(peer, f"section {name}")

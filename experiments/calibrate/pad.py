@@ -1,0 +1,75 @@
+"""A pad file from recorded presses of one tip: `i2t.load_pad` reads it, simulations and recognition take it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.calibrate.arguments import CalibrateArgs
+from experiments.calibrate.data import read_presses
+from experiments.calibrate.evaluate import explained
+from i2t import dataset as data
+from i2t.calibration import check_presses
+from i2t.calibration.physics import fit_pad, parse_tip
+from i2t.dataset import Dataset
+from i2t.skin.files import save_pad
+from i2t.types import Board
+
+MAX_PAD_PRESSES = 300  # at random: a map is known by then, and every press costs
+MIN_PAD_PRESSES = 5  # fewer tell almost nothing of a map
+POOR_R2 = 0.5  # below it the layer that is fitted is not what was pressed
+
+
+def run(args: CalibrateArgs) -> dict[str, Any]:
+    """Fit a pad to sound presses of a data set, at random, by force where it was measured, and save it."""
+    assert args.dataset is not None
+    assert args.save_pad is not None
+    if args.save_pad.exists() and not args.overwrite:
+        raise ValueError(f"{args.save_pad} exists; choose another --save-pad, or pass --overwrite")
+    dataset = data.load_dataset(args.dataset, skin=args.skin_name)
+    touches = dataset.touches
+    load = args.load if args.load != "auto" else "force" if np.isfinite(touches.force).any() else "depth"
+    recording = read_presses(dataset, load)
+    found = check_presses(recording.position, recording.load, recording.readings, by_force=recording.by_force)
+    rows = np.random.default_rng(args.seed).permutation(np.flatnonzero(~found.repeated))[:MAX_PAD_PRESSES]
+    if len(rows) < MIN_PAD_PRESSES:
+        raise ValueError(f"{len(rows)} presses are too few to fit a pad to; give at least {MIN_PAD_PRESSES}")
+    tip = args.tip or tip_of(dataset) or dataset.objects[int(touches.object[0])]
+    readings, board = recording.readings[rows], Board(*(jnp.float32(part) for part in dataset.board))
+    fitted = fit_pad(
+        recording.presses(rows), jnp.float32(readings), tip=parse_tip(tip), board=board, by_force=recording.by_force
+    )
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(fitted.pad)):
+        raise ValueError(
+            "no pad explains these presses; are tip, unit of the loads and board what they are said to be?"
+        )
+    square = (readings - np.asarray(fitted.leave_one_out, np.float64)) ** 2
+    r2, error_std = explained(readings, square.sum(1)), float(np.sqrt(np.mean(square)))
+    about = {
+        "pad": args.pad_name or dataset.pads[int(touches.pad[0])],
+        "source": dataset.source,
+        "presses": len(rows),
+        "error_std_uT": error_std,
+        "r2": r2,
+    }
+    save_pad(args.save_pad, fitted.pad, about=about)
+    print(
+        f'pad of "{about["pad"]}" fitted to {len(rows)} {dataset.source} presses of {tip} by {load}: R2 {r2:.3f}, '
+        f"{error_std:.1f} uT, each press left out"
+    )
+    if r2 < POOR_R2:
+        print("warning: this pad explains its own presses poorly; it may be no even layer over this board")
+    print(f"it is in {args.save_pad}")
+    return {**about, "tip": tip}
+
+
+def tip_of(dataset: Dataset) -> str | None:
+    """The round tip that a data set says pressed, as --tip would; None where it says none."""
+    name = dataset.objects[int(dataset.touches.object[0])]
+    radius = dataset.meta.get("tip_radius_m")
+    try:
+        parse_tip(said := name if radius is None else f"sphere:{1e3 * float(radius):g}")
+    except ValueError:
+        return None
+    return said

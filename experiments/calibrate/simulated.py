@@ -1,0 +1,107 @@
+"""Methods compared on simulated skins of several kinds, none of them seen by the prior of `i2t.calibrate`."""
+
+import time
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.calibrate.arguments import CalibrateArgs
+from experiments.calibrate.data import PressRecording
+from experiments.calibrate.evaluate import Curves, append, explained, gains, predict_all, summarise
+from experiments.calibrate.methods import CALIBRATED
+from experiments.calibrate.report import table_row
+from experiments.calibrate.skins import PressedSkinOfKind, simulate_skins
+from experiments.common.presets import choose_preset
+from experiments.common.runs import begin, write_json
+from i2t.progress import progress
+from i2t.skin.boards import eflesh_board, reskin_board
+
+SKINS_SEED = 202  # the prior's are others
+
+
+class Case(NamedTuple):
+    """A kind of skin, and what is known of how hard it is pressed."""
+
+    kind: str
+    load: str
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        return f"{self.kind}, {self.load}"
+
+
+CASES = (
+    Case("bonded", "depth"), Case("bonded", "force"), Case("loose", "force"), Case("weak", "force"),
+    Case("lattice", "depth"), Case("displaced", "force"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SimulatedPreset:
+    """Sizes of the comparison."""
+
+    skins: int = 10  # of each kind
+    counts: tuple[int, ...] = (5, 10, 20, 50, 100)
+    test_presses: int = 100  # of each skin
+    cases: tuple[Case, ...] = CASES
+
+
+PRESETS: dict[str, SimulatedPreset] = {
+    "paper": SimulatedPreset(),
+    "short": SimulatedPreset(4),
+    "debug": SimulatedPreset(1, (5, 10), 12, (Case("lattice", "depth"),)),
+}
+
+
+def run(args: CalibrateArgs) -> dict[str, Any]:
+    """R2 of every method on every kind of skin, a value for each skin."""
+    started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
+    begin(args.out, args, cfg, None, args.overwrite)
+    metrics = {
+        "source": "simulated",
+        "seed": SKINS_SEED,
+        "skins_of_each_kind": cfg.skins,
+        "cases": {case.name: _score(case, cfg) for case in cfg.cases},
+        "seconds": round(time.perf_counter() - started, 1),
+    }
+    write_json(args.out / "metrics.json", metrics)
+    _report(metrics)
+    return metrics
+
+
+def _score(case: Case, cfg: SimulatedPreset) -> dict[str, Any]:
+    """R2 over skins of a kind, the gain of `i2t.calibrate`, and the share of readings in its 90 % range."""
+    r2: Curves = {}
+    coverage: Curves = {}
+    most = max(cfg.counts)
+    skins = simulate_skins(case.kind, SKINS_SEED, cfg.skins, most + cfg.test_presses)
+    for skin in progress(skins, desc=case.name, unit="skin"):
+        recording, test = _recording(skin, case.load), np.arange(most, most + cfg.test_presses)
+        truth = recording.readings[test]
+        for count in cfg.counts:
+            predicted, inside = predict_all(recording, np.arange(count), test)
+            for name, mean in predicted.items():
+                append(r2, name, count, explained(truth, ((truth - mean) ** 2).sum(1)))
+            append(coverage, CALIBRATED, count, float(np.mean(inside)))
+    return {"r2": summarise(r2), "differences": summarise(gains(r2)), "inside_90": summarise(coverage)[CALIBRATED]}
+
+
+def _recording(skin: PressedSkinOfKind, load: str) -> PressRecording:
+    """A skin's presses, on the board whose chips lie where the skin's do."""
+    by_force = load == "force"
+    board = eflesh_board() if skin.kind == "lattice" else reskin_board()
+    chips = skin.chip_positions if by_force else None
+    return PressRecording(
+        skin.position, skin.force if by_force else skin.depth, skin.readings, by_force, chips, own_board=board
+    )
+
+
+def _report(metrics: dict[str, Any]) -> None:
+    """Print the tables."""
+    for name, case in metrics["cases"].items():
+        print(f"\n{name} (simulated), mean R2 of {metrics['skins_of_each_kind']} skins [95 %]")
+        for method, by_count in (case["r2"] | case["differences"]).items():
+            print(table_row(method, by_count))
+        print(table_row("readings in its 90 % range", case["inside_90"]))

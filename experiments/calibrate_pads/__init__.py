@@ -1,1 +1,0 @@
-"""Calibration of simulated pads by force."""

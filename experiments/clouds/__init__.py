@@ -1,1 +1,0 @@
-"""Comparison of a mesh's patches with those of a point cloud that was sampled from it."""

@@ -1,0 +1,110 @@
+"""A simulated lab in closed form: a springy plane, a skin that changes in proportion to force, virtual time."""
+
+from typing import Any
+
+import numpy as np
+
+from i2t.collect.procedure import Procedure
+from i2t.collect.recorder import SessionInfo
+from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import SeenPatch, Site
+from i2t.depth.camera import Camera
+from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
+from i2t.emulators.scene import SpringPlane
+from i2t.hardware.protocols import View
+from i2t.hardware.rig import Rig
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin import boards
+from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Array
+
+HEIGHT_M, STIFFNESS_N_M = 0.03, 10e3  # of the plane
+WALL_TIME_S = 1.8e9  # Unix time at which simulated time begins
+BOARD = boards.reskin_board()
+GAIN_UT_PER_N = np.linspace(-9, 12, BOARD.num_readings)
+LENS = Camera(64, 36, 32.2, 32.2, 31.5, 17.5)
+
+
+class SettableClock(VirtualClock):
+    """A clock whose Unix time somebody sets wrong by `jump` (s)."""
+
+    jump = 0.0
+
+    def wall(self) -> float:
+        """Unix time (s)."""
+        return super().wall() + self.jump
+
+
+class NullRecorder:
+    """Recorder that keeps only the tool's positions."""
+
+    def __init__(self) -> None:
+        self.positions: list[Array] = []
+
+    def begin(self, site: Site, attempt: int) -> "NullRecorder":
+        """Begin a touch."""
+        return self
+
+    def state(self, state: Any) -> None:
+        """Keep the tool's position."""
+        self.positions.append(state.T_b_t[:3, 3])
+
+    def _keep_nothing(self, *_: Any) -> None:
+        pass
+
+    save = abandon = samples = event = _keep_nothing
+
+
+def site(number: int) -> Site:
+    """One of 121 sites on the plane, 2 mm apart, over and over.
+
+    Args:
+        number: From 0.
+
+    Returns:
+        The site.
+    """
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = 2e-3 * (number % 11 - 5), 2e-3 * (number // 11 % 11 - 5), HEIGHT_M
+    return Site(number, pose)
+
+
+def plane_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenPatch:
+    """The patch of a plane that the tool faces: flat, and as far away as the middle of the view says.
+
+    Args:
+        view: Of the plane.
+        camera: That took it.
+        T_w_c: (4, 4) from where.
+        T_w_t: (4, 4) the tool.
+
+    Returns:
+        The patch.
+    """
+    row, column = round(camera.cy), round(camera.cx)
+    middle = view.depth[max(0, row - 8) : row + 9, max(0, column - 8) : column + 9]
+    point = T_w_c[:3, 3] + float(np.nanmean(middle)) * T_w_c[:3, 2]
+    nearest = float((point - T_w_t[:3, 3]) @ T_w_t[:3, 2])
+    flat = np.zeros((WIDE_PIXELS, WIDE_PIXELS), np.float32)
+    return SeenPatch(flat[:PATCH_PIXELS, :PATCH_PIXELS], flat, nearest, float(np.isfinite(middle).mean()))
+
+
+def make_scene(height: float = HEIGHT_M, stiffness: float = STIFFNESS_N_M, gain: Array = GAIN_UT_PER_N) -> SpringPlane:
+    """The plane, with the errors of a lab."""
+    return SpringPlane(height, stiffness, gain, SimulationErrors(), BOARD)
+
+
+def make_procedure(scene: SpringPlane | None = None, latency: float = 0.03, seed: int = 0) -> Procedure:
+    """A procedure over a plane whose devices are connected; its clock is a `SettableClock`."""
+    scene, clock, rig = scene or make_scene(), SettableClock(WALL_TIME_S), Rig()
+    lab = SimulatedLab(scene, clock, seed)
+    arm, skin = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab)
+    camera = SimulatedCamera(scene, LENS, rig.T_tool_camera, lambda: arm.state().T_b_t, clock, seed)
+    for device in (arm, skin, camera):
+        device.connect()
+    settings = TouchSettings(patience=1.0)
+    return Procedure(arm, skin, camera, rig, BOARD, plane_patch, HEIGHT_M, settings, clock)
+
+
+def session_info(rig: Rig, lens: Camera, source: str = "simulated") -> SessionInfo:
+    """Names of a session over the plane."""
+    return SessionInfo("plane", source, "session", "simulated", BOARD, rig.T_world_base, rig.T_world_object, lens)

@@ -1,0 +1,210 @@
+"""What breaks while touches are written: disks, clocks, cameras, and the collection itself, which is killed.
+
+What was acknowledged must be there and be readable, whatever happens.
+"""
+
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from experiments.faults.closed_form import make_procedure, session_info, site
+from experiments.faults.motion import status
+from experiments.faults.table import Fault, Measure, Trial
+from i2t import dataset
+from i2t.collect.procedure import Procedure
+from i2t.collect.recorder import Recorder, touches_in
+from i2t.collect.touch import SiteOutcome
+from i2t.emulators import reskin_board, ur_controller
+from i2t.errors import DeviceError
+
+AfterTouch: TypeAlias = Callable[[SiteOutcome], None]  # does harm after the second touch
+
+PLANE = ("--plane", "0.03", "--stiffness", "5000")
+MAX_TOUCHES, MAX_DELAY_S = 2, 6.0  # after which a collection is killed: a touch takes five seconds
+RESERVE_BYTES = 0  # that a disk must have free
+MAX_ATTEMPTS = 3  # collections that go on after a kill: a busy computer may end one by itself
+STAND_GOAL_S = 0.2
+WATCHDOG_HZ = "10"  # a lab's
+VOLUME_TOUCHES, WARM_TOUCHES = 100, 20  # of a collection, and until everything has been compiled and allocated
+MAX_GROWTH = 0.1  # share of the memory that may come on top
+MIB = 2**20
+
+
+def lost_touches(folder: Path, acknowledged: list[str]) -> Trial:
+    """Numbers of acknowledged touches, of those that are lost, and of files that cannot be read."""
+    present = {path.name: path for path in touches_in(folder)}
+    bad = 0
+    for path in present.values():
+        try:
+            dataset.read_touch(path)
+        except dataset.DataError:
+            bad += 1
+    lost = sum(name not in present for name in acknowledged)
+    return {"acknowledged": len(acknowledged), "lost": lost, "unreadable": bad}
+
+
+def _session(folder: Path, procedure: Procedure, most: int, harm: AfterTouch | None = None) -> Trial:
+    """Touches over the plane until they are enough, or something has ended them; the arm must stand then."""
+    acknowledged, said = [], ""
+    info = session_info(procedure.rig, procedure.camera.camera)
+    try:
+        with Recorder(folder, info, procedure.clock, RESERVE_BYTES) as recorder:
+            for outcome in procedure.run(lambda history: site(len(history)) if len(history) < most else None, recorder):
+                acknowledged.append(recorder.saved[-1].name)
+                if harm is not None and outcome.site.number == 1:
+                    harm(outcome)
+    except DeviceError as error:
+        said = str(error).split(": ", 1)[-1]
+    moving = procedure.arm.state().moving
+    return {**lost_touches(folder, acknowledged), "moving": moving, "not ended": not said, "said": said}
+
+
+@contextlib.contextmanager
+def _small_disk(size: str) -> Iterator[Path]:
+    """A disk of its own, which only root can make."""
+    with tempfile.TemporaryDirectory() as folder:
+        if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=False).returncode:
+            raise PermissionError
+        try:
+            yield Path(folder)
+        finally:
+            subprocess.run(["umount", folder], check=False)
+
+
+def full_disk(number: int) -> Trial | None:
+    """A disk that is full after some touches."""
+    with contextlib.suppress(PermissionError), _small_disk(f"{1500 + 130 * number}k") as folder:
+        return _session(folder / "data", make_procedure(seed=number), 50)
+    return None
+
+
+def read_only(number: int) -> Trial | None:
+    """A folder that becomes read-only."""
+    with contextlib.suppress(PermissionError), _small_disk("20m") as folder:
+
+        def harm(outcome: SiteOutcome) -> None:
+            # A lazy remount would be refused while files are open for writing.
+            subprocess.run(["mount", "--bind", folder, folder], check=True)
+            subprocess.run(["mount", "-o", "remount,bind,ro", folder], check=True)
+
+        try:
+            return _session(folder / "data", make_procedure(seed=number), 4, harm)
+        finally:
+            subprocess.run(["umount", folder], check=False)
+    return None
+
+
+def clock_set_back(number: int) -> Trial:
+    """A clock that somebody sets back by an hour."""
+    procedure = make_procedure(seed=number)
+    with tempfile.TemporaryDirectory() as folder:
+        return _session(Path(folder), procedure, 4, lambda _: setattr(procedure.clock, "jump", -3600.0))
+
+
+def camera_unplugged(number: int) -> Trial:
+    """A camera that gives no views any more."""
+    procedure = make_procedure(seed=number)
+
+    def gone(timeout: float = 2.0) -> Any:
+        raise DeviceError("the simulated camera is gone; plug it in")
+
+    with tempfile.TemporaryDirectory() as folder:
+        return _session(Path(folder), procedure, 4, lambda _: setattr(procedure.camera, "capture", gone))
+
+
+def killed_collection(number: int) -> Trial | None:
+    """A collection that is killed at a random moment, and goes on afterwards in the same folder.
+
+    Args:
+        number: Of the trial.
+
+    Returns:
+        Touches acknowledged and lost, seconds on the controller's clock until the arm stood, and whether the next
+        collection made a touch more. None where it ended by itself, or did not begin.
+    """
+    rng, host = np.random.default_rng((number, 13)), ur_controller.loopback(number)
+    touches, delay = int(rng.integers(0, MAX_TOUCHES + 1)), float(rng.uniform(0, MAX_DELAY_S))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ur_controller.process(host, *PLANE),
+        reskin_board.started() as (port, _),
+    ):
+        out = Path(folder) / "data"
+        words = [sys.executable, "-m", "experiments.faults.worker", host, port, str(out)]
+        with subprocess.Popen(
+            [*words, "1000", WATCHDOG_HZ], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        ) as child:
+            assert child.stdout is not None
+            begun = child.stdout.readline().strip() == "begun"
+            acknowledged = [name for _ in range(touches) if (name := child.stdout.readline().strip())]
+            time.sleep(delay)
+            before, ended = status(host), child.poll() is not None
+            child.kill()
+            acknowledged += child.stdout.read().splitlines()
+        if ended or not begun:
+            return None
+        stands = _stands_after(host, before["clock"])
+        found = lost_touches(out, acknowledged)
+        wanted = len(touches_in(out)) + 1
+        again = any(
+            subprocess.run([*words, str(wanted), "1"], capture_output=True, check=False).returncode == 0
+            for _ in range(MAX_ATTEMPTS)
+        )
+        incomplete = not again or len(touches_in(out)) != wanted
+    said = "killed in a motion" if before["moving"] else "killed at rest"
+    return {**found, "stands after": stands, "incomplete": incomplete, "said": said}
+
+
+def _stands_after(host: str, clock: float) -> float:
+    """Seconds on the controller's clock until the arm stood."""
+    end = time.monotonic() + 3.0
+    while status(host)["moving"] and time.monotonic() < end:
+        time.sleep(0.02)
+    now = status(host)
+    time.sleep(0.3)  # the watchdog ends the program
+    return float("inf") if now["moving"] else max(0.0, now["stood"] - clock)
+
+
+def long_collection(number: int) -> Trial:
+    """A hundred simulated touches by the command: are all readable, and does its memory stay flat?"""
+    memory = []
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["-u", "-m", "i2t.collect", "--out", f"{folder}/data", "--touches", str(VOLUME_TOUCHES)]
+        with subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line.startswith("touch "):
+                    memory.append(_resident(process.pid))
+        readable = len(dataset.load_dataset(f"{folder}/data"))
+    warm = memory[WARM_TOUCHES:]
+    return {"lost": VOLUME_TOUCHES - readable, "memory": max(warm) / MIB, "growth": max(warm) / warm[0] - 1}
+
+
+def _resident(pid: int) -> int:
+    """Bytes of a process in memory (Linux)."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
+
+
+KEPT = (Measure("lost", 0, of="acknowledged"), Measure("unreadable", 0))
+ENDED = (*KEPT, Measure("moving", 0), Measure("not ended", 0))
+DATA_FAULTS = (
+    Fault("disk", "full disk", full_disk, 5, ENDED),
+    Fault("disk", "folder becomes read-only", read_only, 5, ENDED),
+    Fault("disk", "clock set back an hour", clock_set_back, 5, ENDED),
+    Fault("disk", "camera unplugged", camera_unplugged, 5, ENDED),
+    Fault("kill", "kill -9 of an emulated collection", killed_collection, 200,
+          (*KEPT, Measure("stands after", STAND_GOAL_S, "s"), Measure("incomplete", 0))),
+    Fault("volume", f"{VOLUME_TOUCHES} touches of the command", long_collection, 10,
+          (Measure("lost", 0), Measure("growth", MAX_GROWTH), Measure("memory", unit="MiB"))),
+)  # fmt: skip

@@ -1,1 +1,0 @@
-"""Presses located on simulated pads that were never seen."""

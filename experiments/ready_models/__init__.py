@@ -1,1 +1,0 @@
-"""Ready models for the package, from a finished run."""

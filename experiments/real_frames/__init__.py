@@ -1,1 +1,0 @@
-"""Comparison of imagined patches with those of real depth cameras."""

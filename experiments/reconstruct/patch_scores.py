@@ -1,0 +1,116 @@
+"""Scores of the inferred patch of a press, one touch at a time, and their means over touches."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.reconstruct.patch_world import MetSurface
+from i2t.recognition.intervals import bootstrap_clusters, cluster_interval
+from i2t.reconstruction.local_shape import PatchLibrary, summarize
+from i2t.types import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, Array
+
+THRESHOLDS = (0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
+COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage
+DRAWS = 64  # samples of which these are computed
+LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the intervals whose coverage is counted
+MM = 1e3
+
+
+def score_touch(
+    touch: tuple[Array, Array, MetSurface], *, library: PatchLibrary, blur: float | Array
+) -> dict[str, Array]:
+    """Scores of one touch: the weights of the library's patches, the force at its last stop, and what was met."""
+    weight, force, truth = touch
+    found = summarize(weight, force, library=library, blur=blur)
+    stride = len(found.rows) // DRAWS
+    draws = jnp.sort(found.patch[::stride, ::COARSE, ::COARSE].astype(jnp.float32), axis=0)
+    true = truth.patch[::COARSE, ::COARSE]
+    rank = 2 * jnp.arange(DRAWS) - DRAWS + 1
+    spread = jnp.einsum("k,kij->ij", rank.astype(jnp.float32), draws) / DRAWS**2
+    crps = jnp.mean(jnp.abs(draws - true[None]), axis=0) - spread
+    ends = [round((1 - level) / 2 * (DRAWS - 1)) for level in LEVELS]
+    inside = jnp.stack([(draws[e] - 1e-5 <= true) & (true <= draws[DRAWS - 1 - e] + 1e-5) for e in ends])
+    return {
+        "mask": _ious(found.mask_probability, truth.patch <= CONTACT_TOLERANCE_M),
+        "contact": _ious(found.contact_probability.ravel(), truth.contact),
+        "crps_mm": MM * jnp.mean(crps),
+        "covered": _coverage(inside, truth.contact),
+        "centre_mm": MM * jnp.linalg.norm(found.centre - truth.centre),
+    }
+
+
+def _ious(probability: Array, true: Array) -> Array:
+    """Intersection over union at each threshold."""
+    said = probability[None] > jnp.asarray(THRESHOLDS).reshape(-1, *[1] * probability.ndim)
+    axes = tuple(range(1, said.ndim))
+    both, either = jnp.sum(said & true[None], axes), jnp.sum(said | true[None], axes)
+    return jnp.where(either > 0, both / jnp.maximum(either, 1), 1.0)
+
+
+def _coverage(inside: Array, contact: Array) -> Array:
+    """Share of the pixels in contact whose depth lies in each interval; NaN where no pixel is in contact."""
+    at = ((np.arange(PATCH_PIXELS)[::COARSE] + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
+    cells = round(contact.shape[0] ** 0.5)
+    cell = np.clip(((at / PAD_WINDOW + 0.5) * cells).astype(int), 0, cells - 1)
+    pixel = contact.reshape(cells, cells)[cell][:, cell]
+    count = jnp.sum(pixel)
+    return jnp.where(count > 0, jnp.sum(inside & pixel[None], (1, 2)) / jnp.maximum(count, 1), jnp.nan)
+
+
+def choose_thresholds(scores: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Choose those of `THRESHOLDS` with the best masks on validation objects."""
+    return {name: int(np.argmax(scores[name].mean(0))) for name in ("mask", "contact")}
+
+
+def report_of(
+    scores: Mapping[str, np.ndarray],
+    prior: Mapping[str, np.ndarray],
+    chosen: Mapping[str, Any],
+    clusters: Sequence[np.ndarray],
+) -> dict[str, list[float]]:
+    """Means and quantiles over touches, with intervals over objects and pads; `chosen` are a method's thresholds."""
+
+    def mean(values: np.ndarray) -> list[float]:
+        rows = np.isfinite(values)
+        return numbers(cluster_interval(values[rows], [label[rows] for label in clusters]))
+
+    def ratio(weight: np.ndarray) -> np.ndarray:
+        return (weight @ scores["crps_mm"]) / (weight @ prior["crps_mm"])
+
+    def quantile(level: float) -> list[float]:
+        values = scores["centre_mm"]
+        return numbers(bootstrap_clusters(partial(weighted_quantile, values, level), clusters, len(values)))
+
+    return {
+        "mask_iou": mean(scores["mask"][:, chosen["mask"]]),
+        "contact_iou": mean(scores["contact"][:, chosen["contact"]]),
+        "centre_mm_median": quantile(0.5),
+        "centre_mm_90": quantile(0.9),
+        "crps_ratio": numbers(bootstrap_clusters(ratio, clusters, len(scores["crps_mm"]))),
+        **{f"coverage_{100 * level:.0f}": mean(scores["covered"][:, i]) for i, level in enumerate(LEVELS)},
+    }
+
+
+def weighted_quantile(values: np.ndarray, level: float, weight: np.ndarray) -> np.ndarray:
+    """The least value that has so much of the weight at or below it."""
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return np.asarray(values[order][min(np.searchsorted(total, level * total[-1]), len(values) - 1)])
+
+
+def text_table(head: str, columns: Mapping[str, str], methods: Mapping[str, Mapping[str, Any]]) -> str:
+    """The main numbers of all methods as text; `columns` are titles by the names of scores."""
+    width = max(map(len, (head, *methods)))
+    lines = [f"{head:{width}}" + "".join(f"{title:>15}" for title in columns.values())]
+    for name, found in methods.items():
+        cells = [f"{found[column][0]:15.3f}" if column in found else f"{'-':>15}" for column in columns]
+        lines.append(f"{name:{width}}" + "".join(cells))
+    return "\n".join(lines)
+
+
+def numbers(estimate: Any) -> list[float]:
+    """Mean, lower and upper limit, as JSON takes them."""
+    return [round(float(part), 4) for part in estimate]

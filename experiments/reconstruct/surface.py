@@ -1,0 +1,143 @@
+"""Question: how much of an unknown object's shape do a few touches tell, and where should they be?
+
+    python -m experiments.reconstruct                                 random objects of the catalogue
+    python -m experiments.reconstruct --preset debug                  once through everything, too small to mean much
+    python -m experiments.reconstruct --dataset DATA --object NAME    one object from recorded touches, as a mesh
+    python -m experiments.reconstruct --arm emulated --true-object spanner      an arm explores an object, as a mesh
+    python -m experiments.reconstruct patch --help                    what one press met
+    python -m experiments.reconstruct tip --help                      where a tip pressed, on recorded presses
+
+Unseen objects are touched by a simulated arm with a simulated skin: placement errs by 1 mm and 1 degree per axis, the
+approach tilts, readings are noisy. Before the first touch the estimate is the mean of a library of other objects
+(`i2t.reconstruction.surface`). Compared are policies (random, greatest uncertainty, expected reduction of the surface's
+error), what a touch says besides its pose (nothing, the posterior of the reading, a perfect tactile image), a prior of
+smoothness alone, and a start from one depth view. The width of the bands is chosen on validation objects; test objects
+are judged once. Everything is simulated.
+
+Ten minutes on two cores that do other work too, half of them for libraries and compilation. Expect half to two thirds
+of the start's distance to the true surface after 20 touches; four objects are too few to tell policies apart.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from experiments.common.runs import begin, write_json
+from experiments.reconstruct import recorded
+from experiments.reconstruct.arguments import CONDITIONS, ExplorationCondition, ReconstructArgs, ReconstructSizes
+from experiments.reconstruct.episodes import Episode, SurfaceErrors, TrueShape, explore, true_shape
+from experiments.reconstruct.report import Episodes, draw_errors, draw_growing, summarize, table
+from experiments.reconstruct.world import Reality, make_reality, split_objects
+from i2t import viz
+from i2t.progress import progress
+from i2t.reconstruction.surface import Z_90, SurfaceModel, surface_model
+
+BAND = 0.9  # that a band should hold of the surface
+BAND_FLOORS_M = tuple(np.arange(9) * 0.25e-3)  # what is chosen among
+
+
+class Band(NamedTuple):
+    """Width of the bands."""
+
+    scale: float  # of all standard deviations
+    floor: float  # m, standard deviation that no touch takes away
+
+
+@dataclass(frozen=True)
+class Explorer:
+    """What all episodes of a run share."""
+
+    models: dict[bool, SurfaceModel]  # with the library, and of smoothness alone
+    shapes: list[TrueShape]  # of the reality's objects
+    reality: Reality
+    sizes: ReconstructSizes
+    seed: int
+
+    def explore(self, number: int, condition: ExplorationCondition) -> Episode:
+        """One object under one condition."""
+        model, truth, touches = self.models[condition.library], self.shapes[number], self.sizes.touches
+        return explore(model, self.reality, number, truth, condition, touches=touches, seed=self.seed)
+
+    def with_bands(self, bands: dict[bool, Band]) -> "Explorer":
+        """The same with wider or narrower bands."""
+        models = {
+            known: model._replace(config=replace(model.config, band_scale=scale, band_floor=floor))
+            for known, model in self.models.items()
+            for scale, floor in (bands.get(known, Band(1.0, 0.0)),)
+        }
+        return replace(self, models=models)
+
+
+def run(args: ReconstructArgs) -> dict[str, Any]:
+    """Run every condition on the same objects; print the table, write metrics.json, config.json and figures."""
+    if args.dataset is not None or args.arm is not None:
+        return recorded.run(args)
+    sizes, started = args.sizes, time.monotonic()
+    begin(args.out, args, sizes, None, args.overwrite)
+    split = split_objects(sizes, args.seed)
+    print(f"a library of {len(split.train)} shapes, and what {sizes.pads} skins read", flush=True)
+    known = surface_model([item.mesh for item in split.train])
+    reality = make_reality(jax.random.key(args.seed), split, sizes)
+    shapes = [true_shape(item.mesh, known.grid, sizes.samples) for item in reality.objects]
+    models = {True: known, False: known._replace(library=known.library[:, :0])}
+    explorer = Explorer(models, shapes, reality, sizes, args.seed)
+    prepared = time.monotonic() - started
+
+    chosen = {name: CONDITIONS[name] for name in args.conditions or CONDITIONS}
+    libraries = {condition.library for condition in chosen.values()}
+    bands = {library: choose_band(explorer, range(len(split.validation)), library) for library in libraries}
+    unseen = range(len(split.validation), len(shapes))
+    episodes = explore_all(explorer.with_bands(bands), chosen, unseen)
+    report = {
+        "source": "simulated",
+        **summarize(episodes, sizes.pads),
+        "grid_floor_mm": float(np.mean([shapes[number].floor_mm for number in unseen])),
+        "preset": args.preset,
+        "objects": {part: [item.name for item in getattr(split, part)] for part in ("validation", "test")},
+        "library": {"shapes": len(split.train), "patches": len(reality.library.object)},
+        "band": {"library" if library else "smoothness alone": band._asdict() for library, band in bands.items()},
+        "grid_points": list(known.grid.shape),
+        "grid_spacing_mm": 1e3 * known.grid.spacing,
+        "seconds": {"preparing": prepared, "all": time.monotonic() - started},
+        "seed": args.seed,
+    }
+    write_json(args.out / "metrics.json", report)
+    viz.save_figure(draw_errors(report), args.out / "errors.png")
+    shown = episodes.get("reduction", next(iter(episodes.values())))[unseen[0]]
+    viz.save_figure(draw_growing(shown, reality.objects[unseen[0]]), args.out / "growing.png")
+    print(table(report))
+    return report
+
+
+def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> Band:
+    """The band that holds 90 % of validation objects' surfaces, after few touches and after many alike."""
+    bare = explorer.with_bands({})
+    found = [bare.explore(number, ExplorationCondition(library=known)) for number in numbers]
+    counts = sorted({count for each in found for count in each.errors if count > 0})
+    parts = ([each.errors[count] for each in found if count in each.errors] for count in counts)
+    errors = [SurfaceErrors(*map(np.concatenate, zip(*some, strict=True))) for some in parts]
+
+    def fitting(floor: float) -> Band:
+        """The scale with which a band of this floor holds as much as it should, over all numbers of touches."""
+        needed = [np.sqrt(np.maximum((each.distance / Z_90) ** 2 - floor**2, 0)) / each.std for each in errors]
+        counted_alike = np.concatenate([np.full(len(each), 1 / len(each)) for each in needed])
+        scale = np.quantile(np.concatenate(needed), BAND, weights=counted_alike, method="inverted_cdf")
+        return Band(float(scale), floor)
+
+    def unevenness(band: Band) -> float:
+        held = [np.mean(each.distance <= Z_90 * np.hypot(band.scale * each.std, band.floor)) for each in errors]
+        return float(np.mean((np.array(held) - BAND) ** 2))
+
+    return min(map(fitting, BAND_FLOORS_M), key=unevenness)
+
+
+def explore_all(explorer: Explorer, conditions: dict[str, ExplorationCondition], numbers: Sequence[int]) -> Episodes:
+    """Every condition on every object."""
+    found: Episodes = {name: {} for name in conditions}
+    for name, number in progress([(name, number) for name in conditions for number in numbers], desc="episodes"):
+        found[name][number] = explorer.explore(number, conditions[name])
+    return found

@@ -1,1 +1,0 @@
-"""From one press to the local surface: how well, and how honestly."""

@@ -1,1 +1,0 @@
-"""Correction of a pose by one depth patch."""

@@ -1,0 +1,1 @@
+"""Where an object is, and what a real camera sees of it."""

@@ -1,0 +1,49 @@
+"""The options of `python -m experiments.registration`, without JAX."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from experiments.common.checks import with_trained_run
+from i2t.cli import Count, Positive, Seed
+from i2t.types import PATCH_WINDOW
+
+FRAME_FOLDERS = ("ycbvideo", "ycb_meshes", "apc_depth")
+CASES = {"paper": 200, "debug": 6}  # shared among all objects
+OBJECTS = {"paper": 40, "debug": 3}
+
+
+@dataclass(frozen=True)
+class PatchPoseArgs:
+    """Seek poses from single patches and say how often they are found."""
+
+    out: Path = Path("runs/registration_patch")  # folder for what is made
+    preset: Literal["paper", "debug"] = "paper"
+    seed: Seed = 0
+    overwrite: bool = False  # replace a finished run in --out
+
+    @property
+    def next_command(self) -> str:
+        """Command to try with a finished run."""
+        return with_trained_run("python -m experiments.studies policy")
+
+    def check(self) -> None:
+        """Nothing excludes anything."""
+
+
+@dataclass(frozen=True)
+class FramesArgs:
+    """Compare imagined patches with those of real depth cameras."""
+
+    data: Path  # folder with ycbvideo, ycb_meshes and apc_depth
+    out: Path = Path("runs/registration_frames")  # folder for what is made
+    sites: Count = 40  # on each object
+    windows: tuple[Positive, ...] = (PATCH_WINDOW, 30e-3, 50e-3)  # m
+    seed: Seed = 0
+    overwrite: bool = False  # replace a finished run in --out
+
+    def check(self) -> None:
+        """Refuse a folder without the recordings."""
+        for folder in FRAME_FOLDERS:
+            if not (self.data / folder).is_dir():
+                raise ValueError(f"{self.data / folder} is missing; give --data a folder that holds it")

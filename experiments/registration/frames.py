@@ -1,0 +1,256 @@
+"""Question: how well does an imagined patch match one that a real depth camera saw?
+
+    python -m experiments.registration frames --data DIR
+
+DIR holds `ycbvideo` (five frames of YCB-Video, an Asus Xtion at 0.5 to 0.65 m), `ycb_meshes` and `apc_depth` (two
+frames of a RealSense F200). On each posed mesh of the five frames, sites are drawn that the camera sees in all of
+them; there a real patch is extracted from the depth image, and the same patch is imagined from the mesh, at three sizes
+of window. The frames follow each other within a second and show the same scene, so intervals are over sites. The F200's
+frames have no poses of objects: patches are extracted along normals of the depth itself. It takes about a minute on two
+cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is what can be
+expected. Results go to --out: metrics.json and config.json.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from PIL import Image
+
+from experiments.common.intervals import with_interval
+from experiments.common.runs import begin, write_json
+from experiments.registration.arguments import FramesArgs
+from i2t.depth.camera import Camera, Encoding, read_depth
+from i2t.depth.distortion import pixel_rays
+from i2t.depth.patches import DepthPatch, patch_from_depth
+from i2t.geometry import contact_frame
+from i2t.objects import Mesh, read_mesh
+from i2t.prediction.metrics import grouped_interval
+from i2t.rendering.render import prepare_surface, render_patch
+from i2t.types import PATCH_WINDOW, REACH, STANDOFF, Patch, Surface
+
+FRAMES = ("000001", "000002", "000003", "000004", "000005")
+F200_FRAMES = ("frame-000000", "frame-000007")
+YCB_DEPTH_UNIT_M = 1e-4  # m, of both cameras' files
+MIN_COSINE = 0.5  # between a site's normal and the line of sight
+MAX_OCCLUSION_M = 8e-3  # where the image is further than this from the mesh, something else is in front
+BORDER_PX = 3  # from a site to the border of the object's label
+EXTRA_REACH_M = STANDOFF  # by which a real patch is read deeper, so that neither noise nor what is in front clips it
+MIN_SHARE = 0.1  # share of a patch's pixels that must be comparable
+F200_FILL_M = 4e-3  # every fifth row and column of the F200's frames is empty, 1 to 1.6 mm wide
+F200_PATCHES = 5
+
+
+@dataclass(frozen=True)
+class FrameObject:
+    """An object of the frames: its class in the label images, and where YCB-Video's model frame lies in the mesh's."""
+
+    name: str
+    label: int
+    offset: tuple[float, float, float]  # m; p_mesh = p_model + offset
+
+
+OBJECTS = (
+    FrameObject("009_gelatin_box", 8, (-21.31e-3, -8.69e-3, 18.10e-3)),
+    FrameObject("025_mug", 14, (-17.11e-3, 16.62e-3, 38.43e-3)),
+    FrameObject("061_foam_brick", 21, (-18.46e-3, 17.24e-3, 16.89e-3)),
+)
+# From the data set's cam.info.txt.
+F200 = Camera(640, 480, 477.584259, 477.584167, 314.188080, 245.884354)
+
+
+class Compared(NamedTuple):
+    """Patches of one object at one window: (frames, sites) and their pixels."""
+
+    real: DepthPatch
+    imagined: Patch
+    difference: np.ndarray  # (frames, sites, n, n) m, real minus imagined height; NaN where it is not compared
+    bias: np.ndarray  # (frames, sites) m, median of the differences; NaN where there are too few
+
+
+def run(args: FramesArgs) -> dict[str, Any]:
+    """Compare the patches of all objects, print the table, write metrics.json and config.json."""
+    args.check()
+    begin(args.out, args, args, None, args.overwrite)
+    objects: dict[str, Any] = {}
+    for item in OBJECTS:
+        mesh = read_mesh(args.data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
+        camera, depths, labels, T_c_o = frames(args.data / "ycbvideo", item)
+        T_o_t = draw_sites(args, item, mesh, camera, depths, labels, T_c_o)
+        surface = prepare_surface(mesh)
+        objects[item.name] = {
+            f"{1e3 * window:g} mm": summary(compare(surface, camera, depths, T_c_o, T_o_t, window))
+            for window in args.windows
+        }
+    metrics = {
+        "source": "real depth, posed scans",
+        "seed": args.seed,
+        "frames": len(FRAMES),
+        "objects": objects,
+        "f200": {name: f200_summary(*f200_patches(args, name)) for name in F200_FRAMES},
+    }
+    write_json(args.out / "metrics.json", metrics)
+    report(metrics)
+    return metrics
+
+
+def frames(folder: Path, item: FrameObject) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
+    """The camera, depth (frames, h, w) m, labels (frames, h, w) and poses T_c_o (frames, 4, 4) of the mesh."""
+    with np.load(folder / "meta.npz", allow_pickle=False) as meta:
+        K = meta[f"{FRAMES[0]}/intrinsic_matrix"]
+        T_c_m = np.tile(np.eye(4), (len(FRAMES), 1, 1))
+        for pose, frame in zip(T_c_m, FRAMES, strict=True):
+            (which,) = np.flatnonzero(meta[f"{frame}/cls_indexes"][:, 0] == item.label)
+            pose[:3] = meta[f"{frame}/poses"][:, :, which]
+    T_m_o = np.eye(4)
+    T_m_o[:3, 3] = -np.array(item.offset)
+    depths = np.stack([read_depth(folder / f"{frame}-depth.png", YCB_DEPTH_UNIT_M) for frame in FRAMES])
+    labels = np.stack([np.asarray(Image.open(folder / f"{frame}-label.png")) for frame in FRAMES])
+    height, width = depths.shape[1:]
+    camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    return camera, depths, labels, (T_c_m @ T_m_o).astype(np.float32)
+
+
+def draw_sites(
+    cfg: FramesArgs, item: FrameObject, mesh: Mesh, camera: Camera, depths: np.ndarray, labels: np.ndarray,
+    T_c_o: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Contact frames T_o_t (sites, 4, 4) that the camera sees in all frames, drawn uniformly over the mesh's area."""
+    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    points, faces = trimesh.sample.sample_surface(whole, 200 * cfg.sites, seed=cfg.seed)
+    normals = whole.face_normals[faces]
+    visible = np.ones(len(points), bool)
+    for depth, label, T in zip(depths, labels, T_c_o, strict=True):
+        at, n = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
+        facing = -np.sum(n * at, 1) / np.linalg.norm(at, axis=1)
+        u = np.rint(at[:, 0] / at[:, 2] * camera.fx + camera.cx).astype(int)
+        v = np.rint(at[:, 1] / at[:, 2] * camera.fy + camera.cy).astype(int)
+        near = BORDER_PX
+        inside = (u >= near) & (u < camera.width - near) & (v >= near) & (v < camera.height - near)
+        u, v = np.where(inside, u, near), np.where(inside, v, near)
+        own = np.ones(len(points), bool)
+        for i in (-near, 0, near):
+            for j in (-near, 0, near):
+                own &= label[v + i, u + j] == item.label
+        # A hole compares false, and so is not visible.
+        visible &= inside & own & (facing >= MIN_COSINE) & (np.abs(depth[v, u] - at[:, 2]) <= MAX_OCCLUSION_M)
+    chosen = np.flatnonzero(visible)[: cfg.sites]
+    if not len(chosen):
+        raise ValueError(f"{item.name} is not visible in these frames; check its poses and labels")
+    return np.asarray(jax.vmap(contact_frame)(jnp.float32(points[chosen]), jnp.float32(normals[chosen])))
+
+
+def compare(
+    surface: Surface, camera: Camera, depths: np.ndarray, T_c_o: np.ndarray, T_o_t: np.ndarray, window: float
+) -> Compared:  # fmt: skip
+    """Real and imagined patches at the same poses; the reach grows with the window."""
+    reach = REACH * window / PATCH_WINDOW
+    extract = partial(patch_from_depth, window=window, reach=reach + EXTRA_REACH_M)
+    seen_in = jax.jit(jax.vmap(extract, (None, None, None, 0)), static_argnums=1)
+    here = np.eye(4, dtype=np.float32)  # the camera's frame serves as the world's
+    real = [seen_in(depth, camera, here, T @ T_o_t) for depth, T in zip(depths, T_c_o, strict=True)]
+    real = jax.device_get(jax.tree.map(lambda *parts: jnp.stack(parts), *real))
+    draw = jax.jit(jax.vmap(partial(render_patch, window=window, reach=reach), (None, 0)))
+    once = jax.device_get(draw(surface, T_o_t))
+    imagined = Patch(*(np.broadcast_to(field, (len(depths), *field.shape)) for field in once))
+    # Which pixels are compared is decided by the imagined depth alone: by the real one, its noise would be cut off.
+    both = (imagined.depth < reach) & real.valid_mask & (real.patch.depth < reach + EXTRA_REACH_M)
+    difference = np.where(both, heights(real.patch) - heights(imagined), np.nan)
+    enough = np.isfinite(difference).mean((2, 3)) >= MIN_SHARE
+    bias = np.full(enough.shape, np.nan)
+    bias[enough] = np.nanmedian(difference[enough], axis=(1, 2))
+    return Compared(real, imagined, difference, bias)
+
+
+def heights(patch: Patch) -> np.ndarray:
+    """Tool z (m) of every pixel."""
+    return np.asarray(patch.depth) + np.asarray(patch.nearest)[..., None, None]
+
+
+def summary(part: Compared) -> dict[str, Any]:
+    """Median absolute difference once each patch's bias is taken off, with its interval over sites, and the spread."""
+    used = np.isfinite(part.bias)
+    bias, sites = part.bias[used], np.nonzero(used)[1]
+    rest = part.difference[used] - bias[:, None, None]
+    of_patch = np.nanmedian(np.abs(rest), axis=(1, 2))
+    low, high = grouped_interval(lambda rows: float(np.median(of_patch[rows])), sites)
+    quartiles = np.nanpercentile(rest, [25, 75])
+    return {
+        "sites": len(np.unique(sites)),
+        "patches": len(bias),
+        "too_few_pixels": int(np.sum(~used)),
+        "median_absolute_mm": 1e3 * float(np.median(of_patch)),
+        "interval_95_mm": [1e3 * low, 1e3 * high],
+        "interquartile_range_mm": 1e3 * float(quartiles[1] - quartiles[0]),
+        "bias_median_mm": 1e3 * float(np.median(bias)),
+        "bias_quartiles_mm": [1e3 * float(q) for q in np.percentile(bias, [25, 75])],
+        "over_5_mm": float(np.mean(np.abs(rest[np.isfinite(rest)]) > 5e-3)),
+        "compared": float(np.mean(np.isfinite(rest))),
+        "seen": float(part.real.valid_mask.mean()),
+        "filled": float(part.real.inpainted_mask.mean()),
+    }
+
+
+def f200_patches(cfg: FramesArgs, name: str) -> tuple[np.ndarray, DepthPatch]:
+    """A frame without poses, and patches along normals of planes through what is around some of its pixels."""
+    depth = read_depth(cfg.data / "apc_depth" / f"{name}.depth.png", YCB_DEPTH_UNIT_M, Encoding.ROTATED)
+    x, y = np.asarray(pixel_rays(F200))
+    points = np.stack([x * depth, y * depth, depth], -1)
+    rng = np.random.default_rng(cfg.seed)
+    frames_at: list[tuple[np.ndarray, np.ndarray]] = []
+    for row, column in rng.permutation(np.argwhere(np.isfinite(depth))):
+        centre = points[row, column]
+        half = int(np.ceil(PATCH_WINDOW / 2 / centre[2] * F200.fx))
+        around = points[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1].reshape(-1, 3)
+        around = around[np.linalg.norm(around - centre, axis=1) < PATCH_WINDOW / 2]
+        if len(around) < half**2:  # a third of the disc's pixels
+            continue
+        middle = around.mean(0)
+        normal = np.linalg.svd(around - middle, full_matrices=False)[2][2]
+        normal *= -np.sign(normal @ middle)  # towards the camera
+        if -normal @ middle < MIN_COSINE * np.linalg.norm(middle):
+            continue
+        frames_at.append((middle, normal))
+        if len(frames_at) == F200_PATCHES:
+            break
+    if not frames_at:
+        raise ValueError(f"{name} holds no point with enough measured pixels around it; check its encoding")
+    T_w_t = jax.jit(jax.vmap(contact_frame))(*(jnp.float32(np.array(part)) for part in zip(*frames_at, strict=True)))
+    extract = jax.vmap(partial(patch_from_depth, fill=F200_FILL_M), (None, None, None, 0))
+    patches = jax.device_get(jax.jit(extract, static_argnums=1)(depth, F200, np.eye(4, dtype=np.float32), T_w_t))
+    return depth, patches
+
+
+def f200_summary(depth: np.ndarray, patches: DepthPatch) -> dict[str, Any]:
+    """How much of a frame without poses was measured, and of its patches seen."""
+    return {
+        "measured": float(np.isfinite(depth).mean()),
+        "depth_quartiles_m": [float(q) for q in np.nanpercentile(depth, [25, 50, 75])],
+        "seen": [float(share) for share in patches.valid_mask.mean((1, 2))],
+        "filled": [float(share) for share in patches.inpainted_mask.mean((1, 2))],
+    }
+
+
+def report(metrics: dict[str, Any]) -> None:
+    """The table a person reads."""
+    print("real against imagined patches, each patch's bias taken off; 95 % interval over sites; mm")
+    print(
+        f"{'object':18}{'window':>8}{'patches':>9}{'median |d|':>22}{'IQR':>7}{'bias':>22}{'> 5 mm':>8}{'compared':>10}"
+    )
+    for name, windows in metrics["objects"].items():
+        for window, values in windows.items():
+            median = with_interval(values["median_absolute_mm"], *values["interval_95_mm"], digits=2)
+            first, third = values["bias_quartiles_mm"]
+            bias = f"{values['bias_median_mm']:+.2f} ({first:+.2f}, {third:+.2f})"
+            print(
+                f"{name:18}{window:>8}{values['patches']:>9}{median:>22}{values['interquartile_range_mm']:7.2f}{bias:>22}"
+                f"{100 * values['over_5_mm']:7.1f}%{100 * values['compared']:9.0f}%"
+            )
+    for name, values in metrics["f200"].items():
+        seen = ", ".join(f"{100 * share:.0f}" for share in values["seen"])
+        print(f"F200 {name}: {100 * values['measured']:.0f} % of the image measured; seen of the patches: {seen} %")

@@ -1,0 +1,213 @@
+"""The covariance of readings over presses, for many candidate skins at once.
+
+A press has a position x (m, tool frame) and a load d, its depth or its normal force in units of the recording's typical
+load (root mean square), so that one kernel serves both. A reading of a channel of chip p is
+
+  y(x, d) = e_p(x) [f(d) g(x) + f(d) b(x, d) + g0(x)] + const + noise,
+  f(d) = ((d + load_offset) / (1 + load_offset))^load_power,
+
+as in `i2t.calibration.structured_gp`: a map g stretched by the load, a part b whose shape changes with the load, a part
+g0 that does not depend on it (skins that stay displaced), a constant, and noise with a part that grows with the signal.
+The amplitude e_p falls with the distance of x from chip p. Map and bend have together the variance 1 at the typical
+load; all variances are relative to the square of a channel's scale.
+
+A plain Gaussian process is one of these kernels: no growth with the load, no map, a bend and a large constant.
+
+NumPy, so that no number of presses compiles. Kernels are stacked along a leading axis s.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from i2t.types import in_one_line
+
+MIN_RESPONSE_BASE = 1e-3  # of f: loads below zero
+UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not know where the chips are
+
+
+@in_one_line
+class SkinKernels(NamedTuple):
+    """Hyperparameters of s kernels."""
+
+    load_power: Float[np.ndarray, " s"]
+    load_offset: Float[np.ndarray, " s"]  # typical loads
+    map_length: Float[np.ndarray, " s"]  # m, of g
+    bend_share: Float[np.ndarray, " s"]  # of the variance of g and b together
+    bend_length: Float[np.ndarray, " s"]  # m
+    bend_load_width: Float[np.ndarray, " s"]  # typical loads
+    static_variance: Float[np.ndarray, " s"]  # of g0
+    static_length: Float[np.ndarray, " s"]  # m
+    constant_variance: Float[np.ndarray, " s"]
+    noise_variance: Float[np.ndarray, " s"]
+    gain_noise_variance: Float[np.ndarray, " s"]  # of noise that grows with e f
+    chip_reach: Float[np.ndarray, " s"]  # m, over which e falls
+    far_amplitude: Float[np.ndarray, " s"]  # e far from the chip; 1 where it does not fall
+
+
+class PressGeometry(NamedTuple):
+    """Positions and loads as kernels use them."""
+
+    position: Float[np.ndarray, "n 2"]  # m
+    load: Float[np.ndarray, " n"]  # typical loads
+    chip_square: Float[np.ndarray, "chips n"] | None  # m^2, squared distance from each chip
+
+
+def take(kernels: SkinKernels, which: Int[np.ndarray, " k"] | Bool[np.ndarray, " s"] | slice) -> SkinKernels:
+    """Some of the kernels.
+
+    Args:
+        kernels: All of them.
+        which: Their numbers, or a mask.
+
+    Returns:
+        Those.
+    """
+    return SkinKernels(*(values[which] for values in kernels))
+
+
+def join(*parts: SkinKernels) -> SkinKernels:
+    """Kernels one after the other.
+
+    Args:
+        parts: Stacks of kernels.
+
+    Returns:
+        One stack.
+    """
+    return SkinKernels(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def geometry(
+    position: Float[np.ndarray, "n 2"],
+    load: Float[np.ndarray, " n"],
+    chip_positions: Float[np.ndarray, "chips 2"] | None,
+) -> PressGeometry:
+    """Geometry of presses for kernels.
+
+    Args:
+        position: Positions (m).
+        load: Loads (typical loads).
+        chip_positions: Positions of the chips (m) where they are known.
+
+    Returns:
+        The geometry.
+    """
+    square = None if chip_positions is None else squared_distance(chip_positions, position)
+    return PressGeometry(position, load, square)
+
+
+def squared_distance(a: Float[np.ndarray, "a 2"], b: Float[np.ndarray, "b 2"]) -> Float[np.ndarray, "a b"]:
+    """Squared distances between points of the plane.
+
+    Args:
+        a: Points (m).
+        b: Other points (m).
+
+    Returns:
+        Squared distances (m^2).
+    """
+    return (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
+
+
+def responses(kernels: SkinKernels, load: Float[np.ndarray, " n"]) -> Float[np.ndarray, "s n"]:
+    """Growth of the signal with the load: f, 1 at the typical load.
+
+    Args:
+        kernels: Power and offset.
+        load: Loads (typical loads).
+
+    Returns:
+        f of each kernel and load.
+    """
+    offset = kernels.load_offset[:, None]
+    return np.maximum((load[None, :] + offset) / (1 + offset), MIN_RESPONSE_BASE) ** kernels.load_power[:, None]
+
+
+def amplitudes(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
+    """Amplitude e of each group of channels: a group for each chip, or one of all without chips.
+
+    Args:
+        kernels: Reach of a chip and amplitude far from it.
+        at: Presses.
+
+    Returns:
+        Amplitudes.
+    """
+    if at.chip_square is None:
+        return np.ones((len(kernels.load_power), 1, len(at.load)))
+    far = kernels.far_amplitude[:, None, None]
+    near = np.exp(-at.chip_square[None] / (2 * kernels.chip_reach[:, None, None] ** 2))
+    return far + (1 - far) * near
+
+
+def signal_covariances(kernels: SkinKernels, a: PressGeometry, b: PressGeometry) -> Float[np.ndarray, "s groups a b"]:
+    """Covariances of the readings of two sets of presses, without noise.
+
+    Args:
+        kernels: s of them.
+        a: Presses, one for each row.
+        b: Presses, one for each column.
+
+    Returns:
+        A matrix for each kernel and group of channels.
+    """
+    square = squared_distance(a.position, b.position)[None]
+    load_square = ((a.load[:, None] - b.load[None, :]) ** 2)[None]
+    k = SkinKernels(*(values[:, None, None] for values in kernels))
+    smooth = np.exp(-square / (2 * k.map_length**2))
+    bent = np.exp(-square / (2 * k.bend_length**2) - load_square / (2 * k.bend_load_width**2))
+    grown = responses(kernels, a.load)[:, :, None] * responses(kernels, b.load)[:, None, :]
+    inner = grown * (smooth + k.bend_share * (bent - smooth))
+    inner += k.static_variance * np.exp(-square / (2 * k.static_length**2))
+    if a.chip_square is None:
+        return (inner + k.constant_variance)[:, None]
+    e_a, e_b = amplitudes(kernels, a), amplitudes(kernels, b)
+    return e_a[..., :, None] * e_b[..., None, :] * inner[:, None] + k.constant_variance[:, None]
+
+
+def signal_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
+    """Diagonals of `signal_covariances` of presses with themselves.
+
+    Args:
+        kernels: s of them.
+        at: Presses.
+
+    Returns:
+        Variances of each kernel, group of channels and press.
+    """
+    inner = responses(kernels, at.load) ** 2 + kernels.static_variance[:, None]
+    return amplitudes(kernels, at) ** 2 * inner[:, None, :] + kernels.constant_variance[:, None, None]
+
+
+def noise_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
+    """Variances of the noise.
+
+    Args:
+        kernels: s of them.
+        at: Presses.
+
+    Returns:
+        Variances of each kernel, group of channels and press.
+    """
+    grown = (amplitudes(kernels, at) * responses(kernels, at.load)[:, None, :]) ** 2
+    return kernels.noise_variance[:, None, None] + kernels.gain_noise_variance[:, None, None] * grown
+
+
+def load_slopes(
+    kernels: SkinKernels, a: PressGeometry, b: PressGeometry, step: float = 1e-3
+) -> Float[np.ndarray, "s groups a b"]:
+    """Derivatives of `signal_covariances` by the load of the rows, by central differences.
+
+    Args:
+        kernels: s of them.
+        a: Presses, one for each row.
+        b: Presses, one for each column.
+        step: Half of the difference (typical loads).
+
+    Returns:
+        Derivatives for one typical load.
+    """
+    high, low = (signal_covariances(kernels, a._replace(load=a.load + sign * step), b) for sign in (1, -1))
+    return (high - low) / (2 * step)

@@ -1,0 +1,562 @@
+"""Recordings of a skin: readings and their known targets, from several file formats.
+
+    from i2t.calibration.heads import read_recordings
+
+    (recording,) = read_recordings("eflesh/spatial/20250316_155729_probe")
+    recording.readings                # (n, c) uT
+    recording.targets["position"]     # (n, 2) m
+
+Three forms are read: a data set of i2t (a file or a folder), sessions of eFlesh as they were recorded (a folder with
+`states.csv`), and a table with one row for each reading (a `.csv` file, columns by name; `TABLE_COLUMNS`). Unlike the
+converters of `i2t.convert`, which refuse what is damaged, this reader keeps what can be kept: a row that is not finite
+is left out, what was not measured is NaN, and each such thing is said in a note. `corrected_recording` puts right what
+`i2t.unknowns` finds wrong. NumPy only.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from i2t.convert.common import read_text
+from i2t.convert.eflesh import EFLESH_READINGS, NEWTONS_PER_GRAM, SAME_ROW, STROKE_PAUSE_S
+from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
+from i2t.dataset import Dataset, load_dataset
+from i2t.dataset.sets import times_of
+from i2t.errors import DataError
+from i2t.files import TABLE_SUFFIXES
+from i2t.geometry import inverse
+from i2t.types import Board, ReturnCode
+from i2t.unknowns import Finding, lag_rows, turn_board
+
+CHIP_AXES = ("x", "y", "z")
+VALUES_PER_CHIP = 3
+MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
+TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
+AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
+STREAM_GAP_S = 0.5  # rows farther apart are no stream
+MIN_CHANGE = {"position": 0.2e-3, "depth": 0.1e-3, "force": 0.05, "shear": 0.05}  # m, m, N, N: less is no range
+
+
+class TargetKind(NamedTuple):
+    """Kind of target of a head."""
+
+    unit: str
+    scale: float  # from the library's unit to the unit
+    yes_no: bool = False
+
+
+TARGETS: Mapping[str, TargetKind] = {
+    "position": TargetKind("mm", 1e3),
+    "depth": TargetKind("mm", 1e3),
+    "force": TargetKind("N", 1.0),
+    "shear": TargetKind("N", 1.0),
+    "contact": TargetKind("", 1.0, yes_no=True),
+    "slip": TargetKind("", 1.0, yes_no=True),
+}
+# Columns of a table that are targets; several of one target stand next to each other.
+TABLE_COLUMNS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "position": (("x_mm", 1e-3), ("y_mm", 1e-3)),
+    "depth": (("depth_mm", 1e-3),),
+    "force": (("force_N", 1.0),),
+    "shear": (("shear_x_N", 1.0), ("shear_y_N", 1.0), ("shear_N", 1.0)),
+    "contact": (("contact", 1.0),),
+    "slip": (("slip", 1.0),),
+}
+
+
+@dataclass(frozen=True)
+class SkinRecording:
+    """Readings of one skin in the order of time, with their known targets; NaN where one is unknown.
+
+    Attributes:
+        name: of the recording.
+        readings: (n, c) uT, finite; three channels for each chip.
+        targets: by its name in `TARGETS` (n, d); only those that are known somewhere.
+        session: (n,) number of the stroke, run or session, in which rows follow each other.
+        time: (n,) s; NaN where it is not known.
+        board: positions of the chips, where they are known.
+        source: real, simulated or mixed.
+        baseline: (n, c) uT that was subtracted from each reading, where it is known.
+        notes: what was assumed and left out, a sentence each.
+        patches: (n, p, p) m, what a camera saw, where the recording has views.
+        labels: (n,) index of the object that was touched, where it is known.
+        label_names: of the objects.
+    """
+
+    name: str
+    readings: Float[np.ndarray, "n c"]
+    targets: Mapping[str, Float[np.ndarray, "n d"]]
+    session: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]
+    board: Board | None = None
+    source: str = "real"
+    baseline: Float[np.ndarray, "n c"] | None = None
+    notes: tuple[str, ...] = ()
+    patches: Float[np.ndarray, "n p p"] | None = None
+    labels: Int[np.ndarray, " n"] | None = None
+    label_names: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def known(self, target: str) -> np.ndarray:
+        """Rows of which a target is known.
+
+        Args:
+            target: its name.
+
+        Returns:
+            (n,) mask; False throughout where the recording does not have it.
+        """
+        values = self.targets.get(target)
+        return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
+
+    def varies(self, target: str) -> bool:
+        """Test that a target varies, so that a head can be fitted to it.
+
+        Args:
+            target: its name.
+
+        Returns:
+            Whether it is known and differs from row to row; of a question with yes or no, whether both occur.
+        """
+        known = self.known(target)
+        if known.sum() < 2:
+            return False
+        spread = np.subtract(*np.percentile(self.targets[target][known], [99, 1], axis=0)).max()
+        return bool(spread > MIN_CHANGE.get(target, 0.5) or (TARGETS[target].yes_no and self._both(target)))
+
+    def rows(self, chosen: np.ndarray | slice) -> "SkinRecording":
+        """Some rows.
+
+        Args:
+            chosen: a mask (n,), row numbers or a slice.
+
+        Returns:
+            The recording of these rows.
+        """
+        pick = np.arange(len(self))[chosen]
+
+        def some(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[pick]
+
+        return replace(
+            self,
+            readings=self.readings[pick],
+            targets={name: values[pick] for name, values in self.targets.items()},
+            session=self.session[pick],
+            time=self.time[pick],
+            baseline=some(self.baseline),
+            patches=some(self.patches),
+            labels=some(self.labels),
+        )
+
+    def _both(self, target: str) -> bool:
+        return len(np.unique(self.targets[target][self.known(target)])) > 1
+
+
+def read_recordings(path: Path | str) -> list[SkinRecording]:
+    """Read the recordings of a path: a data set, sessions of eFlesh, or a table.
+
+    Args:
+        path: a file or a folder.
+
+    Returns:
+        A recording for each skin and, of eFlesh, for each session.
+
+    Raises:
+        DataError: there is nothing that can be read, in one sentence.
+    """
+    path = Path(path)
+    if is_dataset(path):
+        return from_dataset(load_dataset(path), path.name)
+    if path.is_file():
+        return read_tables(path)
+    if folders := sorted({file.parent for file in path.rglob("states.csv*")}):
+        return [read_eflesh_session(folder) for folder in folders]
+    return [recording for table in sorted(path.glob("*.csv*")) for recording in read_tables(table)]
+
+
+def is_dataset(path: Path) -> bool:
+    """Test whether a path is read as a data set of i2t.
+
+    Args:
+        path: a file or a folder.
+
+    Returns:
+        False for tables, and folders of tables or sessions of eFlesh.
+    """
+    if path.is_file() and path.name.removesuffix(".gz").endswith(TABLE_SUFFIXES):
+        return False
+    if not path.is_dir():
+        return True
+    tables = any(path.glob("*.csv*")) and not any(path.rglob("*.h5"))
+    return not (tables or any(path.rglob("states.csv*")))
+
+
+def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording]:
+    """A data set's touches as recordings, one for each skin.
+
+    Args:
+        dataset: of touches.
+        name: of the recordings; where there are several skins, each adds its own.
+
+    Returns:
+        A recording for each skin that has a touch with a finite reading.
+
+    Raises:
+        DataError: no touch has a finite reading.
+    """
+    touches, several = dataset.touches, len(np.unique(dataset.touches.pad)) > 1
+    T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
+    free = np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
+    force = touches.force.astype(np.float64)
+    contact = np.full(len(dataset), np.nan)
+    if free.any():
+        contact = np.where(free, 0.0, 1.0)
+    tool = np.where(np.isfinite(T_t_o[:, :2, 3]).all(1), 1.0, np.nan)
+    targets = {
+        "position": T_t_o[:, :2, 3] * tool[:, None],
+        "depth": np.where(free, np.nan, touches.depth.astype(np.float64))[:, None],
+        "force": force[:, None],
+        "contact": contact[:, None],
+    }
+    usable = (touches.code != ReturnCode.FAILED) & np.isfinite(touches.reading).all(1)
+    views = bool(len(dataset) and np.isfinite(touches.patch).all() and np.ptp(touches.patch) > 0)
+    found = []
+    for pad in np.unique(touches.pad[usable]):
+        rows = usable & (touches.pad == pad)
+        left = int(np.sum((touches.pad == pad) & ~usable))
+        notes = [f"left out: {left} touches that failed or whose reading is not finite"] if left else []
+        notes += [note for note in dataset.meta.get("notes", "").split(" | ") if note]
+        found.append(
+            SkinRecording(
+                f"{name} ({dataset.pads[pad]})" if several else name,
+                touches.reading[rows].astype(np.float64),
+                {key: values[rows] for key, values in targets.items()},
+                session=touches.session[rows].astype(int),
+                time=times_of(dataset)[rows],
+                board=dataset.board,
+                source=dataset.source,
+                notes=tuple(notes),
+                patches=touches.patch[rows] if views else None,
+                labels=touches.object[rows],
+                label_names=dataset.objects,
+            )
+        )
+    if not found:
+        raise DataError(f"{name}: no touch has a finite reading; record it again")
+    return [_cleaned(one) for one in found]
+
+
+def is_stream(recording: SkinRecording) -> bool:
+    """Test for rows in quick sequence, as samples of one contact are.
+
+    Args:
+        recording: of one skin.
+
+    Returns:
+        False where times are not known.
+    """
+    gap = np.diff(recording.time)
+    return bool(np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S)
+
+
+def corrected_recording(recording: SkinRecording, findings: Iterable[Finding]) -> SkinRecording:
+    """Apply the corrections of findings: units, signs, a lag, the order and axes of chips, the board's turn.
+
+    A height zero stays where it is. Depths that are turned and fall below zero count from the least of them.
+
+    Args:
+        recording: As it was read.
+        findings: About it.
+
+    Returns:
+        The recording put right; with a lag it has fewer rows.
+    """
+    for finding in findings:
+        if finding.correction:
+            recording = _corrected(recording, finding)
+    return recording
+
+
+def _corrected(recording: SkinRecording, finding: Finding) -> SkinRecording:
+    todo, targets = finding.correction, dict(recording.targets)
+    force_unit = todo.get("force_factor", 1.0)
+    factors = {
+        "position": todo.get("length_factor", 1.0),
+        "depth": todo.get("depth_factor", 1.0) * todo.get("height_sign", 1.0),
+        "force": force_unit * todo.get("force_sign", 1.0),
+        "shear": force_unit,
+    }
+    targets |= {name: factors[name] * targets[name] for name in factors if name in targets}
+    if "height_sign" in todo and "depth" in targets and np.nanmin(targets["depth"]) < 0:
+        targets["depth"] = targets["depth"] - np.nanmin(targets["depth"])
+    baseline = recording.baseline
+    recording = replace(
+        recording,
+        targets=targets,
+        readings=_fields(recording.readings, finding),
+        baseline=None if baseline is None else _fields(baseline, finding),
+    )
+    if "board_from_stage" in todo and recording.board is not None:
+        board = turn_board(recording.board, np.asarray(todo["board_from_stage"], np.float64))
+        recording = replace(recording, board=board)
+    if lag := int(todo.get("label_lag_rows", 0)):
+        # The lag counts rows whose position is known, as the estimate did.
+        recording = recording.rows(recording.known("position"))
+        label_rows, reading_rows = lag_rows(len(recording), lag)
+        labels = {name: values[label_rows] for name, values in recording.targets.items()}
+        recording = replace(recording.rows(reading_rows), targets=labels)
+    return recording
+
+
+def _fields(values: np.ndarray, finding: Finding) -> np.ndarray:
+    """Channels (n, c) in microtesla, their chips in order and their axes turned."""
+    todo = finding.correction
+    values = values * todo.get("field_factor", 1.0)
+    if "chip_order" in todo:
+        chips = values.reshape(len(values), -1, VALUES_PER_CHIP)
+        values = chips[:, list(todo["chip_order"])].reshape(values.shape)
+    return values * np.asarray(todo["channel_signs"]) if "channel_signs" in todo else values
+
+
+def read_tables(path: Path) -> list[SkinRecording]:
+    """Read a table with a line of names and one row for each reading.
+
+    Columns by name: b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (any number of chips), and of `TABLE_COLUMNS`, a0x_uT ...
+    (ambient, subtracted), time_s, session and pad what there is; z_mm or height_mm of the tip in place of a depth.
+    Separators and units may be those of `i2t.convert.tables`. Empty or unreadable cells are unknown.
+
+    Args:
+        path: of the table, plain or gzip-ed.
+
+    Returns:
+        A recording for each pad.
+
+    Raises:
+        DataError: it is no such table, or no row has a finite reading.
+    """
+    table = _LooseTable.read(path)
+    names, notes = _reading_columns(table, path), list(table.text.notes)
+    ambient = ["a" + name[1:] for name in names]
+    readings = table.some(names)
+    if all(name in table.columns for name in ambient):
+        readings = readings - table.some(ambient)
+    targets = {
+        target: np.column_stack([scale * table.column(name) for name, scale in kinds if name in table.columns])
+        for target, kinds in TABLE_COLUMNS.items()
+        if any(name in table.columns for name, _ in kinds)
+    }
+    height = next((name for name in HEIGHT_COLUMNS if name in table.columns), None)
+    if height is not None and "depth" not in targets and np.isfinite(z := table.column(height)).any():
+        targets["depth"] = 1e-3 * (np.nanmax(z) - z)[:, None]
+        notes.append(
+            f"assumed: {height} grows out of the skin, and depth counts from its highest value, {np.nanmax(z):g} mm"
+        )
+    session, _ = table.named("session")
+    pad, pads = table.named("pad")
+    name = path.name.split(".")[0]
+    whole = _cleaned(SkinRecording(name, readings, targets, session, table.column("time_s"), notes=tuple(notes)))
+    if len(pads) < 2:
+        return [_finite(whole, path)]
+    return [_finite(replace(whole.rows(pad == i), name=f"{whole.name} ({one})"), path) for i, one in enumerate(pads)]
+
+
+class _LooseTable(NamedTuple):
+    """A table whose cells may be missing or unreadable."""
+
+    text: TextTable
+    columns: dict[str, int]  # the first of each name
+    values: np.ndarray  # (rows, columns); NaN for what is no number
+
+    @classmethod
+    def read(cls, path: Path) -> "_LooseTable":
+        text = read_text_table(path)
+        width = len(text.header)
+        columns = {name: i for i, name in reversed(list(enumerate(text.header)))}
+        values = np.array([_numbers(cells, width) for _, cells in text.rows])
+        return cls(text, columns, values.reshape(-1, width))
+
+    def column(self, name: str) -> np.ndarray:
+        """The numbers of a column; NaN throughout where there is none."""
+        return self.values[:, self.columns[name]] if name in self.columns else np.full(len(self.values), np.nan)
+
+    def some(self, names: list[str]) -> np.ndarray:
+        """Numbers of existing columns."""
+        return self.values[:, [self.columns[name] for name in names]]
+
+    def named(self, name: str) -> tuple[np.ndarray, list[str]]:
+        """Number of each row's name in a column, and the names; one name where there is no column."""
+        if name not in self.columns:
+            return np.zeros(len(self.text.rows), int), [""]
+        at = self.columns[name]
+        cells = [cells[at].strip() if at < len(cells) else "" for _, cells in self.text.rows]
+        names, which = np.unique(cells, return_inverse=True)
+        return which, names.tolist()
+
+
+def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
+    """The names of the columns that hold readings, chip by chip."""
+    chips = sorted({int(match[1]) for name in table.columns if (match := re.fullmatch(r"b([0-9]+)[xyz]_uT", name))})
+    names = [f"b{chip}{axis}_uT" for chip in chips for axis in CHIP_AXES]
+    if not chips or any(name not in table.columns for name in names):
+        raise DataError(
+            f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({table.text.beginning}); name them as in "
+            "docs/data.md"
+        )
+    return names
+
+
+def read_eflesh_session(folder: Path) -> SkinRecording:
+    """Read a session of eFlesh as it was recorded: `states.csv` and `sensor_post_baselines.csv`, plain or gzip-ed.
+
+    The states are time (s), x, y, z (mm) and, where it was read, the load in grams (-1: not read). As in
+    `i2t.convert.eflesh`, a session with two boards is one in which the probe shears two skins along z, and its load is
+    the shear force; in any other it presses one skin along z, and depth counts from the highest z.
+
+    Args:
+        folder: of the session.
+
+    Returns:
+        The recording, with the channels of all boards.
+
+    Raises:
+        DataError: a table is missing, or no row has a finite reading.
+    """
+    states, values = _loose_table(folder, "states"), _loose_table(folder, "sensor_post_baselines")
+    if states.shape[1] < 4 or values.shape[1] < 1 + VALUES_PER_CHIP or (values.shape[1] - 1) % VALUES_PER_CHIP:
+        raise DataError(
+            f"{folder}: has {states.shape[1]} columns of states and {values.shape[1]} of values; give time, x, y, z "
+            "and time with three values for each chip"
+        )
+    rows, partner = _together(states[:, 0], values[:, 0])
+    if not len(rows):
+        raise DataError(f"{folder}: no state was recorded within {1e3 * SAME_ROW:g} ms of a sensor row")
+    notes = (
+        [f"left out: {len(values) - len(rows)} rows without a state at their time"] if len(rows) < len(values) else []
+    )
+    states, values = states[partner], values[rows]
+    readings, place = values[:, 1:], 1e-3 * states[:, 1:4]
+    sheared = readings.shape[1] > EFLESH_READINGS
+    middle = (np.nanmin(place, 0) + np.nanmax(place, 0)) / 2
+    load = np.full(len(states), np.nan)
+    if states.shape[1] > 4:
+        load = np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
+    targets = {"position": place[:, :2] - middle[:2]}
+    if sheared:
+        notes += ["assumed: the stroke (robot z) shears along tool x, and the load is the shear force"]
+        targets["position"] = targets["position"] + np.column_stack([place[:, 2] - middle[2], np.zeros(len(place))])
+        targets["shear"] = load[:, None]
+    else:
+        notes += [f"assumed: depth counts from the highest z, {1e3 * np.nanmax(place[:, 2]):.3f} mm"]
+        targets |= {"depth": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
+    session = _strokes(states[:, 0], place[:, 2]) if states.shape[1] > 4 else np.zeros(len(states), int)
+    recording = SkinRecording(
+        folder.name, readings, targets, session, states[:, 0], notes=tuple(notes), baseline=_baseline(folder, values)
+    )
+    return _finite(_cleaned(recording), folder)
+
+
+def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
+    """A recording without damaged rows; values that no sensor sends are damage too."""
+    readings, notes = recording.readings, recording.notes
+    with np.errstate(invalid="ignore"):
+        sent = np.abs(readings) < MAX_VALUE
+    dead = ~sent.any(0)
+    if dead.any() and not dead.all():
+        readings = np.where(dead[None], 0.0, readings)
+        sent = sent | dead[None]
+        notes = (*notes, f"channels {', '.join(map(str, np.flatnonzero(dead)))} hold no number: taken as zero")
+    good = sent.all(1)
+    if not good.any():
+        raise DataError(f"{where}: no row has a finite reading; record it again")
+    if not good.all():
+        notes = (*notes, f"left out: {np.sum(~good)} rows whose reading is not finite, first row {np.argmin(good) + 1}")
+    kept = replace(recording, readings=readings, notes=notes).rows(good)
+    return replace(kept, targets={name: values for name, values in kept.targets.items() if kept.known(name).any()})
+
+
+def _cleaned(recording: SkinRecording) -> SkinRecording:
+    """A recording with the targets that are known, and contact where the force tells it."""
+    clean = {key: np.where(np.abs(values) < MAX_VALUE, values, np.nan) for key, values in recording.targets.items()}
+    if "contact" not in clean or not np.isfinite(clean["contact"]).any():
+        loads = [np.abs(clean[key]).max(1) for key in ("force", "shear") if key in clean]
+        if loads:
+            load = np.fmax.reduce(loads)
+            in_contact = np.where(load >= TOUCHING_FORCE_N, 1.0, np.nan)
+            clean["contact"] = np.where(load <= AIR_FORCE_N, 0.0, in_contact)[:, None]
+    known = {key: values for key, values in clean.items() if np.isfinite(values).all(1).any()}
+    return replace(recording, targets=known)
+
+
+def _lines(path: Path) -> list[list[str]]:
+    """The cells of a table's lines."""
+    try:
+        return list(csv.reader(read_text(path).splitlines()))
+    except csv.Error as error:
+        raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
+
+
+def _numbers(cells: list[str], count: int) -> list[float]:
+    """Numbers of a line; NaN for other text."""
+
+    def number(cell: str) -> float:
+        try:
+            return float(cell)
+        except ValueError:
+            return np.nan
+
+    return [number(cell) for cell in [*cells, *[""] * count][:count]]
+
+
+def _loose_table(folder: Path, name: str) -> np.ndarray:
+    """One table of a session without its damage: rows in the order of time, unreadable cells as NaN."""
+    path = next((file for file in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if file.is_file()), None)
+    if path is None:
+        raise DataError(f"{folder}: {name}.csv or {name}.csv.gz is missing")
+    lines = [line for line in _lines(path) if line]
+    if not lines:
+        raise DataError(f"{path}: holds no row; restore it from the source")
+    width = Counter(map(len, lines)).most_common(1)[0][0]
+    nothing = [np.nan] * width
+    table = np.array([_numbers(line, width) if len(line) == width else nothing for line in lines])
+    table = table[np.isfinite(table[:, 0])]
+    if not len(table):
+        raise DataError(f"{path}: holds no row that begins with a time; restore it from the source")
+    return table[np.argsort(table[:, 0], kind="stable")]
+
+
+def _together(states: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sensor rows that have a state at their time, and these states."""
+    after = np.clip(np.searchsorted(states, values), 0, len(states) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(states[before] - values) < np.abs(states[after] - values), before, after)
+    rows = np.flatnonzero(np.abs(states[nearest] - values) <= SAME_ROW)
+    return rows, nearest[rows]
+
+
+def _baseline(folder: Path, values: np.ndarray) -> np.ndarray | None:
+    """Values subtracted from each row, from the raw values in the same folder; None without."""
+    try:
+        raw = _loose_table(folder, "sensor")
+    except DataError:
+        return None
+    rows, partner = _together(raw[:, 0], values[:, 0])
+    if len(rows) != len(values) or raw.shape[1] != values.shape[1]:
+        return None
+    return raw[partner, 1:] - values[:, 1:]
+
+
+def _strokes(time: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Number of the stroke, down and up, that a row belongs to: strokes begin at the top, after a pause."""
+    at_top = z > np.nanmax(z) - 0.1 * (np.nanmax(z) - np.nanmin(z))
+    begins = np.concatenate([[False], (np.diff(time) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
+    return np.cumsum(begins)

@@ -1,0 +1,282 @@
+"""Presses of one tip as columns in SI units: the table that every recording of presses is read into, and from which its
+data set is made.
+
+Reading a foreign format ends here. What the recording does not say or says wrongly is estimated session by session
+(`i2t.unknowns`), said in a sentence and put right; patches, poses and names of the data set follow from the columns.
+
+Frames: the skin is fixed, and its tool frame T is the world's. The object O is the tip, its axes as T's and its origin
+at its lowest point; a mesh keeps its own frame, whose z axis is the tip's.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from i2t.convert.common import ConversionLog
+from i2t.dataset import Dataset, missing_context
+from i2t.errors import DataError
+from i2t.types import PATCH_PIXELS, Board, ReturnCode, Touches
+from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, find, findings_to_meta, lag_rows
+from i2t.unknowns.chip_field import turn_board
+from i2t.unknowns.heights import HEIGHT_ZERO
+
+AXES_OF_CHIP = 3
+ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
+
+# A tip is a body of revolution whose axis stands on the skin: the height (m) of its surface above its lowest point at a
+# distance (m) from its axis, infinite where there is nothing.
+Profile: TypeAlias = Callable[[np.ndarray], np.ndarray]
+
+
+class PressTable(NamedTuple):
+    """Presses, a row each, in the order of time."""
+
+    position: np.ndarray  # (n, 2) m, of the tip's axis from the skin's centre
+    height: np.ndarray  # (n,) m, of the tip's lowest point above first contact; NaN where it is not recorded
+    force: np.ndarray  # (n,) N; NaN where it was not read
+    readings: np.ndarray  # (n, c) uT; NaN of a chip that did not answer
+    time: np.ndarray  # (n,) s; NaN where it is not known
+    pad: np.ndarray  # (n,) names
+    session: np.ndarray  # (n,) names
+
+    def rows(self, which: np.ndarray) -> "PressTable":
+        """Some of the presses.
+
+        Args:
+            which: A mask, or row numbers.
+
+        Returns:
+            These.
+        """
+        return PressTable(*(column[which] for column in self))
+
+
+def join_tables(parts: Sequence[PressTable]) -> PressTable:
+    """Presses one after the other.
+
+    Args:
+        parts: Tables of one board, at least one.
+
+    Returns:
+        All rows.
+    """
+    return PressTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+class SessionCheck(NamedTuple):
+    """Findings in one session, ready to be applied to its presses."""
+
+    board: Board
+    findings: tuple[Finding, ...] = ()
+    factors: Mapping[str, float] = MappingProxyType({})  # on lengths, fields, forces, signs ...
+    lag: int = 0  # rows
+    order: np.ndarray | None = None  # of the chips
+    signs: np.ndarray | None = None  # of the channels
+    meta: Mapping[str, str] = MappingProxyType({})
+
+    @property
+    def zero(self) -> Finding | None:
+        """Finding on the height of first contact."""
+        return find(self.findings, HEIGHT_ZERO)
+
+    def factor(self, *names: str) -> float:
+        """Product of corrections.
+
+        Args:
+            *names: Such as "length"; a correction that was not found is 1.
+
+        Returns:
+            The factor.
+        """
+        return float(np.prod([self.factors.get(name, 1.0) for name in names]))
+
+    def apply(self, table: PressTable) -> PressTable:
+        """Put right what the session contradicts; the height of first contact is left to the caller.
+
+        Args:
+            table: Of the session, as recorded.
+
+        Returns:
+            Its rows whose labels and readings belong together.
+        """
+        readings = table.readings * self.factor("field_factor")
+        if self.order is not None:
+            readings = readings.reshape(len(readings), -1, AXES_OF_CHIP)[:, self.order].reshape(readings.shape)
+        if self.signs is not None:
+            readings = readings * self.signs
+        label_rows, reading_rows = lag_rows(len(readings), self.lag)
+        return table.rows(label_rows)._replace(
+            position=table.position[label_rows] * self.factor("length_factor"),
+            height=table.height[label_rows] * self.factor("depth_factor", "height_sign"),
+            force=table.force[label_rows] * self.factor("force_factor", "force_sign"),
+            readings=readings[reading_rows],
+        )
+
+
+def check_session(
+    name: str,
+    presses: RecordedPresses,
+    board: Board,
+    notes: ConversionLog,
+    *,
+    stated_zero: float | None = None,
+) -> SessionCheck:
+    """Estimate the unknowns of a session and note every sentence.
+
+    Args:
+        name: Of the session.
+        presses: As recorded.
+        board: As described.
+        notes: That hear the sentences.
+        stated_zero: Height of first contact (m) that the recording states.
+
+    Returns:
+        What to apply.
+    """
+    findings = estimate_unknowns(presses, board, stated_zero=stated_zero)
+    for finding in sorted(findings, key=lambda one: not one.wrong):
+        notes.info(f"{'corrected' if finding.wrong else 'found'} in {name}: {finding.sentence}")
+    todo = {key: value for finding in findings for key, value in finding.correction.items()}
+    if "board_from_stage" in todo:
+        board = turn_board(board, np.asarray(todo["board_from_stage"], np.float64))
+    return SessionCheck(
+        board,
+        tuple(findings),
+        {key: float(value) for key, value in todo.items() if key.endswith(("_factor", "_sign"))},
+        lag=int(todo.get("label_lag_rows", 0)),
+        order=np.asarray(todo["chip_order"]) if "chip_order" in todo else None,
+        signs=np.asarray(todo["channel_signs"], np.float64) if "channel_signs" in todo else None,
+        meta=findings_to_meta(name, findings),
+    )
+
+
+class Tip(NamedTuple):
+    """What presses."""
+
+    name: str
+    patches: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]  # of x, y, window and reach (m)
+    lowest: float = 0.0  # m, z of its lowest point in its own frame
+
+
+def round_tip(name: str, profile: Profile) -> Tip:
+    """A tip that is a body of revolution.
+
+    Args:
+        name: Of the object in the data set.
+        profile: Of the tip.
+
+    Returns:
+        The tip.
+    """
+    return Tip(name, lambda x, y, window, reach: tip_patches(profile, x, y, window, reach))
+
+
+def presses_dataset(
+    table: PressTable,
+    tip: Tip,
+    board: Board,
+    notes: ConversionLog,
+    *,
+    whose: object,
+    window: float,
+    reach: float,
+    source: str = "real",
+    meta: dict[str, str] | None = None,
+) -> Dataset:
+    """The data set of presses.
+
+    Args:
+        table: Of one skin or several with one board, corrected.
+        tip: What pressed.
+        board: Which the readings are of.
+        notes: That hear what is left out.
+        whose: Names the source in messages.
+        window: m, edge of the square that a patch shows; presses whose axis lies outside it are left out.
+        reach: m, patches are clipped to this depth behind the tip's lowest point.
+        source: "real", "simulated" or "mixed".
+        meta: Provenance, in words.
+
+    Returns:
+        A touch for each press.
+
+    Raises:
+        DataError: No press lies inside the window.
+    """
+    inside = (np.abs(table.position) <= window / 2).all(1)
+    if not inside.all():
+        notes.info(f"left out: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
+    if not inside.any():
+        raise DataError(f"{whose}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
+    table = table.rows(inside)
+    n, (x, y) = len(table.time), table.position.T
+    pads, sessions = (tuple(dict.fromkeys(names.tolist())) for names in (table.pad, table.session))
+    T_w_o = np.tile(np.eye(4), (n, 1, 1))
+    T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(table.height) - tip.lowest])
+    touches = Touches(
+        patch=tip.patches(x, y, window, reach),
+        wide=missing_context(n),
+        nearest=table.height,
+        reading=table.readings,
+        force=table.force,
+        depth=np.maximum(-table.height, 0),
+        T_w_t=np.tile(np.eye(4), (n, 1, 1)),
+        T_w_o=T_w_o,
+        object=np.zeros(n),
+        pad=np.array([pads.index(name) for name in table.pad]),
+        session=np.array([sessions.index(name) for name in table.session]),
+        code=np.where(table.height > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
+        time=None if np.isnan(table.time).all() else table.time,
+    )
+    return Dataset(
+        touches, (tip.name,), pads, sessions, board=board, source=source, window=window, reach=reach, meta=meta or {}
+    )
+
+
+def sphere(radius: float) -> Profile:
+    """The lower half of a sphere: h = R - sqrt(R^2 - r^2).
+
+    Args:
+        radius: m.
+
+    Returns:
+        Its profile.
+    """
+    return lambda r: np.where(r < radius, radius - np.sqrt(np.maximum(radius**2 - r**2, 0)), np.inf)
+
+
+def cylinder(radius: float) -> Profile:
+    """The flat end of a cylinder.
+
+    Args:
+        radius: m.
+
+    Returns:
+        Its profile.
+    """
+    return lambda r: np.where(r <= radius, 0.0, np.inf)
+
+
+def tip_patches(profile: Profile, x: np.ndarray, y: np.ndarray, window: float, reach: float) -> np.ndarray:
+    """Patches of a tip whose axis stands upright on the skin.
+
+    Depth counts from the tip's lowest point, which may lie between two pixels.
+
+    Args:
+        profile: of the tip.
+        x: (n,) m, of the axis in the tool frame.
+        y: (n,) m, likewise.
+        window: m, edge of the square that a patch shows.
+        reach: m, to which depth is clipped.
+
+    Returns:
+        (n, 48, 48) m, float32.
+    """
+    centres = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * window
+    result = np.empty((len(x), PATCH_PIXELS, PATCH_PIXELS), np.float32)
+    for start in range(0, len(x), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        r = np.hypot(centres[None, :, None] - y[rows, None, None], centres[None, None, :] - x[rows, None, None])
+        result[rows] = np.minimum(profile(r), reach)
+    return result
