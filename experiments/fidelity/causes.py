@@ -59,9 +59,9 @@ def cause_section(path: Path, preset: FidelityPreset, seed: int, section: Sectio
     touches, split, cfg = prepared.touches, prepared.split, prepared.touches.pressure_model
     section.sentences += prepared.notes  # on loads: what is odd about signs, units and zeros
     found = [*late_rows(touches.dataset)]
-    loads = None if cfg is None else getattr(touches.dataset.touches, cfg.control)[split.train]
-    if preset.try_causes and cfg is not None and np.isfinite(loads).all():
-        found += tried_changes(touches.dataset, split.train, split.groups, cfg)
+    if cfg is not None and preset.try_causes:
+        known = np.isfinite(getattr(touches.dataset.touches, cfg.control)[split.train]).all()
+        found += tried_changes(touches.dataset, split.train, split.groups, cfg) if known else []
     section.sentences += [each.evidence for each in found if each.found]
     guilty, tested = {each.cause for each in found if each.found}, {each.cause for each in found}
     for said, causes in (

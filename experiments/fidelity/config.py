@@ -10,13 +10,12 @@ class FidelityPreset:
     """Sizes of the report."""
 
     counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # presses to calibrate with
-    draws: int = 5  # of them
+    draws: int = 5  # of them, and of parts that mistakes are put into
     method_seconds: float = 150.0  # of one method's curves, after which it gets no further draw
     test_rows: int = 1000  # on which curves are scored
     forward_rows: int = 1200  # of the model by which noise and hysteresis are separated from the press
     block_mm: float = 6.0
     held_out_share: float = 0.2  # of blocks, rows or time
-    mistake_draws: int = 8  # parts of the recording that mistakes are put into
     try_causes: bool = True  # of a predictor that loses; else only those that show in the numbers
     heads: HeadBudget = field(default_factory=HeadBudget)
     heads_across: HeadBudget = field(default_factory=lambda: HeadBudget(400, 1500, rows=4000))
@@ -25,12 +24,11 @@ class FidelityPreset:
 FIDELITY_PRESETS: dict[str, FidelityPreset] = {
     "paper": FidelityPreset(),
     "short": FidelityPreset(
-        counts=(5, 20, 100), draws=4, method_seconds=30.0, forward_rows=600, mistake_draws=3,
+        counts=(5, 20, 100), draws=4, method_seconds=30.0, forward_rows=600,
         heads=HeadBudget(400, 1200, rows=4000),
     ),
     "debug": FidelityPreset(
         counts=(20,), draws=1, try_causes=False, method_seconds=5.0, test_rows=100, forward_rows=150,
-        mistake_draws=1,
         heads=HeadBudget(100, 200, rows=400), heads_across=HeadBudget(100, 200, rows=400),
     ),
 }  # fmt: skip

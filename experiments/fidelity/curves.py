@@ -27,8 +27,8 @@ from i2t.calibration.heads import SkinRecording
 from i2t.dataset import square_blocks
 from i2t.prediction.metrics import student_interval
 from i2t.types import Board
-from i2t.unknowns import aligned_prediction, fit_session_map, lay_over, predict_session
-from i2t.unknowns.findings import corrected_readings
+from i2t.unknowns import fit_session_map, lay_over, predict_session
+from i2t.unknowns.findings import AXES, corrected_readings
 from i2t.viz import style
 
 CALIBRATED = "i2t.calibrate"
@@ -226,7 +226,8 @@ def _across(
         session, now.position[own], now.load[own], now.readings[own], load_known=load_known, unit=unit
     )
     as_it_is = predict_session(session, now.position[test], now.load[test])
-    aligned = aligned_prediction(session, alignment, now.position[test], now.load[test])
+    moved = predict_session(session, now.position[test] + alignment.shift, now.load[test] + alignment.load)
+    aligned = np.repeat(alignment.gain, AXES) * moved
     scores = {
         "as it is": explained_share(now.readings[test], as_it_is),
         "aligned": explained_share(corrected_readings(now.readings[test], findings[-1].correction), aligned),

@@ -27,7 +27,6 @@ PUBLISHED_FIGURES = {
     "depth": "eflesh-touch 0.39 mm",
     "force": "eFlesh 0.27 N, eflesh-touch 0.080 N",
     "shear": "eFlesh 0.12 N, eflesh-touch 0.055 N",
-    "slip": "eFlesh 95 %, AnySkin 92 % of slips found (with a tip of their own)",
 }
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
 MIN_HEAD_TEST = 5

@@ -4,7 +4,6 @@ The parts are presses of the recording as the checks put it right, drawn at rand
 parts without a mistake show whether a sound recording is accused.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,22 +14,15 @@ from experiments.fidelity.forward import one_tip
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.calibration.heads import SkinRecording
 from i2t.types import Board
-from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, find
+from i2t.unknowns import Finding, RecordedPresses, estimate_labels, estimate_unknowns, find
 from i2t.unknowns.chip_field import STAGE, STAGES, SWAPPED
+from i2t.unknowns.findings import corrected_readings
 from i2t.unknowns.heights import HEIGHT_ZERO
 from i2t.unknowns.labels import FORCE_SIGN, HEIGHT_AXIS, LAG, UNITS
 
 PART_PRESSES = 160
 SHIFT_M, ZERO_TOLERANCE_M = 1.2e-3, 0.05e-3  # of a height zero, and how near it must be found
 MAX_LAG = 3
-
-
-class Mistake(NamedTuple):
-    """A recording with a mistake, and the finding that names it."""
-
-    presses: RecordedPresses
-    unknown: str
-    correction: dict[str, Any]
 
 
 class Answer(NamedTuple):
@@ -41,69 +33,48 @@ class Answer(NamedTuple):
     accused: bool  # the part without it
 
 
-def lag(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake:
-    """Labels of another row."""
+class Mistake(NamedTuple):
+    """A recording with a mistake, and the finding that names it."""
+
+    presses: RecordedPresses
+    unknown: str
+    correction: dict[str, Any]
+
+
+def with_mistakes(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> dict[str, Mistake]:
+    """The presses with one mistake at a time.
+
+    Args:
+        one: Sound presses.
+        board: That read them; without one nothing is done to its chips.
+        rng: Draws the lag, the chips and the stage.
+
+    Returns:
+        Mistakes by their names: those that presses of this kind can have.
+    """
     rows = int(rng.integers(1, MAX_LAG + 1)) * int(rng.choice([-1, 1]))
     labels = {name: values for name, values in one._asdict().items() if values is not None and name != "readings"}
-    rolled = {name: np.roll(values, rows, axis=0) for name, values in labels.items()}
-    return Mistake(one._replace(**rolled), LAG, {"label_lag_rows": rows})
-
-
-def millimetres(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake:
-    """Positions in millimetres."""
-    return Mistake(one._replace(position=1e3 * one.position), UNITS, {"length_factor": 1e-3})
-
-
-def millitesla(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake:
-    """Readings in millitesla."""
-    return Mistake(one._replace(readings=1e-3 * one.readings), UNITS, {"field_factor": 1e3})
-
-
-def pulled(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
-    """Forces of the other sign."""
-    if one.force is None:
-        return None
-    return Mistake(one._replace(force=-one.force), FORCE_SIGN, {"force_sign": -1.0})
-
-
-def into_the_skin(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
-    """Heights that grow with the depth."""
-    if one.height is None:
-        return None
-    return Mistake(one._replace(height=-one.height), HEIGHT_AXIS, {"height_sign": -1.0})
-
-
-def higher(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
-    """Heights counted from elsewhere."""
-    if one.height is None:
-        return None
-    return Mistake(one._replace(height=one.height + SHIFT_M), HEIGHT_ZERO, {"height_zero_m": SHIFT_M})
-
-
-def swapped(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
-    """Two chips in each other's place."""
-    chips = one.readings.shape[1] // 3
-    if board is None or chips < 3:
-        return None
-    order, pair = np.arange(chips), rng.choice(chips, 2, replace=False)
-    order[pair] = order[pair[::-1]]
-    readings = one.readings.reshape(-1, chips, 3)[:, order].reshape(one.readings.shape)
-    return Mistake(one._replace(readings=readings), SWAPPED, {"chip_order": order})
-
-
-def turned(one: RecordedPresses, board: Board | None, rng: np.random.Generator) -> Mistake | None:
-    """Axes of the stage that are not the board's."""
-    if board is None:
-        return None
-    matrix = STAGES[list(STAGES)[int(rng.integers(1, len(STAGES)))]]
-    return Mistake(one._replace(position=one.position @ np.linalg.inv(matrix).T), STAGE, {"board_from_stage": matrix})
-
-
-MISTAKES: dict[str, Callable[[RecordedPresses, Board | None, np.random.Generator], Mistake | None]] = {
-    "labels of another row": lag, "positions in millimetres": millimetres, "readings in millitesla": millitesla,
-    "forces that pull": pulled, "heights into the skin": into_the_skin, "another height zero": higher,
-    "two chips swapped": swapped, "a stage turned or mirrored": turned,
-}  # fmt: skip
+    late = one._replace(**{name: np.roll(values, rows, axis=0) for name, values in labels.items()})
+    found = {
+        "labels of another row": Mistake(late, LAG, {"label_lag_rows": rows}),
+        "positions in millimetres": Mistake(one._replace(position=1e3 * one.position), UNITS, {"length_factor": 1e-3}),
+        "readings in millitesla": Mistake(one._replace(readings=1e-3 * one.readings), UNITS, {"field_factor": 1e3}),
+    }
+    if one.force is not None:
+        found["forces that pull"] = Mistake(one._replace(force=-one.force), FORCE_SIGN, {"force_sign": -1.0})
+    if one.height is not None:
+        found["heights into the skin"] = Mistake(one._replace(height=-one.height), HEIGHT_AXIS, {"height_sign": -1.0})
+        higher = one._replace(height=one.height + SHIFT_M)
+        found["another height zero"] = Mistake(higher, HEIGHT_ZERO, {"height_zero_m": SHIFT_M})
+    if board is not None and len(board.chips) > 2:
+        order, pair = np.arange(len(board.chips)), rng.choice(len(board.chips), 2, replace=False)
+        order[pair] = order[pair[::-1]]
+        swapped = one._replace(readings=corrected_readings(one.readings, {"chip_order": order}))
+        found["two chips swapped"] = Mistake(swapped, SWAPPED, {"chip_order": order})
+        matrix = STAGES[list(STAGES)[int(rng.integers(1, len(STAGES)))]]
+        turned = one._replace(position=one.position @ np.linalg.inv(matrix).T)
+        found["a stage turned or mirrored"] = Mistake(turned, STAGE, {"board_from_stage": matrix})
+    return found
 
 
 def mistake_section(recording: SkinRecording, preset: FidelityPreset, seed: int, section: Section) -> None:
@@ -115,15 +86,14 @@ def mistake_section(recording: SkinRecording, preset: FidelityPreset, seed: int,
     if len(whole.position) < PART_PRESSES:
         raise CannotTellError(f"{len(whole.position)} presses are too few; {PART_PRESSES} make a part.")
     answers: dict[str, list[Answer]] = {}
-    for draw in range(preset.mistake_draws):
-        rows = np.random.default_rng((seed, draw)).permutation(len(whole.position))[:PART_PRESSES]
-        sound = whole.rows(np.sort(rows))
+    for draw in range(preset.draws):
+        part = np.random.default_rng((seed, draw)).permutation(len(whole.position))[:PART_PRESSES]
+        sound = whole.rows(np.sort(part))
         before = estimate_unknowns(sound, board)
-        for number, (name, put_in) in enumerate(MISTAKES.items()):
-            mistake = put_in(sound, board, np.random.default_rng((seed, draw, number)))
-            if mistake is not None:
-                after = estimate_unknowns(mistake.presses, board)
-                answers.setdefault(name, []).append(_answer(mistake, before, after))
+        for name, mistake in with_mistakes(sound, board, np.random.default_rng((seed, draw))).items():
+            of_labels = mistake.unknown in (LAG, UNITS, FORCE_SIGN, HEIGHT_AXIS)  # which are asked first
+            after = estimate_labels(mistake.presses) if of_labels else estimate_unknowns(mistake.presses, board)
+            answers.setdefault(name, []).append(_answer(mistake, before, after))
     rows = [["mistake", "found", "can tell", "false alarms"]]
     for name, found in answers.items():
         rows.append([name, *(f"{sum(counted)} of {len(found)}" for counted in zip(*found, strict=True))])
@@ -136,8 +106,8 @@ def _answer(mistake: Mistake, before: list[Finding], after: list[Finding]) -> An
     if was is None or found is None:
         return Answer(False, False, False)
     todo = dict(found.correction)
-    if mistake.unknown == HEIGHT_ZERO:  # a number: it must move as the heights do
-        todo = {} if None in (was.estimate, found.estimate) else {"height_zero_m": found.estimate - was.estimate}
+    if mistake.unknown == HEIGHT_ZERO and was.estimate is not None and found.estimate is not None:
+        todo = {"height_zero_m": found.estimate - was.estimate}  # a number: it must move as the heights do
     named = todo.keys() == mistake.correction.keys() and all(
         np.allclose(todo[key], value, rtol=1e-6, atol=ZERO_TOLERANCE_M) for key, value in mistake.correction.items()
     )

@@ -75,8 +75,8 @@ STEPS = (
     ),
     Step(
         "fidelity",
-        "-m experiments.fidelity --dataset eflesh/spatial --mistakes",
-        minutes=20,
+        "-m experiments.fidelity --dataset eflesh/spatial",
+        minutes=11,
         needs="eflesh/spatial",
         again="--overwrite",
     ),

@@ -15,7 +15,6 @@ the recording can tell at all. NumPy and SciPy only, so that converters can use 
 from i2t.unknowns.alignment import (
     SessionMap,
     align_session,
-    aligned_prediction,
     fit_session_map,
     lay_over,
     predict_session,
@@ -40,7 +39,6 @@ __all__ = [
     "RecordedPresses",
     "SessionMap",
     "align_session",
-    "aligned_prediction",
     "corrected_presses",
     "estimate_labels",
     "estimate_unknowns",

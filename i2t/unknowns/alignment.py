@@ -169,24 +169,6 @@ def align_session(
     )  # fmt: skip
 
 
-def aligned_prediction(
-    session: SessionMap, alignment: Alignment, position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n c"]:
-    """Predict readings of later presses by the earlier session, aligned.
-
-    Args:
-        session: The earlier session.
-        alignment: Of the later one on it.
-        position: Of later presses (m).
-        load: Their loads.
-
-    Returns:
-        Readings (uT).
-    """
-    expected = predict_session(session, position + alignment.shift, load + alignment.load)
-    return np.repeat(alignment.gain, AXES) * expected
-
-
 def lay_over(
     session: SessionMap,
     position: Float[np.ndarray, "n 2"],

@@ -217,47 +217,39 @@ def _dipole_tensors(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _stage_finding(gains: dict[str, float], evidence_per_value: float, *, likeliest: bool) -> Finding:
     best, second = sorted(gains, key=lambda name: -gains[name])[:2]
     lead = gains[best] - gains[second]
-    wrong = bool(likeliest and gains[best] > STAGE_GAIN)
-    known = bool(best == AS_RECORDED and lead >= IDENTIFICATION_GAIN)
-    if wrong:
-        sentence = (
+    evidence = {"evidence_per_value": evidence_per_value, "lead": lead}
+    evidence |= {f"gain_{name}": gain for name, gain in gains.items() if name != AS_RECORDED}
+    if likeliest and gains[best] > STAGE_GAIN:
+        said = (
             f"The readings of the chips go together better with the stage {best}: log evidence of each value "
             f"{gains[best]:+.2f}; the board is turned so."
         )
-    elif known:
-        sentence = (
-            f"The board lies as it is described: any turn or mirror loses {lead:.2f} of log evidence for each value."
-        )
-    else:
-        sentence = (
-            f"How the board is turned under the stage is not identifiable: {best} and the next best explain the "
-            f"readings about as well ({lead:+.3f} of log evidence for each value)."
-        )
-    evidence = {"evidence_per_value": evidence_per_value, "lead": lead}
-    evidence |= {f"gain_{name}": gain for name, gain in gains.items() if name != AS_RECORDED}
-    correction = {"board_from_stage": STAGES[best].tolist()} if wrong else {}
-    return Finding(STAGE, sentence, identifiable=wrong or known, wrong=wrong, evidence=evidence, correction=correction)
+        correction = {"board_from_stage": STAGES[best].tolist()}
+        return Finding(STAGE, said, identifiable=True, wrong=True, evidence=evidence, correction=correction)
+    if best == AS_RECORDED and lead >= IDENTIFICATION_GAIN:
+        said = f"The board lies as it is described: any turn or mirror loses {lead:.2f} of log evidence for each value."
+        return Finding(STAGE, said, identifiable=True, evidence=evidence)
+    said = (
+        f"How the board is turned under the stage is not identifiable: {best} and the next best explain the readings "
+        f"about as well ({lead:+.3f} of log evidence for each value)."
+    )
+    return Finding(STAGE, said, identifiable=False, evidence=evidence)
 
 
 def _swap_finding(
     gains: dict[tuple[int, int], float], orders: dict[tuple[int, int], np.ndarray], *, likeliest: bool
 ) -> Finding:
     swap = max(gains, key=lambda pair: gains[pair])
-    gain = gains[swap]
-    wrong, known = bool(likeliest and gain > SWAP_GAIN), bool(gain <= -IDENTIFICATION_GAIN)
-    if wrong:
-        sentence = (
-            f"Chips {swap[0]} and {swap[1]} are swapped: with them exchanged, log evidence of each value grows by "
-            f"{gain:.2f}."
-        )
-    elif known:
-        sentence = f"The chips are in order: any swap loses {-gain:.2f} of log evidence for each value."
-    else:
-        sentence = (
-            f"Whether chips {swap[0]} and {swap[1]} are swapped is not identifiable ({gain:+.3f} of log evidence for "
-            "each value)."
-        )
-    correction = {"chip_order": orders[swap].tolist()} if wrong else {}
-    return Finding(
-        SWAPPED, sentence, identifiable=wrong or known, wrong=wrong, evidence={"best_gain": gain}, correction=correction
+    gain, evidence = gains[swap], {"best_gain": gains[swap]}
+    if likeliest and gain > SWAP_GAIN:
+        said = f"Chips {swap[0]} and {swap[1]} are swapped: exchanged, log evidence of each value grows by {gain:.2f}."
+        correction = {"chip_order": orders[swap].tolist()}
+        return Finding(SWAPPED, said, identifiable=True, wrong=True, evidence=evidence, correction=correction)
+    if gain <= -IDENTIFICATION_GAIN:
+        said = f"The chips are in order: any swap loses {-gain:.2f} of log evidence for each value."
+        return Finding(SWAPPED, said, identifiable=True, evidence=evidence)
+    said = (
+        f"Whether chips {swap[0]} and {swap[1]} are swapped is not identifiable ({gain:+.3f} of log evidence for each "
+        "value)."
     )
+    return Finding(SWAPPED, said, identifiable=False, evidence=evidence)

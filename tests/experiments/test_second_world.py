@@ -14,6 +14,7 @@ from i2t.prediction.touch_model import TouchBatch
 
 SKIN = world.make_skin(np.random.default_rng(0))
 FLAT = np.zeros((world.CELLS, world.CELLS))
+TOUCHES = 20  # of each object
 
 
 def test_it_shares_no_code_with_i2t():
@@ -40,9 +41,9 @@ def test_a_flat_sinks_as_its_springs_say_and_a_dipole_has_its_field():
 def test_predicted_pressure_leads_ridge_regression_where_the_physics_is_another():
     """On objects that neither has seen: the Gaussian process on pressures that i2t predicts, with i2t's own layer."""
     rng = np.random.default_rng(1)
-    made = [world.touch(rng, mesh, SKIN, 30) for mesh in world.make_objects().values()]
+    made = [world.touch(rng, mesh, SKIN, TOUCHES) for mesh in world.make_objects().values()]
     patch, force, reading = (np.concatenate(part) for part in zip(*made, strict=True))
-    groups = np.repeat(np.arange(len(made)), 30)
+    groups = np.repeat(np.arange(len(made)), TOUCHES)
     cfg = PressureModelConfig(pitch=world.EDGE_M / world.PIXELS, smooth=False, tilt=0.0)
     f32 = {"views": patch.astype(np.float32), "force": force.astype(np.float32)}
     r2 = explained(
@@ -59,4 +60,4 @@ def test_predicted_pressure_leads_ridge_regression_where_the_physics_is_another(
         asked = TouchBatch(patch[test], patch[test], nothing, nothing, nothing, nothing)
         missed[test] = model.predict_batch(asked).mean - reading[test]
     ridge = 1 - (missed**2).sum() / ((reading - reading.mean(0)) ** 2).sum()
-    assert r2 > ridge + 0.05
+    assert r2 > ridge + 0.1

@@ -68,19 +68,15 @@ def make_skin(rng: np.random.Generator) -> ReferenceSkin:
 def make_objects() -> dict[str, trimesh.Trimesh]:
     """Objects of some centimetres that stand on z = 0."""
     creation = trimesh.creation
-    angles = np.arange(10) * np.pi / 5
-    star = np.c_[np.cos(angles), np.sin(angles)] * np.where(np.arange(10) % 2, 11e-3, 24e-3)[:, None]
     lying = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
     meshes = {
         "block": creation.box((0.05, 0.035, 0.03)),
-        "nut": creation.cylinder(0.02, 0.03, sections=6),
         "rod": creation.cylinder(0.008, 0.06, sections=48, transform=lying),
         "cone": creation.cone(0.024, 0.022, sections=48),
         "ring": creation.torus(0.018, 0.006, major_sections=48, minor_sections=24),
         "wedge": trimesh.convex.convex_hull(
             np.array([[x, y, z] for x in (-0.025, 0.025) for y, z in ((-0.018, 0), (0.018, 0), (0.0, 0.018))])
         ),
-        "star": _prism(star, 0.03),
         "capsule": creation.capsule(0.04, 0.012, transform=lying),
         "stick": creation.box((0.07, 0.012, 0.02)),
     }
@@ -192,15 +188,3 @@ def _site(rng: np.random.Generator, mesh: trimesh.Trimesh) -> np.ndarray:
     T[:3, :3] = (down * Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))).as_matrix()
     T[:3, 3] = points[0]
     return T
-
-
-def _prism(outline: np.ndarray, height: float) -> trimesh.Trimesh:
-    """A prism over a star-shaped outline about the origin."""
-    n = len(outline)
-    vertices = np.r_[np.c_[outline, np.zeros(n)], np.c_[outline, np.full(n, height)], [[0, 0, 0], [0, 0, height]]]
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    faces = np.r_[
-        np.c_[i, j, n + j], np.c_[i, n + j, n + i], np.c_[j, i, np.full(n, 2 * n)],
-        np.c_[n + i, n + j, np.full(n, 2 * n + 1)],
-    ]  # fmt: skip
-    return trimesh.Trimesh(vertices, faces)
