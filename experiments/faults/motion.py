@@ -21,10 +21,11 @@ import numpy as np
 
 from experiments.faults.closed_form import HEIGHT_M, STIFFNESS_N_M, NullRecorder, make_procedure, make_scene, site
 from experiments.faults.table import Fault, Measure, Trial
-from i2t.collect.path import TouchPath
 from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
+from i2t.hardware.collision import REACTION_S, overrun_force
+from i2t.hardware.limits import BRAKING_M_S2
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.config import UrConfig
 from i2t.hardware.ur.driver import UrArm
@@ -33,7 +34,7 @@ from i2t.types import ReturnCode
 Harm: TypeAlias = Callable[[str, "subprocess.Popen[str]"], Any]  # of a controller, by its address and process
 
 SETTINGS, LIMITS = TouchSettings(), Rig().limits
-BOUNDS = TouchPath(Rig(), SETTINGS, HEIGHT_M).press_bounds(1 / UrConfig.watchdog_rate)
+OVERRUN = partial(overrun_force, SETTINGS.press, LIMITS.stiffness, braking=BRAKING_M_S2)
 TRAVEL_M = 0.15  # of a motion in which something breaks
 FROZEN_S = 1.0
 NOTICED_GOAL_S, STOP_GOAL_S = 0.5, 0.2
@@ -276,7 +277,7 @@ def _stands(rate: float) -> Measure:
 NEVER, CRASHED = Measure("moved again", 0), Measure("crashed", 0)
 NOTICED = Measure("noticed", NOTICED_GOAL_S, "s")
 OVER = Measure("over", OVER_GOAL_N, "N")
-STALL = (Measure("gained", BOUNDS.stall, "N"), NEVER)
+STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / UrConfig.watchdog_rate), "N"), NEVER)
 HARMS: dict[str, Harm] = {
     "stream stalled": _ask("stall"),
     "all ports mute": _ask("mute"),
@@ -299,5 +300,5 @@ MOTION_FAULTS = (
     Fault("stalls", "the program, 1 to 5 s, in a press", partial(stalled_press, False), 50, STALL),
     Fault("stalls", "the program and the arm's process", partial(stalled_press, True), 50, STALL),
     Fault("stalls", "skin dies in a press, simulated", dying_skin, 100,
-          (Measure("gained", BOUNDS.silence, "N"), Measure("ended at", unit="N"))),
+          (Measure("gained", OVERRUN(delay=REACTION_S + SETTINGS.silence), "N"), Measure("ended at", unit="N"))),
 )  # fmt: skip

@@ -9,7 +9,7 @@ new_pad      a pad that was never recorded is pressed with a known ball, and a p
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import TWIST_LEVER_M, Board, Pad
 
+Value = TypeVar("Value")
 WITH_READINGS = ("fused", "readings")
 WITH_PRESENCE = ("fused", "readings and presence")
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
@@ -131,6 +132,10 @@ def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
     return {name: Setting(worlds[name], WITH_READINGS) for name in some}
 
 
+def _instead(given: Value, _: Value) -> Value:
+    return given
+
+
 def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
     """Worlds whose errors the belief knows; of harder presses with the run's pad model, and with one fitted to them."""
     base = lab.cfg.errors
@@ -153,13 +158,13 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
             placement=max(each.placement, MIN_PLACEMENT_M),
             placement_angle=max(each.placement_angle, MIN_PLACEMENT_RAD),
         )
-        world = StudyWorld(errors=lambda _, each=each: each, limits=lambda usual, name=name: limits.get(name, usual))
+        world = StudyWorld(errors=partial(_instead, each), limits=partial(_instead, limits.get(name, lab.cfg.limits)))
         found[name] = Setting(world, WITH_PRESENCE, noisier(lab, each), stated)
-    for each in AMBIENT_EVERY:
-        usual = found[f"ambient every {each} touches"]
+    for count in AMBIENT_EVERY:
+        usual = found[f"ambient every {count} touches"]
         following = lab.pad_model.likelihood._replace(drift_std=jnp.float32(FOLLOWED_DRIFT_UT))
         model = lab.pad_model._replace(likelihood=following)
-        found[f"ambient every {each} touches, drift followed"] = usual._replace(model=model)
+        found[f"ambient every {count} touches, drift followed"] = usual._replace(model=model)
     for stop in REFITTED_UT[:1] if lab.args.debug else REFITTED_UT:
         name = f"stop at {stop:.0f} uT"
         model = lab.refit(jax.random.fold_in(key, int(stop)), limits=limits[name])

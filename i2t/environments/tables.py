@@ -132,7 +132,7 @@ def _safe_sites(
     """Sites that are safe on every object where it is believed to stand, of each as many as there can be."""
     each = -(-count // len(surfaces))
     pool = sample_sites(key, surfaces, names, SAFE_CANDIDATES_PER_SITE * each, config.safety)
-    safe = safe_sites(surfaces, pool, config.safety).all(1)
+    safe = np.all(safe_sites(surfaces, pool, config.safety), axis=1)
     good = np.flatnonzero(safe)
     if len(good) < count:
         raise ValueError(
