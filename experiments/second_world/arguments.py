@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from i2t.cli import Count, Limits, Seed
 
-Mistake = Literal["none", "force_sign", "millimetres", "millitesla", "scalar_first", "degrees"]
+Mistake = Literal["none", "force_sign", "millimetres", "millitesla"]
 
 
 @dataclass(frozen=True)

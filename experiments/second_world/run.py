@@ -136,10 +136,7 @@ def write_session(rng: np.random.Generator, folder: Path, run: str, touches: Wor
     rotations = Rotation.from_matrix(touches.T_w_t[:, :3, :3])
     metre = 1e3 if mistake == "millimetres" else 1.0
     pushed = touches.force[:, None] * axis * (1.0 if mistake == "force_sign" else -1.0)
-    turned = {
-        "scalar_first": np.roll(rotations.as_quat(), 1, axis=1),
-        "degrees": rotations.as_rotvec(degrees=True),
-    }.get(mistake, rotations.as_quat())
+    turned = rotations.as_quat()
     poses, forces = folder / f"{name}_poses", folder / f"{name}_forces"
     for path, values in (
         (poses / f"experiment_{run}_final_contact", metre * contact),

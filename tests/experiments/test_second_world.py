@@ -83,7 +83,7 @@ def test_without_errors_the_camera_meets_the_object_where_the_tool_does():
     assert nearest.max() < 0.2e-3
 
 
-@pytest.mark.parametrize("mistake", ["none", "force_sign", "millimetres", "millitesla", "scalar_first", "degrees"])
+@pytest.mark.parametrize("mistake", ["none", "force_sign", "millimetres", "millitesla"])
 def test_the_converter_reads_it_and_puts_mistakes_right(session, mistake, tmp_path):
     run.write_session(np.random.default_rng(3), tmp_path / "raw" / "block", "1", session, mistake)
     assert convert(["imagine2touch", str(tmp_path / "raw"), str(tmp_path / "data")]) == 0
