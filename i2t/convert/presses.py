@@ -141,8 +141,8 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> _
         """Fields that may not be empty: places, and those of chips that answered."""
         first, end = len(places), len(places) + len(values)
         wanted = np.ones_like(empty)
-        answered = np.all(~empty[:, first:end].reshape(len(empty), chips, AXES_OF_CHIP), axis=2)
-        answered |= ~answered.any(1)[:, None]  # where no chip did, all are missed
+        answered = ~np.all(empty[:, first:end].reshape(len(empty), chips, AXES_OF_CHIP), axis=2)
+        answered |= ~np.any(answered, axis=1, keepdims=True)  # where no chip did, all are missed
         for start in (first, end)[: 2 if ambient else 1]:
             wanted[:, start : start + len(values)] = np.repeat(answered, AXES_OF_CHIP, axis=1)
         wanted[:, end + len(ambient) :] = False
