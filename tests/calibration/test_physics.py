@@ -66,7 +66,7 @@ def test_a_pad_is_found_again_and_says_how_far_it_is_off():
         linearizations=2,
     )
     # The fitted pad, pressed by the simulator, reads what the true one does.
-    again = read(fitted.pad, at + fitted.layer.tip_offset, depth - fitted.layer.contact_offset)
+    again = read(fitted.pad, at + fitted.layer.tip_offset[None], depth - fitted.layer.contact_offset)
     off = np.sqrt(np.mean((held - again) ** 2))
     assert off < np.sqrt(0.15) * np.sqrt(np.mean((held - held.mean(0)) ** 2))
     truth = np.asarray(pad.magnetization)
