@@ -122,9 +122,8 @@ def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[st
     except OSError as error:
         raise ValueError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
     unknown = sorted(set(table) - known - set(others))
-    missing = [
-        key for key in (*known - {"model", "coefficients"}, *others) if key not in table and others.get(key) is None
-    ]
+    needed = [*sorted(known - {"model", "coefficients"}), *(key for key, default in others.items() if default is None)]
+    missing = [key for key in needed if key not in table]
     try:
         if unknown or missing:
             raise ValueError(f"it has the unknown key {unknown[0]}" if unknown else f"{missing[0]!r} is missing")
