@@ -132,11 +132,11 @@ def _safe_sites(
     """Sites that are safe on every object where it is believed to stand, of each as many as there can be."""
     each = -(-count // len(surfaces))
     pool = sample_sites(key, surfaces, names, SAFE_CANDIDATES_PER_SITE * each, config.safety)
-    safe = safe_sites(surfaces, pool, config.safety).all(1)
+    safe = np.all(safe_sites(surfaces, pool, config.safety), axis=1)
     good = np.flatnonzero(safe)
     if len(good) < count:
         raise ValueError(
-            f"{len(good)} of {len(safe)} sites are safe on every object, and {count} are wanted; ask for fewer sites, "
+            f"{len(good)} of {len(pool.owner)} sites are safe on every object, and {count} are wanted; ask for fewer sites, "
             "or for objects of one height"
         )
     # Interleaved: the first of each object, then the second, until there are enough.
