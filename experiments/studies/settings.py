@@ -7,6 +7,7 @@ new_pad      a pad that was never recorded is pressed with a known ball, and a p
              more as the pad is off presses left out.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -32,6 +33,7 @@ from i2t.skin.pad import press_force, sample_pad
 from i2t.types import TWIST_LEVER_M, Board, Pad
 
 Value = TypeVar("Value")
+
 WITH_READINGS = ("fused", "readings")
 WITH_PRESENCE = ("fused", "readings and presence")
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
@@ -53,6 +55,11 @@ PRESS_FORCES_N = (0.2, 1.0)
 FORCE_NOISE_N = 0.02
 
 # --- changes of a world ---
+
+
+def _always(value: Value) -> Callable[[Value], Value]:
+    """The change into one value, whatever was before."""
+    return lambda _: value
 
 
 def _placed(errors: SimulationErrors, size: float) -> SimulationErrors:
@@ -132,10 +139,6 @@ def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
     return {name: Setting(worlds[name], WITH_READINGS) for name in some}
 
 
-def _instead(given: Value, _: Value) -> Value:
-    return given
-
-
 def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
     """Worlds whose errors the belief knows; of harder presses with the run's pad model, and with one fitted to them."""
     base = lab.cfg.errors
@@ -158,13 +161,13 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
             placement=max(each.placement, MIN_PLACEMENT_M),
             placement_angle=max(each.placement_angle, MIN_PLACEMENT_RAD),
         )
-        world = StudyWorld(errors=partial(_instead, each), limits=partial(_instead, limits.get(name, lab.cfg.limits)))
+        world = StudyWorld(errors=_always(each), limits=_always(limits.get(name, lab.cfg.limits)))
         found[name] = Setting(world, WITH_PRESENCE, noisier(lab, each), stated)
-    for count in AMBIENT_EVERY:
-        usual = found[f"ambient every {count} touches"]
+    for every in AMBIENT_EVERY:
+        usual = found[f"ambient every {every} touches"]
         following = lab.pad_model.likelihood._replace(drift_std=jnp.float32(FOLLOWED_DRIFT_UT))
         model = lab.pad_model._replace(likelihood=following)
-        found[f"ambient every {count} touches, drift followed"] = usual._replace(model=model)
+        found[f"ambient every {every} touches, drift followed"] = usual._replace(model=model)
     for stop in REFITTED_UT[:1] if lab.args.debug else REFITTED_UT:
         name = f"stop at {stop:.0f} uT"
         model = lab.refit(jax.random.fold_in(key, int(stop)), limits=limits[name])

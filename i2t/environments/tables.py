@@ -136,8 +136,8 @@ def _safe_sites(
     good = np.flatnonzero(safe)
     if len(good) < count:
         raise ValueError(
-            f"{len(good)} of {len(safe)} sites are safe on every object, and {count} are wanted; ask for fewer sites, "
-            "or for objects of one height"
+            f"{len(good)} of {len(pool.owner)} sites are safe on every object, and {count} are wanted; ask for fewer "
+            "sites, or for objects of one height"
         )
     # Interleaved: the first of each object, then the second, until there are enough.
     rank = np.array([np.sum(pool.owner[good][:i] == owner) for i, owner in enumerate(pool.owner[good])])
