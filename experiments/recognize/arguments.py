@@ -134,8 +134,6 @@ class LiveArgs:
         if self.prior_unknown > 0 and self.num_surrogates < 1:
             raise ValueError(f"--num-surrogates {self.num_surrogates}: --prior-unknown needs surrogates, 16 say")
         check_arm(self.arm)
-        if self.skin.kind == "replay":
-            raise ValueError("--skin replay plays a recording, and feels nothing that this arm touches; choose another")
         check_skin(self.skin)
         check_camera(self.camera)
         require_objects(self.objects, self.unit)

@@ -1,6 +1,6 @@
 """World of simulated and emulated devices: an object of the catalogue or a mesh file, and the pad that touches it.
 
-The configurations of simulated and emulated devices are here too. JAX is imported only once a scene is made.
+JAX is imported only once a scene is made.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from i2t.emulators.processes import Address
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.config import UrConfig
 from i2t.objects.named import read_object
 from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
 
@@ -33,38 +32,6 @@ class WorldConfig:
     no_pose_error: bool = False  # object and camera are where they are believed to be
     stiffness: float = 10e3  # N/m, of arm and mount
     board: str | None = None  # that the pad is on (`i2t.skin.boards.make_board`): a pad on disk's own, else ReSkin's
-
-
-@dataclass(frozen=True)
-class SimulatedArmConfig:
-    """An arm that is simulated in this process."""
-
-
-@dataclass(frozen=True)
-class SimulatedSkinConfig:
-    """The skin of a simulated arm."""
-
-
-@dataclass(frozen=True)
-class SimulatedCameraConfig:
-    """A camera that renders the object from where an arm says that it is."""
-
-
-@dataclass(frozen=True)
-class EmulatedArmConfig:
-    """The driver of a UR arm with an emulated controller, in a process of its own."""
-
-    host: str | None = None  # of a controller that runs; by default one is started
-    state_timeout: float = UrConfig.state_timeout  # s without a state after which the arm is taken for lost
-    watchdog_rate: float = UrConfig.watchdog_rate  # Hz, how often the controller must hear from us
-
-
-@dataclass(frozen=True)
-class EmulatedSkinConfig:
-    """The driver of a ReSkin board with an emulated board, in a process of its own."""
-
-    port: str | None = None  # of a board that runs; by default one is started
-    board: str = DEFAULT_BOARD  # as `i2t.skin.boards.make_board` knows it; the pad that is worn must be on the same
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":

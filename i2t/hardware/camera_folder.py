@@ -12,7 +12,7 @@ Views come in the order of their names. Once all were given, or a file is missin
 import json
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +30,6 @@ DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 b
 DESCRIPTION = "camera.toml"
 NOMINAL_RATE_HZ = 30.0
 FURTHER_KEYS = {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0}  # with their defaults
-
-
-@dataclass(frozen=True)
-class CameraFolderConfig:
-    """Recorded views in place of a camera; see `RecordedDepthCamera`."""
-
-    folder: Path
 
 
 class RecordedDepthCamera(CameraBase):

@@ -6,7 +6,7 @@
     [skins.right]                    # one more, such as that of a gripper's other jaw
     T_tool_skin = [...]              # its frame in the tool (origin at its centre, z out of it)
     device = "reskin"                # as --skin of python -m i2t.collect
-    serial_number = "E6612483CB"     # or address = "/dev/ttyACM1": its port, or the recording of a replay
+    serial_number = "E6612483CB"     # or address = "/dev/ttyACM1": its port
     board = "anyskin"                # as --board
     pad = "right pad, July"          # as --pad-name
 
@@ -32,10 +32,10 @@ class CarriedSkin:
     """A further skin on the tool. Raises ValueError, with one sentence that names the field, for what cannot be."""
 
     name: str
-    device: str = "reskin"  # reskin, simulated, emulated, replay, or another package's, as --skin
+    device: str = "reskin"  # reskin, simulated, emulated, or another package's, as --skin
     T_tool_skin: Array = field(default_factory=lambda: np.eye(4))  # (4, 4)
     board: str = DEFAULT_BOARD  # as `i2t.skin.boards.make_board` knows it; another package's device knows its own
-    address: str = ""  # its port, or the recording of a replay; empty: by its serial number
+    address: str = ""  # its port; empty: by its serial number
     serial_number: str = ""  # of a board on USB
     pad: str = ""  # of the skin in the data set; empty: its own name
 
@@ -48,8 +48,8 @@ class CarriedSkin:
             raise ValueError(f"skins.{self.name}.serial_number is of a board on USB; leave it out")
         if self.serial_number and self.address:
             raise ValueError(f"skins.{self.name} has an address and a serial_number; keep one of them")
-        if self.device in ("reskin", "replay") and not (self.serial_number or self.address):
-            raise ValueError(f"skins.{self.name} names no board; add address, its port or its recording")
+        if self.device == "reskin" and not (self.serial_number or self.address):
+            raise ValueError(f"skins.{self.name} names no board; add its address or its serial_number")
 
 
 def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:

@@ -18,26 +18,6 @@ from i2t.types import Array
 UR, REALSENSE = "ur", "realsense"
 
 
-def make_ur_arm(config: UrConfig, rig: Rig) -> GuardedArm:
-    """A UR arm.
-
-    Args:
-        config: How it is reached and watched.
-        rig: Its limits, its tool and payload.
-
-    Returns:
-        The arm, not connected.
-
-    Raises:
-        DeviceError: Its client library is not installed.
-    """
-    from i2t.hardware.ur.driver import UrArm
-
-    carried, timeout = (rig.mass, rig.centre), config.state_timeout
-    watch = config.watchdog_rate
-    return UrArm(config.host, rig.limits, rig.T_flange_tool, carried, state_timeout=timeout, watchdog_rate=watch)
-
-
 def named_arm(name: str, host: str | None, rig: Rig, **watch: float) -> GuardedArm:
     """An arm by its name.
 
@@ -56,7 +36,13 @@ def named_arm(name: str, host: str | None, rig: Rig, **watch: float) -> GuardedA
     """
     require_named("arm", name, UR)
     if name == UR:
-        return make_ur_arm(UrConfig(_require_host(host), **watch), rig)
+        from i2t.hardware.ur.driver import UrArm
+
+        config = UrConfig(_require_host(host), **watch)
+        return UrArm(
+            config.host, rig.limits, rig.T_flange_tool, (rig.mass, rig.centre),
+            state_timeout=config.state_timeout, watchdog_rate=config.watchdog_rate,
+        )  # fmt: skip
     if watch:
         flags = " and ".join(f"--{each.replace('_', '-')}" for each in watch)
         raise ValueError(f"{flags}: of a UR arm, and --arm is {name}; leave it out")

@@ -52,13 +52,6 @@ SETTLE_S = 0.5  # of frames that are let go at the start, for the exposure to se
 UNDERWAY_FRAMES = 2  # frames that may have been exposed before they were asked for, where times do not tell
 
 
-@dataclass(frozen=True)
-class RealSenseConfig:
-    """A RealSense, at the size and the distance of the rig; see `RealSense`."""
-
-    serial: str | None = None  # which camera, if there are several
-
-
 def nearest(model: str, width: int, height: int) -> float:
     """Nearest depth that a model measures, by its maker, who states it for six image sizes: the next larger counts.
 

@@ -176,7 +176,7 @@ def rig(tmp_path):
 
 
 @pytest.mark.parametrize(("old", "new", "said"), [
-    ('address = "/dev/ttyACM1"', "", "skins.right names no board; add address, its port"),
+    ('address = "/dev/ttyACM1"', "", "skins.right names no board; add its address or its serial_number"),
     ('pad = "right pad"', 'serial_number = "E6"', "skins.right has an address and a serial_number; keep one"),
     ("  [1.0, 0.0, 0.0, 0.02]", "  [2.0, 0.0, 0.0, 0.02]", "skins.right.T_tool_skin holds no rotation"),
 ])  # fmt: skip
