@@ -18,8 +18,8 @@ from pathlib import Path
 import tyro
 
 from experiments.common.runs import check_folder, exit_code_of_run
-from i2t.extras import require_extra
-from i2t.options import read_options
+from i2t.cli import read_options
+from i2t.errors import require_extra
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 LIMIT = 900  # s for one cell

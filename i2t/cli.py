@@ -27,7 +27,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 from i2t.compile_cache import use_compile_cache
 from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
@@ -43,6 +43,8 @@ REMEDIES: dict[type[OSError], str] = {  # of the system's errors that name a fil
     IsADirectoryError: "name a file",
     PermissionError: "choose what you may read and write",
 }
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,35 @@ Seed: TypeAlias = Annotated[int, Limits(0, 2**31 - 1)]
 Positive: TypeAlias = Annotated[float, Limits(0, above=True)]
 NotNegative: TypeAlias = Annotated[float, Limits(0)]
 Probability: TypeAlias = Annotated[float, Limits(0, 1)]
+
+
+def read_options(
+    kind: Callable[..., T],
+    words: Sequence[str] | None,
+    *,
+    program: str,
+    description: str = "",
+    config: Sequence[Any] | None = None,
+) -> T:
+    """Read a command line into a dataclass.
+
+    Args:
+        kind: The dataclass, or a union of those of sub-commands.
+        words: The command line without the program's name; None takes the process's.
+        program: What a user types to run the command.
+        description: For the help; where it is empty the docstring of the dataclass.
+        config: Of tyro; by default a flag that is off has no other that turns it off.
+
+    Returns:
+        The options.
+
+    Raises:
+        SystemExit: After help, or with tyro's answer on stderr where a word makes no sense.
+    """
+    import tyro  # here, as functions that check options need it not
+
+    config = (tyro.conf.FlagCreatePairsOff,) if config is None else config
+    return tyro.cli(kind, args=words, prog=program, description=description or None, config=config)
 
 
 def check_options(options: Any, given: Sequence[str] = ()) -> None:

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from i2t.cli import Count, Limits, Seed, check_options, docstring_of, exit_code_of, require_writable
+from i2t.cli import Count, Limits, Seed, check_options, docstring_of, exit_code_of, read_options, require_writable
 from i2t.models import READY_MODELS, ready_path
 from i2t.objects.named import read_object
-from i2t.options import read_options
 from i2t.windows import MAX_SKIN_FORCE_N
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of, require_path
+from i2t.cli import exit_code_of, read_options, require_path
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.named_devices import REALSENSE, UR, ToolPose, named_camera, require_named
@@ -29,8 +29,8 @@ from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import GuardedArm
 from i2t.hardware.rig import Rig
 from i2t.objects.named import read_object, require_object
-from i2t.options import read_options
-from i2t.types import TWIST_LEVER_M, Array
+from i2t.types import Array
+from i2t.windows import TWIST_LEVER_M
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
 

@@ -14,37 +14,6 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from jaxtyping import Float, Int
 
-from i2t.windows import (
-    CONTACT_TOLERANCE_M as CONTACT_TOLERANCE_M,
-)
-from i2t.windows import (
-    ORTHOGONALITY_TOLERANCE as ORTHOGONALITY_TOLERANCE,
-)
-from i2t.windows import (
-    PAD_WINDOW as PAD_WINDOW,
-)
-from i2t.windows import (
-    PATCH_PIXELS as PATCH_PIXELS,
-)
-from i2t.windows import (
-    PATCH_WINDOW as PATCH_WINDOW,
-)
-from i2t.windows import (
-    REACH as REACH,
-)
-from i2t.windows import (
-    STANDOFF as STANDOFF,
-)
-from i2t.windows import (
-    TWIST_LEVER_M as TWIST_LEVER_M,
-)
-from i2t.windows import (
-    WIDE_PIXELS as WIDE_PIXELS,
-)
-from i2t.windows import (
-    WIDE_WINDOW as WIDE_WINDOW,
-)
-
 Array: TypeAlias = Any  # a NumPy or a JAX array
 Kind = TypeVar("Kind", bound=tuple)
 MAX_SHOWN_ITEMS, MAX_SHOWN_TEXT = 8, 160  # items of a container, and characters, that one line of a `repr` shows

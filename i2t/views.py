@@ -17,8 +17,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from i2t.types import PAD_WINDOW, PATCH_PIXELS, REACH, Patch, in_one_line
 from i2t.types import Array as AnyArray
+from i2t.types import Patch, in_one_line
+from i2t.windows import PAD_WINDOW, PATCH_PIXELS, REACH
 
 SAME_SURFACE_M = 1.5e-3  # m, five times a camera's depth noise: pixels closer in depth are taken for one surface
 FILTER_PIXELS = 5  # edge of the square over which a camera's nearest surface is averaged

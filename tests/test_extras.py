@@ -10,8 +10,7 @@ from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.studies.arguments import StudyArgs
 from i2t.cli import require_writable
 from i2t.convert.commands import main as convert
-from i2t.errors import MissingExtraError
-from i2t.extras import EXTRAS
+from i2t.errors import EXTRAS, MissingExtraError
 from i2t.objects import make_object, random_object
 from i2t.view import command as view
 

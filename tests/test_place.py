@@ -12,7 +12,7 @@ from i2t.hardware.ur.poses import to_ur
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
 from i2t.simulation.depth_camera import render_view
-from i2t.types import TWIST_LEVER_M
+from i2t.windows import TWIST_LEVER_M
 
 
 def pose(turn, at):

@@ -19,8 +19,8 @@ from i2t.prediction.pressure import predict_pressures
 from i2t.rendering.render import prepare_surface, render_heights, render_patch, render_view, stack_surfaces
 from i2t.skin.contact import solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import PAD_WINDOW, PATCH_PIXELS, REACH, WIDE_PIXELS
 from i2t.views import SAME_SURFACE_M, camera_view, centre, view_of_heights
+from i2t.windows import PAD_WINDOW, PATCH_PIXELS, REACH, WIDE_PIXELS
 
 ROUNDING = 1e-6  # m
 

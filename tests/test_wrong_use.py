@@ -24,8 +24,9 @@ from i2t.convert.commands import main as convert
 from i2t.prediction import user_input
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor, Reading
-from i2t.types import REACH, WIDE_PIXELS, Patch, Surface
+from i2t.types import Patch, Surface
 from i2t.views import WideView
+from i2t.windows import REACH, WIDE_PIXELS
 
 ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}

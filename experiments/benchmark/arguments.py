@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from i2t.cli import Limits
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 
 BenchmarkSection = Literal["training", "rendering", "skin", "policy", "environment", "startup", "logs"]
 PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section compares with

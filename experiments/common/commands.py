@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from experiments.common.runs import METRICS, check_folder, check_out, ending_of_run, pictures_in
-from i2t.cli import Ending, check_options, docstring_of
-from i2t.options import read_options
+from i2t.cli import Ending, check_options, docstring_of, read_options
 
 
 class CheckedOptions(Protocol):

@@ -15,7 +15,8 @@ from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
-from i2t.types import PATCH_PIXELS, WIDE_PIXELS, Array
+from i2t.types import Array
+from i2t.windows import PATCH_PIXELS, WIDE_PIXELS
 
 HEIGHT_M, STIFFNESS_N_M = 0.03, 10e3  # of the plane
 WALL_TIME_S = 1.8e9  # Unix time at which simulated time begins

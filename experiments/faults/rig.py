@@ -37,7 +37,8 @@ from i2t.objects.solids import Mesh
 from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import sample_pad
-from i2t.types import PAD_WINDOW, Array, ReturnCode
+from i2t.types import Array, ReturnCode
+from i2t.windows import PAD_WINDOW
 
 RIG_OBJECTS = ("star", "hammer")  # a prism, and a tool that is another one upside down
 ACCEPTED_SHARE = 5 / 53

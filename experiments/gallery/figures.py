@@ -20,9 +20,9 @@ from i2t.prediction.metrics import score
 from i2t.rendering.render import contact_mask
 from i2t.skin.elasticity import GRID, interior, load
 from i2t.skin.pad import Press
-from i2t.types import PATCH_WINDOW
 from i2t.viz.episode_report import EpisodeRecord
 from i2t.viz.style import BLUE, GREY, ORANGE, titled
+from i2t.windows import PATCH_WINDOW
 
 SHOWN = ("hexagon", "star", "pyramid", "cylinder", "screwdriver", "hammer")
 MM, UM = 1e3, 1e6

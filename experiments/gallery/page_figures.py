@@ -10,9 +10,9 @@ from i2t.depth.patches import DepthPatch
 from i2t.objects.catalogue import STAMPS
 from i2t.simulation.depth_camera import add_depth_noise, render_view, table_triangles
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import PATCH_WINDOW, REACH
 from i2t.viz.skins import common_scale
 from i2t.viz.style import MM_PER_M, titled
+from i2t.windows import PATCH_WINDOW, REACH
 
 CAMERA = i2t.Camera(640, 360, fx=322.0, fy=322.0, cx=319.5, cy=179.5)
 LOOKING_FROM_M = 0.104

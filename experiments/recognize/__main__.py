@@ -18,8 +18,7 @@ import tyro
 
 from experiments.common.commands import carrying_out
 from experiments.recognize.arguments import LiveArgs, SimulateArgs
-from i2t.cli import docstring_of
-from i2t.options import read_options
+from i2t.cli import docstring_of, read_options
 
 Command = (
     Annotated[SimulateArgs, tyro.conf.subcommand("simulate", description=docstring_of("experiments.recognize.run"))]

@@ -31,7 +31,7 @@ from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import files as pad_files
-from i2t.types import TWIST_LEVER_M
+from i2t.windows import TWIST_LEVER_M
 
 
 class PadSource(NamedTuple):

@@ -49,7 +49,8 @@ from i2t.recognition.paper_rules import (
     run_loop,
 )
 from i2t.recognition.site_pool import prepare_surfaces, sample_pools
-from i2t.types import PATCH_PIXELS, Pad, Surface, Touches
+from i2t.types import Pad, Surface, Touches
+from i2t.windows import PATCH_PIXELS
 
 PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
 

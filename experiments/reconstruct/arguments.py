@@ -7,7 +7,7 @@ from typing import Literal
 from experiments.common.checks import require_dataset
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, Seed, require_path, require_with
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 from i2t.objects.named import require_object
 
 

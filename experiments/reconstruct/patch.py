@@ -32,8 +32,9 @@ from i2t.progress import progress
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
 from i2t.reconstruction.press_curves import SKIN_CHANGES_UT, PressCurve
 from i2t.rendering.ops import element
-from i2t.types import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH, Array
+from i2t.types import Array
 from i2t.viz import style
+from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 
 PRIOR, NEIGHBOURS = "prior", "nearest neighbours, press curve"
 FIRST_STOP, CURVE = "by imagination, 25 uT", "by imagination, press curve"

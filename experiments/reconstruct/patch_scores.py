@@ -10,7 +10,8 @@ import numpy as np
 from experiments.reconstruct.patch_world import MetSurface
 from i2t.recognition.intervals import bootstrap_clusters, cluster_interval
 from i2t.reconstruction.local_shape import PatchLibrary, summarize
-from i2t.types import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, Array
+from i2t.types import Array
+from i2t.windows import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW
 
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
 COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage

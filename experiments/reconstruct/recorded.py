@@ -41,7 +41,8 @@ from i2t.reconstruction.surface import (
     update,
 )
 from i2t.registration.touch import contact_poses
-from i2t.types import STANDOFF, ReturnCode
+from i2t.types import ReturnCode
+from i2t.windows import STANDOFF
 
 MIN_CONTACTS = 3  # fewer say almost nothing of a shape
 ROOM_M = 10e-3  # about the contacts, in which the surface is sought

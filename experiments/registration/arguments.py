@@ -6,7 +6,7 @@ from typing import Literal
 
 from experiments.common.checks import with_trained_run
 from i2t.cli import Count, Positive, Seed
-from i2t.types import PATCH_WINDOW
+from i2t.windows import PATCH_WINDOW
 
 FRAME_FOLDERS = ("ycbvideo", "ycb_meshes", "apc_depth")
 CASES = {"paper": 200, "debug": 6}  # shared among all objects

@@ -32,7 +32,8 @@ from i2t.geometry import contact_frame
 from i2t.objects import Mesh, read_mesh
 from i2t.prediction.metrics import grouped_interval
 from i2t.rendering.render import prepare_surface, render_patch
-from i2t.types import PATCH_WINDOW, REACH, STANDOFF, Patch, Surface
+from i2t.types import Patch, Surface
+from i2t.windows import PATCH_WINDOW, REACH, STANDOFF
 
 FRAMES = ("000001", "000002", "000003", "000004", "000005")
 F200_FRAMES = ("frame-000000", "frame-000007")

@@ -34,7 +34,8 @@ from i2t.registration.patch import PatchRegistrationConfig, pose_information, re
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.simulation.sites import collect_sites
-from i2t.types import PATCH_PIXELS, REACH, TWIST_LEVER_M, Patch, Surface
+from i2t.types import Patch, Surface
+from i2t.windows import PATCH_PIXELS, REACH, TWIST_LEVER_M
 
 MM_PER_M = 1e3
 START_DISTANCE_M, START_ANGLE_RAD = 2e-3, np.radians(4.0)

@@ -28,7 +28,7 @@ from pathlib import Path
 from experiments.common.runs import check_folder, exit_code_of_run
 from experiments.reproduce.steps import STEPS, Step
 from experiments.reproduce.tables import TABLES, shortened, write_tables
-from i2t.options import read_options
+from i2t.cli import read_options
 
 DOCS = Path(__file__).parents[2] / "docs"
 

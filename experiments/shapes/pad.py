@@ -24,7 +24,8 @@ from i2t.calibration import physics
 from i2t.calibration.physics import LayerParameters, LinearRegression
 from i2t.skin.contact import MAX_HEIGHT_M
 from i2t.skin.elasticity import GRID, Grid
-from i2t.types import PAD_WINDOW, Board
+from i2t.types import Board
+from i2t.windows import PAD_WINDOW
 
 # Thickness (m) and mount compliance (m/N).
 LAYERS = [(thickness, compliance) for compliance in (1e-6, 0.25e-3) for thickness in (2.0e-3, 2.5e-3, 3.0e-3)]

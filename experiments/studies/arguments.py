@@ -10,7 +10,7 @@ from experiments.common.checks import chosen_runs
 from experiments.common.tasks import TaskOptions
 from experiments.recognize.arguments import PresetName
 from i2t.cli import Count, Seed, require_path
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 
 StudyName = Literal["policy", "open_set", "new_pad", "sensitivity", "object_count", "mismatch"]
 

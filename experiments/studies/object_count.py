@@ -12,7 +12,7 @@ import trimesh
 from experiments.common.runs import Part
 from experiments.studies.lab import StudyLab
 from experiments.studies.report import Column, clusters_of, make_table, touches_shown
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 from i2t.objects import Mesh, catalogue, read_mesh
 from i2t.recognition import metrics
 from i2t.recognition.episodes import posteriors

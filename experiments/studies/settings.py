@@ -30,7 +30,8 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import GRID
 from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import press_force, sample_pad
-from i2t.types import TWIST_LEVER_M, Board, Pad
+from i2t.types import Board, Pad
+from i2t.windows import TWIST_LEVER_M
 
 Value = TypeVar("Value")
 

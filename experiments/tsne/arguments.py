@@ -6,7 +6,7 @@ from typing import Literal
 
 from experiments.common.checks import require_dataset
 from i2t.cli import Seed
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from i2t.objects.named import require_object
 from i2t.simulation.site_limits import check_site_limits
 
 SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
+SKINS = "reskin, simulated, emulated"  # that need no other package
 MAX_OBJECT_M = 3.0  # of an object's pose in the world
 
 
@@ -93,9 +94,11 @@ def check_skin(skin: SkinArgs) -> None:
     Raises:
         ValueError: A file or a board is missing, or an option has no effect; the message names its flag.
     """
-    if skin.board is not None:
-        from i2t.skin.boards import make_board
+    from i2t.hardware.named_devices import require_named
+    from i2t.skin.boards import make_board
 
+    require_named("skin", skin.kind, SKINS)
+    if skin.board is not None:
         make_board(skin.board)
     require_with("--skin-serial", skin.skin_serial is not None, "--skin reskin", skin.kind == "reskin")
     if skin.skin_serial and skin.port:

@@ -15,10 +15,9 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from i2t.cli import exit_code_of
+from i2t.cli import exit_code_of, read_options
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.checks import check_collect_args
-from i2t.options import read_options
 
 # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
 ENDING_SIGNALS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]

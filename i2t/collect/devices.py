@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
+from i2t.collect.checks import SKINS
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.depth.camera import Distortion
 from i2t.emulators.world import WorldConfig, carried_scene, make_scene, read_pad
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from i2t.emulators.scene import ObjectScene
 
 EMULATED_ADDRESS = 200  # of the loopback network, at which an emulated controller is started
-SKINS = "reskin, simulated, emulated"
 
 
 class Devices(NamedTuple):

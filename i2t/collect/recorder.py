@@ -34,7 +34,8 @@ from i2t.errors import DataError, DeviceError
 from i2t.files import not_through_links, read_bytes, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import ArmState, Samples, View, channel_names
-from i2t.types import PATCH_WINDOW, REACH, Array, Board, Touches
+from i2t.types import Array, Board, Touches
+from i2t.windows import PATCH_WINDOW, REACH
 
 try:
     import fcntl

@@ -20,8 +20,9 @@ from i2t.hardware.protocols import View
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.sites import SiteLimits, collect_sites
-from i2t.types import PATCH_PIXELS, Array
+from i2t.types import Array
 from i2t.views import centre
+from i2t.windows import PATCH_PIXELS
 
 SITE_BATCH = 32  # sites that are drawn at once
 

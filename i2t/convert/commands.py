@@ -32,8 +32,7 @@ import tyro
 
 from i2t.cli import exit_code_of, require_writable
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
-from i2t.errors import DataError
-from i2t.extras import require_extra
+from i2t.errors import DataError, require_extra
 from i2t.windows import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:

@@ -31,8 +31,9 @@ from i2t.convert.press_table import (
 )
 from i2t.errors import DataError
 from i2t.skin import boards
-from i2t.types import REACH, Board
+from i2t.types import Board
 from i2t.unknowns import RecordedPresses, find_units, findings_to_meta, turn_board
+from i2t.windows import REACH
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
 NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram

@@ -31,8 +31,9 @@ from i2t.convert.common import ConversionLog, Converted, data_error
 from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.depth.camera import read_image
 from i2t.errors import DataError
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board, ReturnCode, Touches
+from i2t.types import Board, ReturnCode, Touches
 from i2t.unknowns import find_force_sign, find_units, findings_to_meta
+from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1

@@ -27,8 +27,7 @@ from i2t.convert.exchange import (
 )
 from i2t.dataset import Dataset
 from i2t.dataset.sets import AXIS_NAMES
-from i2t.errors import DataError
-from i2t.extras import require_extra
+from i2t.errors import DataError, require_extra
 from i2t.files import may_grow_to
 
 LEROBOT_VERSION = "v3.0"

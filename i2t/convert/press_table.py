@@ -17,10 +17,11 @@ import numpy as np
 from i2t.convert.common import ConversionLog
 from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
-from i2t.types import PATCH_PIXELS, Board, ReturnCode, Touches
+from i2t.types import Board, ReturnCode, Touches
 from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, find, findings_to_meta, lag_rows
 from i2t.unknowns.chip_field import turn_board
 from i2t.unknowns.heights import HEIGHT_ZERO
+from i2t.windows import PATCH_PIXELS
 
 AXES_OF_CHIP = 3
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays

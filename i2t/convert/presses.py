@@ -38,8 +38,9 @@ from i2t.convert.tables import (
     sound_rows,
 )
 from i2t.errors import DataError
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Board
+from i2t.types import Board
 from i2t.unknowns import RecordedPresses
+from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 PRESS_SOURCES = ("real", "simulated")

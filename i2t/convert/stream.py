@@ -35,7 +35,7 @@ from i2t.convert.tables import (
 from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.progress import progress
-from i2t.types import PATCH_WINDOW, REACH, Board
+from i2t.types import Board
 from i2t.unknowns.segmentation import (
     MIN_ROWS,
     FoundPress,
@@ -46,6 +46,7 @@ from i2t.unknowns.segmentation import (
     segmentation_rules,
     true_presses,
 )
+from i2t.windows import PATCH_WINDOW, REACH
 
 ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are found from the first of them
 PAUSE_S = 1.0  # between two rows: afterwards the skin may rest elsewhere

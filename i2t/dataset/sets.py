@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.types import PATCH_WINDOW, REACH, WIDE_PIXELS, Board, Pad, ReturnCode, Touches, Truth
+from i2t.types import Board, Pad, ReturnCode, Touches, Truth
+from i2t.windows import PATCH_WINDOW, REACH, WIDE_PIXELS
 
 SOURCES = ("simulated", "real", "mixed")
 INDICES = ("object", "pad", "session", "code")

@@ -18,7 +18,7 @@ from PIL import Image, UnidentifiedImageError
 
 from i2t import files, validation
 from i2t.errors import DataError
-from i2t.types import ORTHOGONALITY_TOLERANCE
+from i2t.windows import ORTHOGONALITY_TOLERANCE
 
 METRES_PER_DEPTH_UNIT = {"m": 1.0, "mm": 1e-3}  # m
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")

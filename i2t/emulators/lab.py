@@ -20,10 +20,9 @@ from pathlib import Path
 
 import tyro
 
-from i2t.cli import exit_code_of, require_path
+from i2t.cli import exit_code_of, read_options, require_path
 from i2t.emulators import processes, reskin_board, ur_controller
 from i2t.objects.named import require_object
-from i2t.options import read_options
 from i2t.skin.boards import make_board
 
 PROGRAM = "python -m i2t.emulators.lab"

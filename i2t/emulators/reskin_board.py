@@ -29,10 +29,9 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 
-from i2t.cli import exit_code_of
+from i2t.cli import exit_code_of, read_options
 from i2t.emulators import processes
 from i2t.hardware.reskin.layouts import CONVERTER_COUNTS, Format, encode
-from i2t.options import read_options
 from i2t.skin.boards import make_board
 from i2t.types import Board
 

@@ -30,7 +30,8 @@ from i2t.simulation.touches import SimulationErrors, sample_session_errors
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.pad import press_force
-from i2t.types import PAD_WINDOW, Array, Board, Pad, Surface
+from i2t.types import Array, Board, Pad, Surface
+from i2t.windows import PAD_WINDOW
 
 LINE_LENGTH_M = 0.12  # of a line on which the object is looked for
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)

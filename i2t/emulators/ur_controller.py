@@ -57,6 +57,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from i2t.cli import read_options
 from i2t.emulators.processes import Address, started
 from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING
@@ -65,7 +66,6 @@ from i2t.emulators.ur_program import TICK as TICK
 from i2t.emulators.ur_program import Controller
 from i2t.emulators.ur_server import FAULT_PORT, Server
 from i2t.emulators.world import WorldConfig, make_contacts
-from i2t.options import read_options
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
 POINTING_DOWN: PoseVector = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m, rad: the tool's pose at the start

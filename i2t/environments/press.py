@@ -23,7 +23,8 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import solve
 from i2t.skin.dipoles import response
 from i2t.skin.elasticity import Grid
-from i2t.types import PAD_WINDOW, Pad, Surface
+from i2t.types import Pad, Surface
+from i2t.windows import PAD_WINDOW
 
 TOUCH_GRID = Grid(cells=20, modes=32)  # cells of 1 mm
 SHALLOWEST_FRACTION = 1e-3  # of the deepest indentation, at which no press ends sooner

@@ -31,7 +31,7 @@ import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of
+from i2t.cli import exit_code_of, read_options
 from i2t.depth.camera import read_image
 from i2t.files import file_in, read_text, replacing
 from i2t.geometry import inverse
@@ -41,7 +41,6 @@ from i2t.hardware.named_devices import REALSENSE, ToolPose, colour_view, named_c
 from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
-from i2t.options import read_options
 from i2t.types import Array
 
 PRINT_PIXELS_PER_MM = 300 / 25.4  # pixels per mm of a printed board: 300 dpi

@@ -29,14 +29,13 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from i2t.cli import Count, check_options, exit_code_of, require_path
+from i2t.cli import Count, check_options, exit_code_of, read_options, require_path
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware import camera_folder
 from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, ColourImage, View
-from i2t.options import read_options
 from i2t.types import Array
 
 SIZES_PX = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))

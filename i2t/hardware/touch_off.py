@@ -32,7 +32,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of
+from i2t.cli import exit_code_of, read_options
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
@@ -40,8 +40,8 @@ from i2t.hardware.named_devices import named_arm
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
-from i2t.options import read_options
-from i2t.types import PAD_WINDOW, Array
+from i2t.types import Array
+from i2t.windows import PAD_WINDOW
 
 CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
 TILT_RAD = math.radians(6)  # of the tool while it touches

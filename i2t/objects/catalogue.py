@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 from i2t.objects.solids import Mesh, Object
 
 PRIMITIVES = (  # the paper's six first

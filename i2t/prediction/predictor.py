@@ -32,8 +32,9 @@ from i2t.prediction import user_input
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, to_disk
 from i2t.rendering.render import prepare_surface, render_view
-from i2t.types import PATCH_PIXELS, Surface
+from i2t.types import Surface
 from i2t.views import WideView
+from i2t.windows import PATCH_PIXELS
 
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 4

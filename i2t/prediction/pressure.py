@@ -25,7 +25,8 @@ from i2t.prediction import smoothing, user_input
 from i2t.prediction.gp import CELL_MM, ContactPressure
 from i2t.skin.contact import Grid, solve, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import PAD_WINDOW, Pad
+from i2t.types import Pad
+from i2t.windows import PAD_WINDOW
 
 SOLVER_TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
 

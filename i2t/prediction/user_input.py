@@ -17,9 +17,9 @@ from scipy import ndimage
 from i2t import validation
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
-from i2t.types import STANDOFF, Surface
+from i2t.types import Surface
 from i2t.views import WideView, centre, pixels_on_skin
-from i2t.windows import MAX_SKIN_FORCE_N
+from i2t.windows import MAX_SKIN_FORCE_N, STANDOFF
 
 UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it nothing is known
 MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick

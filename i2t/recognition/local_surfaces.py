@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float
 
 from i2t.geometry import from_twist, inverse
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP, MAX_FINE_FACES, layout_clusters
-from i2t.types import PAD_WINDOW, STANDOFF, Array, Surface
+from i2t.types import Array, Surface
+from i2t.windows import PAD_WINDOW, STANDOFF
 
 PRESSED_DEPTH_M = 10e-3  # behind first contact, five times the thickness of a skin: nothing deeper is pressed
 LEAST_GROUPS = 16  # 2560 faces of a scan: most sites reach fewer

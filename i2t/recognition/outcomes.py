@@ -35,7 +35,8 @@ from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import Grid, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M, Surface, in_one_line
+from i2t.types import Surface, in_one_line
+from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
 PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the GP sees pressures
 LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones

@@ -34,7 +34,8 @@ from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import WIDE_PIXELS, WIDE_WINDOW, Surface, Touches, Truth, in_one_line
+from i2t.types import Surface, Touches, Truth, in_one_line
+from i2t.windows import WIDE_PIXELS, WIDE_WINDOW
 
 # Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
 POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)

@@ -30,8 +30,9 @@ from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Surface
+from i2t.types import Surface
 from i2t.views import centre
+from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)
 PROPRIOCEPTION = "proprioception"

@@ -33,7 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from i2t.types import CONTACT_TOLERANCE_M
+from i2t.windows import CONTACT_TOLERANCE_M
 
 SAMPLES = 256
 SMALLEST_FORCE_N = 0.02  # a noisy wrench sensor says less

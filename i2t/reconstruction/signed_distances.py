@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 from i2t.objects.solids import Mesh
 
 LEAST_SAMPLES = 6000  # points of a surface, at least, among which the nearest are sought

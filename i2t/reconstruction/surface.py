@@ -33,7 +33,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.special import logsumexp
 
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
     VoxelGrid,
@@ -43,7 +43,8 @@ from i2t.reconstruction.signed_distances import (
     interpolate,
     signed_distance_grid,
 )
-from i2t.types import PAD_WINDOW, PATCH_WINDOW, REACH, STANDOFF, Array
+from i2t.types import Array
+from i2t.windows import PAD_WINDOW, PATCH_WINDOW, REACH, STANDOFF
 
 QUARTERS = 4  # turns of a shape about z that the library holds
 LATTICE = 5  # heights of a touch along each edge of the patch's window

@@ -29,7 +29,8 @@ from jaxtyping import Array, Float, Int
 from i2t.geometry import from_twist, full_precision
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
 from i2t.rendering.render import render_patch
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, Patch, Surface
+from i2t.types import Patch, Surface
+from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 INITIAL_DAMPING = 0.1  # of the Gauss-Newton matrix, whose eigenvalues are about 1 where a pose is known
 EMPTY_FLOOR_M = -1e3  # floor of a patch without a surface

@@ -41,7 +41,7 @@ from i2t.rendering.tiles import (
     face_terms,
     place_boxes,
 )
-from i2t.types import STANDOFF
+from i2t.windows import STANDOFF
 
 LANES_PER_BLOCK = 32  # tiles side by side in memory
 BLOCKS_PER_SHARE = 72  # of lanes in a share

@@ -45,7 +45,8 @@ from i2t.rendering.tiles import (
     place_boxes,
     to_tool,
 )
-from i2t.types import STANDOFF, Surface
+from i2t.types import Surface
+from i2t.windows import STANDOFF
 
 GROUPS_PER_PASS = 64  # groups listed in one pass
 GROUPS_PER_CHUNK = 8  # whose boxes are looked at together

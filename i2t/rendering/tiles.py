@@ -26,7 +26,7 @@ from i2t.rendering.bitset import (
 )
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices, maximum, minimum
-from i2t.types import STANDOFF
+from i2t.windows import STANDOFF
 
 TILE_PIXELS = 8  # pixels along the edge of a tile
 EDGE_TOLERANCE_ROUNDINGS = 4  # tolerance of an edge, in roundings of its corners' coordinates

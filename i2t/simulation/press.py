@@ -20,7 +20,8 @@ from jaxtyping import Array, Float, Int
 from i2t.skin.contact import GRID, Grid
 from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
-from i2t.types import STANDOFF, Pad, ReturnCode
+from i2t.types import Pad, ReturnCode
+from i2t.windows import STANDOFF
 
 PressLaw = Callable[..., Press]  # (pad, height, indentation, *, grid) to a press, as `i2t.skin.pad.press`
 SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begins

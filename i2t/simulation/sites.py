@@ -28,7 +28,8 @@ from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.site_limits import SiteLimits
-from i2t.types import PAD_WINDOW, STANDOFF, Surface, in_one_line
+from i2t.types import Surface, in_one_line
+from i2t.windows import PAD_WINDOW, STANDOFF
 
 MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the sides of the square
 MIN_FORWARD_COSINE = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on

@@ -42,19 +42,9 @@ from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import friction_response
 from i2t.skin.pad import press as press_pad
-from i2t.types import (
-    PAD_WINDOW,
-    REACH,
-    WIDE_PIXELS,
-    WIDE_WINDOW,
-    Pad,
-    Patch,
-    ReturnCode,
-    Surface,
-    Touches,
-    Truth,
-)
+from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 from i2t.views import WideView, camera_view, centre, pixels_on_skin
+from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 

@@ -18,7 +18,8 @@ from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import pressed_field, response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import Shear, rest, shear
-from i2t.types import PAD_WINDOW, Board, Pad, in_one_line
+from i2t.types import Board, Pad, in_one_line
+from i2t.windows import PAD_WINDOW
 
 THICKNESS_M = 2e-3
 CHIP_GAP_M = 1.5e-3  # from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film

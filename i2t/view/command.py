@@ -8,11 +8,10 @@ from typing import Literal
 
 import tyro
 
-from i2t.cli import Count, check_options, exit_code_of, require_path, require_with, require_writable
-from i2t.extras import require_extra
+from i2t.cli import Count, check_options, exit_code_of, read_options, require_path, require_with, require_writable
+from i2t.errors import require_extra
 from i2t.files import why_no_touches
 from i2t.objects.named import require_object
-from i2t.options import read_options
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera, Distortion
-from i2t.extras import require_extra
+from i2t.errors import require_extra
 from i2t.files import replacing
 from i2t.view.contents import AXES, Contents, Events, Field, Item, Numbers, Picture, Poses, camera_of, items, span
 from i2t.view.rerun_file import VECTOR_M_PER_UT

@@ -21,11 +21,12 @@ from matplotlib.image import AxesImage
 from i2t.objects.solids import Mesh
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
-from i2t.types import PATCH_WINDOW, REACH, Array, Board
+from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.scene import object_image, why_no_scene
 from i2t.viz.skins import ARROW_MM, draw_reading, draw_skin
 from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, Picture, save_figure, titled
+from i2t.windows import PATCH_WINDOW, REACH
 
 MAX_ROWS = 6  # touches on a page
 MAX_CANDIDATES = 5  # on a page

@@ -17,7 +17,7 @@ from i2t.rendering.render import render_heights
 from i2t.simulation.press import PressLimits, press_to_stop
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import GRID
-from i2t.types import PAD_WINDOW
+from i2t.windows import PAD_WINDOW
 
 QUIET = EnvironmentConfig(touches=3, errors=SimulationErrors.none(), limits=replace(PressLimits(), overshoot=0.0))
 

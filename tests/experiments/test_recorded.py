@@ -20,7 +20,8 @@ from i2t.recognition.pad_model import PadModel, with_press_errors
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
-from i2t.types import TWIST_LEVER_M, ReturnCode
+from i2t.types import ReturnCode
+from i2t.windows import TWIST_LEVER_M
 
 
 def sessions_of(*lengths: int) -> Dataset:

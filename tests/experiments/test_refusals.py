@@ -10,7 +10,7 @@ REFUSED = [
     ("calibrate --dataset DIR --simulated", "pass one of --dataset DIR"),
     ("fidelity --dataset nowhere", "nowhere"),
     ("recognize live --prior-unknown 0.1 --num-surrogates 0", "surrogates"),
-    ("recognize live --skin replay --pad nominal", "feels nothing that this arm touches"),
+    ("recognize live --skin replay --pad nominal", "--skin replay is not known; give one of reskin"),
     ("reconstruct tip --dataset nowhere", "nowhere"),
     ("reconstruct --conditions guess", "is none of random"),
     ("reconstruct --dataset nowhere", "there is no such data set"),

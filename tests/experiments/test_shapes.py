@@ -20,7 +20,7 @@ from i2t.geometry import random_motion
 from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface, render_heights
 from i2t.skin.pad import numbered_pad
-from i2t.types import PAD_WINDOW
+from i2t.windows import PAD_WINDOW
 
 CFG = PRESETS["debug"]
 

@@ -24,7 +24,7 @@ from i2t.hardware.touch_off import (
 )
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
-from i2t.types import PAD_WINDOW
+from i2t.windows import PAD_WINDOW
 
 LIMITS = MotionLimits((0.2, -0.3, 0.005), (0.6, 0.3, 0.5))
 AT, HEIGHT, STIFFNESS = (0.4, 0.1), 0.03, 4000.0  # m, m, N/m of a corner

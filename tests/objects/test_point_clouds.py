@@ -13,7 +13,7 @@ from i2t.objects.point_clouds import suggest_radius
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.simulation.sites import collect_sites
-from i2t.types import REACH
+from i2t.windows import REACH
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-0.05, 0.05, (50, 3)).astype(np.float32)

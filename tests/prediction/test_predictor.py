@@ -20,7 +20,7 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.rendering.render import prepare_surface, render_view
 from i2t.training import Standard
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 from tests.helpers.baselines import fit_baselines
 
 PRESSURE = PressureModelConfig(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)

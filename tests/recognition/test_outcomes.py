@@ -19,7 +19,7 @@ from i2t.recognition import outcomes
 from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, PredictedContact, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
-from i2t.types import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
+from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
 pytestmark = pytest.mark.full
 

@@ -14,7 +14,7 @@ from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import render_heights
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import PAD_WINDOW
+from i2t.windows import PAD_WINDOW
 
 TRUE = 7
 INFER = jax.jit(infer_patch, static_argnames=("samples",))

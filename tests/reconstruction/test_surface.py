@@ -29,7 +29,7 @@ from i2t.reconstruction.surface import (
     swept_distance,
     update,
 )
-from i2t.types import PAD_WINDOW
+from i2t.windows import PAD_WINDOW
 
 HALF = np.full(3, 40e-3)
 GRID = grid_around(-HALF, HALF, across=14, margin=4e-3)

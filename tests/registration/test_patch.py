@@ -21,7 +21,8 @@ from i2t.registration.patch import (
     resolvable_eigenvalue,
 )
 from i2t.rendering.render import prepare_surface, render_patch
-from i2t.types import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M, Patch
+from i2t.types import Patch
+from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M
 
 HOW = PatchRegistrationConfig()
 look = jax.jit(render_patch)

@@ -24,7 +24,8 @@ from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import SiteLimits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites
-from i2t.types import PAD_WINDOW, STANDOFF, Surface
+from i2t.types import Surface
+from i2t.windows import PAD_WINDOW, STANDOFF
 
 DELTA = 3e-7
 HALF = PAD_WINDOW / 2

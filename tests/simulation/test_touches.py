@@ -36,7 +36,8 @@ from i2t.skin.boards import make_board
 from i2t.skin.contact import Grid
 from i2t.skin.faults import WEAR_PRESSES, Faults
 from i2t.skin.pad import sample_pad
-from i2t.types import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW, Pad, ReturnCode, Surface, Touches
+from i2t.types import Pad, ReturnCode, Surface, Touches
+from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 # The last press is worked out once more, on as many cells in a longer period, which the skin's own convergence says
 # changes it by less than 2 % (tests/skin); the stop before it is within 0.1 % of its limit (test_press).

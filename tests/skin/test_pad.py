@@ -11,7 +11,8 @@ from i2t.skin import pad as pads
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.noise import add_sensor_noise
-from i2t.types import PAD_WINDOW, Pad
+from i2t.types import Pad
+from i2t.windows import PAD_WINDOW
 
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 press = jax.jit(pads.press)

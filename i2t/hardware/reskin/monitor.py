@@ -17,14 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t.cli import Count, Positive, check_options, exit_code_of, require_path
+from i2t.cli import Count, Positive, check_options, exit_code_of, read_options, require_path
 from i2t.errors import DataError, DeviceError
 from i2t.files import replacing
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin import frames, recording
 from i2t.hardware.reskin.driver import BoardInfo, Replay, ReSkin, Stream, diagnose
 from i2t.hardware.skin_health import check_skin
-from i2t.options import read_options
 from i2t.skin.ambient import mean_known
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
 

@@ -25,7 +25,8 @@ from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.carried_skins import TEXT_KEYS, TOOL_SKIN, CarriedSkin, require_distinct
 from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
-from i2t.types import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M, Array
+from i2t.types import Array
+from i2t.windows import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 
 OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
 MAX_TOOL_M, MAX_LAB_M = 0.5, 10.0  # the largest sensible tool and lab

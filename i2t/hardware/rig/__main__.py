@@ -8,10 +8,9 @@ from pathlib import Path
 import tyro
 
 import i2t.hardware.rig
-from i2t.cli import exit_code_of
+from i2t.cli import exit_code_of, read_options
 from i2t.hardware.rig import Rig, summary
 from i2t.hardware.rig_checks import implausible
-from i2t.options import read_options
 
 
 @dataclass(frozen=True)
