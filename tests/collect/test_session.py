@@ -168,7 +168,7 @@ def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
         ("--settings.press 0.25", "press is 0.25; give 0.0001 to 0.05 m/s"),
         ("--state-timeout 60", "state timeout 60 s is outside"),
         ("--pose 30 0 0 0 0 0", "--pose is 30 0 0"),
-        ("--pose 0 0 0.2 0 0 0", "on nothing"),
+        ("--pose 0 0 0.2 0 0 0", "above the table"),
     ],
 )
 def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong, said):
