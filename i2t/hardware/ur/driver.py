@@ -310,5 +310,5 @@ class UrArm:
 def _check_arrived(state: ArmState, goal: Array) -> None:
     distance = np.linalg.norm(state.T_b_t[:3, 3] - goal[:3, 3])
     turn = Rotation.from_matrix(goal[:3, :3] @ state.T_b_t[:3, :3].T).magnitude()
-    if distance > GOAL_TOLERANCE[0] or turn > GOAL_TOLERANCE[1]:
+    if not (distance <= GOAL_TOLERANCE[0] and turn <= GOAL_TOLERANCE[1]):
         raise DeviceError(f"The motion ended {1e3 * distance:.1f} mm and {np.degrees(turn):.1f} degrees off its goal.")
