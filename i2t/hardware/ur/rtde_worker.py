@@ -181,8 +181,8 @@ class Worker:
             return
         state = self.read_state(clock)
         force, torque = math.hypot(*state["wrench"][:3]), math.hypot(*state["wrench"][3:])
-        if self.limits is not None and (force > self.limits[0] or torque > self.limits[1]):
-            self.tripped = state["tripped"] = "force" if force > self.limits[0] else "torque"
+        if self.limits is not None and not (force <= self.limits[0] and torque <= self.limits[1]):  # NaN trips too
+            self.tripped = state["tripped"] = "torque" if force <= self.limits[0] else "force"
         self.send_state(state)
         if self.tripped and self.limits is not None:
             self.brake()
