@@ -8,7 +8,7 @@ import jax
 import pytest
 import trimesh
 
-from experiments.benchmark import contests, processes, rendering, skin
+from experiments.benchmark import contests, rendering, skin
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.arguments import BenchmarkArgs
@@ -109,12 +109,6 @@ def test_patches_of_another_mesh_are_not_compared() -> None:
 @pytest.mark.parametrize("section", ["policy", "environment", "startup"])
 def test_other_sections_run_in_their_smallest_size(section: str) -> None:
     assert run(section)
-
-
-@pytest.mark.full
-def test_processes_that_share_touches_have_the_same() -> None:
-    both, alone = (processes.processor_time(count, 4, 2) for count in (2, 1))
-    assert both[1] == alone[1]
 
 
 @pytest.mark.full
