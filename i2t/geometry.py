@@ -232,8 +232,8 @@ def from_twist(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """The rigid motion of a twist: first its rotation, then its translation, which do not mix.
 
     Args:
-        twist: Three translations (m), then a rotation vector times `i2t.windows.TWIST_LEVER_M`: how far it moves the rim
-            of a patch, so that all six are in metres.
+        twist: Three translations (m), then a rotation vector times `i2t.windows.TWIST_LEVER_M`: how far it moves the
+            rim of a patch, so that all six are in metres.
 
     Returns:
         The motion; `to_twist` is the inverse.
