@@ -127,7 +127,8 @@ def run_part(parts: Mapping[str, tuple[type[Any], str]], argv: Sequence[str] | N
     program = f"{program_of(package)} {name}"
     args = read_options(kind, words, program=program, description=docstring_of(module), config=())
     with carrying_out(args, words, module) as this:
-        this.run(this.checked())
+        checked = this.checked()  # before `run` is looked up, which imports it
+        this.run(checked)
     return this.code
 
 
