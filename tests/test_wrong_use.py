@@ -54,7 +54,7 @@ COMMANDS = [
     ("experiments.fidelity --dataset nowhere", "nowhere"),
     ("experiments.calibrate --prior --simulated", "pass one of"),
     ("experiments.registration frames --data empty", "is missing"),
-    ("experiments.benchmark --sections speed", "choose"),
+    ("experiments.benchmark --sections speed", "speed"),
     ("experiments.reproduce --only nothing", "there is no step nothing"),
     ("experiments.notebooks nothing", "no notebook is called nothing"),
     ("i2t.imagine --board grid-2x2", "name the board that it was trained on"),
