@@ -79,7 +79,6 @@ class Limits:
 Count: TypeAlias = Annotated[int, Limits(1)]
 Seed: TypeAlias = Annotated[int, Limits(0, 2**31 - 1)]
 Positive: TypeAlias = Annotated[float, Limits(0, above=True)]
-NotNegative: TypeAlias = Annotated[float, Limits(0)]
 Probability: TypeAlias = Annotated[float, Limits(0, 1)]
 
 

@@ -30,15 +30,6 @@ def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = 
     return (tqdm if terminal else _Lines)(items, desc=desc, unit=unit, **options)
 
 
-def say_beside(text: str) -> None:
-    """Print a line on stdout while progress is shown.
-
-    Args:
-        text: The line.
-    """
-    tqdm.write(text)
-
-
 class _Lines(tqdm):
     """Progress as lines."""
 

@@ -3,7 +3,7 @@
   debug    everything once: too small to mean anything; mostly the time to compile, so quicker the second time
   short    the main result in a fraction of the time
   paper    what the README and the docs print; the default
-  study    several pads and seeds, for intervals; the default where no single one means anything (pads)
+  study    several pads and seeds, for intervals
 
 An experiment keeps a dict of those it has, `PRESETS: dict[str, Config]`, and states their names in the type of its
 `--preset`, so that `--help` lists them.
@@ -12,8 +12,6 @@ An experiment keeps a dict of those it has, `PRESETS: dict[str, Config]`, and st
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
-
-PRESET_NAMES = ("debug", "short", "paper", "study")
 
 Config = TypeVar("Config")
 

@@ -29,7 +29,6 @@ from i2t.types import Array
 DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
 NOMINAL_RATE_HZ = 30.0
-FURTHER_KEYS = {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0}  # with their defaults
 
 
 class RecordedDepthCamera(CameraBase):

@@ -17,7 +17,7 @@ members of an ensemble are its axis 0. `init`, `apply` and `losses` work on one 
 deep ensembles", 2017).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -85,19 +85,6 @@ class ModelConfig(PaperConfig):
             raise ValueError(f"model.members is {self.members}; it must be at least 1.")
         if not 0 <= self.beta <= 1:
             raise ValueError(f"model.beta is {self.beta}; it must lie between 0 and 1.")
-
-
-def as_paper(cfg: PaperConfig) -> PaperConfig:
-    """The paper's configuration where nothing more is configured.
-
-    Args:
-        cfg: Which network.
-
-    Returns:
-        The same, or the paper's part of it where the rest has its defaults.
-    """
-    own = {field.name: getattr(cfg, field.name) for field in fields(PaperConfig)}
-    return PaperConfig(**own) if cfg == ModelConfig(**own) else cfg
 
 
 class Network(nn.Module):

@@ -275,20 +275,6 @@ def confident_at(p: Float[Array, "e t c"], level: float = 0.95) -> Float[Array, 
     return np.where(confident.any(1), confident.argmax(1) + 1.0, np.inf)
 
 
-def not_yet_confident(first: Shaped[Array, " e"], touches: int, *, clusters: Clusters = ()) -> Estimate:
-    """Share of episodes that are not yet confident after 0, 1, ... `touches` touches.
-
-    Args:
-        first: Of each episode, as `confident_at`.
-        touches: How many each episode has.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
-
-    Returns:
-        Estimates (touches + 1,).
-    """
-    return rate_interval(np.asarray(first)[:, None] > np.arange(touches + 1)[None], clusters)
-
-
 class TouchesToConfidence(NamedTuple):
     """Touches until confident; an episode that never was confident counts in the mean as all its touches."""
 

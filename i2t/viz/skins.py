@@ -173,7 +173,8 @@ def plot_press(
     scale = common_scale(reading)
     draw_skin(right)
     draw_reading(right, board, reading, scale)
-    right.set(xlabel="x (mm)", title="field at the chips")
+    right.set_xlabel("x (mm)")
+    right.set_title("field at the chips", fontsize=10)
     figure.suptitle(f"{titled(title, simulated)}\n{explained(board, scale)}", fontsize=10)
     return figure
 
