@@ -42,9 +42,9 @@ def spread(
     remaining, devices = iter(calls), jax.device_count()
     group = list(islice(remaining, devices))
     if len(group) < 2:  # one device, or nothing to share between several
-        here = jax.device_put(shared, jax.devices()[0]) if devices > 1 else shared
+        shared = _here(shared)
         for call in chain(group, remaining):
-            yield jax.device_get(function(*call, *here, **static))
+            yield jax.device_get(function(*call, *shared, **static))
         return
     program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
     by_call = NamedSharding(_mesh(), P(CALLS))
@@ -77,7 +77,7 @@ def spread_rows(
     groups = -(-length // multiple)
     parts = min(jax.device_count(), groups)
     if parts < 2:
-        return function(*rows, *shared, **static)
+        return function(*rows, *_here(shared), **static)
     each = multiple * -(-groups // parts)
     index = np.resize(np.arange(length), (parts, each))  # filled up with the first rows
     calls = [jax.tree.map(lambda leaf, part=part: leaf[part], rows) for part in index]
@@ -95,6 +95,11 @@ def everywhere(values: PyTree) -> PyTree:
         The same arrays on all devices.
     """
     return jax.device_put(values, NamedSharding(_mesh(), P()) if jax.device_count() > 1 else None)
+
+
+def _here(values: PyTree) -> PyTree:
+    """Arrays on one device only, so that single computations do not run on all."""
+    return jax.device_put(values, jax.devices()[0]) if jax.device_count() > 1 else values
 
 
 def _mesh() -> Mesh:
