@@ -49,7 +49,6 @@ COMMANDS = [
     ("experiments.train --skin-name left", "no effect without --dataset"),
     ("experiments.recognize --trained-run nowhere", "holds no finished run"),
     ("experiments.recognize --objects mesh.stl other/mesh.stl --unit mm", "both called mesh"),
-    ("experiments.studies policy --meshes empty", "is for the study object_count"),
     ("experiments.calibrate --dataset table.csv --targets weight", "is no target"),
     ("experiments.fidelity --dataset nowhere", "nowhere"),
     ("experiments.calibrate --prior --simulated", "pass one of"),

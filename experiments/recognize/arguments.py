@@ -46,7 +46,7 @@ class SimulateArgs:
     def next_command(self) -> str:
         """Command to try with a finished run: a study, where the run simulates its touches."""
         if self.dataset is None:
-            return f"python -m experiments.studies policy --trained-run {self.trained_run}"
+            return f"python -m experiments.studies open_set --trained-run {self.trained_run}"
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:

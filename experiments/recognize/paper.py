@@ -44,7 +44,7 @@ from i2t.recognition.paper_rules import (
     Scorer,
     beliefs_by_rule,
     constant_predictor,
-    contact_scorer,
+    contact_distances,
     reading_scorers,
     run_loop,
 )
@@ -179,7 +179,7 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
     for i, (name, objects) in enumerate(names.items()):
         some = [next(surfaces) for _ in objects]
         key = jax.random.fold_in(jax.random.key(seed), i)
-        scorers = reading_scorers(predictors, some, found.std) | {PROPRIOCEPTION: contact_scorer(some)}
+        scorers = reading_scorers(predictors, some, found.std) | {PROPRIOCEPTION: partial(contact_distances, some)}
         results[name] = play_set(
             key,
             name,

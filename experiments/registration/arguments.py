@@ -25,7 +25,7 @@ class PatchPoseArgs:
     @property
     def next_command(self) -> str:
         """Command to try with a finished run."""
-        return with_trained_run("python -m experiments.studies policy")
+        return with_trained_run("python -m experiments.studies open_set")
 
     def check(self) -> None:
         """Nothing excludes anything."""

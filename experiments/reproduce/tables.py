@@ -387,8 +387,6 @@ STUDY_TABLES = {
     "open_set": ("auroc", "accuracy"),
     "sensitivity": ("methods",),
     "new_pad": ("methods",),
-    "policy": ("policies", "saved"),
-    "object_count": ("curves",),
 }
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": predictors_of_one_pad},

@@ -55,7 +55,7 @@ def test_recognition_is_suggested_only_where_it_can_use_the_run(about, suggested
 
 
 def test_a_run_of_training_is_suggested_first_where_there_is_none(tmp_path):
-    study = "python -m experiments.studies policy"
+    study = "python -m experiments.studies open_set"
     assert with_trained_run(study, tmp_path) == f"python -m experiments.train --out {tmp_path}"
     (tmp_path / METRICS).write_text("{}")
     assert with_trained_run(study, tmp_path) == f"{study} --trained-run {tmp_path}"
