@@ -33,13 +33,15 @@ def to_json(values: Any) -> Any:
     """Scores as JSON has them: fields by name, arrays as lists.
 
     Args:
-        values: A named tuple of scores, an array or a number.
+        values: A named tuple or a dict of scores, an array or a number.
 
     Returns:
         Dicts, lists and numbers.
     """
     if hasattr(values, "_asdict"):
-        return {name: to_json(value) for name, value in values._asdict().items()}
+        values = values._asdict()
+    if isinstance(values, dict):
+        return {name: to_json(value) for name, value in values.items()}
     return values.tolist() if isinstance(values, np.ndarray | np.generic) else values
 
 

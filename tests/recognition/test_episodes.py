@@ -100,11 +100,11 @@ class CountingSimulator(EpisodeSimulator):
 
     made = 0
 
-    def _make(self, keys, episode, where, batches):
-        for rows in batches:
-            type(self).made += len(rows)
-            yield touches(
-                np.tile(np.eye(4), (len(rows), 1, 1)), nearest=keys[rows][:, 0].astype(float),
+    def _simulate(self, keys, episode, where, missing):
+        for rows in np.flatnonzero(missing)[:, None]:
+            type(self).made += 1
+            yield rows, touches(
+                np.tile(np.eye(4), (1, 1, 1)), nearest=keys[rows][:, 0].astype(float),
                 force=episode[rows].astype(float), depth=where[rows].astype(float),
                 object=self.truth[episode[rows]].astype(np.int32),
             )  # fmt: skip
