@@ -19,11 +19,10 @@ from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor
 from i2t.recognition import belief, metrics
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import BeliefModel, believe, episodes_from_dataset
+from i2t.recognition.episodes import BeliefModel, believe, episodes_from_dataset, usable_touches
 from i2t.recognition.pad_model_files import KnownPad, require_skin, save_pad_model
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import prepare_surfaces
-from i2t.types import ReturnCode
 
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given
 
@@ -118,9 +117,7 @@ def choose_sessions(recorded: Dataset, enough: int, max_touches: int | None) -> 
     Raises:
         DataError: No session has a usable touch, or as many as the user wants.
     """
-    made = recorded.touches
-    usable = (made.code != ReturnCode.FAILED) & np.isfinite(made.force)
-    counts = {recorded.sessions[i]: int((usable & (made.session == i)).sum()) for i in np.unique(made.session)}
+    counts = {recorded.sessions[i]: len(rows) for i, rows in usable_touches(recorded.touches).items()}
     longest = max(counts.values(), default=0)
     if not longest or (max_touches or 0) > longest:
         raise DataError(

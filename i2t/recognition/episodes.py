@@ -336,7 +336,10 @@ def episodes_from_dataset(
         DataError: A session's object is not among `names`, or too few touches can be used.
     """
     made = recorded.touches
-    rows = _first_touches(made, touches)
+    episodes = [rows[:touches] for rows in usable_touches(made).values() if len(rows) >= touches]
+    if not episodes:
+        raise DataError(f"no session has {touches} touches with a measured force; record longer ones")
+    rows = np.stack(episodes)
     kinds = [recorded.objects[i] for i in made.object[rows[:, 0]]]
     unknown = sorted(set(kinds) - set(names))
     if unknown:
@@ -357,16 +360,17 @@ def episodes_from_dataset(
     return sites, Episodes(truth, np.arange(rows.size).reshape(rows.shape), observations, T_o_t.astype(np.float32))
 
 
-def _first_touches(made: Touches, touches: int) -> Int[np.ndarray, "e t"]:
-    """Rows of the first usable touches of each session that has enough of them. Raises DataError where none has."""
-    episodes = []
-    for session in np.unique(made.session):
-        rows = np.flatnonzero((made.session == session) & (made.code != ReturnCode.FAILED) & np.isfinite(made.force))
-        if len(rows) >= touches:
-            episodes.append(rows[:touches])
-    if not episodes:
-        raise DataError(f"no session has {touches} touches with a measured force; record longer ones")
-    return np.stack(episodes)
+def usable_touches(made: Touches) -> dict[int, Int[np.ndarray, " t"]]:
+    """Touches that tell something: those that did not fail and have a measured force.
+
+    Args:
+        made: Touches of any number of sessions.
+
+    Returns:
+        Rows, by number of the session.
+    """
+    usable = (made.code != ReturnCode.FAILED) & np.isfinite(made.force)
+    return {int(session): np.flatnonzero(usable & (made.session == session)) for session in np.unique(made.session)}
 
 
 @jax.jit
