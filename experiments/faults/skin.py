@@ -37,8 +37,7 @@ SKIPPED_BYTES = 40  # of the first frame, where the line is opened in the middle
 WRONG_SHARE, LOST_SHARE, LOSS_SHARE = 1e-3, 0.01, 1e-3  # goals: frames delivered wrong, not delivered; samples lost
 NOTICEABLE_UT = 20.0
 SETTLING_FRAMES = 150
-ROUNDING_UT = {Format.FRAMED_TEXT: 0.051, Format.TEXT: 0.0051, Format.TEXT_GLUED: 0.0051}
-PLAIN_ROUNDING_UT = 1e-3
+ROUNDING_UT = 1e-3
 CHUNK_BYTES = 4096
 FAST_HZ, FAST_UT = 60.0, 400.0
 PRESS_HZ, STRONG_PRESS_UT = 0.7, 150.0
@@ -191,15 +190,14 @@ def over_a_line(form: Format, line: str, signal: SignalAt, *, seed: int, skipped
     arrived = [corrupt(frame, *LINES[line], rng) for frame in whole]
     arrived[0] = arrived[0][skipped:]
     layout = FrameLayout(form)
-    # A line of text is taken once the next one begins, and ends before its line feed.
-    number = {end - layout.is_text: i for i, end in enumerate(accumulate(map(len, arrived)))}
+    number = {end: i for i, end in enumerate(accumulate(map(len, arrived)))}
     found = [(number.get(frame.end), frame) for frame in _received(form, b"".join(arrived))]
     intact = {i for i in range(SETTLING_FRAMES, len(whole)) if arrived[i] == whole[i]}
     errors = np.array([
         np.inf if i is None else np.abs(frame.reading - signal.readings[i]).max()
         for i, frame in found if i is None or i >= SETTLING_FRAMES
     ])  # fmt: skip
-    off, noticeable = errors > ROUNDING_UT.get(form, PLAIN_ROUNDING_UT), errors > NOTICEABLE_UT
+    off, noticeable = errors > ROUNDING_UT, errors > NOTICEABLE_UT
     return {
         "whole": len(intact), "found": len(errors), "not delivered": len(intact - {i for i, _ in found}),
         "wrong": int(np.sum(off if layout.checked else noticeable)), "off at all": int(off.sum()),

@@ -10,9 +10,7 @@ import numpy as np
 
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, UnreachableError
-from i2t.geometry import inverse
 from i2t.hardware.collision import fastest_speed
-from i2t.hardware.kinematics import arms, plan
 from i2t.hardware.limits import BRAKING_M_S2, format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.rig import Rig
@@ -28,7 +26,7 @@ class TouchPath:
         settings: How a touch is made.
         top: m, height of the object's highest point in W.
         unreachable: Sites that the arm may not go to, by number, and why.
-        why_unreachable: The arm's own answer (`i2t.hardware.protocols.PlanningArm`), which goes before the rig's.
+        why_unreachable: The arm's own answer (`i2t.hardware.protocols.PlanningArm`), where it has one.
     """
 
     rig: Rig
@@ -77,19 +75,10 @@ class TouchPath:
         look, prepare, _, end = poses
         height = self.transfer_height()
         above_look, above = (_at_height(pose, height) for pose in (look, prepare))
-        refused = self._unplanned((above_look, look, above_look, above, prepare, end))
+        lines = (above_look, look, above_look, above, prepare, end)
+        refused = "" if self.why_unreachable is None else self.why_unreachable(lines)
         if refused:
             raise UnreachableError(f"site {site.number}: {refused}")
-
-    def _unplanned(self, goals: Sequence[Array]) -> str:
-        """Reason why the arm cannot follow lines, by its own answer or the rig's; empty if it can or nobody knows."""
-        if self.why_unreachable is not None:
-            return self.why_unreachable(goals)
-        if not self.rig.arm:
-            return ""
-        T_tool_flange = inverse(self.rig.T_flange_tool)
-        way = plan(arms()[self.rig.arm], [pose @ T_tool_flange for pose in goals])
-        return way if isinstance(way, str) else ""
 
     def check_settings(self) -> None:
         """Refuse settings that the arm's limits forbid, before anything moves.

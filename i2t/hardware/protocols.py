@@ -227,7 +227,7 @@ class Arm(Device, Protocol):
 
 @runtime_checkable
 class PlanningArm(Protocol):
-    """An arm that knows where it can go; others are planned with the arm that the rig names, if it names one."""
+    """An arm that knows where it can go; others are asked for nothing but the box."""
 
     def why_unreachable(self, goals: Sequence[Array]) -> str:
         """Reason why it cannot follow straight lines from pose to pose, asked before anything moves.

@@ -79,7 +79,7 @@ def test_the_example_is_the_default_and_frames_agree(tmp_path):
 def test_a_file_of_an_earlier_version_is_read_and_two_names_of_one_key_are_refused(tmp_path):
     path = tmp_path / "lab.toml"
     text = dataclasses.replace(Rig(), limits=dataclasses.replace(Rig().limits, approach_distance=0.07)).text()
-    path.write_text(text.replace("approach_distance = ", "travel = "))
+    path.write_text(text.replace("approach_distance = ", "travel = ").replace("[tool]", '[tool]\narm = "ur5e"'))
     assert Rig.read(path).limits.approach_distance == 0.07
     path.write_text(f"{text}travel = 0.07\n")
     with pytest.raises(ValueError, match=r"has approach_distance and travel, its earlier name; keep approach_distance"):

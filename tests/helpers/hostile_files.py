@@ -36,8 +36,6 @@ from i2t.depth.camera import read_depth
 from i2t.errors import I2TError
 from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.hand_eye import CharucoBoard, estimate
-from i2t.hardware.reskin.driver import Replay
-from i2t.hardware.reskin.recording import CHUNK, RECORDING_HEADER
 from i2t.hardware.rig import Rig
 from i2t.objects import load_mesh, load_point_cloud, make_object
 from i2t.prediction.predictor import load_predictor
@@ -260,10 +258,6 @@ def raw(entry: str) -> str:
     return f"{RAW_FILE_HEADER.decode()}\n{entry}\n"
 
 
-def stream(last: float) -> bytes:
-    return RECORDING_HEADER + b"".join(CHUNK.pack(when, 3) + b"abc" for when in (0.0, last))
-
-
 BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("mesh", "a.glb"): {
         "300_000 nodes": lambda _: glb(nodes=[{"mesh": 0}] * 300_000, scenes=[{"nodes": [*range(300_000)]}]),
@@ -383,7 +377,6 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
         "samples of two sizes": raw('["skin", [[0.0, 0.0], [0.0]]]'),
         "no pair": raw('["skin"]'),
     },
-    ("replay", "a.raw"): {"no times": stream(float("nan")), "a thousand years": stream(3e10)},
 }
 EVERY_FILE = {"a pipe": PIPE, "rubbish": bytes(range(256)) * 80}
 HOSTILE: dict[str, tuple[str, str, Content]] = {
@@ -427,7 +420,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "readings": read_recordings,
     "session": _session,
     "raw": lambda path: list(read_raw(path)),
-    "replay": lambda path: Replay(path).connect(),
 }
 
 
