@@ -27,7 +27,7 @@ from i2t.errors import DeviceError
 
 AfterTouch: TypeAlias = Callable[[SiteOutcome], None]  # does harm after the second touch
 
-PLANE = ("--plane", "0.03", "--stiffness", "5000")
+PLANE = ("--plane", "0.03", "5000")
 MAX_TOUCHES, MAX_DELAY_S = 2, 6.0  # after which a collection is killed: a touch takes five seconds
 RESERVE_BYTES = 0  # that a disk must have free
 MAX_ATTEMPTS = 3  # collections that go on after a kill: a busy computer may end one by itself

@@ -210,7 +210,7 @@ def stalled_press(whole: bool, number: int) -> Trial | None:
         Newtons gained, and whether the arm moved afterwards; None where a busy computer ended the press before.
     """
     rng, host = np.random.default_rng((number, 9)), ur_controller.loopback(number)
-    plane = ("--plane", str(PLANE_M), "--stiffness", str(STIFFNESS_N_M))
+    plane = ("--plane", str(PLANE_M), str(STIFFNESS_N_M))
     words = [sys.executable, "-c", PRESSER, host]
     with (
         ur_controller.process(host, *plane),

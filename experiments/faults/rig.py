@@ -93,7 +93,7 @@ class MistakenArm(SimulatedArm):
             self.stop()
         with self.lab.lock:
             robot = self.lab.robot
-            self.lab.contact_model.stands(robot.position, robot.rotation)
+            self.lab.contacts.stands(robot.position, robot.rotation)
             robot.line_to(np.array(pose_to_vector(T_b_t @ inverse(self._to_reported))), speed, acceleration)
         return T_b_t
 

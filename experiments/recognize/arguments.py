@@ -10,7 +10,6 @@ from experiments.common.checks import finished_runs, require_dataset, require_ob
 from experiments.common.tasks import TaskOptions
 from i2t.cli import Count, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
-from i2t.collect.checks import check_arm, check_camera, check_skin
 
 PresetName = Literal["paper", "debug"]
 UnitName = Literal["m", "cm", "mm", "inch"]
@@ -133,9 +132,8 @@ class LiveArgs:
             raise ValueError(f"--prior-unknown {self.prior_unknown:g}: give a probability, from 0 to below 1")
         if self.prior_unknown > 0 and self.num_surrogates < 1:
             raise ValueError(f"--num-surrogates {self.num_surrogates}: --prior-unknown needs surrogates, 16 say")
-        check_arm(self.arm)
-        check_skin(self.skin)
-        check_camera(self.camera)
+        for device in (self.arm, self.skin, self.camera):
+            device.check()
         require_objects(self.objects, self.unit)
         require_pad(self.pad)
         require_path("--worn-pad", self.worn_pad)

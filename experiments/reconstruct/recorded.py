@@ -20,10 +20,11 @@ from experiments.reconstruct.report import shown_surface
 from experiments.reconstruct.world import split_objects
 from i2t import viz
 from i2t.collect import session
-from i2t.collect.arguments import ArmArgs, CollectArgs, SkinArgs, WorldArgs
+from i2t.collect.arguments import ArmArgs, CollectArgs, SkinArgs
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome
 from i2t.dataset import Dataset, load_dataset
+from i2t.emulators.world import WorldArgs
 from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.geometry import inverse

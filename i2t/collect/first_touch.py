@@ -88,23 +88,18 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
     Raises:
         UnreachableError: No site can be reached, or touched slowly in one motion.
     """
-    sites = []
-    for number in range(FIRST_SITES):
-        site = sampler.site(number)
-        try:
-            procedure.path.check(site)
-            sites.append(site)
-        except UnreachableError as error:
-            refused = error
+    path, tried = procedure.path, [sampler.site(number) for number in range(FIRST_SITES)]
+    refused = [path.why_not(site) for site in tried]
+    sites = [site for site, why in zip(tried, refused, strict=True) if not why]
     if not sites:
-        raise UnreachableError(f"none of {FIRST_SITES} sites can be reached, the last not because {refused}")
+        raise UnreachableError(f"none of {FIRST_SITES} sites can be reached, the last not because {refused[-1]}")
     places = np.array([site.T_w_t[:3, 3] for site in sites])
     up = np.array([-site.T_w_t[2, 2] for site in sites])
     middle = places[:, :2].mean(0)
     best_first = np.argsort(-(np.round(up, 2) - np.linalg.norm(places[:, :2] - middle, axis=1)), kind="stable")
     pasts = (touch_tolerance(procedure), procedure.settings.overtravel)
-    tried = ((i, _slowed(procedure, sites[i], past)) for past in dict.fromkeys(pasts) for i in best_first)
-    first, slow = next(((i, each) for i, each in tried if each is not None), (0, None))
+    slowed = ((i, _slowed(procedure, sites[i], past)) for past in dict.fromkeys(pasts) for i in best_first)
+    first, slow = next(((i, each) for i, each in slowed if each is not None), (0, None))
     if slow is None:
         raise UnreachableError(
             f"a slow touch, from {1e3 * procedure.settings.prepare:.0f} mm before a site to {1e3 * pasts[1]:.0f} mm "
@@ -152,12 +147,9 @@ def _slowed(procedure: Procedure, site: Site, past: float) -> Procedure | None:
             ambient=count,
             contact=count,
         )
-        try:
-            slowed = replace(procedure, settings=slow)
-            slowed.path.check(site)
+        slowed = replace(procedure, settings=slow)
+        if not slowed.path.why_not(site):
             return slowed
-        except UnreachableError:
-            continue
     return None
 
 

@@ -4,7 +4,7 @@ What is outside is refused and never moved inside. Frames: W world, B robot base
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,14 +25,12 @@ class TouchPath:
         rig: Where everything is, with the arm's limits.
         settings: How a touch is made.
         top: m, height of the object's highest point in W.
-        unreachable: Sites that the arm may not go to, by number, and why.
         why_unreachable: The arm's own answer (`i2t.hardware.protocols.PlanningArm`), where it has one.
     """
 
     rig: Rig
     settings: TouchSettings
     top: float
-    unreachable: dict[int, str] = field(default_factory=dict)
     why_unreachable: Callable[[Sequence[Array]], str] | None = None
 
     def poses(self, site: Site) -> tuple[Array, Array, Array, Array]:
@@ -62,8 +60,6 @@ class TouchPath:
         Raises:
             UnreachableError: A goal of its touch, or the way there, is outside the box.
         """
-        if site.number in self.unreachable:
-            raise UnreachableError(self.unreachable[site.number])
         poses = self.poses(site)
         for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
             if not self.rig.limits.contains(goal[:3, 3]):
@@ -79,6 +75,21 @@ class TouchPath:
         refused = "" if self.why_unreachable is None else self.why_unreachable(lines)
         if refused:
             raise UnreachableError(f"site {site.number}: {refused}")
+
+    def why_not(self, site: Site) -> str:
+        """Reason why a site cannot be reached.
+
+        Args:
+            site: Where.
+
+        Returns:
+            That of `check`; empty where it can.
+        """
+        try:
+            self.check(site)
+        except UnreachableError as error:
+            return str(error)
+        return ""
 
     def check_settings(self) -> None:
         """Refuse settings that the arm's limits forbid, before anything moves.

@@ -103,7 +103,6 @@ class Procedure:
         top: m, height of the object's highest point in W.
         settings: How a touch is made.
         clock: That the devices share.
-        unreachable: Sites that the arm may not go to, by number, and why.
         carried: Further skins on the tool, connected.
     """
 
@@ -116,7 +115,6 @@ class Procedure:
     top: float
     settings: TouchSettings = field(default_factory=TouchSettings)
     clock: Clock = field(default_factory=MonotonicClock)
-    unreachable: dict[int, str] = field(default_factory=dict)
     carried: Sequence[SkinOnTool] = ()
 
     @property
@@ -146,7 +144,7 @@ class Procedure:
             outcome = self.attempt(site, recorder)
             touch = outcome.touch
             history.append(outcome._replace(touch=touch and _without_images(touch)))
-            if site.number not in self.unreachable:
+            if outcome.reachable:
                 failures = failures + 1 if outcome.code == ReturnCode.FAILED else 0
             yield outcome
             if failures >= self.settings.failures:
@@ -173,8 +171,7 @@ class Procedure:
                 touch = self.touch(site, log, attempt)
             except UnreachableError as error:
                 recorder.abandon(str(error))
-                self.unreachable[site.number] = str(error)
-                return SiteOutcome(site, ReturnCode.FAILED, str(error))
+                return SiteOutcome(site, ReturnCode.FAILED, str(error), reachable=False)
             except MotionStoppedError as error:
                 recorder.abandon(str(error))
                 raise
@@ -365,7 +362,7 @@ class Procedure:
     def path(self) -> TouchPath:
         """Path of the tool, and its checks."""
         planned = self.arm.why_unreachable if isinstance(self.arm, PlanningArm) else None
-        return TouchPath(self.rig, self.settings, self.top, self.unreachable, planned)
+        return TouchPath(self.rig, self.settings, self.top, planned)
 
     def move_above(self, goal: Array) -> None:
         """Go up, across and down to a pose, unless the tool is there.

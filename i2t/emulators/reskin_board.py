@@ -42,7 +42,6 @@ BOARD_TEMPERATURE_C, TEMPERATURE_NOISE_C, TEMPERATURE_STEP_C = 24.6, 0.1, 1 / 45
 TEMPERATURE_ORIGIN_C = 25.0  # from which the converter counts
 PRESS_UT = np.array([[9, 4, -38], [-14, 8, 12], [6, 20, 9], [-5, -16, 7], [11, -9, 13.0]])  # of chips, over and over
 PRESS_PERIOD_S = 4.0
-SHOWS_FIELDS = ("--field", "--ambient", "0", "0", "0")  # options of a board that is sent all that its chips feel
 RUBBISH_BYTES = 60  # at a time, from a board that starts
 IDLE_S = 0.01  # between two looks whether somebody has opened the port
 TERMIOS_SPEEDS = {

@@ -16,7 +16,7 @@ from i2t.collect.touch import SkinOnTool
 from i2t.convert import commands
 from i2t.dataset import SkinChoiceError
 from i2t.depth.camera import Camera
-from i2t.emulators.in_process import CarriedSkinLab, SimulatedSkin
+from i2t.emulators.in_process import SimulatedSkin, SkinInLab
 from i2t.emulators.room import RoomField
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceTimeoutError
@@ -44,7 +44,8 @@ def two(out_by: float):
     """A procedure over a springy plane with a second skin of four chips on the tool."""
     procedure = make()
     plane = SpringPlane(HEIGHT, STIFFNESS, SQUARE_GAIN, QUIET, SQUARE, room=ROOM)
-    skin = SimulatedSkin(CarriedSkinLab(procedure.arm.lab, plane, beside(out_by)))
+    lab = procedure.arm.lab
+    skin = SimulatedSkin(lab, lab.carry(SkinInLab(plane, beside(out_by), seed=1)))
     skin.connect()
     procedure.carried = (SkinOnTool("right", skin, SQUARE, beside(out_by), pad="right pad"),)
     procedure.rig = replace(procedure.rig, skin="left")
@@ -152,7 +153,8 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
 @pytest.mark.full
 def test_each_skin_has_an_ambient_field_of_its_own_in_the_same_poses(tmp_path):
     procedure = two(0.0)
-    procedure.arm.lab.scene.room = procedure.carried[0].skin.lab.scene.room = RoomField()
+    for skin in procedure.arm.lab.skins:
+        skin.scene.room = RoomField()
     fields = fitted_ambient(procedure, AmbientSettings(poses=6, seconds=0.1), tmp_path)
     field, right = fields[""], fields["right"]
     np.testing.assert_allclose(right.earth, field.earth, atol=0.5)  # of one room, in the base

@@ -39,7 +39,7 @@ class TestRecordingOfTheSdk(OurCameras):
         pytest.importorskip(
             "pyrealsense2", reason="pyrealsense2, or its libusb-1.0-0, is not installed", exc_type=ImportError
         )
-        from i2t.emulators import realsense_file
+        from helpers import realsense_file
 
         path = tmp_path / "views.db3"
         realsense_file.write(path, CAMERA, VIEWS)

@@ -39,7 +39,7 @@ def touching(tmp_path_factory):
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     pose = ["0.4", "0", str(ABOVE), str(np.pi), "0", "0"]
     host, link = ur_controller.loopback(200), str(tmp_path_factory.mktemp("pair") / "skin")
-    options = ["--object", "star", "--no-pose-error", "--mount", str(STIFFNESS), "--noise", "0", "--pose", *pose]
+    options = ["--object", "star", "--no-pose-error", "--stiffness", str(STIFFNESS), "--noise", "0", "--pose", *pose]
     with lab.started("--host", host, "--link", link, *options) as running:
         yield host, link
         running.send_signal(signal.SIGTERM)

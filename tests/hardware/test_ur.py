@@ -199,7 +199,7 @@ BEGIN = pose(0.4, 0.0, 0.3)
 def touching():
     """Address of an emulated controller whose tool stands 5 mm above a plane, and its connected arm."""
     with emulators() as begin:
-        host = begin("--plane", str(PLANE), "--stiffness", str(STIFFNESS))
+        host = begin("--plane", str(PLANE), str(STIFFNESS))
         with connected(host) as arm:
             yield host, arm
 
