@@ -15,8 +15,7 @@ from experiments.fidelity.sections import CannotTellError, Section
 from i2t.calibration.heads import SkinRecording
 from i2t.types import Board
 from i2t.unknowns import Finding, RecordedPresses, estimate_labels, estimate_unknowns, find
-from i2t.unknowns.chip_field import STAGE, STAGES, SWAPPED
-from i2t.unknowns.findings import corrected_readings
+from i2t.unknowns.chip_field import STAGE, STAGES
 from i2t.unknowns.heights import HEIGHT_ZERO
 from i2t.unknowns.labels import FORCE_SIGN, HEIGHT_AXIS, LAG, UNITS
 
@@ -46,8 +45,8 @@ def with_mistakes(one: RecordedPresses, board: Board | None, rng: np.random.Gene
 
     Args:
         one: Sound presses.
-        board: That read them; without one nothing is done to its chips.
-        rng: Draws the lag, the chips and the stage.
+        board: That read them; without one it is not turned.
+        rng: Draws the lag and the stage.
 
     Returns:
         Mistakes by their names: those that presses of this kind can have.
@@ -67,10 +66,6 @@ def with_mistakes(one: RecordedPresses, board: Board | None, rng: np.random.Gene
         higher = one._replace(height=one.height + SHIFT_M)
         found["another height zero"] = Mistake(higher, HEIGHT_ZERO, {"height_zero_m": SHIFT_M})
     if board is not None and len(board.chips) > 2:
-        order, pair = np.arange(len(board.chips)), rng.choice(len(board.chips), 2, replace=False)
-        order[pair] = order[pair[::-1]]
-        swapped = one._replace(readings=corrected_readings(one.readings, {"chip_order": order}))
-        found["two chips swapped"] = Mistake(swapped, SWAPPED, {"chip_order": order})
         matrix = STAGES[list(STAGES)[int(rng.integers(1, len(STAGES)))]]
         turned = one._replace(position=one.position @ np.linalg.inv(matrix).T)
         found["a stage turned or mirrored"] = Mistake(turned, STAGE, {"board_from_stage": matrix})

@@ -237,21 +237,6 @@ def test_a_range_that_holds_too_few_rows_is_said():
     assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
 
 
-def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
-    """In both directions."""
-    section, big = Section("across"), presses_of_a_skin(600)
-    depth = big.targets["depth"][:, 0]
-    later = np.flatnonzero(np.arange(600) >= 300)
-    near = later[np.argsort(np.abs(depth[later] - np.quantile(depth, 0.7)))[:30]]
-    level = replace(big.rows(near), name="level", targets={"position": big.targets["position"][near]})
-    curves.across_sessions([big.rows(slice(300)), level], replace(TINY, forward_rows=300), 0, section)
-    (table,) = section.tables.values()
-    assert [row[:2] for row in table[1:]] == [[big.name, "level"], ["level", big.name]]
-    found = section.numbers["r2"][f"{big.name} -> level"]
-    assert found["aligned"] > 0.9
-    assert found["aligned"] > found["as it is"]
-
-
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
 def test_the_unit_is_predicted_from_the_steps(factor, unit):
     steps = np.tile([0.300 * 4, 0.300 * 4, 0.484 * 4], 5)
