@@ -10,7 +10,7 @@ from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 from i2t import dataset
 from i2t.collect import command, recorder
 from i2t.collect.free_poses import fitted_ambient
-from i2t.collect.recorder import Recorder, SkinInfo, read_raw, touches_in
+from i2t.collect.recorder import Recorder, read_raw, touches_in
 from i2t.collect.settings import AmbientSettings
 from i2t.collect.touch import SkinOnTool
 from i2t.convert import commands
@@ -53,8 +53,12 @@ def two(out_by: float):
 
 
 def info_of(procedure):
-    about = {each.name: SkinInfo(each.pad, each.board, {"skin": "right's"}) for each in procedure.carried}
-    return replace(names(procedure), skin=procedure.rig.skin, carried=about)
+    info = names(procedure)
+    about = {
+        name: replace(each, meta={"skin": f"{name or 'left'}'s", dataset.SKIN_NAME: name or procedure.rig.skin})
+        for name, each in info.skins.items()
+    }
+    return replace(info, skins=about)
 
 
 def touched(folder, procedure, count=1):

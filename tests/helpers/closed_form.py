@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from i2t.collect.procedure import Procedure
-from i2t.collect.recorder import SessionInfo
+from i2t.collect.recorder import SessionInfo, SkinInfo
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import SeenPatch, Site
 from i2t.depth.camera import Camera
@@ -88,7 +88,5 @@ def make(
 
 
 def names(procedure):
-    rig = procedure.rig
-    return SessionInfo(
-        "plane", "pad", "session", "simulated", procedure.board, rig.T_world_base, rig.T_world_object, Eye.camera, {}
-    )
+    rig, pads = procedure.rig, {each.name: SkinInfo(each.pad or "pad", each.board) for each in procedure.skins}
+    return SessionInfo("plane", "session", "simulated", rig.T_world_base, rig.T_world_object, Eye.camera, pads)
