@@ -62,20 +62,8 @@ class TouchPath:
         Raises:
             UnreachableError: A goal of its touch, or the way there, is outside the box.
         """
-        poses = self.poses(site)
-        for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
-            if not self.rig.limits.contains(goal[:3, 3]):
-                raise UnreachableError(
-                    f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
-                    "the box"
-                )
-        # The lines of a touch: down to look, up, across, down to prepare, to the end.
-        look, prepare, _, end = poses
-        height = self.transfer_height()
-        above_look, above = (_at_height(pose, height) for pose in (look, prepare))
-        refused = self._unplanned((above_look, look, above_look, above, prepare, end))
-        if refused:
-            raise UnreachableError(f"site {site.number}: {refused}")
+        if why := self.why_not(site):
+            raise UnreachableError(why)
 
     def why_not(self, site: Site) -> str:
         """Reason why a site cannot be reached.
@@ -84,13 +72,24 @@ class TouchPath:
             site: Where.
 
         Returns:
-            That of `check`; empty where it can.
+            A sentence; empty where it can.
+
+        Raises:
+            UnreachableError: No site can, as the way across the object is outside the box.
         """
-        try:
-            self.check(site)
-        except UnreachableError as error:
-            return str(error)
-        return ""
+        poses = self.poses(site)
+        for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
+            if not self.rig.limits.contains(goal[:3, 3]):
+                return (
+                    f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
+                    "the box"
+                )
+        # The lines of a touch: down to look, up, across, down to prepare, to the end.
+        look, prepare, _, end = poses
+        height = self.transfer_height()
+        above_look, above = (_at_height(pose, height) for pose in (look, prepare))
+        refused = self._unplanned((above_look, look, above_look, above, prepare, end))
+        return f"site {site.number}: {refused}" if refused else ""
 
     def _unplanned(self, goals: Sequence[Array]) -> str:
         """Reason why the arm cannot follow lines, by its own answer or the rig's; empty if it can or nobody knows."""

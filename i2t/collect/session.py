@@ -112,7 +112,6 @@ def _connect(
     """Connect the devices, and put them together to a procedure. The arm is connected last, as it must not wait for a
     compiler. Raises DataError where a device is another one than the folder's.
     """
-    tool, *carried = devices.skins
     for each in devices.skins:
         skin = stack.enter_context(each.skin)
         keep_same(notes, device_notes("skin", skin, each.name) | board_notes(each), args.out)
@@ -125,15 +124,13 @@ def _connect(
     keep_same(notes, device_notes("arm", arm), args.out)
     return Procedure(
         arm,
-        tool.skin,
+        devices.skins,
         camera,
         rig,
-        board=tool.board,
         extract_patch=extract_patch,
         top=sampler.top,
         settings=args.settings,
         clock=devices.clock,
-        carried=carried,
     )
 
 
@@ -149,7 +146,7 @@ def _session_info(
             "skin serial number": serial_number(each.skin),
         }
         about |= {"board": each.note} if each.note else {}
-        named = {SKIN_NAME: each.name or rig.skin} if procedure.carried else {}
+        named = {SKIN_NAME: each.name or rig.skin} if len(devices.skins) > 1 else {}
         skins[each.name] = SkinInfo(each.pad, each.board, about | named)
     about = {
         "arm": arm.features.name,
@@ -192,7 +189,7 @@ class _Session:
                     on_outcome(outcome)
         finally:
             with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so themselves
-                skin = procedure.rig.skin if procedure.carried else None
+                skin = procedure.rig.skin if len(procedure.skins) > 1 else None
                 collected = load_dataset(out, missing_chips=True, skin=skin)
                 write_card(out, collected, board_name=name_of_board(collected.board))
             print(self.summary())

@@ -47,7 +47,7 @@ def two(out_by: float):
     lab = procedure.arm.lab
     skin = SimulatedSkin(lab, lab.carry(SkinInLab(plane, beside(out_by), seed=1)))
     skin.connect()
-    procedure.carried = (SkinOnTool("right", skin, SQUARE, beside(out_by), pad="right pad"),)
+    procedure.skins.append(SkinOnTool("right", skin, SQUARE, beside(out_by), pad="right pad"))
     procedure.rig = replace(procedure.rig, skin="left")
     return procedure
 
@@ -103,7 +103,8 @@ def test_two_skins_that_feel_a_press_share_its_force_which_is_then_unknown_for_e
 
 def test_a_second_skin_that_falls_silent_ends_the_press_and_what_it_sent_is_kept(tmp_path):
     procedure = two(-5e-3)
-    skin, since = procedure.carried[0].skin, procedure.carried[0].skin.since
+    skin = procedure.skins[1].skin
+    since = skin.since
     heard = []
 
     def fading(number):
@@ -226,10 +227,12 @@ def test_two_simulated_skins_are_collected_packed_and_not_mixed_with_another_rig
     rig, tmp_path, capsys, monkeypatch
 ):
     path, out = rig("simulated"), tmp_path / "out"
-    words = ["--rig", str(path), "--out", str(out), "--object", "cylinder", "--skip-first-touch"]
+    words = ["--rig", str(path), "--out", str(out), "--object", "cylinder", "--skip-first-touch", "--board", "grid-4x4"]
     assert command.main([*words, "--touches", "1"]) == 0
     assert "the skin right, the simulated skin: at rest 400 Hz" in capsys.readouterr().out
-    assert [len(dataset.load_dataset(out, skin=name)) for name in ("left", "right")] == [1, 1]
+    left, right = (dataset.load_dataset(out, skin=name).touches.reading for name in ("left", "right"))
+    assert (left.shape, right.shape) == ((1, 48), (1, 12))
+    assert np.linalg.norm(left) > 15  # a skin of other chips than its board's would show nothing
     assert commands.main(["pack", str(out), str(tmp_path / "packed")]) == 2
     assert "holds touches of 2 skins" in capsys.readouterr().err
     assert commands.main(["pack", str(out), str(tmp_path / "packed"), "--skin-name", "right"]) == 0

@@ -7,7 +7,7 @@ import numpy as np
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import SessionInfo, SkinInfo
 from i2t.collect.settings import TouchSettings
-from i2t.collect.touch import SeenPatch, Site
+from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.room import RoomField
@@ -84,7 +84,9 @@ def make(
     arm, skin, eye = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab), Eye(clock)
     for device in (arm, skin, eye):
         device.connect()
-    return Procedure(arm, skin, eye, rig, board, extract_patch, HEIGHT, settings or TouchSettings(), clock)
+    return Procedure(
+        arm, [SkinOnTool(TOOL, skin, board)], eye, rig, extract_patch, HEIGHT, settings or TouchSettings(), clock
+    )
 
 
 def names(procedure):
