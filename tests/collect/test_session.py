@@ -202,3 +202,14 @@ def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_
     said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
     with pytest.raises(ValueError, match=said):
         made(of_four_chips)
+
+
+@pytest.mark.full
+def test_a_skin_of_any_number_of_chips_is_collected_with(tmp_path, rig):
+    """What the arm presses is felt: a skin of other chips than its board's would show nothing."""
+    words = ["--out", str(tmp_path / "set"), "--rig", str(rig), "--touches", "1", "--no-pose-error", "--board",
+             "grid-4x4", "--skip-first-touch", "--settings.approach", "0.04", "--settings.press", "0.005"]  # fmt: skip
+    assert command.main(words) == 0
+    made = dataset.load_dataset(tmp_path / "set")
+    assert made.touches.reading.shape == (1, 48)
+    assert np.linalg.norm(made.touches.reading[0]) > 15
