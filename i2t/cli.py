@@ -128,7 +128,7 @@ def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, bool) or not isinstance(number, Real):  # NumPy's numbers are Real too
                 continue
-            if limits is not None and not limits.allow(number):
+            if limits is not None and not limits.allow(float(number)):
                 raise ValueError(f"--{flag} is {number:.10g}; give {limits}")
             if math.isnan(number):
                 raise ValueError(f"--{flag} is not a number; give one")

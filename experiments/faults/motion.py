@@ -262,7 +262,7 @@ def dying_skin(number: int) -> Trial:
     """Force that a simulated press gains after its skin fell silent."""
     latency = float(np.random.default_rng((number, 11)).uniform(0, 0.03))
     procedure = make_procedure(make_scene(gain=np.zeros(15)), latency, number)
-    recorder = _KillingRecorder(procedure.skin)
+    recorder = _KillingRecorder(procedure.skins[0].skin)
     with contextlib.suppress(DeviceError):
         procedure.touch(site(number), recorder)
     ended = STIFFNESS_N_M * (HEIGHT_M - procedure.arm.state().T_b_t[2, 3])

@@ -135,7 +135,7 @@ def _slowed(procedure: Procedure, site: Site, past: float) -> Procedure | None:
     prepare = path.poses(site)[1]
     up = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
     room = min((path.transfer_height() - prepare[2, 3]) / up, limits.approach_distance, MAX_PREPARE_M)
-    count = int(np.clip(FELT_S * procedure.skin.features.rate, settings.ambient, FELT_SAMPLES))
+    count = int(np.clip(FELT_S * procedure.skins[0].skin.features.rate, settings.ambient, FELT_SAMPLES))
     for part in (1.0, 0.5, 0.0):
         slow = replace(
             settings,
@@ -299,6 +299,6 @@ def _touch(slow: Procedure, site: Site) -> str:
     change, force = press.readings[TOOL], -float(press.states[-1].wrench[2])
     defect = press_defect(change, force)
     if defect:
-        raise RigContradictedError(f"{slow.skin.features.name}: {defect}")
+        raise RigContradictedError(f"{slow.skins[0].skin.features.name}: {defect}")
     size = float(np.sqrt(np.nansum(change**2)))
     return f"first touch: met the object {1e3 * late:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"

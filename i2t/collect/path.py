@@ -60,10 +60,25 @@ class TouchPath:
         Raises:
             UnreachableError: A goal of its touch, or the way there, is outside the box.
         """
+        if why := self.why_not(site):
+            raise UnreachableError(why)
+
+    def why_not(self, site: Site) -> str:
+        """Reason why a site cannot be reached.
+
+        Args:
+            site: Where.
+
+        Returns:
+            A sentence; empty where it can.
+
+        Raises:
+            UnreachableError: No site can, as the way across the object is outside the box.
+        """
         poses = self.poses(site)
         for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
             if not self.rig.limits.contains(goal[:3, 3]):
-                raise UnreachableError(
+                return (
                     f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
                     "the box"
                 )
@@ -73,23 +88,7 @@ class TouchPath:
         above_look, above = (_at_height(pose, height) for pose in (look, prepare))
         lines = (above_look, look, above_look, above, prepare, end)
         refused = "" if self.why_unreachable is None else self.why_unreachable(lines)
-        if refused:
-            raise UnreachableError(f"site {site.number}: {refused}")
-
-    def why_not(self, site: Site) -> str:
-        """Reason why a site cannot be reached.
-
-        Args:
-            site: Where.
-
-        Returns:
-            That of `check`; empty where it can.
-        """
-        try:
-            self.check(site)
-        except UnreachableError as error:
-            return str(error)
-        return ""
+        return f"site {site.number}: {refused}" if refused else ""
 
     def check_settings(self) -> None:
         """Refuse settings that the arm's limits forbid, before anything moves.

@@ -26,8 +26,8 @@ from i2t.collect.notes import board_notes, device_notes, keep_same, resume, seri
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
 from i2t.collect.site_plan import SiteSampler, patch_extractor
-from i2t.collect.touch import TOOL, ChooseSite, Site, SiteOutcome
-from i2t.dataset import load_dataset
+from i2t.collect.touch import ChooseSite, Site, SiteOutcome
+from i2t.dataset import SKIN_NAME, load_dataset
 from i2t.dataset.card import write_card
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.protocols import View
@@ -112,7 +112,6 @@ def _connect(
     """Connect the devices, and put them together to a procedure. The arm is connected last, as it must not wait for a
     compiler. Raises DataError where a device is another one than the folder's.
     """
-    tool, *carried = devices.skins
     for each in devices.skins:
         skin = stack.enter_context(each.skin)
         keep_same(notes, device_notes("skin", skin, each.name) | board_notes(each), args.out)
@@ -125,15 +124,13 @@ def _connect(
     keep_same(notes, device_notes("arm", arm), args.out)
     return Procedure(
         arm,
-        tool.skin,
+        devices.skins,
         camera,
         rig,
-        board=tool.board,
         extract_patch=extract_patch,
         top=sampler.top,
         settings=args.settings,
         clock=devices.clock,
-        carried=carried,
     )
 
 
@@ -142,40 +139,25 @@ def _session_info(
 ) -> SessionInfo:
     """Metadata that the data set has of every touch of this session."""
     arm, camera, rig = procedure.arm, procedure.camera, procedure.rig
-    skins = {
-        each.name: SkinInfo(
-            each.pad,
-            each.board,
-            {
-                "skin": f"{each.skin.features.name} ({each.skin.features.source})",
-                "skin serial number": serial_number(each.skin),
-                "board": each.note,
-            },
-        )
-        for each in devices.skins
-    }
-    tool = skins.pop(TOOL)
+    skins = {}
+    for each in devices.skins:
+        about = {
+            "skin": f"{each.skin.features.name} ({each.skin.features.source})",
+            "skin serial number": serial_number(each.skin),
+        }
+        about |= {"board": each.note} if each.note else {}
+        named = {SKIN_NAME: each.name or rig.skin} if len(devices.skins) > 1 else {}
+        skins[each.name] = SkinInfo(each.pad, each.board, about | named)
     about = {
         "arm": arm.features.name,
         "arm serial number": serial_number(arm),
         "camera serial number": serial_number(camera),
         "rig": notes["rig"],
         "settings": json.dumps(vars(args.settings)),
-        **tool.meta,
     }
-    return SessionInfo(
-        name,
-        tool.pad,
-        notes["session"],
-        devices.source,
-        tool.board,
-        rig.T_world_base,
-        rig.T_world_object,
-        camera.camera,
-        {key: value for key, value in about.items() if value or key == "skin serial number"},
-        skin=rig.skin if skins else "",
-        carried=skins,
-    )
+    meta = {key: value for key, value in about.items() if value}
+    T_w_b, T_w_o = rig.T_world_base, rig.T_world_object
+    return SessionInfo(name, notes["session"], devices.source, T_w_b, T_w_o, camera.camera, skins, meta)
 
 
 class _Session:
@@ -207,7 +189,7 @@ class _Session:
                     on_outcome(outcome)
         finally:
             with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so themselves
-                skin = procedure.rig.skin if procedure.carried else None
+                skin = procedure.rig.skin if len(procedure.skins) > 1 else None
                 collected = load_dataset(out, missing_chips=True, skin=skin)
                 write_card(out, collected, board_name=name_of_board(collected.board))
             print(self.summary())

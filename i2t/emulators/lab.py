@@ -12,12 +12,12 @@ and steps in its next frame, 2.5 ms after the last. So a reading is some 5 ms la
 `python -m i2t.collect --arm emulated --skin emulated` starts one by itself.
 """
 
-import contextlib
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,20 +34,7 @@ if TYPE_CHECKING:
     from i2t.emulators.scene import Contacts
 
 SHOWS_FIELDS = ("--field", "--ambient", "0", "0", "0")  # options of a board that is sent all that its chips feel
-
-
-@contextlib.contextmanager
-def started(*options: str) -> Iterator["subprocess.Popen[str]"]:
-    """Run an emulated lab next to this process, as in `i2t.emulators.processes.started`.
-
-    Args:
-        *options: Of the command line.
-
-    Yields:
-        Its process.
-    """
-    with processes.started("i2t.emulators.lab", *options) as (_, process):
-        yield process
+started = partial(processes.started, "i2t.emulators.lab")  # with options: yields a line and its process
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -163,15 +163,16 @@ def test_every_pose_on_the_way_stays_in_the_box_and_above_the_object_and_chooser
 
 def test_a_skin_that_falls_silent_stops_the_press_and_is_connected_again():
     procedure, memory = make(), Memory()
-    recording, calls = procedure.skin.since, []
+    skin, calls = procedure.skins[0].skin, []
+    since = skin.since
 
     def failing(number):
         calls.append(number)
         if len(calls) == 300:
             raise DeviceTimeoutError("the skin has been silent")
-        return recording(number)
+        return since(number)
 
-    procedure.skin.since = failing
+    skin.since = failing
     (outcome,) = procedure.run(listed(site(0)), memory)
     assert outcome.code == ReturnCode.SKIN
     assert memory.abandoned == ["the skin has been silent"]
