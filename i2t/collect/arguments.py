@@ -52,9 +52,8 @@ class CameraArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # realsense, simulated, folder, or another package's
+    # realsense, simulated, or another package's
     kind: Annotated[str, tyro.conf.arg(name="camera")] = "simulated"
-    views: Path | None = None  # folder of views to show as the camera
     # serial number of a RealSense, where several are plugged in; the address of another package's camera
     camera_serial: str | None = None
 

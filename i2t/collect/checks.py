@@ -72,13 +72,9 @@ def check_camera(camera: CameraArgs) -> None:
         camera: The options.
 
     Raises:
-        ValueError: A folder is missing, or an option has no effect; the message names its flag.
+        ValueError: An option has no effect; the message names its flag.
     """
-    require_path("--views", camera.views, "file or folder")
-    require_with("--views", camera.views is not None, "--camera folder", camera.kind == "folder")
-    if camera.kind == "folder" and camera.views is None:
-        raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
-    if camera.camera_serial and camera.kind in (SIMULATED, "folder"):
+    if camera.camera_serial and camera.kind == SIMULATED:
         raise ValueError(
             f"--camera-serial says which camera it is, and --camera is {camera.kind}; leave it out, or pass --camera "
             "realsense"
