@@ -49,7 +49,7 @@ def test_a_view_tells_where_it_stands_and_what_is_missing_is_said(lab, capsys):
     for options, code, why in (
         (["--object", "star"], 2, "give --host, or --tool"),
         (["--object", "nothing.stl", "--tool", *tool], 2, "nothing.stl"),
-        (["--object", "star", "--tool", *tool, "--views", str(path)], 1, "camera.toml cannot be read"),  # a device
+        (["--object", "star", "--tool", *tool, "--views", str(path)], 2, "camera.toml cannot be read"),
         (["--object", "star", "--tool", "9", *tool[1:], "--views", views], 2, "points lie within"),
     ):
         assert place.main([rig, *options]) == code

@@ -38,7 +38,6 @@ COMMANDS = [
     ("i2t.collect --settings.force 1000", "force"),
     ("i2t.collect --object nothing.stl", "neither a mesh file nor an object"),
     ("i2t.collect --object mesh.stl", "unit"),
-    ("i2t.collect --camera folder", "pass --views"),
     ("i2t.collect --out text.txt", "is a file"),
     ("i2t.hardware.reskin --seconds -1", "--seconds"),
     ("i2t.convert summary nowhere", "no such file or folder"),

@@ -83,19 +83,14 @@ class CameraArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # realsense, simulated, folder, or another package's
+    # realsense, simulated, or another package's
     kind: Annotated[str, tyro.conf.arg(name="camera")] = SIMULATED
-    views: Path | None = None  # folder of views to show as the camera
     # serial number of a RealSense, where several are plugged in; the address of another package's camera
     camera_serial: str | None = None
 
     def check(self) -> None:
-        """Refuse options that do not go together, and a missing folder (ValueError, which names the flag)."""
-        require_path("--views", self.views, "file or folder")
-        require_with("--views", self.views is not None, "--camera folder", self.kind == "folder")
-        if self.kind == "folder" and self.views is None:
-            raise ValueError("--camera folder needs a folder of views to show: pass --views DIR")
-        if self.camera_serial and self.kind in (SIMULATED, "folder"):
+        """Refuse options that do not go together (ValueError, which names the flag)."""
+        if self.camera_serial and self.kind == SIMULATED:
             raise ValueError(
                 f"--camera-serial says which camera it is, and --camera is {self.kind}; leave it out, or pass "
                 "--camera realsense"

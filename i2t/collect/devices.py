@@ -47,7 +47,7 @@ class Devices(NamedTuple):
         """Source of touches that a data set states: real, simulated or mixed."""
         sources = [self.arm.features.source, self.camera.features.source]
         sources += [each.skin.features.source for each in self.skins]
-        stated = {"real" if source in ("real", "folder") else "simulated" for source in sources}
+        stated = {"real" if source == "real" else "simulated" for source in sources}
         return stated.pop() if len(stated) == 1 else "mixed"
 
 
@@ -238,12 +238,7 @@ def _make_skin(wanted: _WantedSkin, lab: _Lab, arm: GuardedArm) -> SkinOnTool:
 
 def _make_camera(args: CameraArgs, lab: _Lab, arm: GuardedArm) -> Any:
     """A camera, not connected; its type cannot be asked before it is: only then is a lens known."""
-    require_named("camera", args.kind, "realsense, simulated, folder")
-    if args.kind == "folder":
-        from i2t.hardware.camera_folder import RecordedDepthCamera
-
-        assert args.views is not None
-        return RecordedDepthCamera(args.views, loop=True)
+    require_named("camera", args.kind, "realsense, simulated")
     if args.kind == SIMULATED:
         from i2t.emulators.in_process import SimulatedCamera
 

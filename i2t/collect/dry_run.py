@@ -160,7 +160,7 @@ def check_camera(procedure: Procedure) -> None:
             f"{1e3 * distance:.0f} mm; raise looking_distance or take another camera"
         )
     different = other_lens(procedure.rig.camera, procedure.camera.camera)
-    if different and camera.source != "folder":
+    if different:
         raise ValueError(different)
 
 

@@ -170,11 +170,10 @@ def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[st
     plan = plan_first_touch(procedure, sampler)
     _check_air(procedure)
     procedure.retreat()
-    if procedure.camera.features.source != "folder":
-        share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
-        if share > MAX_WRONG_SHARE:
-            raise _seen_elsewhere("in the first looks", share)
-        report(f"first looks: {100 * share:.0f} % of the object's pixels are not where the rig has them")
+    share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
+    if share > MAX_WRONG_SHARE:
+        raise _seen_elsewhere("in the first looks", share)
+    report(f"first looks: {100 * share:.0f} % of the object's pixels are not where the rig has them")
     try:
         report(_touch(plan.slow, plan.looks[0]))
     except RigContradictedError:

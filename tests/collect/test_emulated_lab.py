@@ -1,4 +1,4 @@
-"""The command as a lab types it (`--arm ur --skin reskin --camera folder`), with emulators started by hand."""
+"""The command as a lab types it (`--arm ur --skin reskin --camera simulated`), with emulators started by hand."""
 
 import sys
 from dataclasses import replace
@@ -45,7 +45,7 @@ def lab(tmp_path_factory):
     options = ["--object", "star", "--no-pose-error", "--rig", str(path / "lab.toml")]
     with emulated_lab.started("--host", host, "--link", str(link), *options):
         yield path, ["--arm", "ur", "--host", host, "--rig", str(path / "lab.toml"), "--object", "star",
-                     "--camera", "folder", "--views", str(path / "views"), "--touches", "1", *PATIENT]  # fmt: skip
+                     "--camera", "simulated", "--no-pose-error", "--touches", "1", *PATIENT]  # fmt: skip
 
 
 def collected(words: list[str]) -> bool:
@@ -54,7 +54,7 @@ def collected(words: list[str]) -> bool:
 
 
 @pytest.mark.full
-def test_an_arm_by_its_address_a_skin_by_its_port_and_recorded_views(lab, capsys):
+def test_an_arm_by_its_address_a_skin_by_its_port_and_a_simulated_camera(lab, capsys):
     path, options = lab
     out = path / "touched"
     assert collected(["--out", str(out), "--skin", "reskin", "--port", str(path / "skin"), *options])

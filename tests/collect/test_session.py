@@ -180,7 +180,7 @@ def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong
 
 def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_path, four_chips):
     arm, skin = ArmArgs("ur", "10.0.0.2", watchdog_rate=5.0), SkinArgs("reskin", "/dev/skin", board="grid-4x4")
-    args = CollectArgs(arm=arm, skin=skin, camera=CameraArgs("folder", tmp_path))
+    args = CollectArgs(arm=arm, skin=skin, camera=CameraArgs("realsense"))
 
     def made(args):
         args.check()

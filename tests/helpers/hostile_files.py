@@ -34,7 +34,7 @@ from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset
 from i2t.depth.camera import read_depth
 from i2t.errors import I2TError
-from i2t.hardware.camera_folder import RecordedDepthCamera
+from i2t.hardware.camera_folder import read_view
 from i2t.hardware.hand_eye import CharucoBoard, estimate
 from i2t.hardware.rig import Rig
 from i2t.objects import load_mesh, load_point_cloud, make_object
@@ -389,12 +389,6 @@ HOSTILE: dict[str, tuple[str, str, Content]] = {
 # What reads them
 
 
-def _views(path: Path) -> None:
-    camera = RecordedDepthCamera(path)
-    camera.connect()
-    camera.capture()
-
-
 def _session(path: Path) -> None:
     resume(CollectArgs(out=path.parent), "star", Rig(), make_object("star").mesh)
 
@@ -412,7 +406,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "predictor": lambda path: load_predictor(path.parent),
     "depth": lambda path: read_depth(path, "mm"),
     "rig": Rig.read,
-    "views": _views,
+    "views": read_view,
     "hand_eye": lambda path: estimate(path, CharucoBoard()),
     "imagine2touch": lambda path: imagine2touch.convert(path, board=reskin_board()),
     "eflesh": eflesh.convert,
