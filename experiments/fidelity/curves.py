@@ -23,7 +23,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration import calibrate
-from i2t.calibration.heads import SkinRecording
+from i2t.calibration.recordings import SkinRecording
 from i2t.dataset import square_blocks
 from i2t.prediction.metrics import student_interval
 from i2t.types import Board
@@ -216,8 +216,11 @@ def _across(
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]
     if len(test) < MIN_TEST_ROWS:
         raise CannotTellError(f"{other.name} has too few presses to test {known.name} on.")
-    columns = zip(before, now, strict=True)
-    both = PressSet(*(a if isinstance(a, str) else np.concatenate([a, b]) for a, b in columns))
+    both = now._replace(
+        position=np.concatenate([before.position, now.position]),
+        load=np.concatenate([before.load, now.load]),
+        readings=np.concatenate([before.readings, now.readings]),
+    )
     past = np.random.default_rng(seed).permutation(len(before.load))[: preset.forward_rows]
     predict = BASELINE_METHODS[SIMPLE_GP]
     scores = {

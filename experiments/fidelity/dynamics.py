@@ -21,8 +21,7 @@ from experiments.fidelity.forward import (
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.heads import SkinRecording
-from i2t.calibration.recordings import STREAM_GAP_S
+from i2t.calibration.recordings import STREAM_GAP_S, SkinRecording
 from i2t.skin.faults import LAYER_SHARE, Faults
 from i2t.skin.noise import Noise
 from i2t.unknowns.findings import AXES

@@ -12,7 +12,7 @@ from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.describe import recorded_presses
 from experiments.fidelity.forward import one_tip
 from experiments.fidelity.sections import CannotTellError, Section
-from i2t.calibration.heads import SkinRecording
+from i2t.calibration.recordings import SkinRecording
 from i2t.types import Board
 from i2t.unknowns import Finding, RecordedPresses, estimate_labels, estimate_unknowns, find
 from i2t.unknowns.chip_field import STAGE, STAGES

@@ -30,7 +30,7 @@ from experiments.fidelity import causes, curves, describe, dynamics, heads, mist
 from experiments.fidelity.arguments import FidelityArgs
 from experiments.fidelity.config import FIDELITY_PRESETS, FidelityPreset
 from experiments.fidelity.sections import Section, say, write_page, written
-from i2t.calibration.heads import SkinRecording, corrected_recording, is_dataset, read_recordings
+from i2t.calibration.recordings import SkinRecording, corrected_recording, is_dataset, read_recordings
 from i2t.errors import DataError
 from i2t.unknowns import Finding
 

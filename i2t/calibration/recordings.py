@@ -1,6 +1,6 @@
 """Recordings of a skin: readings and their known targets, from several file formats.
 
-    from i2t.calibration.heads import read_recordings
+    from i2t.calibration.recordings import read_recordings
 
     (recording,) = read_recordings("eflesh/spatial/20250316_155729_probe")
     recording.readings                # (n, c) uT
@@ -90,9 +90,7 @@ class SkinRecording:
         source: real, simulated or mixed.
         baseline: (n, c) uT that was subtracted from each reading, where it is known.
         notes: what was assumed and left out, a sentence each.
-        patches: (n, p, p) m, what a camera saw, where the recording has views.
         labels: (n,) index of the object that was touched, where it is known.
-        label_names: of the objects.
     """
 
     name: str
@@ -104,9 +102,7 @@ class SkinRecording:
     source: str = "real"
     baseline: Float[np.ndarray, "n c"] | None = None
     notes: tuple[str, ...] = ()
-    patches: Float[np.ndarray, "n p p"] | None = None
     labels: Int[np.ndarray, " n"] | None = None
-    label_names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -159,7 +155,6 @@ class SkinRecording:
             session=self.session[pick],
             time=self.time[pick],
             baseline=some(self.baseline),
-            patches=some(self.patches),
             labels=some(self.labels),
         )
 
@@ -234,7 +229,6 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
         "contact": contact[:, None],
     }
     usable = (touches.code != ReturnCode.FAILED) & np.isfinite(touches.reading).all(1)
-    views = bool(len(dataset) and np.isfinite(touches.patch).all() and np.ptp(touches.patch) > 0)
     found = []
     for pad in np.unique(touches.pad[usable]):
         rows = usable & (touches.pad == pad)
@@ -251,9 +245,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
                 board=dataset.board,
                 source=dataset.source,
                 notes=tuple(notes),
-                patches=touches.patch[rows] if views else None,
                 labels=touches.object[rows],
-                label_names=dataset.objects,
             )
         )
     if not found:

@@ -84,7 +84,7 @@ def growth_of(presses: RecordedPresses, zero: Finding) -> np.ndarray | None:
 def _units(presses: RecordedPresses) -> Finding:
     height = presses.height
     depth = None if height is None or not np.isfinite(height).any() else np.abs(height - np.nanmax(height))
-    return find_units(presses.position, presses.readings, depth=depth, force=presses.force)[0]
+    return find_units(presses.position, presses.readings, depth=depth, force=presses.force)
 
 
 # What labels and readings tell together, in this order: each sees what those before have put right.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.damage import VARIANTS, press
 
-from i2t.calibration.heads import SkinRecording, corrected_recording
+from i2t.calibration.recordings import SkinRecording, corrected_recording
 from i2t.unknowns import Finding, RecordedPresses, estimate_labels
 
 

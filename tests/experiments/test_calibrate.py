@@ -72,8 +72,6 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
         for by_count in by_method.values():
             assert list(by_count) == ["5", "20"]
     r2 = metrics["r2"]["random presses"]
-    # The skin is the structured process's own: it must win where presses are few.
-    assert r2[methods.STRUCTURED]["20"]["mean"] > r2[methods.NEIGHBOURS]["20"]["mean"]
     best = max(r2[name]["20"]["mean"] for name in (methods.PLAIN, methods.NEIGHBOURS))
     assert r2[methods.CALIBRATED]["20"]["mean"] > best - 0.03
     assert metrics["differences"]["random presses"][f"{methods.CALIBRATED} - {methods.MEAN}"]["20"]["mean"] > 0

@@ -13,7 +13,9 @@ from experiments.fidelity import curves, describe, dynamics, forward, heads, mis
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import press_set
 from experiments.fidelity.sections import CannotTellError, Section, written
-from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
+from i2t.calibration.heads import load_head
+from i2t.calibration.recordings import SkinRecording, from_dataset
+from i2t.calibration.regression import HeadBudget
 from i2t.unknowns import estimate_labels
 
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)

@@ -25,8 +25,9 @@ import h5py
 import numpy as np
 from helpers import random_touches
 
-from i2t.calibration.heads import load_head, read_recordings
+from i2t.calibration.heads import load_head
 from i2t.calibration.model import load_calibration
+from i2t.calibration.recordings import read_recordings
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.notes import resume
 from i2t.collect.recorder import RAW_FILE_HEADER, read_raw

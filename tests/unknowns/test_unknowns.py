@@ -40,7 +40,7 @@ def test_signs_and_units_are_found_and_put_right():
         return {
             "height": unknowns.find_height_axis(one),
             "force": unknowns.find_force_sign(one.force, one.readings),
-            "units": unknowns.find_units(one.position, one.readings)[0],
+            "units": unknowns.find_units(one.position, one.readings),
         }
 
     assert not any(found.wrong for found in found_in(sound).values())
