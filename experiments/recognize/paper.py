@@ -121,7 +121,7 @@ def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int, options
         tasks.append(Task(path.stem, path, partial(play_part, cfg, folder, seed + i, path)))
     run_tasks(tasks, options)
     parts = [reporting.load(task.finished) for task in tasks]
-    about = {
+    about: dict[str, Any] = {
         "method": "the paper's loop",
         "epochs": [network_epochs(folder) for folder in folders],
         "mean of the sets": reporting.mean_over_objects(parts),

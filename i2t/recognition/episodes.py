@@ -23,7 +23,6 @@ from i2t.geometry import inverse
 from i2t.progress import Progress, progress
 from i2t.recognition import belief
 from i2t.recognition.belief import Likelihood, Particles, TouchObservation
-from i2t.recognition.local_surfaces import is_large, reached_boxes
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
@@ -491,7 +490,6 @@ def believe(
     chunks = [np.resize(np.arange(start, min(start + each, count)), each) for start in range(0, count, each)]
     touched = [np.unique(episodes.site[rows], return_inverse=True) for rows in chunks]  # episodes may share sites
     most = max(len(where) for where, _ in touched)
-    boxes = reached_boxes(surfaces, twist) if is_large(surfaces) else None
     parts: list[dict[str, np.ndarray]] = []
     total = len(surfaces) * len(twist) * most * len(chunks)
     with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
@@ -499,7 +497,7 @@ def believe(
             some: Episodes = jax.tree.map(lambda x, rows=rows: x[rows], episodes)
             tables = predict_outcomes(
                 surfaces, twist, T[np.resize(where, most)], reading_models,
-                overtravel=overtravel, boxes=boxes, bar=bar,
+                overtravel=overtravel, bar=bar,
             )  # fmt: skip
             some = some._replace(site=of_touch.reshape(each, touches))
             found: dict[str, np.ndarray] = {}
