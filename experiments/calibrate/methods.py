@@ -7,7 +7,8 @@ import numpy as np
 
 from experiments.calibrate.data import PressRecording
 from i2t.calibration import calibrate, plain_gp
-from i2t.prediction.metrics import nearest_neighbours, tuned
+from i2t.prediction.baselines import tuned
+from i2t.prediction.metrics import nearest_neighbours
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
 CALIBRATED = "i2t.calibrate"

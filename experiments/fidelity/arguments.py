@@ -13,7 +13,6 @@ class FidelityArgs:
     """Judge recordings of a skin: checks, noise, calibration curves, heads and ceilings in one report."""
 
     dataset: tuple[Path, ...]  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
-    mistakes: bool = False  # also put mistakes into each recording, and count which are found
     out: Path = Path("runs/fidelity")  # folder for report.html, metrics.json and config.json
     preset: Literal["paper", "short", "debug"] = "paper"
     seed: Seed = 0  # of what is held out and of the draws

@@ -244,8 +244,7 @@ def conclude(
     print(f"touches/, result.json and story/ are in {args.out}")
     if info.name is None:
         print(
-            "next, its surface, as a mesh that may join --objects: from touches that explore it (python -m "
-            "experiments.reconstruct --arm), or from these alone:\n"
+            "next, its surface, as a mesh that may join --objects:\n"
             f"  python -m experiments.reconstruct --dataset {args.out / 'touches'} --out {args.out / 'surface'}"
         )
     return result

@@ -9,7 +9,7 @@ from helpers import random_touches
 from helpers.skin_presses import presses_of_a_skin
 
 from experiments.fidelity import __main__ as fidelity
-from experiments.fidelity import curves, describe, dynamics, forward, heads, mistakes, run
+from experiments.fidelity import curves, describe, dynamics, forward, heads, run
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import press_set
 from experiments.fidelity.sections import CannotTellError, Section, written
@@ -318,23 +318,12 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
 
 
 @pytest.mark.full
-def test_mistakes_are_put_into_parts_of_a_recording_and_counted():
-    section = Section("mistakes")
-    mistakes.mistake_section(presses_of_a_skin(170), TINY, 0, section)
-    found = {name: one[0] for name, one in section.numbers["mistakes"].items()}
-    assert set(found) >= {"heights into the skin", "another height zero"}
-    for name in ("labels of another row", "positions in millimetres", "readings in millitesla"):
-        assert found[name] == {"found": True, "known": True, "accused": False}, name
-
-
-@pytest.mark.full
 def test_the_report_of_a_real_session(shared_data, tmp_path):
     args = [
         "--dataset",
         str(shared_data / "eflesh" / "spatial"),
         "--preset",
         "debug",
-        "--mistakes",
         "--out",
         str(tmp_path / "out"),
     ]
