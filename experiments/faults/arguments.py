@@ -21,6 +21,3 @@ class FaultsArgs:
     preset: Literal["paper", "debug"] = "paper"  # how often: as the documents say, or each fault once
     share: Annotated[float, Limits(0, 1, above=True)] = 1.0  # of that
     again: bool = False  # begin anew, whatever is kept in the folder
-
-    def check(self) -> None:
-        """Refuse nothing: no option excludes another."""
