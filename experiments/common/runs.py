@@ -18,7 +18,6 @@ from i2t.cli import exit_code_of, require_writable
 from i2t.files import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
-RECOGNITION_ABOUT = "recognition.json"  # what a run on recorded touches keeps for recognition, or why it keeps nothing
 LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
 MAX_PICTURES_NAMED = 6
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # whose versions a run notes
