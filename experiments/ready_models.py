@@ -18,7 +18,6 @@ at places that neither the teacher nor the widths have seen: a fifth of all, dra
 
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from experiments.common.checks import finished_runs
-from experiments.common.commands import run_command
+from experiments.common.commands import command
 from experiments.common.runs import METRICS, begin, write_json
 
 if TYPE_CHECKING:
@@ -59,11 +58,6 @@ class ReadyModelsArgs:
             finished_runs(self.trained_run)
         elif not self.eflesh.is_dir():
             raise ValueError(f"--eflesh {self.eflesh}: no such folder; name a session's folder")
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    return run_command(ReadyModelsArgs, argv, "experiments.ready_models", work=run)
 
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:
@@ -210,6 +204,8 @@ def _nearest(known: _Session, test: _Session) -> np.ndarray:
 def _range(values: np.ndarray) -> list[float]:
     return [round(MM_PER_M * float(values.min()), 2), round(MM_PER_M * float(values.max()), 2)]
 
+
+main = command(ReadyModelsArgs, "experiments.ready_models")
 
 if __name__ == "__main__":
     sys.exit(main())

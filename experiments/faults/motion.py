@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from experiments.faults.closed_form import HEIGHT_M, STIFFNESS_N_M, NullRecorder, make_procedure, make_scene, site
-from experiments.faults.table import Fault, Measure, Trial
+from experiments.faults.table import NOTICED, Fault, Measure, Trial
 from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
@@ -37,7 +37,7 @@ SETTINGS, LIMITS = TouchSettings(), Rig().limits
 OVERRUN = partial(overrun_force, SETTINGS.press, LIMITS.stiffness, braking=BRAKING_M_S2)
 TRAVEL_M = 0.15  # of a motion in which something breaks
 FROZEN_S = 1.0
-NOTICED_GOAL_S, STOP_GOAL_S = 0.5, 0.2
+STOP_GOAL_S = 0.2
 WATCHED_S = 1.0  # after the arm stood, in which it must not move again
 ENDED_S = 10.0  # until a call that was in the motion must have returned
 OVER_GOAL_N = 2.0  # past the force limit of a press
@@ -110,7 +110,7 @@ def break_in_motion(harm: Harm, number: int, rate: float, watched: bool = True) 
                 error = _error_of(motion)
                 noticed = time.monotonic() - begun
                 crashed = not isinstance(error, DeviceError)
-                after = _watch(host, before["clock"]) if watched else {}
+                after = watch(host, before["clock"]) if watched else {}
                 said = str(error).split(":")[0].split(" at 127")[0]
                 return {"noticed": noticed, "crashed": crashed, "said": said, **after}
     return None
@@ -130,7 +130,7 @@ def _error_of(motion: "Future[None]") -> BaseException | None:
         return TimeoutError(f"the motion was not over {ENDED_S:g} s after the fault")
 
 
-def _watch(host: str, clock: float) -> Trial:
+def watch(host: str, clock: float) -> Trial:
     """When the arm stood since a time of the controller's clock, and whether it moves again or its program runs on."""
     end = time.monotonic() + 5.0
     while status(host)["moving"] and time.monotonic() < end:
@@ -275,7 +275,6 @@ def _stands(rate: float) -> Measure:
 
 
 NEVER, CRASHED = Measure("moved again", 0), Measure("crashed", 0)
-NOTICED = Measure("noticed", NOTICED_GOAL_S, "s")
 OVER = Measure("over", OVER_GOAL_N, "N")
 STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / UrConfig.watchdog_rate), "N"), NEVER)
 HARMS: dict[str, Harm] = {

@@ -1,7 +1,5 @@
 """The options of `python -m experiments.train`, without JAX, so that its help and its refusals are there at once."""
 
-import json
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,7 +7,6 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.common.checks import require_dataset, require_objects
-from experiments.common.runs import RECOGNITION_ABOUT
 from experiments.common.tasks import TaskOptions
 from i2t.cli import Count, Limits, Seed, require_path, require_with
 from i2t.paper.config import PaperOptions
@@ -41,25 +38,10 @@ class TrainArgs:
 
     @property
     def next_command(self) -> str:
-        """Command to try with a finished run: recognition, where its touches make a pad model and meshes are known."""
-        objects = "" if self.dataset is None else self._objects_to_recognise()
-        if self.dataset is None or objects:
-            return f"python -m experiments.recognize --trained-run {self.out}{objects}"
+        """Command to try with a finished run."""
+        if self.dataset is None:
+            return f"python -m experiments.recognize --trained-run {self.out}"
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
-
-    def _objects_to_recognise(self) -> str:
-        """Options that name the recorded touches and their objects; nothing where recognition cannot use the run."""
-        from i2t.objects.catalogue import NAMES
-
-        kept = [json.loads(path.read_text()) for path in Path(self.out).glob(f"**/{RECOGNITION_ABOUT}")]
-        files = {Path(path).stem: str(path) for path in self.objects}
-        names = {name: files.get(name, name) for about in kept for name in about.get("recorded_objects", files)}
-        unknown = [name for name in names if name not in files and name not in NAMES]
-        if any("unusable" in about for about in kept) or unknown or len(names) < 2:
-            return ""
-        words = ["--dataset", str(self.dataset), *(["--skin-name", self.skin_name] if self.skin_name else [])]
-        words += ["--objects", *names.values(), "--unit", str(self.unit)] if files else []
-        return " " + shlex.join(words)
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
