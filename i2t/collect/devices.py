@@ -23,7 +23,7 @@ from i2t.emulators.world import WorldConfig, carried_scene, make_scene, read_pad
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.named_devices import named_arm, named_camera, require_named
-from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plugin
+from i2t.hardware.plugins import DeviceSetup, is_plugin, load_plugin
 from i2t.hardware.protocols import DepthCamera, GuardedArm, Skin
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
@@ -215,7 +215,7 @@ def _make_skin(args: SkinArgs, name: str, number: int, lab: _Lab, arm: GuardedAr
             raise ValueError(
                 f"--board {args.board} means nothing to --skin {args.kind}, which knows its own; leave it out"
             )
-        skin = load_plugin("skin", PluginConfig(args.kind, args.port), DeviceSetup(lab.rig, args.port, arm))
+        skin = load_plugin("skin", args.kind, DeviceSetup(lab.rig, args.port, arm))
         if name == TOOL and getattr(skin, "board", None) is None:
             raise ValueError(
                 f"--skin {args.kind}: does not say where its chips are; give it an attribute board, such as "

@@ -34,7 +34,7 @@ from i2t.errors import DataError, DeviceError
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
-from i2t.hardware.ur.config import UrConfig
+from i2t.hardware.ur.config import WATCHDOG_RATE_HZ
 from i2t.objects.named import read_object
 from i2t.skin.ambient import AmbientField
 from i2t.skin.boards import name_of_board
@@ -151,7 +151,7 @@ def _compiled_extractor(camera: Camera, sampler: SiteSampler) -> ExtractPatch:
 
 def _watch_s(arm: ArmArgs) -> float | None:
     """Time (s) after which an arm whose computer stalls stops by itself; None where only the arm itself knows."""
-    return 1 / (arm.watchdog_rate or UrConfig.watchdog_rate) if arm.kind in ("ur", "emulated") else None
+    return 1 / (arm.watchdog_rate or WATCHDOG_RATE_HZ) if arm.kind in ("ur", "emulated") else None
 
 
 def _session_info(
