@@ -27,7 +27,7 @@ from i2t.errors import DeviceError
 from i2t.hardware.collision import REACTION_S, overrun_force
 from i2t.hardware.limits import BRAKING_M_S2
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.config import UrConfig
+from i2t.hardware.ur.config import STATE_TIMEOUT_S, WATCHDOG_RATE_HZ
 from i2t.hardware.ur.driver import UrArm
 from i2t.types import ReturnCode
 
@@ -96,7 +96,7 @@ def break_in_motion(harm: Harm, number: int, rate: float, watched: bool = True) 
     """
     host, rng = ur_controller.loopback(number), np.random.default_rng((number, 7))
     with ur_controller.process(host) as process:
-        arm = UrArm(host, LIMITS, state_timeout=max(UrConfig.state_timeout, 1 / rate), watchdog_rate=rate)
+        arm = UrArm(host, LIMITS, state_timeout=max(STATE_TIMEOUT_S, 1 / rate), watchdog_rate=rate)
         with contextlib.suppress(DeviceError):
             arm.connect()
             with contextlib.closing(arm), ThreadPoolExecutor(1) as executor:
@@ -276,7 +276,7 @@ def _stands(rate: float) -> Measure:
 
 NEVER, CRASHED = Measure("moved again", 0), Measure("crashed", 0)
 OVER = Measure("over", OVER_GOAL_N, "N")
-STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / UrConfig.watchdog_rate), "N"), NEVER)
+STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / WATCHDOG_RATE_HZ), "N"), NEVER)
 HARMS: dict[str, Harm] = {
     "stream stalled": _ask("stall"),
     "all ports mute": _ask("mute"),

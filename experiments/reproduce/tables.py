@@ -278,7 +278,7 @@ OVER_PADS_CELLS: tuple[Cell, ...] = (
 def predictors_on_recording(over: str) -> Table:
     """Scores of every predictor on a recording's held-out presses; `over` says what the intervals resample."""
     head = ("on one skin, {source}", f"R² [95 % over {over}]", "median over channels", "in the 90 % range")
-    cells = (partial(r2_of, 3), *numbers_of(["r2_median"], 3), *numbers_of(["coverage_90"]))
+    cells: tuple[Cell, ...] = (partial(r2_of, 3), *numbers_of(["r2_median"], 3), *numbers_of(["coverage_90"]))
     return rows_over("methods", head, *cells, kept=True)
 
 
