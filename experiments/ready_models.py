@@ -26,6 +26,7 @@ import numpy as np
 
 from experiments.common.checks import finished_runs
 from experiments.common.commands import command
+from experiments.common.options import RunOptions
 from experiments.common.runs import METRICS, begin, write_json
 
 if TYPE_CHECKING:
@@ -43,14 +44,12 @@ MM_PER_M = 1e3
 
 
 @dataclass(frozen=True)
-class ReadyModelsArgs:
+class ReadyModelsArgs(RunOptions):
     """Make the ready models of the package: of a simulated pad from a finished run, or of a real skin."""
 
     out: Path = Path("runs/ready_models")  # folder for predictor/, pad_model.npz and metrics.json
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train that simulated its touches
     eflesh: Path | None = None  # a session of eFlesh (states.csv ...): make the calibration of that skin instead
-    seed: int = 0
-    overwrite: bool = False  # replace an earlier run in --out
 
     def check(self) -> None:
         """Refuse a run or a session that is not there."""

@@ -4,16 +4,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
-
 from experiments.common.checks import require_dataset, require_objects
-from experiments.common.tasks import TaskOptions
+from experiments.common.options import ResumableOptions
 from i2t.cli import Count, Limits, Seed, require_path, require_with
 from i2t.paper.config import PaperOptions
 
 
 @dataclass(frozen=True)
-class TrainArgs:
+class TrainArgs(ResumableOptions):
     """Train a touch predictor and report how well it does on unseen objects (or unseen places)."""
 
     out: Path = Path("runs/train")  # folder for everything that is made
@@ -25,16 +23,12 @@ class TrainArgs:
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
     pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
     pads: tuple[Seed, ...] | None = None  # numbers of simulated pads, in place of the preset's
-    seed: Seed = 0  # of everything random
     seeds: Count | None = None  # how many seeds, from --seed on; one unless given
     methods: tuple[str, ...] | None = None  # in place of the preset's; the mean reading is always among them
     method: tuple[str, ...] = ()  # of your own, beside those: my_package.module:Method
     paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
     epochs: Count | None = None  # of the networks, in place of the preset's
     softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0  # of the skin; 4: E is a quarter of the nominal
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished run in --out
-    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     @property
     def next_command(self) -> str:

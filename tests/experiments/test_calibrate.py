@@ -228,18 +228,6 @@ def test_candidates_lie_in_their_ranges_and_the_known_ones_are_among_those_about
         assert (about.far_amplitude[known.far_amplitude[np.arange(10) % len(known.load_power)] == 1] == 1).all()
 
 
-def test_shares_go_to_what_predicts_best_and_some_to_what_was_known():
-    error = np.full((4, 3, 6), 0.5)
-    error[:2, :, 1] = 0.1  # of skins of one load
-    error[2:, :, 4] = 0.1  # of the other
-    own = np.array([True, True, False, False])
-    share = prior_search._shares(error, own, np.array([3]))
-    assert share.sum() == pytest.approx(1)
-    assert share.argmax() == 1
-    assert prior_search.ANCHOR_SHARE <= share[3] < 0.3
-    assert share[4] > share[0]  # a tenth is of all skins
-
-
 @pytest.mark.full
 @pytest.mark.parametrize("what", ["prior", "simulated"])
 def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
