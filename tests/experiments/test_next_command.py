@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import experiments
-from experiments.common.checks import with_trained_run
 from experiments.common.commands import say_where
 from experiments.common.runs import METRICS
 
@@ -31,13 +30,6 @@ def test_results_pictures_and_the_next_command_are_named_where_there_are_any(tmp
     say_where(tmp_path, "python -m experiments.train")
     said = capsys.readouterr().out
     assert said == f"\nresults and pictures (curves.png) are in {tmp_path}\nnext: python -m experiments.train\n"
-
-
-def test_a_run_of_training_is_suggested_first_where_there_is_none(tmp_path):
-    study = "python -m experiments.studies open_set"
-    assert with_trained_run(study, tmp_path) == f"python -m experiments.train --out {tmp_path}"
-    (tmp_path / METRICS).write_text("{}")
-    assert with_trained_run(study, tmp_path) == f"{study} --trained-run {tmp_path}"
 
 
 class Named:
