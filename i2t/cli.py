@@ -268,6 +268,30 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     return end.code
 
 
+def command(
+    kind: Callable[..., T], work: Callable[[T], Any], *, program: str, about: str = "", interrupted: str = "interrupted"
+) -> Callable[..., int]:
+    """A command whose work needs no more than its options.
+
+    Args:
+        kind: The dataclass of its options.
+        work: Takes the options; an int that it returns is the exit code.
+        program: What a user types to run it.
+        about: For the help; where it is empty the docstring of the dataclass.
+        interrupted: The sentence after Ctrl-C.
+
+    Returns:
+        Its `main`, which takes the command line without the program's name, by default that of this process, and
+        returns the exit code.
+    """
+
+    def main(argv: Sequence[str] | None = None) -> int:
+        asked = read_options(kind, argv, program=program, description=about)
+        return exit_code_of(lambda: work(asked), interrupted)
+
+    return main
+
+
 def _sentence(error: Exception) -> str:
     """Message of an error; for the system's own errors, the file and the remedy."""
     if isinstance(error, OSError) and error.filename is None and error.errno in NO_ROOM:

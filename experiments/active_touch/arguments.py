@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from experiments.common.checks import with_trained_run
 from experiments.common.options import RunOptions
 
 PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
@@ -38,11 +37,6 @@ class ActiveTouchArgs(RunOptions):
     out: Path = Path("runs/active_touch")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
     objects: tuple[str, ...] = PRISMS  # names of the catalogue, at least two
-
-    @property
-    def next_command(self) -> str:
-        """Command to try with a finished run."""
-        return with_trained_run("python -m experiments.studies open_set")
 
     def check(self) -> None:
         """Refuse objects that the catalogue has not, or too few."""

@@ -31,20 +31,6 @@ def finished_runs(folder: Path) -> list[Path]:
     return folders
 
 
-def with_trained_run(command: str, folder: Path = Path("runs/train")) -> str:
-    """A command that needs a run of `experiments.train`, or the one that makes it where there is none.
-
-    Args:
-        command: Without the run.
-        folder: Where a run is by default.
-
-    Returns:
-        The command to type.
-    """
-    made = any(folder.glob(f"**/{METRICS}"))
-    return f"{command} --trained-run {folder}" if made else f"python -m experiments.train --out {folder}"
-
-
 def pad_name(folder: Path) -> str:
     """The pad of a finished run: its number, its file, or for recorded touches none."""
     return str(json.loads((folder / METRICS).read_text()).get("pad"))

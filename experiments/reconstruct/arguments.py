@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.common.checks import require_dataset
+from experiments.common.options import RunOptions
 from experiments.common.presets import choose_preset
-from i2t.cli import Count, Seed, require_path, require_with
+from i2t.cli import Count, require_path, require_with
 from i2t.errors import require_extra
 
 
@@ -51,7 +52,7 @@ CONDITIONS = {
 
 
 @dataclass(frozen=True)
-class ReconstructArgs:
+class ReconstructArgs(RunOptions):
     """Reconstruct unseen objects from simulated touches and say how good and sure the surface is, or one recorded."""
 
     out: Path = Path("runs/reconstruct")  # folder for what is made
@@ -62,13 +63,6 @@ class ReconstructArgs:
     test: Count | None = None  # unseen objects, instead of the preset's 4
     touches: Count | None = None  # on each, instead of the preset's 20
     conditions: tuple[str, ...] = ()  # the names of those to run; all without it
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
-
-    @property
-    def next_command(self) -> str:
-        """Command to try with a finished run."""
-        return "python -m experiments.reconstruct patch"
 
     def check(self) -> None:
         """Refuse what does not go together, what is not there, and conditions that there are not."""
@@ -111,21 +105,11 @@ PATCH_PRESETS = {
 
 
 @dataclass(frozen=True)
-class PatchArgs:
+class PatchArgs(RunOptions):
     """Infer what a skin met at single presses, and say how far that is right."""
 
     out: Path = Path("runs/reconstruct_patch")  # folder for what is made
     preset: Literal["paper", "short", "debug"] = "paper"
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
-
-    @property
-    def next_command(self) -> str:
-        """Command to try with a finished run."""
-        return "python -m experiments.reconstruct"
-
-    def check(self) -> None:
-        """Nothing excludes anything."""
 
 
 @dataclass(frozen=True)
@@ -141,19 +125,12 @@ TIP_PRESETS = {"paper": TipSizes(), "short": TipSizes(300, 600), "debug": TipSiz
 
 
 @dataclass(frozen=True)
-class TipArgs:
+class TipArgs(RunOptions):
     """Tell from single readings where a skin's calibration tip was, on recorded presses."""
 
     dataset: Path  # recorded presses of one tip: a set, sessions of eFlesh, or a table
     out: Path = Path("runs/reconstruct_tip")  # folder for what is made
     preset: Literal["paper", "short", "debug"] = "paper"
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
-
-    @property
-    def next_command(self) -> str:
-        """Command to try with a finished run."""
-        return "python -m experiments.reconstruct patch"
 
     def check(self) -> None:
         """Refuse a recording that is not there."""

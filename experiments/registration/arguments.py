@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from experiments.common.checks import with_trained_run
-from i2t.cli import Count, Positive, Seed
+from experiments.common.options import RunOptions
+from i2t.cli import Count, Positive
 from i2t.windows import PATCH_WINDOW
 
 FRAME_FOLDERS = ("ycbvideo", "ycb_meshes", "apc_depth")
@@ -14,33 +14,21 @@ OBJECTS = {"paper": 40, "debug": 3}
 
 
 @dataclass(frozen=True)
-class PatchPoseArgs:
+class PatchPoseArgs(RunOptions):
     """Seek poses from single patches and say how often they are found."""
 
     out: Path = Path("runs/registration_patch")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
-
-    @property
-    def next_command(self) -> str:
-        """Command to try with a finished run."""
-        return with_trained_run("python -m experiments.studies open_set")
-
-    def check(self) -> None:
-        """Nothing excludes anything."""
 
 
 @dataclass(frozen=True)
-class FramesArgs:
+class FramesArgs(RunOptions):
     """Compare imagined patches with those of real depth cameras."""
 
     data: Path  # folder with ycbvideo, ycb_meshes and apc_depth
     out: Path = Path("runs/registration_frames")  # folder for what is made
     sites: Count = 40  # on each object
     windows: tuple[Positive, ...] = (PATCH_WINDOW, 30e-3, 50e-3)  # m
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
 
     def check(self) -> None:
         """Refuse a folder without the recordings."""

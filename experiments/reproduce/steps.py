@@ -1,6 +1,7 @@
 """Steps to run again, in order, and where their numbers appear: one for each command of the documents."""
 
 import shlex
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,9 +13,14 @@ class Step(NamedTuple):
     command: str  # as a user types it, without --out and --trained-run
     uses: str | None = None  # the step whose folder it takes as --trained-run
     minutes: int | None = None  # on two cores, roughly; none where it was not measured
-    needs: str | None = None  # a folder that is not part of the project, as the command names it
     again: str | None = "--resume"  # the option with which it takes up an unfinished folder
     result: str = "metrics.json"  # the file that is there once it is done
+
+    @property
+    def needs(self) -> str | None:
+        """Folder of a recording that is not part of the project, as the command names it."""
+        words = shlex.split(self.command)
+        return next((folder for flag, folder in pairwise(words) if flag in ("--dataset", "--data")), None)
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
         """The command's words after `python`.
@@ -29,15 +35,11 @@ class Step(NamedTuple):
         return words + ([self.again] if resume and self.again else [])
 
 
+OVERWRITE = "--overwrite"  # of commands that begin again
 STEPS = (
     Step("train", "-m experiments.train", minutes=4),
     Step("study", "-m experiments.train --preset study", minutes=30),
-    Step(
-        "paper",
-        "-m experiments.recognize simulate --method paper --paper-episodes 100",
-        uses="study",
-        minutes=25,
-    ),
+    Step("paper", "-m experiments.recognize simulate --method paper --paper-episodes 100", uses="study", minutes=25),
     Step(
         "recognize",
         "-m experiments.recognize simulate --pads 0 1 2 3 4 --episodes 10 --paper-episodes 10",
@@ -48,53 +50,24 @@ STEPS = (
     Step("new_pad", "-m experiments.studies new_pad --pads 0 1 2 --episodes 10", uses="study", minutes=25),
     Step("sensitivity", "-m experiments.studies sensitivity --pads 0 1 2 --episodes 10", uses="study", minutes=35),
     Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
-    Step(
-        "train_blocks",
-        "-m experiments.train --dataset data/eflesh --split block --epochs 60",
-        minutes=9,
-        needs="data/eflesh",
-    ),
-    Step(
-        "train_time",
-        "-m experiments.train --dataset data/eflesh --split time --epochs 60",
-        minutes=6,
-        needs="data/eflesh",
-    ),
+    Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", minutes=9),
+    Step("train_time", "-m experiments.train --dataset data/eflesh --split time --epochs 60", minutes=6),
     Step("shapes", "-m experiments.shapes", minutes=30),
-    Step("tsne", "-m experiments.tsne", again="--overwrite"),
-    Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again="--overwrite"),
-    Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=7, again="--overwrite"),
+    Step("tsne", "-m experiments.tsne", again=OVERWRITE),
+    Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again=OVERWRITE),
+    Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=7, again=OVERWRITE),
     Step(
         "calibrate",
         "-m experiments.calibrate --dataset data/eflesh --preset short --draws 5",
         minutes=4,
-        needs="data/eflesh",
-        again="--overwrite",
+        again=OVERWRITE,
     ),
-    Step(
-        "fidelity",
-        "-m experiments.fidelity --dataset eflesh/spatial",
-        minutes=11,
-        needs="eflesh/spatial",
-        again="--overwrite",
-    ),
-    Step("registration_patch", "-m experiments.registration patch", minutes=2, again="--overwrite"),
-    Step(
-        "registration_frames",
-        "-m experiments.registration frames --data DATA",
-        minutes=1,
-        needs="DATA",
-        again="--overwrite",
-    ),
-    Step("active_touch", "-m experiments.active_touch", minutes=10, again="--overwrite"),
-    Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again="--overwrite"),
-    Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again="--overwrite"),
-    Step(
-        "reconstruct_tip",
-        "-m experiments.reconstruct tip --dataset eflesh/spatial",
-        minutes=10,
-        needs="eflesh/spatial",
-        again="--overwrite",
-    ),
+    Step("fidelity", "-m experiments.fidelity --dataset eflesh/spatial", minutes=11, again=OVERWRITE),
+    Step("registration_patch", "-m experiments.registration patch", minutes=2, again=OVERWRITE),
+    Step("registration_frames", "-m experiments.registration frames --data DATA", minutes=1, again=OVERWRITE),
+    Step("active_touch", "-m experiments.active_touch", minutes=10, again=OVERWRITE),
+    Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again=OVERWRITE),
+    Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
+    Step("reconstruct_tip", "-m experiments.reconstruct tip --dataset eflesh/spatial", minutes=10, again=OVERWRITE),
     Step("faults", "-m experiments.faults", minutes=120, again=None),
 )

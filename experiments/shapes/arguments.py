@@ -16,11 +16,6 @@ class ShapesArgs(ResumableOptions):
     preset: Literal["paper", "debug"] = "paper"
     dataset: Path | None = None  # recorded presses in place of simulated ones; its objects are the shapes
 
-    @property
-    def next_command(self) -> str:
-        """Command to try with a finished run."""
-        return "python -m experiments.reconstruct patch"
-
     def check(self) -> None:
         """Refuse what does not go together, and a data set that is not there."""
         require_dataset("--dataset", self.dataset)

@@ -14,7 +14,6 @@ and steps in its next frame, 2.5 ms after the last. So a reading is some 5 ms la
 
 import subprocess
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -23,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from i2t.cli import exit_code_of, read_options, require_path
+from i2t.cli import command, require_path
 from i2t.emulators import processes, reskin_board, ur_controller
 from i2t.emulators.world import WorldArgs, make_scene
 from i2t.hardware.rig import Rig
@@ -50,24 +49,12 @@ class LabArgs(ur_controller.ControllerArgs):
     plane: tyro.conf.Suppress[tuple[float, float]] = (0.0, 0.0)  # the object takes its place
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line until SIGTERM or Ctrl-C, or until the standard input of a tethered lab ends.
-
-    Args:
-        arguments: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    args = read_options(LabArgs, arguments, program="python -m i2t.emulators.lab", description=__doc__)
-
-    def work() -> None:
-        _check(args)
-        with ExitStack() as stack:
-            contacts = _contacts(args, Rig() if args.rig is None else Rig.read(args.rig), stack)
-            ur_controller.run(args, contacts, contacts.models[0].scene.errors.force)
-
-    return exit_code_of(work)
+def _run(args: LabArgs) -> None:
+    """Run until SIGTERM or Ctrl-C, or until the standard input of a tethered lab ends."""
+    _check(args)
+    with ExitStack() as stack:
+        contacts = _contacts(args, Rig() if args.rig is None else Rig.read(args.rig), stack)
+        ur_controller.run(args, contacts, contacts.models[0].scene.errors.force)
 
 
 def _check(args: LabArgs) -> None:
@@ -109,6 +96,8 @@ def _board_address(process: "subprocess.Popen[str]") -> processes.Address:
     host, port = process.stdout.readline().split()[1].rsplit(":", 1)
     return host, int(port)
 
+
+main = command(LabArgs, _run, program="python -m i2t.emulators.lab", about=__doc__)
 
 if __name__ == "__main__":
     sys.exit(main())

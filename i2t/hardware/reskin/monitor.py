@@ -11,14 +11,14 @@ import contextlib
 import csv
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from i2t.cli import Count, Positive, check_options, exit_code_of, read_options
+from i2t.cli import Count, Positive, check_options, command
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
@@ -50,19 +50,6 @@ class Options:
     """End after this long."""
     list: bool = False
     """List the USB serial ports and end."""
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the tool.
-
-    Args:
-        args: Of the command line; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(Options, args, program="python -m i2t.hardware.reskin")
-    return exit_code_of(lambda: _run(asked))
 
 
 def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]:
@@ -152,3 +139,6 @@ def _keeper(skin: ReSkin, file: Any) -> Callable[[], None]:
             kept = max([kept, *new.number.tolist()])
 
     return keep
+
+
+main = command(Options, _run, program="python -m i2t.hardware.reskin")
