@@ -1,15 +1,12 @@
-"""`python -m experiments.registration patch --help` and `python -m experiments.registration frames --help`."""
+"""`python -m experiments.registration frames --help`."""
 
 import sys
 from collections.abc import Sequence
 
 from experiments.common.commands import run_part
-from experiments.registration.arguments import FramesArgs, PatchPoseArgs
+from experiments.registration.arguments import FramesArgs
 
-PARTS = {
-    "patch": (PatchPoseArgs, "experiments.registration.patch"),
-    "frames": (FramesArgs, "experiments.registration.frames"),
-}
+PARTS = {"frames": (FramesArgs, "experiments.registration.frames")}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

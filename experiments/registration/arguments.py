@@ -2,33 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
-from experiments.common.checks import with_trained_run
 from i2t.cli import Count, Positive, Seed
 from i2t.windows import PATCH_WINDOW
 
 FRAME_FOLDERS = ("ycbvideo", "ycb_meshes", "apc_depth")
-CASES = {"paper": 200, "debug": 6}  # shared among all objects
-OBJECTS = {"paper": 40, "debug": 3}
-
-
-@dataclass(frozen=True)
-class PatchPoseArgs:
-    """Seek poses from single patches and say how often they are found."""
-
-    out: Path = Path("runs/registration_patch")  # folder for what is made
-    preset: Literal["paper", "debug"] = "paper"
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
-
-    @property
-    def next_command(self) -> str:
-        """Command to try with a finished run."""
-        return with_trained_run("python -m experiments.studies policy")
-
-    def check(self) -> None:
-        """Nothing excludes anything."""
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,6 @@ STEPS = (
         needs="eflesh/spatial",
         again="--overwrite",
     ),
-    Step("registration_patch", "-m experiments.registration patch", minutes=2, again="--overwrite"),
     Step(
         "registration_frames",
         "-m experiments.registration frames --data DATA",

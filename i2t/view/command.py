@@ -9,14 +9,13 @@ from typing import Literal
 import tyro
 
 from i2t.cli import Count, check_options, exit_code_of, read_options, require_path, require_with, require_writable
-from i2t.errors import require_extra
 from i2t.files import why_no_touches
 from i2t.objects.named import require_object
 
 
 @dataclass(frozen=True)
 class ViewArgs:
-    """Write a session or data set as a Rerun recording (.rrd) and as a page (.html) to look at, or as MCAP."""
+    """Write a session or data set as a Rerun recording (.rrd) and as a page (.html) to look at."""
 
     path: tyro.conf.Positional[Path]
     """Folder of recorded touches, or a data set."""
@@ -34,8 +33,6 @@ class ViewArgs:
     """Of several skins that were read in each touch, the one to look at."""
     html: bool = False
     """Write the page alone."""
-    mcap: bool = False
-    """Write an MCAP file (.mcap) too, for Foxglove and ROS 2 tools."""
     overwrite: bool = False
     """Replace files that are there."""
 
@@ -62,17 +59,13 @@ def _write(asked: ViewArgs) -> None:
     if asked.path.is_file() and (why := why_no_touches(asked.path)):
         raise ValueError(why)
     name = (asked.path.resolve().stem or "view") + (f"-{asked.skin_name}" if asked.skin_name else "")
-    page, recording, messages = (asked.out / f"{name}{ending}" for ending in (".html", ".rrd", ".mcap"))
-    for path in (page, recording, *([messages] if asked.mcap else [])):
+    page, recording = (asked.out / f"{name}{ending}" for ending in (".html", ".rrd"))
+    for path in (page, recording):
         if path.exists() and not asked.overwrite:
             raise FileExistsError(f"{path}: exists already; pass --overwrite to replace it, or another --out")
-    if asked.mcap:
-        require_extra("mcap", "--mcap")
-    for path in (page, recording, messages):
         require_writable("--out", path)
     # Not above: NumPy and HDF5, which --help and a refusal need not wait for.
     from i2t.view.contents import read_contents
-    from i2t.view.mcap_file import write_mcap
     from i2t.view.page import write_page
     from i2t.view.rerun_file import why_no_recording, write_recording
 
@@ -81,8 +74,6 @@ def _write(asked: ViewArgs) -> None:
     )
     asked.out.mkdir(parents=True, exist_ok=True)
     print(f"wrote {write_page(contents, page)}")
-    if asked.mcap:
-        print(f"wrote {write_mcap(contents, messages)}")
     if asked.html:
         return
     missing = why_no_recording()

@@ -1,6 +1,5 @@
 """A session as a Rerun recording and as a page: what was recorded is in both, and reads back."""
 
-import base64
 import json
 import re
 import sys
@@ -15,7 +14,6 @@ from i2t.collect.recorder import POSE_CHANNELS, WRENCH_CHANNELS
 from i2t.dataset import Image, Record, Series, save_dataset, write_touch
 from i2t.errors import DataError
 from i2t.hardware.protocols import channel_names
-from i2t.skin.boards import reskin_board
 from i2t.view import command, rerun_file
 from i2t.view.contents import read_belief, read_contents
 
@@ -139,36 +137,3 @@ def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
     ):
         assert command.main([*options, "--out", str(tmp_path / "out")]) == 2
         assert why in capsys.readouterr().err
-
-
-@pytest.mark.full
-def test_a_session_reads_back_from_its_messages(session, tmp_path, capsys):
-    """By the format's own reader: every sample with its time, poses, images and events."""
-    reader = pytest.importorskip("mcap.reader")
-    assert command.main([str(session), "--html", "--mcap", "--out", str(tmp_path / "out")]) == 0
-    assert "session.mcap" in capsys.readouterr().out
-    topics: dict[str, list] = {}
-    with (tmp_path / "out" / "session.mcap").open("rb") as file:
-        for schema, channel, message in reader.make_reader(file).iter_messages():
-            topics.setdefault(channel.topic, []).append((schema.name, message.log_time, json.loads(message.data)))
-    tactile = next(iter(read_contents(session).records())).series["tactile"]
-    readings = topics["/readings"]
-    assert len(readings) == len(topics["/force"]) == len(topics["/torque"]) == 2 * SAMPLES
-    names = [f"chip{chip}/{axis}" for chip in range(5) for axis in "xyz"]
-    told = [[message[name] for name in names] for _, _, message in readings[:SAMPLES]]
-    np.testing.assert_allclose(told, tactile.values - 30.0)
-    np.testing.assert_allclose([at / 1e9 for _, at, _ in readings[:SAMPLES]], tactile.time, atol=1e-6)
-    assert topics["/temperature"][0][2]["chip0"] == 24.0
-    assert [message["message"] for _, _, message in topics["/events"]] == ["contact of touch 0", "contact of touch 1"]
-    name, _, depth = topics["/depth"][0]
-    assert name == "foxglove.RawImage"
-    metres = np.frombuffer(base64.b64decode(depth["data"]), "<f4").reshape(depth["height"], depth["width"])
-    np.testing.assert_allclose(metres, 0.1)
-    frames = {each["child_frame_id"] for _, _, message in topics["/tf"] for each in message["transforms"]}
-    assert frames == {"tool", "object", "camera"}
-    arrows = topics["/field"][0][2]["entities"][0]["arrows"]
-    field = reskin_board().to_tool(tactile.values[0] - 30.0)
-    for arrow, vector in zip(arrows, field, strict=True):  # along the x axis of its pose
-        turn = Rotation.from_quat([arrow["pose"]["orientation"][axis] for axis in "xyzw"])
-        np.testing.assert_allclose(arrow["shaft_length"] * turn.apply([1.0, 0.0, 0.0]), 1e-4 * vector, atol=1e-9)
-    assert topics["/object"][0][2]["entities"][0]["triangles"][0]["indices"]
