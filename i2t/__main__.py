@@ -16,7 +16,7 @@ COMMANDS = {
     "i2t.convert": "recordings into data sets, and back",
     "i2t.view": "look at what was recorded",
     "i2t.place": "find where an object stands, by a camera",
-    "i2t.hardware.reskin": "show, record and replay a skin",
+    "i2t.hardware.reskin": "show and record a skin",
     "i2t.hardware.rig": "write and check the file of a lab",
     "i2t.hardware.hand_eye": "find where the camera sits on the arm",
     "i2t.hardware.touch_off": "find where the skin sits on the arm",

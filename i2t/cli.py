@@ -25,6 +25,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
+from numbers import Real
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, TypeAlias, TypeVar
@@ -111,26 +112,27 @@ def read_options(
     return tyro.cli(kind, args=words, prog=program, description=description or None, config=config)
 
 
-def check_options(options: Any, given: Sequence[str] = ()) -> None:
+def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -> None:
     """Refuse numbers outside their limits, and lists that were named and left empty.
 
     Args:
         options: A dataclass as a command line was read into it; groups of options are dataclasses in it.
         given: The words of the command line.
+        group: Of the options, such as `settings.`.
 
     Raises:
         ValueError: A number, NaN or an empty list; the message names its flag.
     """
-    for flag, hint, value in _options(options):
+    for flag, hint, value in _options(options, group):
         limits = _limits(hint)
         for number in value if isinstance(value, tuple) else (value,):
-            if isinstance(number, bool) or not isinstance(number, int | float):
+            if isinstance(number, bool) or not isinstance(number, Real):  # NumPy's numbers are Real too
                 continue
-            if limits is not None and not limits.allow(number):
+            if limits is not None and not limits.allow(float(number)):
                 raise ValueError(f"--{flag} is {number:.10g}; give {limits}")
             if math.isnan(number):
                 raise ValueError(f"--{flag} is not a number; give one")
-        if value == () and any(word.replace("_", "-") == f"--{flag}" for word in given):
+        if isinstance(value, tuple) and not value and any(word.replace("_", "-") == f"--{flag}" for word in given):
             raise ValueError(f"--{flag} names nothing; give one value at least, or leave it out")
 
 

@@ -15,18 +15,19 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
 from i2t.cli import exit_code_of, read_options, require_path
+from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
-from i2t.hardware.camera_folder import RecordedDepthCamera
+from i2t.hardware.camera_folder import read_view
 from i2t.hardware.named_devices import REALSENSE, UR, ToolPose, named_camera, require_named
 from i2t.hardware.poses import pose_from_vector
-from i2t.hardware.protocols import GuardedArm
+from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig
 from i2t.objects.named import read_object, require_object
 from i2t.types import Array
@@ -94,13 +95,14 @@ def place(asked: PlaceArgs) -> str:
     from i2t.registration import camera_covariance, register_by_depth
 
     mesh = read_object(asked.object, asked.unit).mesh
-    with pose as T_b_t, _camera(asked, rig, arm) as camera:
+    with pose as T_b_t:
+        camera, view = _look(asked, rig, arm)
         T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
         found = register_by_depth(
             mesh,
             rig.T_world_object,
-            camera.capture().depth,
-            camera.camera,
+            view.depth,
+            camera,
             T_w_c,
             translation_std=asked.distance,
             rotation_std=math.radians(asked.angle),
@@ -146,10 +148,11 @@ def _pose_and_arm(asked: PlaceArgs, rig: Rig) -> tuple[AbstractContextManager[Ar
     return tool.now(), tool.arm
 
 
-def _camera(asked: PlaceArgs, rig: Rig, arm: GuardedArm | None) -> Any:
+def _look(asked: PlaceArgs, rig: Rig, arm: GuardedArm | None) -> tuple[Camera, View]:
     if asked.views is not None:
-        return RecordedDepthCamera(asked.views)
-    return named_camera(asked.camera, asked.serial, rig, arm)
+        return read_view(asked.views)
+    with named_camera(asked.camera, asked.serial, rig, arm) as camera:
+        return camera.camera, camera.capture()
 
 
 def _spread(sigma: Array) -> str:

@@ -10,7 +10,6 @@ import pytest
 import i2t
 from experiments.ready_models import GRID_DEPTHS, GRID_PLACES, main
 from i2t import imagine, models
-from i2t.calibration.structured_gp import StructuredGP
 from i2t.errors import SerializationError
 from i2t.models import READY_MODELS, model_card, ready_path
 from i2t.recognition.pad_model_files import load_pad_model
@@ -65,9 +64,8 @@ def test_the_card_in_the_docs_gives_the_figures_of_the_run():
 def test_the_ready_calibration_is_of_one_real_skin_and_holds_no_press_of_it():
     calibration = i2t.load_calibration("eflesh")
     assert calibration.metadata["source"] == "real"
-    assert isinstance(calibration.gp, StructuredGP)
     presses = calibration.gp.presses
-    assert len(np.unique(np.round(presses.load, 6))) == GRID_DEPTHS  # a grid
+    assert len(np.unique(np.round(presses.loads, 6))) == GRID_DEPTHS  # a grid
     assert len(np.unique(np.round(presses.position, 6), axis=0)) == GRID_PLACES**2
     mean, std = calibration.predict([[0.0, 0.0]] * 2, [1e-3, 3e-3])
     assert (std > 0).all()

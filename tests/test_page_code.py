@@ -20,7 +20,8 @@ from helpers.skin_presses import presses_of_a_skin
 from PIL import Image
 
 import i2t
-from i2t.calibration.heads import HeadBudget, fit_head
+from i2t.calibration.heads import fit_head
+from i2t.calibration.regression import HeadBudget
 from i2t.convert.commands import main as convert
 from i2t.dataset import save_dataset
 

@@ -64,6 +64,7 @@ class AcmeSkin(DeviceBase):
 
     def __init__(self, setup: DeviceSetup) -> None:
         self._lab, self._open, self._connects = connection(setup.rig), False, 0
+        self._queue = self._lab.skins[0]
 
     @property
     def features(self) -> SkinFeatures:
@@ -74,50 +75,50 @@ class AcmeSkin(DeviceBase):
     def counters(self) -> SkinCounters:
         """Samples so far; a real skin counts lost ones here too."""
         rate = RATE_HZ if self._open else 0.0
-        return SkinCounters(samples=self._lab.number, connects=self._connects, rate=rate)
+        return SkinCounters(samples=self._queue.number, connects=self._connects, rate=rate)
 
     def connect(self) -> None:
         """Begin to send; earlier measurements are not sent."""
         self._lab.advance()
-        self._lab.recording = self._open = True
+        self._queue.recording = self._open = True
         self._connects += 1
         self.read(1)
 
     def close(self) -> None:
         """Stop sending."""
-        self._lab.recording = self._open = False
+        self._queue.recording = self._open = False
 
     def latest(self, timeout: float = 0.4) -> Samples:
         """The newest sample, which must not be older than the timeout (s)."""
         newest = self._queued()[-1:]
         if not newest or self._lab.clock.now() - newest[0][1] > timeout:
             raise DeviceTimeoutError(f"Acme's skin has been silent for more than {timeout:g} s; check its cable")
-        return self._lab.rows(newest)
+        return self._queue.rows(newest)
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
         """The next samples, all measured after the call."""
-        called, last = self._lab.clock.now(), self._lab.number - 1
+        called, last = self._lab.clock.now(), self._queue.number - 1
         if not 0 < count <= QUEUE_SAMPLES:
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {QUEUE_SAMPLES}")
         until = called + (2 * count / RATE_HZ + 0.5 if timeout is None else timeout)
         while True:
             rows = [row for row in self._queued(last) if row[1] > called][:count]
             if len(rows) == count:
-                return self._lab.rows(rows)
+                return self._queue.rows(rows)
             if self._lab.clock.now() > until:
                 raise DeviceTimeoutError(f"Acme's skin gave {len(rows)} of {count} samples in time; check its cable")
             self._lab.clock.sleep(1 / RATE_HZ)
 
     def since(self, number: SupportsIndex) -> Samples:
         """Samples after another that are still queued, without waiting."""
-        return self._lab.rows(self._queued(int(number)))
+        return self._queue.rows(self._queued(int(number)))
 
     def _queued(self, after: int = -1) -> list[Row]:
         if not self._open:
             raise NotConnectedError("Acme's skin is not connected; call connect() or use with")
         with self._lab.lock:
             self._lab.advance()
-            return [row for row in self._lab.samples if row[0] > after]
+            return [row for row in self._queue.samples if row[0] > after]
 
 
 class AcmeCamera(SimulatedCamera):

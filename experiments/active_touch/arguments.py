@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.common.checks import with_trained_run
-from i2t.cli import Seed
+from experiments.common.options import RunOptions
 
 PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 
@@ -15,38 +15,34 @@ class ActiveTouchSizes:
     """Sizes of the experiment."""
 
     sites: int = 36
-    train_pads: int = 4
+    other_pads: int = 4  # on which predictions are compared with touches, too
     test_pads: int = 6
-    placements: int = 24  # in which each object is tabulated, for training and once more for the test
+    placements: int = 24  # in which each object is tabulated
     particles: int = 48  # poses in which the belief thinks of each object
     touches: int = 16  # of an episode
-    episodes: int = 240  # of the test, over all its pads
-    iterations: int = 100  # of training the policy
-    batch: int = 96  # episodes of each
+    episodes: int = 240  # over all pads
 
 
 PRESETS: dict[str, ActiveTouchSizes] = {
     "paper": ActiveTouchSizes(),
     "debug": ActiveTouchSizes(
-        sites=6, train_pads=3, test_pads=3, placements=3, particles=3, touches=3, episodes=12, iterations=2, batch=4
+        sites=6, other_pads=3, test_pads=3, placements=3, particles=3, touches=3, episodes=12
     ),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
-class ActiveTouchArgs:
-    """Compare policies of touching on pads held out, and train one of them."""
+class ActiveTouchArgs(RunOptions):
+    """Compare policies of touching on pads held out."""
 
     out: Path = Path("runs/active_touch")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
     objects: tuple[str, ...] = PRISMS  # names of the catalogue, at least two
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
 
     @property
     def next_command(self) -> str:
         """Command to try with a finished run."""
-        return with_trained_run("python -m experiments.studies policy")
+        return with_trained_run("python -m experiments.studies open_set")
 
     def check(self) -> None:
         """Refuse objects that the catalogue has not, or too few."""

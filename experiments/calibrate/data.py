@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from i2t.calibration import LoadKind, Presses
+from i2t.calibration import LoadKind
+from i2t.calibration.physics import Presses
 from i2t.dataset import Dataset, square_blocks
 from i2t.geometry import inverse
 from i2t.skin.boards import name_of_board
@@ -28,7 +28,6 @@ class PressRecording:
     load: np.ndarray  # (n,) m of depth, or N of force
     readings: np.ndarray  # (n, c) uT
     by_force: bool
-    chip_positions: np.ndarray | None = None  # (chips, 2) m; given where amplitudes fall with the distance
     notes: tuple[str, ...] = ()  # what is odd about the loads, a sentence each
     own_board: Board | None = None  # where it is none of a name, which `i2t.calibrate` tries by itself
 
@@ -37,13 +36,8 @@ class PressRecording:
         """Kind of the load."""
         return "force" if self.by_force else "depth"
 
-    @property
-    def chips(self) -> Array | None:
-        """Positions of the chips for the Gaussian process."""
-        return None if self.chip_positions is None else jnp.float32(self.chip_positions)
-
     def presses(self, rows: np.ndarray) -> Presses:
-        """Presses of some rows, for the Gaussian process."""
+        """Presses of some rows, to fit a pad to."""
         return Presses(jnp.float32(self.position[rows]), jnp.float32(self.load[rows]))
 
     def features(self, rows: np.ndarray) -> np.ndarray:
@@ -89,10 +83,9 @@ def read_presses(dataset: Dataset, load: str) -> PressRecording:
     if unknown:
         notes = ("neither depth nor force is known: all presses are taken to go to one depth",)
     good &= pushing
-    chips = dataset.board.chips[:, :2] if by_force else None
     readings = touches.reading[good].astype(np.float64)
     own = None if name_of_board(dataset.board) else dataset.board
-    return PressRecording(T_t_o[good, :2, 3], amount[good], readings, by_force, chips, notes=notes, own_board=own)
+    return PressRecording(T_t_o[good, :2, 3], amount[good], readings, by_force, notes=notes, own_board=own)
 
 
 def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:

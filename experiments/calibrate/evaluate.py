@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.calibrate.data import PressRecording, PressSplit
 from experiments.calibrate.methods import CALIBRATED, METHODS, calibrated_with_std
-from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
+from i2t.calibration.population_gp import STDS_WITHIN_90_PERCENT
 from i2t.prediction.metrics import grouped_interval, student_interval
 from i2t.progress import progress
 

@@ -3,21 +3,18 @@
 from collections.abc import Callable
 from typing import TypeAlias
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from experiments.calibrate.data import PressRecording
-from i2t.calibration import DEPTH_HYPERPARAMETERS, FORCE_HYPERPARAMETERS, calibrate, plain_gp, structured_gp
-from i2t.prediction.metrics import nearest_neighbours, tuned
+from i2t.calibration import calibrate, plain_gp
+from i2t.prediction.baselines import tuned
+from i2t.prediction.metrics import nearest_neighbours
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
-STRUCTURED, CALIBRATED = "structured GP + height", "i2t.calibrate"
+CALIBRATED = "i2t.calibrate"
 
 Predict: TypeAlias = Callable[[PressRecording, np.ndarray, np.ndarray], np.ndarray]
 """From known rows and test rows of a recording to readings (n, c) uT."""
-
-_fit, _predict = jax.jit(structured_gp.fit), jax.jit(structured_gp.predict)
 
 
 def mean(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
@@ -42,14 +39,6 @@ def plain(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.n
     return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, at)
 
 
-def structured(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """The structured GP with its hyperparameters as they are."""
-    hyperparameters = FORCE_HYPERPARAMETERS if recording.by_force else DEPTH_HYPERPARAMETERS
-    known = jnp.float32(recording.readings[rows])
-    gp = _fit(hyperparameters, recording.presses(rows), known, recording.chips)
-    return np.asarray(_predict(gp, recording.presses(test))[0], np.float64)
-
-
 def calibrated(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
     """Predictions of `i2t.calibrate`."""
     return calibrated_with_std(recording, rows, test)[0]
@@ -63,5 +52,5 @@ def calibrated_with_std(recording: PressRecording, rows: np.ndarray, test: np.nd
 
 
 METHODS: dict[str, Predict] = {
-    MEAN: mean, NEIGHBOURS: neighbours, PLAIN: plain, STRUCTURED: structured, CALIBRATED: calibrated,
+    MEAN: mean, NEIGHBOURS: neighbours, PLAIN: plain, CALIBRATED: calibrated,
 }  # fmt: skip

@@ -7,16 +7,14 @@ from matplotlib.figure import Figure
 
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.evaluate import INTERVAL
-from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN, STRUCTURED
+from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN
 from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from i2t.calibration import DataWarnings, check_presses
-from i2t.dataset import Dataset
-from i2t.unknowns import RecordedPresses, estimate_labels, findings_from_meta, metrics_of
 from i2t.viz import style
 
 COLOURS = {
-    MEAN: style.PINK, NEIGHBOURS: style.GREY, PLAIN: style.ORANGE, STRUCTURED: style.GREEN, CALIBRATED: style.RED,
+    MEAN: style.PINK, NEIGHBOURS: style.GREY, PLAIN: style.ORANGE, CALIBRATED: style.RED,
 }  # fmt: skip
 LABEL_WIDTH = 40
 
@@ -81,22 +79,6 @@ def warn(recording: PressRecording) -> DataWarnings:
     for message in found.messages():
         print(f"warning: {message}")
     return found
-
-
-def unknowns_of(dataset: Dataset, recording: PressRecording) -> dict[str, Any]:
-    """Findings on the recording's unknowns: those its converter kept with it, or else those that labels and readings
-    tell of each other; what is wrong is printed.
-    """
-    found = findings_from_meta(dataset.meta)
-    if not found:
-        load = {"force": recording.load} if recording.by_force else {"height": -recording.load}
-        presses = RecordedPresses(recording.position, recording.readings, **load)
-        found = {"this recording": estimate_labels(presses)}
-    for session, findings in found.items():
-        for finding in findings:
-            if finding.wrong:
-                print(f"unknowns of {session}: {finding.sentence}")
-    return {session: metrics_of(findings) for session, findings in found.items()}
 
 
 def warning_metrics(found: DataWarnings) -> dict[str, Any]:

@@ -61,7 +61,6 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
     refuse_too_few(args, cfg, held, blocks)
     begin(args.out, args, cfg, None, args.overwrite)
     warnings = report.warn(recording)
-    unknowns = report.unknowns_of(dataset, recording)
     split = split_presses(held, blocks, ~warnings.repeated, cfg.block_mm)
     scores = learning_curves(recording, split, counts=cfg.counts, draws=cfg.draws, seed=args.seed)
     kept = save_calibration(args, cfg, dataset, recording, ~warnings.repeated)
@@ -75,7 +74,6 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
         "notes": recording.notes,
         "kept": kept,
         **report.warning_metrics(warnings),
-        "unknowns": unknowns,
         "presses": len(held),
         "held_out": {name: len(rows) for name, rows in split.tests.items()},
         "r2": {name: summarise(curves) for name, curves in scores.r2.items()},

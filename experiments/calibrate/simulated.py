@@ -92,9 +92,8 @@ def _recording(skin: PressedSkinOfKind, load: str) -> PressRecording:
     """A skin's presses, on the board whose chips lie where the skin's do."""
     by_force = load == "force"
     board = eflesh_board() if skin.kind == "lattice" else reskin_board()
-    chips = skin.chip_positions if by_force else None
     return PressRecording(
-        skin.position, skin.force if by_force else skin.depth, skin.readings, by_force, chips, own_board=board
+        skin.position, skin.force if by_force else skin.depth, skin.readings, by_force, own_board=board
     )
 
 

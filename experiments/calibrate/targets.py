@@ -9,7 +9,8 @@ from experiments.common.runs import begin, write_json
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
 from experiments.fidelity.sections import print_table
-from i2t.calibration.heads import SkinRecording, fit_head, read_recordings
+from i2t.calibration.heads import fit_head
+from i2t.calibration.recordings import SkinRecording, read_recordings
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:

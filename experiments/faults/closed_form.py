@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.procedure import Procedure
-from i2t.collect.recorder import SessionInfo
+from i2t.collect.recorder import SessionInfo, SkinInfo
 from i2t.collect.settings import TouchSettings
-from i2t.collect.touch import SeenPatch, Site
+from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import SpringPlane
@@ -103,9 +103,10 @@ def make_procedure(scene: SpringPlane | None = None, latency: float = 0.03, seed
     for device in (arm, skin, camera):
         device.connect()
     settings = TouchSettings(patience=1.0)
-    return Procedure(arm, skin, camera, rig, BOARD, plane_patch, HEIGHT_M, settings, clock)
+    return Procedure(arm, [SkinOnTool(TOOL, skin, BOARD)], camera, rig, plane_patch, HEIGHT_M, settings, clock)
 
 
 def session_info(rig: Rig, lens: Camera, source: str = "simulated") -> SessionInfo:
     """Names of a session over the plane."""
-    return SessionInfo("plane", source, "session", "simulated", BOARD, rig.T_world_base, rig.T_world_object, lens)
+    skins = {TOOL: SkinInfo(source, BOARD)}
+    return SessionInfo("plane", "session", "simulated", rig.T_world_base, rig.T_world_object, lens, skins)

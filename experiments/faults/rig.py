@@ -23,7 +23,7 @@ from experiments.faults.table import Fault, Measure, Trial
 from i2t.collect.first_touch import RigContradictedError, first_touch
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler, patch_extractor
-from i2t.collect.touch import Site, UnreachableError
+from i2t.collect.touch import TOOL, Site, SkinOnTool, UnreachableError
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import ObjectScene
 from i2t.errors import DeviceError
@@ -93,7 +93,7 @@ class MistakenArm(SimulatedArm):
             self.stop()
         with self.lab.lock:
             robot = self.lab.robot
-            self.lab.contact_model.stands(robot.position, robot.rotation)
+            self.lab.contacts.stands(robot.position, robot.rotation)
             robot.line_to(np.array(pose_to_vector(T_b_t @ inverse(self._to_reported))), speed, acceleration)
         return T_b_t
 
@@ -118,7 +118,8 @@ def object_lab(name: str, rig: Rig, seed: int, believed: Rig | None = None) -> t
     for device in (arm, skin, camera):
         device.connect()
     top = float(np.max(mesh.vertices @ wrong.T_world_object[2, :3]) + wrong.T_world_object[2, 3])
-    return Procedure(arm, skin, camera, wrong, skin.board, patch_extractor(), top, clock=clock), scene
+    skins = [SkinOnTool(TOOL, skin, skin.board)]
+    return Procedure(arm, skins, camera, wrong, patch_extractor(), top, clock=clock), scene
 
 
 # Mistakes

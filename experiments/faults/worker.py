@@ -14,6 +14,7 @@ from experiments.faults.closed_form import BOARD, HEIGHT_M, make_scene, plane_pa
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, site_number_of, touches_in
 from i2t.collect.settings import TouchSettings
+from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedCamera
 from i2t.errors import DeviceError
@@ -38,7 +39,7 @@ def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") 
     camera = SimulatedCamera(make_scene(), LENS, rig.T_tool_camera, lambda: arm.state().T_b_t, MonotonicClock())
     with ReSkin(port) as skin, camera, arm, Recorder(out, session_info(rig, LENS, "emulated")) as recorder:
         settings = replace(QUICK_SETTINGS, silence=max(QUICK_SETTINGS.silence, 1 / float(watchdog)))
-        procedure = Procedure(arm, skin, camera, rig, BOARD, plane_patch, HEIGHT_M, settings)
+        procedure = Procedure(arm, [SkinOnTool(TOOL, skin, BOARD)], camera, rig, plane_patch, HEIGHT_M, settings)
         print("begun", flush=True)
         left = (number for number in range(int(touches)) if number not in done)
         for _ in procedure.run(lambda history: next((site(number) for number in left), None), recorder):

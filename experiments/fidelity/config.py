@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from i2t.calibration.heads import HeadBudget
+from i2t.calibration.regression import HeadBudget
 
 
 @dataclass(frozen=True)
@@ -10,7 +10,7 @@ class FidelityPreset:
     """Sizes of the report."""
 
     counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # presses to calibrate with
-    draws: int = 5  # of them, and of parts that mistakes are put into
+    draws: int = 5  # of them
     method_seconds: float = 150.0  # of one method's curves, after which it gets no further draw
     test_rows: int = 1000  # on which curves are scored
     forward_rows: int = 1200  # of the model by which noise and hysteresis are separated from the press

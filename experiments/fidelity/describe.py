@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
 from i2t.calibration import check_presses, segment_presses
-from i2t.calibration.heads import TARGETS, SkinRecording
+from i2t.calibration.recordings import TARGETS, SkinRecording
 from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, metrics_of
 from i2t.unknowns.findings import AXES
 from i2t.unknowns.segmentation import MAD_TO_STD

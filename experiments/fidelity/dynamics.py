@@ -21,9 +21,8 @@ from experiments.fidelity.forward import (
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.heads import SkinRecording
-from i2t.calibration.recordings import STREAM_GAP_S
-from i2t.skin.faults import Faults
+from i2t.calibration.recordings import STREAM_GAP_S, SkinRecording
+from i2t.skin.faults import LAYER_SHARE, Faults
 from i2t.skin.noise import Noise
 from i2t.unknowns.findings import AXES
 
@@ -235,8 +234,7 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
                 growth.append(np.polyfit(np.log10(seconds + 0.1), signal / signal[0], 1)[0])
     if not growth:
         raise CannotTellError(f"No depth is held for {HELD_S:g} s, so that creep is unknown.")
-    faults = Faults.typical()
-    own = faults.relaxation * faults.layer_share / 3
+    own = Faults.typical().relaxation * LAYER_SHARE / 3
     rows.append(["creep of a held press, per tenfold time", cell(float(np.mean(growth)), 4), cell(own, 4)])
     section.numbers["creep"] = {"holds": len(growth), "share_per_decade": growth, "simulator": own}
 

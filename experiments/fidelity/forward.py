@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 
 from experiments.fidelity.sections import CannotTellError
-from i2t.calibration.heads import SkinRecording
+from i2t.calibration.recordings import SkinRecording
 from i2t.unknowns.smooth import left_out
 
 MEAN_READING, NEIGHBOURS_OF_PRESSES, SIMPLE_GP = "mean reading", "k nearest presses", "plain Gaussian process"

@@ -9,18 +9,16 @@ import numpy as np
 from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration.heads import (
-    BASELINE_HEADS,
     HEAD_TARGETS,
     STDS_OF_90_PERCENT,
-    TARGETS,
     Head,
-    HeadBudget,
     HeadPrediction,
-    SkinRecording,
     fit_head,
     hold_out_groups,
     target_rows,
 )  # fmt: skip
+from i2t.calibration.recordings import TARGETS, SkinRecording
+from i2t.calibration.regression import BASELINE_HEADS, HeadBudget
 
 PUBLISHED_FIGURES = {
     "position": "eFlesh 0.5 mm, eflesh-touch 1.22 mm",

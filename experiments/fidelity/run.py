@@ -2,7 +2,6 @@
 
     python -m experiments.fidelity --dataset A                  the report, in minutes
     python -m experiments.fidelity --dataset A B                sessions of one skin, and what one says of the other
-    python -m experiments.fidelity --dataset A --mistakes       also: which mistakes put into it are found?
     python -m experiments.fidelity --dataset A --preset debug   everything once, in seconds
 
 A recording is a data set of i2t (a folder or a file), a session of eFlesh as it was recorded, or a table with one row
@@ -26,11 +25,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
-from experiments.fidelity import causes, curves, describe, dynamics, heads, mistakes
+from experiments.fidelity import causes, curves, describe, dynamics, heads
 from experiments.fidelity.arguments import FidelityArgs
 from experiments.fidelity.config import FIDELITY_PRESETS, FidelityPreset
 from experiments.fidelity.sections import Section, say, write_page, written
-from i2t.calibration.heads import SkinRecording, corrected_recording, is_dataset, read_recordings
+from i2t.calibration.recordings import SkinRecording, corrected_recording, is_dataset, read_recordings
 from i2t.errors import DataError
 from i2t.unknowns import Finding
 
@@ -46,7 +45,7 @@ def run(args: FidelityArgs) -> dict[str, Any]:
     chapters: dict[str, list[Section]] = {}
     for recording in recordings:
         print(f"\n{recording.name}: {len(recording)} readings")
-        sections = sections_of(recording, preset, args.seed, mistaken=args.mistakes)
+        sections = sections_of(recording, preset, args.seed)
         chapters[recording.name] = [say(section) for section in sections]
     if len(recordings) > 1:
         parts = {
@@ -100,9 +99,7 @@ def _recordings(paths: Sequence[Path]) -> list[tuple[Path, SkinRecording]]:
     return found
 
 
-def sections_of(
-    recording: SkinRecording, preset: FidelityPreset, seed: int, *, mistaken: bool = False
-) -> Iterator[Section]:
+def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> Iterator[Section]:
     """The report's parts about one recording."""
     findings: list[Finding] = []
     about = written("What it is", partial(describe.describe, recording))
@@ -119,7 +116,5 @@ def sections_of(
         "Calibration curves": partial(curves.calibration_curves, recording, preset, seed),
         "Heads": partial(heads.head_sections, recording, preset.heads, preset.held_out_share, seed),
     }
-    if mistaken:
-        parts["Mistakes put in"] = partial(mistakes.mistake_section, recording, preset, seed)
     for title, work in parts.items():
         yield written(title, work)

@@ -26,7 +26,6 @@ BELIEF_STD = (6e-3, np.radians(8.0))  # m and rad, which the registration is tol
 REGISTERED_AFTER = (2, 4, 8, 16, 24)  # touches
 OUTLINE_WINDOW_M, OUTLINE_PIXELS = 0.34, 680
 MONITOR_REST_S, MONITOR_PRESS_S = 2.3, 2.1  # until the emulated board rests, and from then until its press is deepest
-MONITOR_SCALE_UT = 40.0  # at the end of a bar
 
 
 def registration(story: Story) -> Figure:
@@ -89,11 +88,8 @@ def monitor(story: Story) -> Figure:
         rest = skin.read(skin_monitor.REST_SAMPLES).reading.mean(0)
         time.sleep(MONITOR_PRESS_S)
         shown = skin.since(int(skin.latest().number[-1]) - skin_monitor.SHOWN_SAMPLES)
-        lines = skin_monitor.picture(
-            skin.info, skin.features.source, skin.counters, shown, rest, scale=MONITOR_SCALE_UT
-        )
-    lines = [line.replace(port, "/dev/ttyACM0") for line in lines]
-    figure = Figure(figsize=(8.6, 4.6), facecolor="#101418")
+        lines = skin_monitor.table(skin.counters, shown, rest)
+    figure = Figure(figsize=(8.6, 2.4), facecolor="#101418")
     title = titled("$ python -m i2t.hardware.reskin", True)
     text = "\n".join([title, "", *lines])
     figure.text(0.02, 0.98, text, family="monospace", fontsize=9, color="#e6e6e6", va="top", linespacing=1.25)

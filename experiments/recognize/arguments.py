@@ -7,10 +7,9 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
-from experiments.common.tasks import TaskOptions
+from experiments.common.options import ResumableOptions
 from i2t.cli import Count, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
-from i2t.collect.checks import check_arm, check_camera, check_skin
 
 PresetName = Literal["paper", "debug"]
 UnitName = Literal["m", "cm", "mm", "inch"]
@@ -18,7 +17,7 @@ NOT_REAL = ("simulated", "emulated")
 
 
 @dataclass(frozen=True)
-class SimulateArgs:
+class SimulateArgs(ResumableOptions):
     """Recognise objects by touch and report how often and how sure."""
 
     out: Path = Path("runs/recognize")  # folder for everything that is made
@@ -37,16 +36,12 @@ class SimulateArgs:
     episodes: Count | None = None  # of each object, for each pad and seed
     paper_episodes: Count | None = None  # the same in the paper's sets, twice as many unless given
     num_particles: Count | None = None  # poses of each object, in place of the preset's
-    seed: Seed = 0
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished run in --out
-    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     @property
     def next_command(self) -> str:
         """Command to try with a finished run: a study, where the run simulates its touches."""
         if self.dataset is None:
-            return f"python -m experiments.studies policy --trained-run {self.trained_run}"
+            return f"python -m experiments.studies open_set --trained-run {self.trained_run}"
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:
@@ -133,9 +128,8 @@ class LiveArgs:
             raise ValueError(f"--prior-unknown {self.prior_unknown:g}: give a probability, from 0 to below 1")
         if self.prior_unknown > 0 and self.num_surrogates < 1:
             raise ValueError(f"--num-surrogates {self.num_surrogates}: --prior-unknown needs surrogates, 16 say")
-        check_arm(self.arm)
-        check_skin(self.skin)
-        check_camera(self.camera)
+        for device in (self.arm, self.skin, self.camera):
+            device.check()
         require_objects(self.objects, self.unit)
         require_pad(self.pad)
         require_path("--worn-pad", self.worn_pad)

@@ -32,12 +32,12 @@ from experiments.recognize.arguments import LiveArgs
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t.collect import session
-from i2t.collect.arguments import CollectArgs, LabArgs, WorldArgs
+from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
 from i2t.dataset import read_touch
-from i2t.emulators.world import read_pad
+from i2t.emulators.world import WorldArgs, read_pad
 from i2t.errors import DeviceError
 from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
@@ -244,8 +244,7 @@ def conclude(
     print(f"touches/, result.json and story/ are in {args.out}")
     if info.name is None:
         print(
-            "next, its surface, as a mesh that may join --objects: from touches that explore it (python -m "
-            "experiments.reconstruct --arm), or from these alone:\n"
+            "next, its surface, as a mesh that may join --objects:\n"
             f"  python -m experiments.reconstruct --dataset {args.out / 'touches'} --out {args.out / 'surface'}"
         )
     return result

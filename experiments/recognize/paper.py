@@ -27,7 +27,6 @@ import jax
 import numpy as np
 
 from experiments.common.checks import pad_name
-from experiments.common.runs import write_json
 from experiments.common.tasks import Task, TaskOptions, run_tasks
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
@@ -44,7 +43,7 @@ from i2t.recognition.paper_rules import (
     Scorer,
     beliefs_by_rule,
     constant_predictor,
-    contact_scorer,
+    contact_distances,
     reading_scorers,
     run_loop,
 )
@@ -122,16 +121,12 @@ def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int, options
         tasks.append(Task(path.stem, path, partial(play_part, cfg, folder, seed + i, path)))
     run_tasks(tasks, options)
     parts = [reporting.load(task.finished) for task in tasks]
-    result: dict[str, Any] = {
-        "source": "simulated",
+    about: dict[str, Any] = {
         "method": "the paper's loop",
-        **reporting.pads_of(parts),
         "epochs": [network_epochs(folder) for folder in folders],
-        "sets": {name: reporting.score_set(parts, name) for name in parts[0]},
+        "mean of the sets": reporting.mean_over_objects(parts),
     }
-    result["mean of the sets"] = reporting.mean_over_objects(parts)
-    write_json(out / "metrics.json", result)
-    reporting.write_figures(parts, out, True)
+    result = reporting.summarise(parts, out, "simulated", **about)
     reporting.print_tables(result)
     reporting.print_mean_over_objects(result["mean of the sets"])
     return result
@@ -179,7 +174,7 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
     for i, (name, objects) in enumerate(names.items()):
         some = [next(surfaces) for _ in objects]
         key = jax.random.fold_in(jax.random.key(seed), i)
-        scorers = reading_scorers(predictors, some, found.std) | {PROPRIOCEPTION: contact_scorer(some)}
+        scorers = reading_scorers(predictors, some, found.std) | {PROPRIOCEPTION: partial(contact_distances, some)}
         results[name] = play_set(
             key,
             name,

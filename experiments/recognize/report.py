@@ -119,12 +119,13 @@ def clusters_of(parts: Sequence[Results], name: str, *, objects: bool = False) -
     return [np.unique(label, return_inverse=True)[1] for label in labels]
 
 
-def pads_of(parts: Sequence[Results]) -> dict[str, Any]:
-    """The pads over which intervals are, and the number of runs."""
+def pads_of(parts: Sequence[Results], pools: str = "pools of sites") -> dict[str, Any]:
+    """The pads over which intervals are, the number of runs, and what the pools are called."""
     pads = sorted({each.pad for part in parts for each in part.values()})
-    several = "over pads and pools of sites, for these objects"
-    few = f"over pools of sites, for {'this pad' if len(pads) == 1 else 'these pads'} and these objects"
-    return {"pads": pads, "runs": len(parts), "intervals": f"95 %, {several if len(pads) >= MIN_CLUSTERS else few}"}
+    several = f"over pads and {pools}, for these objects"
+    few = f"over {pools}, for {'this pad' if len(pads) == 1 else 'these pads'} and these objects"
+    intervals = f"95 %, {several if len(pads) >= MIN_CLUSTERS else few}"
+    return {"pads": pads, "runs": len(parts), "pools": pools, "intervals": intervals}
 
 
 # --- calibration ---
@@ -155,13 +156,13 @@ def _scaled(results: EpisodeResults, temperatures: Mapping[str, TemperatureScali
 
 
 def summarise(
-    parts: Sequence[Results], temperatures: Mapping[str, TemperatureScaling], out: Path, source: str
+    parts: Sequence[Results], out: Path, source: str, pools: str = "pools of sites", **about: Any
 ) -> dict[str, Any]:
-    """Scores of every set over all pads, written to metrics.json with figures next to it."""
-    written = {method: to_json(temperature) for method, temperature in temperatures.items()}
-    summary: dict[str, Any] = {"source": source, **pads_of(parts), "temperatures": written, "sets": {}}
-    for name in parts[0]:
-        summary["sets"][name] = score_set(parts, name)
+    """Scores of every set over all pads, and what else there is to say about them, written to metrics.json with figures
+    next to it.
+    """
+    sets = {name: score_set(parts, name) for name in parts[0]}
+    summary = {"source": source, **pads_of(parts, pools), **about, "sets": sets}
     write_json(out / "metrics.json", summary)
     write_figures(parts, out, source != "real")
     return summary
@@ -203,11 +204,8 @@ def score_method(parts: Sequence[Results], name: str, method: str) -> dict[str, 
         "confusion": metrics.confusion(p[:, -1], truth).tolist(),
     }
     if method.split(", ")[0] in EVIDENCE:
-        first = metrics.confident_at(p)
-        scores["stopping"] = [
-            to_json(metrics.stopping(p, truth, error, clusters=clusters)) for error in REQUESTED_ERRORS
-        ]
-        scores["touches_to_95"] = to_json(metrics.touches_to_confidence(first, p.shape[1], clusters=clusters))
+        stops = [metrics.stopping(p, truth, error, clusters=clusters) for error in REQUESTED_ERRORS]
+        scores["stopping"] = [to_json(stop) for stop in stops]
     return scores
 
 
@@ -224,13 +222,15 @@ def score_objects(
 
 
 def compare_methods(parts: Sequence[Results], name: str) -> dict[str, Any]:
-    """Differences between methods on the same episodes."""
-    found = {}
+    """Differences between methods on the same episodes; none of a single one."""
+    found: dict[str, Any] = {}
+    if sum(len(part[name].truth) for part in parts) < 2:
+        return found
     for one, other in COMPARED:
         if {one, other} <= set(parts[0][name].beliefs):
             hits = [metrics.hits(*pooled(parts, name, method)) for method in (one, other)]
             difference = metrics.compare_paired(*hits, clusters=clusters_of(parts, name))
-            found[f"{one} - {other}"] = {"last": to_json(difference.last), "mean": to_json(difference.mean)}
+            found[f"{one} - {other}"] = to_json(difference)
     return found
 
 
@@ -268,22 +268,22 @@ def print_tables(summary: dict[str, Any]) -> None:
         air = f", {100 * entry['air']:.0f} % of touches in air" if "air" in entry else ""
         print(
             f"\n{name} ({summary['source']}): {', '.join(entry['objects'])}; {entry['episodes']} episodes, "
-            f"{entry['pools']} pools of sites, {len(summary['pads'])} pads{air}; intervals {summary['intervals']}"
+            f"{entry['pools']} {summary['pools']}, {len(summary['pads'])} pads{air}; intervals {summary['intervals']}"
         )
-        head = "".join(f"{f'after {t}':>18}" for t in columns)
-        print(f"{'':48}{head}{'mean of all':>22}{'ECE':>7}{'NLL':>7}")
+        print(_row("", [*(f"after {t}" for t in columns), "mean of all"]) + f"{'ECE':>7}{'NLL':>7}")
         for method, values in entry["methods"].items():
             if method.endswith(UNPRINTED):
                 continue
-            mean, published = values["mean"], published_accuracy(name, method)
+            published, accuracy = published_accuracy(name, method), values["accuracy"]
+            cells = [_cell({part: limits[t - 1] for part, limits in accuracy.items()}) for t in columns]
             print(
-                f"{method:48}{_rates(values['accuracy'], columns)}  {_number(mean['mean'])} {_limits(mean)}"
-                f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
+                _row(method, [*cells, _cell(values["mean"])])
+                + f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
                 + (f"   paper: {published:.2f}" if published else "")
             )
         print_objects(entry, touches)
         for pair, values in entry["paired"].items():
-            print(f"  {pair}: after {touches} {_signed(values['last'])}, mean {_signed(values['mean'])}")
+            print(f"  {pair}: after {touches} {_cell(values['last'], '+')}, mean {_cell(values['mean'], '+')}")
 
 
 def published_accuracy(name: str, method: str) -> float | None:
@@ -298,11 +298,10 @@ def published_accuracy(name: str, method: str) -> float | None:
 
 def print_objects(entry: dict[str, Any], touches: int) -> None:
     """Print the rate at which each object is recognised."""
-    print(f"  {f'after {touches}, by the object that was there':46}" + "".join(f"{x:>20}" for x in entry["objects"]))
+    print(_row(f"  after {touches}, by the object that was there", entry["objects"]))
     for method, values in entry["methods"].items():
         if method.endswith(SHOWN_BY_OBJECT):
-            rates = [values["by_object"][name]["last"] for name in entry["objects"]]
-            print(f"  {method:46}" + "".join(f"{_number(rate['mean'])} {_limits(rate, 2)}" for rate in rates))
+            print(_row(f"  {method}", [_cell(values["by_object"][name]["last"]) for name in entry["objects"]]))
 
 
 def print_mean_over_objects(means: dict[str, Any]) -> None:
@@ -311,7 +310,7 @@ def print_mean_over_objects(means: dict[str, Any]) -> None:
     for method, estimate in means.items():
         if not method.endswith(UNPRINTED):
             published = published_accuracy("mean", method)
-            print(f"{method:48}{_range(estimate)}" + (f"   paper: {published:.2f}" if published else ""))
+            print(_row(method, [_cell(estimate)]) + (f"   paper: {published:.2f}" if published else ""))
 
 
 def print_calibration(summary: dict[str, Any]) -> None:
@@ -320,40 +319,21 @@ def print_calibration(summary: dict[str, Any]) -> None:
     fused = entry["methods"]["fused"]
     for stop in fused["stopping"]:
         print(
-            f"stop at an error of {stop['requested_error']:.0%}: error {_range(stop['error'])}, predicted "
+            f"stop at an error of {stop['requested_error']:.0%}: error {_cell(stop['error'])}, predicted "
             f"{stop['predicted_error']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
-            f"{stop['stopped']['mean']:.0%} that stopped early error {_range(stop['stopped_error'])}, predicted "
+            f"{stop['stopped']['mean']:.0%} that stopped early error {_cell(stop['stopped_error'])}, predicted "
             f"{stop['stopped_predicted_error']:.3f}"
         )
     for name in ("calibration_error", "log_loss"):
         print(f"{name.replace('_', ' ')} after each touch: " + " ".join(f"{x:.3f}" for x in fused[name]))
 
 
-def _rates(accuracy: dict[str, Any], columns: Sequence[int]) -> str:
-    """Accuracies after some numbers of touches, with their limits."""
-    return "".join(
-        f"{_number(accuracy['mean'][t - 1])} {_limits({limit: accuracy[limit][t - 1] for limit in ('low', 'high')}, 2)}"
-        for t in columns
-    )
+def _row(name: str, cells: Sequence[str]) -> str:
+    return f"{name:48}" + "".join(f"{cell:>22}" for cell in cells)
 
 
-def _number(value: float) -> str:
-    return f"{value:6.3f}"
-
-
-def _limits(estimate: dict[str, float], digits: int = 3) -> str:
-    """Write an interval, or "none" where nothing tells its clusters apart."""
-    if not np.isfinite([estimate["low"], estimate["high"]]).all():
-        return "[" + " " * (digits + 1) + "none" + " " * (digits + 1) + "]"
-    return f"[{estimate['low']:z.{digits}f}, {estimate['high']:z.{digits}f}]"
-
-
-def _range(estimate: dict[str, float]) -> str:
-    return f"{estimate['mean']:z.3f} {_limits(estimate)}"
-
-
-def _signed(estimate: dict[str, float]) -> str:
-    return with_interval(estimate["mean"], estimate["low"], estimate["high"], sign="+")
+def _cell(estimate: dict[str, Any], sign: str = "") -> str:
+    return with_interval(estimate["mean"], estimate["low"], estimate["high"], sign=sign)
 
 
 # --- figures ---

@@ -47,6 +47,7 @@ from i2t import dataset as data
 from i2t.prediction.predictor import Predictor
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
+from i2t.recognition.metrics import to_json
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
 from i2t.recognition.paper_rules import constant_predictor, paper_rules
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
@@ -102,7 +103,7 @@ def configure(args: SimulateArgs) -> Recognition:
 def report(args: SimulateArgs, parts: list[reporting.Results], source: str, board: Board) -> dict[str, Any]:
     """Scores, figures, tables, and the report of one episode."""
     parts, temperatures = reporting.calibrate(parts)
-    result = reporting.summarise(parts, temperatures, args.out, source)
+    result = reporting.summarise(parts, args.out, source, temperatures=to_json(temperatures))
     name = next(name for name in ("all", "your objects") if name in parts[0])
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
     reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source, board)

@@ -8,7 +8,6 @@ from experiments.common.checks import require_dataset
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, Seed, require_path, require_with
 from i2t.errors import require_extra
-from i2t.objects.named import require_object
 
 
 @dataclass(frozen=True)
@@ -59,9 +58,7 @@ class ReconstructArgs:
     preset: Literal["paper", "debug"] = "paper"
     dataset: Path | None = None  # recorded touches of an object, whose surface is reconstructed in place of all else
     object: str | None = None  # of --dataset, where it holds several
-    arm: Literal["simulated", "emulated"] | None = None  # explores an unknown object, whose surface is reconstructed
-    true_object: str | None = None  # what stands before --arm, of the catalogue
-    name: str = "reconstructed"  # of the mesh that is made of --dataset, or of what --arm touched
+    name: str = "reconstructed"  # of the mesh that is made of --dataset
     test: Count | None = None  # unseen objects, instead of the preset's 4
     touches: Count | None = None  # on each, instead of the preset's 20
     conditions: tuple[str, ...] = ()  # the names of those to run; all without it
@@ -76,17 +73,12 @@ class ReconstructArgs:
     def check(self) -> None:
         """Refuse what does not go together, what is not there, and conditions that there are not."""
         require_dataset("--dataset", self.dataset)
-        one = self.dataset is not None or self.arm is not None
-        require_with("--object", self.object is not None, "--dataset", self.dataset is not None)
-        require_with("--true-object", self.true_object is not None, "--arm", self.arm is not None)
-        require_with("--arm", self.arm is not None, "--true-object", self.true_object is not None)
-        require_with("--arm", self.arm is not None, "touches of its own (no --dataset)", self.dataset is None)
-        require_with("--name", self.name != "reconstructed", "--dataset or --arm", one)
-        require_with("--touches", self.touches is not None, "an arm (no --dataset)", self.dataset is None)
+        recorded = self.dataset is not None
+        require_with("--object", self.object is not None, "--dataset", recorded)
+        require_with("--name", self.name != "reconstructed", "--dataset", recorded)
+        require_with("--touches", self.touches is not None, "simulated objects (no --dataset)", not recorded)
         for flag, given in (("--test", self.test is not None), ("--conditions", bool(self.conditions))):
-            require_with(flag, given, "simulated objects (no --dataset, no --arm)", not one)
-        if self.true_object is not None:
-            require_object(self.true_object, None, flag="--true-object")
+            require_with(flag, given, "simulated objects (no --dataset)", not recorded)
         if not self.name or Path(self.name).name != self.name:
             raise ValueError(f"--name {self.name}: is no name of a file; give a word")
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):

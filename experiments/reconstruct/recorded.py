@@ -1,11 +1,8 @@
-"""The surface of one object from touches that were recorded, or that an arm makes here.
+"""The surface of one object from touches that were recorded.
 
-An arm explores through the procedure that collects data (`i2t.collect.session`): each touch goes where it is expected
-to tell most of the surface, and the touches are kept in OUT/touches. The mesh that is made may be named to `--objects`
-of recognition and of collection.
+The mesh that is made may be named to `--objects` of recognition and of collection.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,19 +16,12 @@ from experiments.reconstruct.episodes import MM_PER_M, judge, true_shape
 from experiments.reconstruct.report import shown_surface
 from experiments.reconstruct.world import split_objects
 from i2t import viz
-from i2t.collect import session
-from i2t.collect.arguments import ArmArgs, CollectArgs, SkinArgs, WorldArgs
-from i2t.collect.settings import TouchSettings
-from i2t.collect.touch import Site, SiteOutcome
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.geometry import inverse
-from i2t.hardware.rig import Rig
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.solids import Mesh, place_on_table
-from i2t.recognition.recognizer import MAX_EMPTY_DRAWS
-from i2t.reconstruction.exploration import ExplorationConfig, choose_touch
 from i2t.reconstruction.surface import (
     SurfaceModel,
     contact_evidence,
@@ -46,22 +36,15 @@ from i2t.windows import STANDOFF
 
 MIN_CONTACTS = 3  # fewer say almost nothing of a shape
 ROOM_M = 10e-3  # about the contacts, in which the surface is sought
-UNKNOWN = "unknown"  # name of an explored object, in the data set
-LIVE_OVERTRAVEL_M = 4e-3  # beyond a site: more would end in the table next to a low object
-UNKNOWN_WITHIN_M = 16e-3  # before a site the surface may be: there the slow approach begins
-MAX_FAILURES = 10  # of sites in a row
 
 
 def run(args: ReconstructArgs) -> dict[str, Any]:
-    """Reconstruct an object from --dataset, or from what --arm touches; write its mesh, a picture and metrics.json."""
-    if args.arm is not None:
-        begin(args.out, args, args.sizes, None, args.overwrite)
-    path = explore(args) if args.dataset is None else args.dataset
-    dataset = load_dataset(path, missing_chips=True)
+    """Reconstruct an object from --dataset; write its mesh, a picture and metrics.json."""
+    assert args.dataset is not None
+    path, dataset = args.dataset, load_dataset(args.dataset, missing_chips=True)
     name = choose_object(dataset, args.object, path)
     T_o_t, hit = read_touches(dataset, name)
-    if args.arm is None:  # a data set that cannot be used leaves no folder behind
-        begin(args.out, args, args.sizes, None, args.overwrite)
+    begin(args.out, args, args.sizes, None, args.overwrite)  # a data set that cannot be used leaves no folder behind
     model = prior_of(T_o_t[hit], args)
     state, _ = init(model)
     before = estimate_surface(model, state)
@@ -80,9 +63,8 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         "surface_std_mm": {"median": float(np.median(std_mm)), "p90": float(np.quantile(std_mm, 0.9))},
         "library": model.library.shape[1],
     }
-    there = args.true_object or name
-    if dataset.source == "simulated" and there in NAMES:
-        truth = true_shape(make_object(there).mesh, model.grid, args.sizes.samples)
+    if dataset.source == "simulated" and name in NAMES:
+        truth = true_shape(make_object(name).mesh, model.grid, args.sizes.samples)
         result["against_the_catalogue"] = {"before": judge(before, truth), "after": judge(estimate, truth)}
     standing = place_on_table(Mesh(surface.vertices, surface.faces))
     result["frame_shift_mm"] = (MM_PER_M * (surface.vertices[0] - standing.vertices[0])).tolist()
@@ -158,67 +140,3 @@ def report(result: dict[str, Any], path: Path) -> None:
         "object was believed to stand: move the rig's object by that before it is touched again"
     )
     print(f"next: python -m experiments.recognize live --objects star cylinder {path} --unit m")
-
-
-class Exploration:
-    """Exploration that chooses the procedure's sites and learns from the touches made there."""
-
-    def __init__(self, model: SurfaceModel, settings: TouchSettings, *, seed: int, touches: int) -> None:
-        self.model, self.seed, self.touches = model, seed, touches
-        self.rig = Rig()
-        self.T_w_o = np.asarray(self.rig.T_world_object, np.float64)
-        self.failures = 0  # since the last touch
-        self.approach = settings.prepare
-        self.config = ExplorationConfig(overtravel=settings.overtravel)
-        self.state, _ = init(model)
-
-    def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
-        """The next site; None when all touches were made, or where nothing is allowed."""
-        if len(self.state.touches) >= self.touches:
-            return None
-        for draw in range(MAX_EMPTY_DRAWS if self.failures < MAX_FAILURES else 0):
-            step = int(np.random.SeedSequence([self.seed, len(history), draw]).generate_state(1)[0])
-            T_o_t = choose_touch(self.model, self.state, config=self.config, seed=step).T_o_t
-            if T_o_t is not None and self.within(self.T_w_o @ T_o_t):
-                return Site(len(history), self.T_w_o @ T_o_t)
-        print("  stopped: no touch is allowed on what the object may be", flush=True)
-        return None
-
-    def within(self, T_w_t: Float[np.ndarray, "4 4"]) -> bool:
-        """Test whether the arm may go to the end of a press that meets nothing."""
-        end = T_w_t[:3, 3] + self.config.overtravel * T_w_t[:3, 2]
-        return self.rig.limits.contains((self.rig.T_base_world @ np.append(end, 1.0))[:3])
-
-    def learn(self, outcome: SiteOutcome) -> None:
-        """Update the surface with a touch: where it met it, or the way that was free."""
-        touch = outcome.touch
-        self.failures = 0 if touch else self.failures + 1
-        if touch is None:
-            return
-        T_o_t, hit = inverse(self.T_w_o) @ np.asarray(touch.T_w_t, np.float64), touch.code != ReturnCode.AIR
-        if hit:
-            T_o_t[:3, 3] -= touch.depth * T_o_t[:3, 2]
-        self.state, info = update(self.model, self.state, contact_evidence(T_o_t, hit=hit, swept=self.approach))
-        print(f"  as sure of the shape as among {info.effective_shapes:.0f} of the library", flush=True)
-
-
-def explore(args: ReconstructArgs) -> Path:
-    """Touch the object; returns the folder of its touches (ValueError: no touch was made)."""
-    settings = TouchSettings(overtravel=LIVE_OVERTRAVEL_M, near=UNKNOWN_WITHIN_M, surface_tolerance=UNKNOWN_WITHIN_M)
-    model = surface_model([each.mesh for each in split_objects(args.sizes, args.seed).train])
-    exploration = Exploration(model, settings, seed=args.seed, touches=args.sizes.touches)
-    folder = args.out / "touches"
-    collected = CollectArgs(
-        out=folder,
-        touches=args.sizes.touches,
-        arm=ArmArgs(str(args.arm)),
-        skin=SkinArgs(str(args.arm)),
-        world=WorldArgs(str(args.true_object), seed=args.seed),
-        name=UNKNOWN,
-        skip_first_touch=True,  # nobody knows what stands there, so that it would contradict any mesh
-        settings=settings,
-    )
-    code = session.collect(collected, exploration.choose, exploration.learn)
-    if code or not exploration.state.touches:
-        raise ValueError("no touch was made, so nothing is known of the surface")
-    return folder

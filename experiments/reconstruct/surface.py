@@ -3,7 +3,6 @@
     python -m experiments.reconstruct                                 random objects of the catalogue
     python -m experiments.reconstruct --preset debug                  once through everything, too small to mean much
     python -m experiments.reconstruct --dataset DATA --object NAME    one object from recorded touches, as a mesh
-    python -m experiments.reconstruct --arm emulated --true-object spanner      an arm explores an object, as a mesh
     python -m experiments.reconstruct patch --help                    what one press met
     python -m experiments.reconstruct tip --help                      where a tip pressed, on recorded presses
 
@@ -74,7 +73,7 @@ class Explorer:
 
 def run(args: ReconstructArgs) -> dict[str, Any]:
     """Run every condition on the same objects; print the table, write metrics.json, config.json and figures."""
-    if args.dataset is not None or args.arm is not None:
+    if args.dataset is not None:
         return recorded.run(args)
     sizes, started = args.sizes, time.monotonic()
     begin(args.out, args, sizes, None, args.overwrite)

@@ -29,7 +29,8 @@ from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import TIP_PRESETS, TipArgs, TipSizes
 from experiments.reconstruct.patch_scores import MM, numbers, text_table, weighted_quantile
 from i2t import viz
-from i2t.calibration.heads import SkinRecording, fit_head, read_recordings
+from i2t.calibration.heads import fit_head
+from i2t.calibration.recordings import SkinRecording, read_recordings
 from i2t.dataset import square_blocks
 from i2t.progress import progress
 from i2t.recognition.intervals import bootstrap_clusters, cluster_interval, rate_interval

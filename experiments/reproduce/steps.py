@@ -44,12 +44,10 @@ STEPS = (
         uses="study",
         minutes=60,
     ),
-    Step("policy", "-m experiments.studies policy --pads 0 1 2 --episodes 10", uses="study", minutes=20),
     Step("open_set", "-m experiments.studies open_set --pads 0 1 2 --episodes 10", uses="study", minutes=30),
     Step("new_pad", "-m experiments.studies new_pad --pads 0 1 2 --episodes 10", uses="study", minutes=25),
     Step("sensitivity", "-m experiments.studies sensitivity --pads 0 1 2 --episodes 10", uses="study", minutes=35),
     Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
-    Step("object_count", "-m experiments.studies object_count --pads 0 1 2 --episodes 10", uses="study", minutes=50),
     Step(
         "train_blocks",
         "-m experiments.train --dataset data/eflesh --split block --epochs 60",

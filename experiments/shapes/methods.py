@@ -1,11 +1,10 @@
 """The compared classifiers of stamps, and the splits by which presses are held out.
 
   paper's classifier             15 readings into 500, 10 and 5 units (`i2t.paper.classifier`)
-  network on imagined presses    15 readings; trained on the presses at hand and on thousands that were imagined on
-                                 the skin fitted to them (`experiments.shapes.pad`), noise drawn afresh
-  imagined touch                 which stamp, pressed where the arm says with the force it measured, would have read so?
+  imagined touch                 which stamp, pressed where the arm says with the force it measured, would have read so
+                                 on the skin fitted to the presses at hand (`experiments.shapes.pad`)?
 
-The first two answer from readings alone, the last from what each hypothesis would feel like. Minibatches are drawn with
+The first answers from readings alone, the second from what each hypothesis would feel like. Minibatches are drawn with
 replacement, so that trainings on different numbers of presses share one compiled program.
 """
 
@@ -25,7 +24,6 @@ from experiments.shapes.pad import (
     StampPoses,
     fit_hysteresis,
     log_likelihood,
-    predict_reading,
 )
 from experiments.shapes.world import PREFIX, SHAPES
 from i2t.dataset import Dataset, square_blocks
@@ -37,13 +35,12 @@ from i2t.paper.classifier import Classifier
 from i2t.skin.elasticity import GRID, Grid
 from i2t.types import Board, ReturnCode
 
-PAPER, NETWORK, IMAGINED = "paper's classifier", "network on imagined presses", "imagined touch"
-METHODS = (PAPER, NETWORK, IMAGINED)
+PAPER, IMAGINED = "paper's classifier", "imagined touch"
+METHODS = (PAPER, IMAGINED)
 CAPACITY_ROWS = 2048  # of a training set; capacities are multiples of it
 SPLITS = ("random", "location", "depth", "angle")
 FOLDS = 5
 BLOCK_EDGE_M = 2e-3  # of the squares of positions that are never torn apart
-REAL_NOISE_SHARE = 0.5  # share of a reading's spread that training adds to a press that has its own
 
 
 @dataclass(frozen=True)
@@ -51,8 +48,6 @@ class Methods:
     """Sizes of the methods."""
 
     paper: Classifier = field(default_factory=Classifier)
-    network: Classifier = field(default_factory=lambda: Classifier(steps=4000))
-    library: int = 640  # poses, each imagined under every stamp
     layers: int = len(LAYERS)  # how many of `LAYERS` a skin may have
     grid: Grid = GRID  # of the fitted skin
 
@@ -141,15 +136,13 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
 
 @dataclass(frozen=True)
 class StampClassificationBenchmark:
-    """One pad's presses and what was worked out about them; its methods share the fitted skins."""
+    """One pad's presses and what was worked out about them."""
 
     presses: StampPresses
     names: tuple[str, ...]
     cfg: Methods
     seed: int
     features: StampFeatures | None  # None where the arm did not say enough to imagine a press
-    library: StampPoses | None  # other poses than the presses', drawn as widely
-    fits: dict[bytes, tuple[FittedSkin, np.ndarray]] = field(default_factory=dict)  # the last fit, by what it was of
 
     def methods(self) -> tuple[str, ...]:
         """Names of the methods that these presses allow."""
@@ -163,23 +156,8 @@ class StampClassificationBenchmark:
                 self.cfg.paper, p.reading[train], p.shape[train], p.reading[test], classes=classes, seed=seed
             )
         assert self.features is not None
-        assert self.library is not None
         skin, readings = self.fitted(train)
-        if method == IMAGINED:
-            hypotheses = self.features.hypotheses(skin.layer, p.poses, "presses")
-            return log_likelihood(skin, hypotheses[test], readings[test])
-        imagined = predict_reading(skin, self.features.hypotheses(skin.layer, self.library, "library"))
-        imagined = imagined.reshape(-1, p.reading.shape[1])
-        return classify(
-            self.cfg.network,
-            np.concatenate([imagined, readings[train]]),
-            np.concatenate([np.tile(np.arange(classes), self.cfg.library), p.shape[train]]),
-            readings[test],
-            classes=classes,
-            seed=seed,
-            noise_share=np.concatenate([np.ones(len(imagined)), np.full(len(train), REAL_NOISE_SHARE)]),
-            noise_covariance=skin.covariance,
-        )
+        return log_likelihood(skin, self.features.hypotheses(skin.layer)[test], readings[test])
 
     def guesses(self, method: str, part: np.ndarray) -> np.ndarray:
         """The shape guessed for each press when its part is held out."""
@@ -193,15 +171,11 @@ class StampClassificationBenchmark:
         """The skin fitted to labelled presses, and all readings (n, c) uT less the chips' hysteresis."""
         assert self.features is not None
         p = self.presses
-        key = train.tobytes()
-        if key not in self.fits:
-            first = self.features.fit(train, p.reading[train])
-            sessions = np.unique(p.session)
-            kept = fit_hysteresis(first.residuals, p.before[train], p.session[train], sessions)
-            readings = p.reading - kept[np.searchsorted(sessions, p.session)] * p.before
-            self.fits.clear()  # folds follow each other
-            self.fits[key] = (self.features.fit(train, readings[train]), readings)
-        return self.fits[key]
+        first = self.features.fit(train, p.reading[train])
+        sessions = np.unique(p.session)
+        kept = fit_hysteresis(first.residuals, p.before[train], p.session[train], sessions)
+        readings = p.reading - kept[np.searchsorted(sessions, p.session)] * p.before
+        return self.features.fit(train, readings[train]), readings
 
 
 def make_benchmark(
@@ -214,22 +188,15 @@ def make_benchmark(
         board: The sensor board.
         names: Of the shapes.
         cfg: Sizes of the methods.
-        seed: Of the library and of the classifiers.
+        seed: Of the classifiers.
 
     Returns:
         The benchmark; presses are imagined only where the arm said where they were and the stamps are the catalogue's.
     """
-    if not presses.located or not set(names) <= set(SHAPES):
-        return StampClassificationBenchmark(presses, names, cfg, seed, features=None, library=None)
-    features = StampFeatures(board, names, presses.poses, presses.shape, layers=cfg.layers, grid=cfg.grid)
-    rng = np.random.default_rng(seed)
-    low, high = presses.position.min(0), presses.position.max(0)
-    library = StampPoses(
-        rng.uniform(low, high, (cfg.library, 2)),
-        rng.uniform(0, 2 * np.pi, cfg.library),
-        rng.uniform(presses.force.min(), presses.force.max(), cfg.library),
-    )
-    return StampClassificationBenchmark(presses, names, cfg, seed, features, library)
+    features = None
+    if presses.located and set(names) <= set(SHAPES):
+        features = StampFeatures(board, names, presses.poses, presses.shape, layers=cfg.layers, grid=cfg.grid)
+    return StampClassificationBenchmark(presses, names, cfg, seed, features)
 
 
 def rows_per_shape(presses: StampPresses, each: int, seed: int) -> np.ndarray:
@@ -245,8 +212,6 @@ class TrainingSet(NamedTuple):
 
     x: Float[Array, "rows d"]
     y: Int[Array, " rows"]
-    noise_share: Float[Array, "rows d"]  # of the noise, by which each row is disturbed afresh when it is met
-    noise_factor: Float[Array, "d d"]  # turns normal draws into the noise
     n: Int[Array, ""]  # rows that count, the first
 
 
@@ -258,8 +223,6 @@ def classify(
     *,
     classes: int,
     seed: int,
-    noise_share: Float[np.ndarray, " n"] | None = None,
-    noise_covariance: Float[np.ndarray, "d d"] | None = None,
 ) -> Float[np.ndarray, "m classes"]:
     """Train on inputs x of classes y, and give log probabilities at other inputs.
 
@@ -270,8 +233,6 @@ def classify(
         at: Inputs to classify.
         classes: Number of classes.
         seed: Of the training.
-        noise_share: For each row, the share of the noise that is added to it afresh each time it is met.
-        noise_covariance: Of that noise.
 
     Returns:
         Log probabilities, the mean over the ensemble's members.
@@ -280,13 +241,9 @@ def classify(
     mean, std = x.mean(0), x.std(0)
     std = np.where(std > 0, std, 1)
     capacity = -(-n // CAPACITY_ROWS) * CAPACITY_ROWS
-    rows, share, labels = np.zeros((capacity, d)), np.zeros((capacity, d)), np.zeros(capacity, np.int32)
+    rows, labels = np.zeros((capacity, d)), np.zeros(capacity, np.int32)
     rows[:n], labels[:n] = (x - mean) / std, y
-    factor = np.zeros((d, d))
-    if noise_share is not None and noise_covariance is not None:
-        share[:n] = noise_share[:, None]
-        factor = np.linalg.cholesky(noise_covariance + 1e-9 * np.eye(d)).T / std
-    known = TrainingSet(jnp.float32(rows), jnp.asarray(labels), jnp.float32(share), jnp.float32(factor), jnp.int32(n))
+    known = TrainingSet(jnp.float32(rows), jnp.asarray(labels), jnp.int32(n))
     keys = [jax.random.fold_in(jax.random.key(seed), i) for i in range(cfg.members)]
     log_p = [_log_probability(_train(key, known, cfg, classes), jnp.float32((at - mean) / std)) for key in keys]
     return np.asarray(jax.nn.logsumexp(jnp.stack(log_p), axis=0) - np.log(cfg.members))
@@ -294,15 +251,12 @@ def classify(
 
 @partial(jax.jit, static_argnames=("cfg", "classes"))
 def _train(key: Key[Array, ""], known: TrainingSet, cfg: Classifier, classes: int) -> Layers:
-    inputs = known.x.shape[1]
-
     def draw(key: Key[Array, ""]) -> tuple[Array, Array]:
-        key_rows, key_noise = jax.random.split(key)
+        key_rows, _ = jax.random.split(key)  # one more than is used: the draws of a seed stay
         rows = jax.random.randint(key_rows, (cfg.batch,), 0, known.n)
-        noise = jax.random.normal(key_noise, (cfg.batch, inputs)) @ known.noise_factor
-        return known.x[rows] + known.noise_share[rows] * noise, known.y[rows]
+        return known.x[rows], known.y[rows]
 
-    return classifier.fit(key, draw, cfg, inputs=inputs, classes=classes)
+    return classifier.fit(key, draw, cfg, inputs=known.x.shape[1], classes=classes)
 
 
 @jax.jit

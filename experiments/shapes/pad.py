@@ -112,7 +112,7 @@ class StampFeatures:
         self.layers = range(layers)
         self.poses, self.shape = poses, shape
         self._pressed: dict[tuple[int, int], np.ndarray] = {}
-        self._hypotheses: dict[tuple[int, str], np.ndarray] = {}
+        self._hypotheses: dict[int, np.ndarray] = {}
 
     def pressed(self, layer: int, rows: np.ndarray) -> Float[np.ndarray, "n c k"]:
         """Features of what was pressed, on a layer of `LAYERS`."""
@@ -122,14 +122,14 @@ class StampFeatures:
             self._pressed |= {(layer, row): features for row, features in zip(missing, made, strict=True)}
         return np.stack([self._pressed[layer, row] for row in rows])
 
-    def hypotheses(self, layer: int, poses: StampPoses, name: str) -> Float[np.ndarray, "n classes c k"]:
-        """Features of every stamp in turn at every pose of a set that is called `name`."""
-        if (layer, name) not in self._hypotheses:
-            n = len(poses.force)
-            each = StampPoses(*(np.repeat(leaf, self.classes, axis=0) for leaf in poses))
+    def hypotheses(self, layer: int) -> Float[np.ndarray, "n classes c k"]:
+        """Features of every stamp in turn at every pose."""
+        if layer not in self._hypotheses:
+            n = len(self.poses.force)
+            each = StampPoses(*(np.repeat(leaf, self.classes, axis=0) for leaf in self.poses))
             made = self._features(layer, np.tile(np.arange(self.classes), n), each)
-            self._hypotheses[layer, name] = made.reshape(n, self.classes, *made.shape[1:])
-        return self._hypotheses[layer, name]
+            self._hypotheses[layer] = made.reshape(n, self.classes, *made.shape[1:])
+        return self._hypotheses[layer]
 
     def _features(self, layer: int, which: np.ndarray, poses: StampPoses) -> np.ndarray:
         parameters, parts = layer_of(*LAYERS[layer]), []
@@ -149,7 +149,7 @@ class StampFeatures:
         ]  # mostly the same in all folds
         scores = [_best_regression(self.pressed(layer, rows[some]), readings[some])[1] for layer in self.layers]
         best = int(np.argmax(scores))
-        features = self.hypotheses(best, self.poses, "presses")[rows, self.shape[rows]]
+        features = self.hypotheses(best)[rows, self.shape[rows]]
         solved, _ = _best_regression(features, readings)
         left = np.asarray(readings - solved.leave_one_out, np.float64)
         # Shrunk towards its diagonal as by as many presses as there are values.

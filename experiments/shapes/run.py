@@ -73,7 +73,7 @@ PRESETS: dict[str, ShapeExperiment] = {
         pads=(0, 1),
         presses=50,
         pressing=StampPressConfig(grid=_COARSE, friction=False, touches_per_session=25),
-        methods=Methods(Classifier((16, 10), 40), Classifier((16, 10), 40), library=8, layers=1, grid=_COARSE),
+        methods=Methods(Classifier((16, 10), 40), layers=1, grid=_COARSE),
         presses_per_shape=(2,),
         draws=1,
     ),

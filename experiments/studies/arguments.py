@@ -9,10 +9,10 @@ import tyro
 from experiments.common.checks import chosen_runs
 from experiments.common.tasks import TaskOptions
 from experiments.recognize.arguments import PresetName
-from i2t.cli import Count, Seed, require_path
+from i2t.cli import Count, Seed
 from i2t.errors import require_extra
 
-StudyName = Literal["policy", "open_set", "new_pad", "sensitivity", "object_count", "mismatch"]
+StudyName = Literal["open_set", "new_pad", "sensitivity", "mismatch"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,6 @@ class StudyArgs:
     pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
     preset: PresetName = "paper"
     episodes: Count = 20  # of each object and setting, for each pad and seed
-    meshes: Path | None = None  # a folder of STL files in metres that join the objects of `object_count`
     seed: Seed = 0
     resume: bool = False  # go on with an unfinished study in --out
     overwrite: bool = False  # replace a finished or unfinished one
@@ -43,13 +42,6 @@ class StudyArgs:
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        require_path("--meshes", self.meshes, "folder")
-        if self.meshes is not None:
-            if self.study != "object_count":
-                raise ValueError(f"--meshes is for the study object_count, and this is {self.study}; leave it out")
-            if not any(self.meshes.glob("*.[sS][tT][lL]")):
-                raise ValueError(f"--meshes {self.meshes}: holds no STL file; name a folder that does")
-            require_extra("pyvista", "a scanned mesh of --meshes")
         if self.study == "mismatch":
             require_extra("skfem", "a pad with free sides")
         chosen_runs(self.trained_run, self.pads)

@@ -28,6 +28,7 @@ from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.pad_model import PadModel, fit_pad_model
 from i2t.recognition.site_pool import (
     SitePool,
+    TouchPlan,
     plan_random_touches,
     pose_particles,
     precompute_outcomes,
@@ -43,15 +44,6 @@ MAX_PARTICLES = 128  # of each object: with 64 to 512 accuracies are the same wi
 DEBUG_EPISODES = 2  # of each object
 SHARED_BY = 5  # episodes that touch the same sites: one with each of five objects
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
-
-
-class EpisodePlan(NamedTuple):
-    """Episodes before they are simulated: which object is there, and where it is touched."""
-
-    sites: SitePool
-    truth: np.ndarray  # (e,)
-    chosen: np.ndarray  # (e, t) sites of the pool
-    pool: np.ndarray  # (e,) number of the sites' draw: episodes of one number touch the same sites
 
 
 @dataclass(frozen=True)
@@ -100,15 +92,11 @@ class StudyLab:
         """Object of each episode: all in turn."""
         return np.arange(len(self.surfaces) * self.episodes) % len(self.surfaces)
 
-    def plan(self, key: Array, truth: np.ndarray | None = None) -> EpisodePlan:
-        """Episodes at random sites, `SHARED_BY` one after the other at the same ones; each object in turn is there
-        unless a `truth` is given, which may number objects beyond the lab's.
-        """
-        truth = self.truth() if truth is None else truth
-        plan = plan_random_touches(
-            key, self.surfaces, self.names, len(truth), self.cfg.touches, limits=self.cfg.site_limits, share=SHARED_BY
+    def plan(self, key: Array, episodes: int) -> TouchPlan:
+        """Random sites, at which `SHARED_BY` episodes one after the other touch."""
+        return plan_random_touches(
+            key, self.surfaces, self.names, episodes, self.cfg.touches, limits=self.cfg.site_limits, share=SHARED_BY
         )
-        return EpisodePlan(plan.sites, truth, plan.chosen, plan.pool)
 
     def predict(
         self, sites: SitePool, particles: Particles, models: Sequence[LinearReadingModel], label: str
@@ -122,19 +110,20 @@ class StudyLab:
     def simulate(
         self,
         key: Array,
-        plan: EpisodePlan,
+        plan: TouchPlan,
+        truth: np.ndarray,
         label: str,
         *,
         surfaces: Sequence[Surface] | None = None,
         world: StudyWorld = StudyWorld(),
     ) -> Episodes:
-        """Simulated episodes; surfaces and world are the lab's unless given."""
+        """Simulated episodes; surfaces, of which `truth` says which is there, and world are the lab's unless given."""
         pad = world.pad(self.run.pad)
         config = EpisodeConfig(
             world.errors(self.cfg.errors), world.limits(self.cfg.limits), plan.chosen.shape[1], law=world.law(pad)
         )
         return run_episodes(
-            key, surfaces or self.surfaces, plan.truth, plan.chosen,
+            key, surfaces or self.surfaces, truth, plan.chosen,
             sites=plan.sites, pad=pad, config=config, label=label,
         )  # fmt: skip
 
@@ -170,15 +159,16 @@ def evaluate_settings(lab: StudyLab, settings: Callable[[StudyLab, Array], Mappi
             of one world share its episodes.
     """
     key_sites, key_episodes, key_settings = jax.random.split(lab.key, 3)
-    plan, made = lab.plan(key_sites), settings(lab, key_settings)
-    found: Part = {"truth": plan.truth, "pool": plan.pool}
+    truth, made = lab.truth(), settings(lab, key_settings)
+    plan = lab.plan(key_sites, len(truth))
+    found: Part = {"truth": truth, "pool": plan.pool}
     worlds = list({id(each.world): each.world for each in made.values()}.values())
     played: dict[int, Episodes] = {}
     surfaces, tables = _surfaces_of(lab, worlds), _predicted(lab, plan, made)
     for name, (world, kinds, model, stated) in made.items():
         if id(world) not in played:
             played[id(world)] = lab.simulate(
-                jax.random.clone(key_episodes), plan, name, surfaces=surfaces[id(world)], world=world
+                jax.random.clone(key_episodes), plan, truth, name, surfaces=surfaces[id(world)], world=world
             )
         likelihood, particles = (model or lab.pad_model).likelihood, lab.particles(stated)
         beliefs = run_belief(tables[name], played[id(world)], likelihood, particles, kinds)
@@ -186,7 +176,7 @@ def evaluate_settings(lab: StudyLab, settings: Callable[[StudyLab, Array], Mappi
     return found
 
 
-def _predicted(lab: StudyLab, plan: EpisodePlan, settings: Mapping[str, Setting]) -> dict[str, PredictedTouch]:
+def _predicted(lab: StudyLab, plan: TouchPlan, settings: Mapping[str, Setting]) -> dict[str, PredictedTouch]:
     """Predicted touches of each setting: contacts are predicted once for each placement that is stated."""
     told: dict[tuple[float, float], dict[int, list[str]]] = {}
     for name, each in settings.items():

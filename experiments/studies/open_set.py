@@ -85,12 +85,13 @@ def evaluate_set(
     known, unknown = len(objects.known), len(objects.unknown)
     cfg = replace(lab.cfg, num_particles=min(lab.cfg.num_particles, OPEN_SET_PARTICLES))
     lab = replace(lab, surfaces=surfaces[:known], names=objects.known, cfg=cfg)
-    plan = lab.plan(key_sites, draw_objects(known, unknown, lab.episodes, lab.seed))
+    there = draw_objects(known, unknown, lab.episodes, lab.seed)
+    plan = lab.plan(key_sites, len(there))
     believed = surfaces[:known] + surfaces[known + unknown :]
-    lab, there, particles = replace(lab, surfaces=believed), plan.truth, lab.particles()
+    lab, particles = replace(lab, surfaces=believed), lab.particles()
     (table,) = jax.device_put(lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label))
-    observations = lab.simulate(key_episodes, plan, label, surfaces=surfaces[: known + unknown]).observations
-    p = posteriors(jnp.asarray(plan.chosen), observations, table, lab.pad_model.likelihood, particles)
+    episodes = lab.simulate(key_episodes, plan, there, label, surfaces=surfaces[: known + unknown])
+    p = posteriors(jnp.asarray(plan.chosen), episodes.observations, table, lab.pad_model.likelihood, particles)
     p = np.asarray(p, np.float64)
     share = (len(believed) - known) / len(believed)  # prior of the unknown class: all objects alike
     p, p_unknown = calibrated.with_unknown_prior(p[..., :known], p[..., known:].sum(-1), share, PRIOR_UNKNOWN)

@@ -1,12 +1,10 @@
 """Questions about recognition by touch beyond `experiments.recognize`, each a study of its own:
 
-    python -m experiments.studies policy        which next touch makes one confident soonest?
     python -m experiments.studies open_set      is the object an unknown one?
     python -m experiments.studies new_pad       how many presses does a pad need that was never recorded?
     python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
-    python -m experiments.studies object_count  10, 25 and 50 objects, the meshes of a folder among them
     python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
-    python -m experiments.studies policy --preset debug      a handful of episodes, to see it run
+    python -m experiments.studies open_set --preset debug      a handful of episodes, to see it run
 
 Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
 the catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
@@ -28,7 +26,7 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, load_part, save_part, write_json
 from experiments.common.tasks import Task, run_tasks
 from experiments.recognize.config import PRESETS
-from experiments.studies import object_count, open_set, policy, settings
+from experiments.studies import open_set, settings
 from experiments.studies.arguments import StudyArgs
 from experiments.studies.lab import StudyLab, evaluate_settings, prepare_lab
 from experiments.studies.report import print_tables, report_settings
@@ -42,9 +40,7 @@ class Study(NamedTuple):
 
 
 STUDIES = {
-    "policy": Study(policy.evaluate, policy.report),
     "open_set": Study(open_set.evaluate, open_set.report),
-    "object_count": Study(object_count.evaluate, object_count.report),
     "new_pad": Study(partial(evaluate_settings, settings=settings.new_pad), report_settings),
     "sensitivity": Study(partial(evaluate_settings, settings=settings.sensitivity), report_settings),
     "mismatch": Study(partial(evaluate_settings, settings=settings.mismatch), report_settings),

@@ -20,8 +20,7 @@ from jaxtyping import Array
 from experiments.studies import free_sides
 from experiments.studies.lab import Setting, StudyLab, StudyWorld
 from experiments.studies.winkler import winkler_press
-from i2t.calibration.physics import PadFit, RoundTip, fit_pad
-from i2t.calibration.structured_gp import Presses
+from i2t.calibration.physics import PadFit, Presses, RoundTip, fit_pad
 from i2t.geometry import from_twist
 from i2t.objects import Mesh
 from i2t.recognition.pad_model import PadModel, with_press_errors

@@ -13,7 +13,6 @@ from i2t.calibration.model import Calibration, LoadKind, calibrate, load_calibra
 from i2t.calibration.structured_gp import (
     DEPTH_HYPERPARAMETERS,
     FORCE_HYPERPARAMETERS,
-    Presses,
     StructuredGPHyperparameters,
 )
 from i2t.unknowns.segmentation import SegmentedPresses, segment_presses
@@ -24,7 +23,6 @@ __all__ = [
     "Calibration",
     "DataWarnings",
     "LoadKind",
-    "Presses",
     "SegmentedPresses",
     "StructuredGPHyperparameters",
     "calibrate",

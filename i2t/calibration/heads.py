@@ -1,6 +1,7 @@
 """Heads: contact estimates from a skin's readings, position, depth, normal force and shear, with their spread.
 
-    from i2t.calibration.heads import fit_head, read_recordings
+    from i2t.calibration.heads import fit_head
+    from i2t.calibration.recordings import read_recordings
 
     (recording,) = read_recordings("my_presses.csv")
     head = fit_head(recording, "position")
@@ -39,14 +40,9 @@ from i2t.calibration.recordings import (
     MIN_CHANGE,
     TARGETS,
     SkinRecording,
-    corrected_recording,
-    from_dataset,
-    is_dataset,
     is_stream,
-    read_recordings,
 )
 from i2t.calibration.regression import (
-    BASELINE_HEADS,
     HEAD_METHODS,
     MEAN_TARGET,
     FeatureMap,
@@ -59,30 +55,9 @@ from i2t.calibration.regression import (
     make_feature_map,
     nearest_known,
     predict_regression,
-    some_rows,
 )
 from i2t.dataset import square_blocks
-
-__all__ = [
-    "BASELINE_HEADS",
-    "HEAD_METHODS",
-    "HEAD_TARGETS",
-    "STDS_OF_90_PERCENT",
-    "TARGETS",
-    "Head",
-    "HeadBudget",
-    "HeadPrediction",
-    "SkinRecording",
-    "corrected_recording",
-    "fit_head",
-    "from_dataset",
-    "hold_out_groups",
-    "is_dataset",
-    "load_head",
-    "read_recordings",
-    "root_mean_square",
-    "target_rows",
-]
+from i2t.unknowns.smooth import thinned
 
 FILE_KIND_OF_HEAD = "i2t head"
 HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.yes_no)
@@ -275,7 +250,7 @@ def fit_head(
     """
     budget = HeadBudget() if budget is None else budget
     rows = target_rows(recording, target)
-    rows = rows[some_rows(len(rows), budget.rows)]
+    rows = rows[thinned(len(rows), budget.rows)]
     channels = np.flatnonzero(np.ptp(recording.readings[rows], axis=0) > 0)
     if not len(channels):
         raise ValueError(f"{recording.name}: no channel changes, so that {target} cannot be predicted from them")
@@ -368,18 +343,6 @@ def hold_out_groups(recording: SkinRecording) -> np.ndarray:
     return np.arange(len(recording)) * stretches // max(len(recording), 1)
 
 
-def root_mean_square(errors: Float[np.ndarray, "*n d"]) -> float:
-    """Root of the mean square length of errors.
-
-    Args:
-        errors: in any unit.
-
-    Returns:
-        In the same.
-    """
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
-
-
 def _ways_of_grouping(recording: SkinRecording) -> np.ndarray:
     """Groups (ways, n) that are held out whole: blocks or strokes for places between known ones, and single presses for
     places among them; rows of a stroke are no presses of their own.
@@ -446,8 +409,13 @@ class _Trials(NamedTuple):
 
 
 def _judged(predicted: np.ndarray, values: np.ndarray, settings: Settings = (), history: int = 0) -> _Trial:
-    errors = [max(root_mean_square(way - values), 1e-12) for way in predicted]
+    errors = [max(_root_mean_square(way - values), 1e-12) for way in predicted]
     return _Trial(settings, history, predicted, float(np.exp(np.mean(np.log(errors)))))
+
+
+def _root_mean_square(errors: np.ndarray) -> float:
+    """Root of the mean square length of errors (..., d)."""
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
 def _name_of(methods: Mapping[str, Any]) -> str:
@@ -489,7 +457,7 @@ def _choose(sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, d
         of_blocks, of_presses = (
             [*alone, _weighted(found, trials, way)] for way, found, alone in zip(ways, sets, singles, strict=True)
         )
-        far = min(of_blocks, key=lambda one: root_mean_square(one.trial.predicted[0] - values))
+        far = min(of_blocks, key=lambda one: _root_mean_square(one.trial.predicted[0] - values))
         for near, shares in product(of_presses, GATES):
             gate = np.array([np.quantile(distance[way], share) for way, share in zip((1, 0), shares, strict=True)])
             gate = np.maximum.accumulate(gate)
@@ -560,7 +528,7 @@ def _fit_spread(readings: np.ndarray, errors: np.ndarray, groups: np.ndarray, di
     middle, width = raw.mean(0), np.maximum(raw.std(0), 1e-6)
     record = SpreadRecord(
         features=features,
-        known=x[some_rows(len(x), HeadBudget().known_rows)],
+        known=x[thinned(len(x), HeadBudget().known_rows)],
         likeness=(raw - middle) / width,
         middle=middle,
         width=width,

@@ -6,7 +6,7 @@ load (root mean square), so that one kernel serves both. A reading of a channel 
   y(x, d) = e_p(x) [f(d) g(x) + f(d) b(x, d) + g0(x)] + const + noise,
   f(d) = ((d + load_offset) / (1 + load_offset))^load_power,
 
-as in `i2t.calibration.structured_gp`: a map g stretched by the load, a part b whose shape changes with the load, a part
+a map g stretched by the load, a part b whose shape changes with the load, a part
 g0 that does not depend on it (skins that stay displaced), a constant, and noise with a part that grows with the signal.
 The amplitude e_p falls with the distance of x from chip p. Map and bend have together the variance 1 at the typical
 load; all variances are relative to the square of a channel's scale.

@@ -9,7 +9,7 @@
 
 A press's load is its depth (m), its normal force (N), both, or not known at all, the same throughout a calibration. The
 model is the Gaussian process of `i2t.calibration.population_gp`, whose hyperparameters are marginalised over a
-population of skins; with `hyperparameters` given it is that of `i2t.calibration.structured_gp`.
+population of skins; with `hyperparameters` given it is the one kernel of `i2t.calibration.structured_gp`.
 """
 
 from dataclasses import dataclass, field
@@ -17,23 +17,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
 from i2t import serialization, validation
-from i2t.calibration import population_gp, structured_gp
+from i2t.calibration import population_gp
 from i2t.calibration.candidates import board_candidates
 from i2t.calibration.checks import AXES_PER_CHIP
-from i2t.calibration.left_out import Conditioned
+from i2t.calibration.left_out import Conditioned, grouped, ungrouped
 from i2t.calibration.population_gp import PopulationGP, PressTable
-from i2t.calibration.structured_gp import Presses, StructuredGP, StructuredGPHyperparameters
+from i2t.calibration.structured_gp import StructuredGPHyperparameters, fit_structured
 from i2t.models import ready_path
 from i2t.types import Array, Board
 
-FILE_KIND = "i2t calibration"
-POPULATION_FILE_KIND = "i2t calibrated skin"
+FILE_KIND = "i2t calibrated skin"
+STRUCTURED_FILE_KIND = "i2t calibration"  # of earlier versions, with hyperparameters given
 MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
@@ -45,23 +43,34 @@ LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
     "depth": ("depth",), "force": ("force",), "both": ("depth", "force"), "none": (),
 }  # fmt: skip
 
-_fit, _predict = jax.jit(structured_gp.fit), jax.jit(structured_gp.predict)
-_interval_scaling = jax.jit(structured_gp.interval_scaling)
-
 
 class CalibrationRecord(NamedTuple):
-    """Structured Gaussian process on disk."""
-
-    gp: StructuredGP
-    interval_scaling: Array  # (c,)
-
-
-class PopulationRecord(NamedTuple):
-    """Gaussian process of a population on disk."""
+    """A calibration on disk."""
 
     gp: PopulationGP
     interval_scaling: Array  # (c,)
     previous: PopulationGP | None = None
+
+
+class _StoredPresses(NamedTuple):
+    position: Array  # (n, 2) m
+    load: Array  # (n,) m or N
+
+
+class _StoredGP(NamedTuple):
+    hyperparameters: StructuredGPHyperparameters
+    presses: _StoredPresses
+    chip_positions: Array | None  # (chips, 2) m
+    cholesky: Array  # (groups, n, n)
+    weights: Array  # (n, c)
+    previous_session: Array | None = None  # with one it is refused
+
+
+class _StructuredRecord(NamedTuple):
+    """What is read of a file of `STRUCTURED_FILE_KIND`."""
+
+    gp: _StoredGP
+    interval_scaling: Array  # (c,)
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,7 +86,7 @@ class Calibration:
         boards: Names of the boards that were candidates, in the order of the mixture's.
     """
 
-    gp: PopulationGP | StructuredGP
+    gp: PopulationGP
     interval_scaling: Array
     load_kind: LoadKind
     metadata: dict[str, Any] = field(default_factory=dict)
@@ -94,8 +103,6 @@ class Calibration:
     @property
     def board_shares(self) -> dict[str, float]:
         """Weight of each candidate board, and of none, by presses left out; they sum to 1."""
-        if isinstance(self.gp, StructuredGP):
-            return {self.boards[0] if self.boards else NO_BOARD_NAME: 1.0}
         return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population_gp.board_shares(self.gp)), strict=True))
 
     @property
@@ -127,14 +134,10 @@ class Calibration:
             ValueError: Shapes do not belong together, or a value cannot be.
         """
         positions, loads, single = _as_rows(positions, loads, self.load_kind)
-        if isinstance(self.gp, StructuredGP):
-            at = _checked_presses(positions, loads[:, 0], self.load_kind)
-            mean, std = (np.asarray(part) for part in _predict(self.gp, at))
-        else:
-            _check_rows(positions, loads, self.load_kind)
-            previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
-            table = PressTable(positions, loads, previous)
-            mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
+        _check_rows(positions, loads, self.load_kind)
+        previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
+        table = PressTable(positions, loads, previous)
+        mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
 
@@ -163,17 +166,11 @@ class Calibration:
         about = {"load": self.load_kind, "about": self.metadata, "boards": list(self.boards)}
         if self.previous is not None:
             about["previous_boards"] = list(self.previous.boards)
-        if isinstance(self.gp, StructuredGP):
-            serialization.save(path, FILE_KIND, CalibrationRecord(self.gp, self.interval_scaling), about)
-            return
         previous = None if self.previous is None else self.previous.gp
-        assert not isinstance(previous, StructuredGP)
-        record = PopulationRecord(self.gp, self.interval_scaling, previous)
-        serialization.save(path, POPULATION_FILE_KIND, record, about)
+        serialization.save(path, FILE_KIND, CalibrationRecord(self.gp, self.interval_scaling, previous), about)
 
     @cached_property
     def _conditioned(self) -> list[Conditioned]:
-        assert isinstance(self.gp, PopulationGP)
         return population_gp.condition(self.gp)
 
 
@@ -194,8 +191,7 @@ def calibrate(
     is given, or else the named boards of as many chips that fit best to where each chip reads most.
 
     Args:
-        positions: (n, 2) positions of the tip in the tool frame (m), in random order where
-            `hyperparameters` are given; None where they are not known.
+        positions: (n, 2) positions of the tip in the tool frame (m); None where they are not known.
         loads: (n,) depths past first contact (m) or normal forces (N), (n, 2) of both, or None.
         readings: (n, c) readings (uT), ambient subtracted.
         load_kind: Whether `loads` are depths, forces, both (first column the depth), or not known.
@@ -203,7 +199,7 @@ def calibrate(
             far as the presses bear it out. By default boards of a name are tried.
         previous_session: An earlier session of the same skin, aligned with this one: the presses decide how much of its
             predictions is kept as the mean.
-        hyperparameters: Of the structured Gaussian process, in place of a population's.
+        hyperparameters: Of one kernel, in place of a population's.
         metadata: Whatever shall be saved with it, as JSON can hold it.
 
     Returns:
@@ -216,20 +212,17 @@ def calibrate(
         calibration = i2t.calibrate(positions, forces, readings, load_kind="force", board=i2t.reskin_board())
     """
     positions, loads, readings = _checked(positions, loads, readings, load_kind, board)
-    boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     if hyperparameters is not None:
         if load_kind not in MAX_LOAD or previous_session is not None:
             raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
-        presses = _checked_presses(positions, loads[:, 0], load_kind)
-        fitted_to = (hyperparameters, presses, jnp.asarray(readings, jnp.float32))
-        on = None if board is None else jnp.asarray(_chips(board), jnp.float32)
-        named = () if board is None else (GIVEN_BOARD,)
-        scaling = _interval_scaling(*fitted_to, on)
-        return Calibration(_fit(*fitted_to, on), scaling, load_kind, metadata or {}, boards=named)
+        on, named = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
+        gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
+        return Calibration(gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, boards=named)
+    boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     table = PressTable(positions, loads)
     if previous_session is not None:
-        if isinstance(previous_session.gp, StructuredGP) or previous_session.previous is not None:
-            raise ValueError("an earlier session must itself be calibrated without one and without hyperparameters")
+        if previous_session.previous is not None:
+            raise ValueError("an earlier session must itself be calibrated without one")
         if previous_session.gp.readings.shape[1] != readings.shape[1] or previous_session.load_kind != load_kind:
             raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
@@ -257,29 +250,31 @@ def load_calibration(path: Path | str) -> Calibration:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
     path = ready_path(path, "calibration.npz")
-    if serialization.file_kind(path) == POPULATION_FILE_KIND:
-        of_population, about = serialization.load(path, POPULATION_FILE_KIND, PopulationRecord)
+    if serialization.file_kind(path) == STRUCTURED_FILE_KIND:
+        structured, about = serialization.load(path, STRUCTURED_FILE_KIND, _StructuredRecord)
         with serialization.fitting(path):
-            return _population_calibration(path, of_population, about)
+            return _structured_calibration(path, structured, about)
     record, about = serialization.load(path, FILE_KIND, CalibrationRecord)
     with serialization.fitting(path):
         return _calibration(path, record, about)
 
 
+def _structured_calibration(path: Path | str, record: _StructuredRecord, about: dict[str, Any]) -> Calibration:
+    """A calibration from the factors of its covariance and their weights, which say the readings, if they fit."""
+    gp = record.gp
+    cholesky, weights = np.asarray(gp.cholesky, np.float64), np.asarray(gp.weights, np.float64)
+    (n, channels), groups = weights.shape, len(cholesky)
+    if cholesky.shape[1:] != (n, n) or groups not in (1, channels / AXES_PER_CHIP) or about.get("load") not in MAX_LOAD:
+        raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
+    readings = ungrouped(cholesky @ (cholesky.swapaxes(1, 2) @ grouped(weights, groups)))
+    position, load = (np.asarray(part, np.float64) for part in gp.presses)
+    fitted = fit_structured(gp.hyperparameters, PressTable(position, load[:, None]), readings, gp.chip_positions)
+    boards = () if gp.chip_positions is None else (GIVEN_BOARD,)
+    return Calibration(fitted, record.interval_scaling, about["load"], about["about"], boards=boards)
+
+
 def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:
     """A calibration from its record on disk, if its parts fit."""
-    record = jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), record)
-    gp, n = record.gp, len(record.gp.presses.load)
-    whole = gp.weights.shape[0] == n and gp.cholesky.shape[-2:] == (n, n) and gp.previous_session is None
-    groups, channels = len(gp.cholesky), gp.weights.shape[1]
-    if not whole or (groups != 1 and AXES_PER_CHIP * groups != channels) or about.get("load") not in MAX_LOAD:
-        raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
-    boards = (GIVEN_BOARD,) if gp.chip_positions is not None else ()
-    return Calibration(gp, record.interval_scaling, about["load"], about["about"], boards=boards)
-
-
-def _population_calibration(path: Path | str, record: PopulationRecord, about: dict[str, Any]) -> Calibration:
-    """A calibration by the population from its record on disk, if its parts fit."""
     load_kind, gp, boards = about.get("load", ""), record.gp, tuple(about.get("boards") or ())
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)
@@ -375,9 +370,3 @@ def _check_rows(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Non
             raise ValueError(
                 f"a {kind} must lie between 0 and {largest:g} {LOAD_UNITS[kind]}; correct it or leave the press out"
             )
-
-
-def _checked_presses(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> Presses:
-    """Valid presses, or ValueError."""
-    _check_rows(positions, loads[:, None], load_kind)
-    return Presses(jnp.asarray(positions, jnp.float32), jnp.asarray(loads, jnp.float32))

@@ -31,7 +31,6 @@ from jaxtyping import Array, Float
 from scipy import optimize
 
 from i2t.batching import map_batches
-from i2t.calibration.structured_gp import Presses
 from i2t.skin import elasticity as elastic
 from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
 from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
@@ -46,7 +45,7 @@ from i2t.skin.pad import (
     THICKNESS_M,
     YOUNG_PA,
 )
-from i2t.types import Board, Pad
+from i2t.types import Board, Pad, in_one_line
 
 MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
 DESIGN_BATCH = 8  # at a time, for the caches
@@ -66,6 +65,14 @@ MAX_LAYER_PRESSES = 48  # that the layer's parameters are fitted to; they need n
 LINEARIZATIONS = 3  # of the design matrices
 GAIN_STD = 0.05  # of the chips' gains, as in `sample_pad`
 GAIN_ROUNDS = 3
+
+
+@in_one_line
+class Presses(NamedTuple):
+    """Positions and loads of presses."""
+
+    position: Float[Array, "n 2"]  # m, tool frame
+    load: Float[Array, " n"]  # depth in m, or normal force in N
 
 
 @runtime_checkable
@@ -381,7 +388,6 @@ class LinearRegression(NamedTuple):
     """Posterior of the map's weights."""
 
     weights: Float[Array, " k"]  # mean
-    precision_cholesky: Float[Array, "k k"]
     leave_one_out: Float[Array, "n c"]  # uT, each press as predicted from all others
     log_density: Float[Array, " n"]  # of each press as predicted from all others
 
@@ -413,7 +419,7 @@ def bayesian_linear_regression(
     lone = jax.vmap(lambda L, e: jax.scipy.linalg.cho_solve((L, True), e))(factor, error)
     log_rest = 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)), axis=1)
     log_density = -0.5 * (jnp.sum(error * lone, axis=1) - log_rest) - channels * jnp.log(noise_std * np.sqrt(2 * np.pi))
-    return LinearRegression(weights, cholesky, readings - noise_std * lone, log_density)
+    return LinearRegression(weights, readings - noise_std * lone, log_density)
 
 
 class PadFit(NamedTuple):

@@ -17,7 +17,7 @@ of them, and all kernels once more without chips; what is left out weighs boards
 
 Presses that lie far outside their stated errors are given more noise (Student's t errors as a scale mixture; West,
 JRSS B 46, 1984), and local heights of the skin, common to all channels, are found from what is left along the slopes
-by the load, as in `i2t.calibration.structured_gp`.
+by the load.
 """
 
 from collections.abc import Iterator
@@ -41,9 +41,9 @@ from i2t.calibration.left_out import (
     ungrouped,
 )
 from i2t.calibration.prior import KernelPrior, load_prior, with_plain
-from i2t.calibration.structured_gp import STDS_WITHIN_90_PERCENT
 from i2t.types import in_one_line
 
+STDS_WITHIN_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
 DENSITY_EXPONENT = 0.3  # of the leave-one-out density, all channels together
 ERROR_EXPONENT = 8.0  # of the leave-one-out error, in presses' worth of one channel
 CHANNEL_EXPONENT = 0.1  # of a channel's own density, on top
@@ -68,7 +68,7 @@ MIN_HEIGHT_SHARE = 0.01  # of an idea of how rough a skin is, to be kept
 HEIGHT_STDS = (0.02, 0.06, 0.12)  # typical loads
 HEIGHT_LENGTHS_M = (1.0e-3, 2.0e-3, 4.0e-3)
 HEIGHT_ERROR = 5e-3  # typical loads, standard deviation of what a press measures of its height, at least
-HEIGHT_PASSES = 2
+HEIGHT_PASSES, GIVEN_HEIGHT_PASSES = 2, 3  # the second where it is known how rough a skin is
 MIN_TYPICAL_LOAD = 1e-9
 DEFAULT_SCALING = 1.1  # of the standard deviations, on simulated skins
 SCALING_PRESSES = 10.0  # presses' worth of belief in it
@@ -150,6 +150,38 @@ def fit_population(
         gp = _with_heavy_tails(gp)
     if load_kinds and len(readings) >= FIRST_HEIGHT_PRESSES:
         gp = _with_heights(gp)
+    return gp
+
+
+def fit_one(
+    kernels: SkinKernels,
+    presses: PressTable,
+    readings: Float[np.ndarray, "n c"],
+    *,
+    typical_load: float,
+    chip_positions: Float[np.ndarray, "chips 2"] | None = None,
+    height_std: float = 0.0,
+    height_length: float = 1.0,
+) -> PopulationGP:
+    """Condition one kernel, whose hyperparameters are known, on the presses of one skin.
+
+    Args:
+        kernels: A stack of one.
+        presses: With one load.
+        readings: Their readings (uT).
+        typical_load: Unit of the kernel's loads (m or N).
+        chip_positions: Positions of the chips (m), where the kernel shall know them.
+        height_std: Of the skin's local heights (typical loads); 0 where it has none.
+        height_length: Over which these change (m).
+
+    Returns:
+        A mixture of this kernel alone.
+    """
+    board, chips = (NO_BOARD, None) if chip_positions is None else (0, chip_positions[None])
+    alone = Components(kernels, np.array([0]), np.array([False]), np.zeros(1), np.array([board]))
+    gp = _unweighted(presses, readings, alone, np.array([typical_load]), chips)
+    for _ in range(GIVEN_HEIGHT_PASSES if height_std else 0):
+        gp = gp._replace(heights=_seen_heights(gp, np.array([height_std]), np.array([height_length]))[0])
     return gp
 
 
@@ -237,7 +269,7 @@ def _start(
     prior: KernelPrior,
 ) -> PopulationGP:
     """All members, not weighted yet."""
-    n, c = readings.shape
+    n = len(readings)
     loads = presses.loads if load_kinds else np.ones((n, 1))
     typical = np.maximum(np.sqrt(np.mean(loads**2, axis=0)), MIN_TYPICAL_LOAD)
     presses = presses._replace(loads=loads)
@@ -248,13 +280,23 @@ def _start(
     components = _joined(*parts)
     if presses.previous_mean is not None:
         components = _joined(_shared(components, 1 - PREVIOUS_SHARE), *_of_previous(components))
-    groups = c // 3 if c % 3 == 0 else 1
+    return _unweighted(presses, readings, components, typical, chip_positions)
+
+
+def _unweighted(
+    presses: PressTable,
+    readings: np.ndarray,
+    components: Components,
+    typical_loads: np.ndarray,
+    chip_positions: np.ndarray | None,
+) -> PopulationGP:
+    n, c = readings.shape
     return PopulationGP(
         presses=presses,
         readings=readings,
         chip_positions=chip_positions,
-        typical_loads=typical,
-        extra_noise=np.zeros((n, groups)),
+        typical_loads=typical_loads,
+        extra_noise=np.zeros((n, c // 3 if c % 3 == 0 else 1)),
         heights=Heights(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(n), np.ones(n)),
         components=components,
         weights=np.ones((len(components.log_share), c)) / len(components.log_share),
@@ -479,11 +521,7 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
         np.array(part) for part in zip(*((s, x) for x in HEIGHT_LENGTHS_M for s in HEIGHT_STDS), strict=True)
     )
     for _ in range(HEIGHT_PASSES):
-        mean, variance, slope = _slopes(gp)
-        total = np.maximum(np.sum(slope**2 / variance, axis=1), 1e-12)
-        error = gp.readings - mean
-        seen = _own_heights(gp) + np.sum(slope * error / variance, axis=1) / total
-        tried = Heights(std, length, np.ones(len(std)), seen, 1 / total + HEIGHT_ERROR**2)
+        tried, error, slope = _seen_heights(gp, std, length)
         share = _height_shares(gp, tried, error, slope)
         kept = share > MIN_HEIGHT_SHARE
         if not kept.any():
@@ -491,6 +529,15 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
         gp = gp._replace(heights=tried._replace(std=std[kept], length=length[kept], share=share[kept]))
         gp = _weighed(gp)
     return gp
+
+
+def _seen_heights(gp: PopulationGP, std: np.ndarray, length: np.ndarray) -> tuple[Heights, np.ndarray, np.ndarray]:
+    """Heights that errors of presses left out measure, by hypotheses of full weight; these errors, and slopes."""
+    mean, variance, slope = _slopes(gp)
+    total = np.maximum(np.sum(slope**2 / variance, axis=1), 1e-12)
+    error = gp.readings - mean
+    seen = _own_heights(gp) + np.sum(slope * error / variance, axis=1) / total
+    return Heights(std, length, np.ones(len(std)), seen, 1 / total + HEIGHT_ERROR**2), error, slope
 
 
 def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """Recordings of a skin: readings and their known targets, from several file formats.
 
-    from i2t.calibration.heads import read_recordings
+    from i2t.calibration.recordings import read_recordings
 
     (recording,) = read_recordings("eflesh/spatial/20250316_155729_probe")
     recording.readings                # (n, c) uT
@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -41,6 +41,11 @@ MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
 TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
 AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
 STREAM_GAP_S = 0.5  # rows farther apart are no stream
+# Factors in the correction of a finding that a target is multiplied by.
+CORRECTIONS = {
+    "position": ("length_factor",), "depth": ("depth_factor", "height_sign"), "force": ("force_factor", "force_sign"),
+    "shear": ("force_factor",),
+}  # fmt: skip
 MIN_CHANGE = {"position": 0.2e-3, "depth": 0.1e-3, "force": 0.05, "shear": 0.05}  # m, m, N, N: less is no range
 
 
@@ -85,9 +90,7 @@ class SkinRecording:
         source: real, simulated or mixed.
         baseline: (n, c) uT that was subtracted from each reading, where it is known.
         notes: what was assumed and left out, a sentence each.
-        patches: (n, p, p) m, what a camera saw, where the recording has views.
         labels: (n,) index of the object that was touched, where it is known.
-        label_names: of the objects.
     """
 
     name: str
@@ -99,9 +102,7 @@ class SkinRecording:
     source: str = "real"
     baseline: Float[np.ndarray, "n c"] | None = None
     notes: tuple[str, ...] = ()
-    patches: Float[np.ndarray, "n p p"] | None = None
     labels: Int[np.ndarray, " n"] | None = None
-    label_names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -154,7 +155,6 @@ class SkinRecording:
             session=self.session[pick],
             time=self.time[pick],
             baseline=some(self.baseline),
-            patches=some(self.patches),
             labels=some(self.labels),
         )
 
@@ -229,7 +229,6 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
         "contact": contact[:, None],
     }
     usable = (touches.code != ReturnCode.FAILED) & np.isfinite(touches.reading).all(1)
-    views = bool(len(dataset) and np.isfinite(touches.patch).all() and np.ptp(touches.patch) > 0)
     found = []
     for pad in np.unique(touches.pad[usable]):
         rows = usable & (touches.pad == pad)
@@ -246,9 +245,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
                 board=dataset.board,
                 source=dataset.source,
                 notes=tuple(notes),
-                patches=touches.patch[rows] if views else None,
                 labels=touches.object[rows],
-                label_names=dataset.objects,
             )
         )
     if not found:
@@ -270,7 +267,7 @@ def is_stream(recording: SkinRecording) -> bool:
 
 
 def corrected_recording(recording: SkinRecording, findings: Iterable[Finding]) -> SkinRecording:
-    """Apply the corrections of findings: units, signs, a lag, the order and axes of chips, the board's turn.
+    """Apply the corrections of findings: units, signs, a lag, the board's turn.
 
     A height zero stays where it is. Depths that are turned and fall below zero count from the least of them.
 
@@ -283,32 +280,27 @@ def corrected_recording(recording: SkinRecording, findings: Iterable[Finding]) -
     """
     for finding in findings:
         if finding.correction:
-            recording = _corrected(recording, finding)
+            recording = _corrected(recording, finding.correction)
     return recording
 
 
-def _corrected(recording: SkinRecording, finding: Finding) -> SkinRecording:
-    todo, targets = finding.correction, dict(recording.targets)
-    force_unit = todo.get("force_factor", 1.0)
-    factors = {
-        "position": todo.get("length_factor", 1.0),
-        "depth": todo.get("depth_factor", 1.0) * todo.get("height_sign", 1.0),
-        "force": force_unit * todo.get("force_sign", 1.0),
-        "shear": force_unit,
-    }
-    targets |= {name: factors[name] * targets[name] for name in factors if name in targets}
-    if "height_sign" in todo and "depth" in targets and np.nanmin(targets["depth"]) < 0:
-        targets["depth"] = targets["depth"] - np.nanmin(targets["depth"])
-    baseline = recording.baseline
+def _corrected(recording: SkinRecording, todo: Mapping[str, Any]) -> SkinRecording:
+    targets, field = dict(recording.targets), todo.get("field_factor", 1.0)
+    for name, parts in CORRECTIONS.items():
+        if name in targets:
+            targets[name] = targets[name] * np.prod([todo.get(part, 1.0) for part in parts])
+    if "height_sign" in todo and "depth" in targets:
+        targets["depth"] = targets["depth"] - min(np.nanmin(targets["depth"]), 0.0)
+    board, baseline = recording.board, recording.baseline
+    if "board_from_stage" in todo and board is not None:
+        board = turn_board(board, np.asarray(todo["board_from_stage"], np.float64))
     recording = replace(
         recording,
         targets=targets,
-        readings=_fields(recording.readings, finding),
-        baseline=None if baseline is None else _fields(baseline, finding),
+        readings=field * recording.readings,
+        baseline=None if baseline is None else field * baseline,
+        board=board,
     )
-    if "board_from_stage" in todo and recording.board is not None:
-        board = turn_board(recording.board, np.asarray(todo["board_from_stage"], np.float64))
-        recording = replace(recording, board=board)
     if lag := int(todo.get("label_lag_rows", 0)):
         # The lag counts rows whose position is known, as the estimate did.
         recording = recording.rows(recording.known("position"))
@@ -316,16 +308,6 @@ def _corrected(recording: SkinRecording, finding: Finding) -> SkinRecording:
         labels = {name: values[label_rows] for name, values in recording.targets.items()}
         recording = replace(recording.rows(reading_rows), targets=labels)
     return recording
-
-
-def _fields(values: np.ndarray, finding: Finding) -> np.ndarray:
-    """Channels (n, c) in microtesla, their chips in order and their axes turned."""
-    todo = finding.correction
-    values = values * todo.get("field_factor", 1.0)
-    if "chip_order" in todo:
-        chips = values.reshape(len(values), -1, VALUES_PER_CHIP)
-        values = chips[:, list(todo["chip_order"])].reshape(values.shape)
-    return values * np.asarray(todo["channel_signs"]) if "channel_signs" in todo else values
 
 
 def read_tables(path: Path) -> list[SkinRecording]:

@@ -19,6 +19,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve
 
+from i2t.unknowns.smooth import thinned
+
 MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS = "mean", "linear", "k nearest readings"
 READINGS_GP = "Gaussian process"
 HEAD_METHODS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS, READINGS_GP)
@@ -123,7 +125,7 @@ def choose_settings(
     Returns:
         The settings: index of the features first, then those of the method.
     """
-    rows = some_rows(len(readings), budget.selection_rows)
+    rows = thinned(len(readings), budget.selection_rows)
     readings, targets, folds = readings[rows], targets[rows], folds[:, rows]
     if method == READINGS_GP:
         return _choose_gp(readings, targets, folds)
@@ -154,7 +156,7 @@ def fit_regression(
     """
     budget = HeadBudget() if budget is None else budget
     if method == READINGS_GP:
-        rows = some_rows(len(readings), budget.known_rows)
+        rows = thinned(len(readings), budget.known_rows)
         readings, targets = readings[rows], targets[rows]
     centre, scale = targets.mean(0), np.maximum(targets.std(0), 1e-12)
     bare = Regression(
@@ -229,19 +231,6 @@ def cross_predict(
             fitted = fit_regression(method, settings, readings[~out], targets[~out], budget=budget)
             predicted[way, out] = predict_regression(fitted, readings[out])
     return predicted
-
-
-def some_rows(n: int, limit: int) -> np.ndarray:
-    """At most so many of n rows, at random but always the same.
-
-    Args:
-        n: how many there are.
-        limit: how many are wanted.
-
-    Returns:
-        Row numbers in order.
-    """
-    return np.arange(n) if n <= limit else np.sort(np.random.default_rng(0).choice(n, limit, replace=False))
 
 
 def nearest_known(

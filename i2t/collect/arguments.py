@@ -1,17 +1,24 @@
-"""Arguments of a collection, without JAX and NumPy, so that its command line shows them at once.
+"""Arguments of a collection, without JAX and NumPy, so that its command line shows them at once, and refuses files that
+are missing and options without effect before anything large is imported.
 
 The arguments of an arm, a skin and a camera are their whole configuration: `i2t.collect.devices` builds from them.
 """
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import tyro
 
-from i2t.cli import Count, Limits, Seed
+from i2t.cli import Count, check_options, require_path, require_with
 from i2t.collect.settings import AmbientSettings, TouchSettings
+from i2t.emulators.world import WorldArgs
+from i2t.hardware.ur.config import check_watch
 from i2t.simulation.site_limits import SiteLimits
+
+SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
+SKINS = "reskin, simulated, emulated"  # that need no other package
+MAX_OBJECT_M = 3.0  # of an object's pose in the world
 
 
 @dataclass(frozen=True)
@@ -22,12 +29,22 @@ class ArmArgs:
 
     # ur, simulated, emulated (the real driver with an emulated controller), or another package's: the name that it
     # registers, or package.module:Class
-    kind: Annotated[str, tyro.conf.arg(name="arm")] = "simulated"
+    kind: Annotated[str, tyro.conf.arg(name="arm")] = SIMULATED
     host: str | None = None  # address of the arm's controller
     # s without a state after which a UR arm is taken for lost, real or emulated: 0.1 by default
     state_timeout: float | None = None
     # Hz, how often a UR controller must hear from us, real or emulated: 10 by default
     watchdog_rate: float | None = None
+
+    def check(self) -> None:
+        """Refuse options that do not go together (ValueError, which names the flag)."""
+        if self.host and self.kind == SIMULATED:
+            raise ValueError(
+                "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"
+            )
+        if self.kind == "ur" and not self.host:
+            raise ValueError("a UR arm needs the address of its controller; pass --host")
+        check_watch(self.state_timeout, self.watchdog_rate)  # of a UR arm, real or emulated
 
 
 @dataclass(frozen=True)
@@ -37,13 +54,27 @@ class SkinArgs:
     FLAT: ClassVar[bool] = True
 
     # reskin, simulated, emulated, or another package's
-    kind: Annotated[str, tyro.conf.arg(name="skin")] = "simulated"
+    kind: Annotated[str, tyro.conf.arg(name="skin")] = SIMULATED
     port: str | None = None  # serial port of the skin; by default the one board that is plugged in
     # serial number of the skin's board, in place of its port, where several are plugged in
     skin_serial: str | None = None
     # of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml); by
     # default reskin, and for simulated skins the board of --pad. Another package's skin knows its own
     board: str | None = None
+
+    def check(self) -> None:
+        """Refuse options that do not go together, and a board that is not there (ValueError, which names the flag)."""
+        from i2t.hardware.named_devices import require_named
+        from i2t.skin.boards import make_board
+
+        require_named("skin", self.kind, SKINS)
+        if self.board is not None:
+            make_board(self.board)
+        require_with("--skin-serial", self.skin_serial is not None, "--skin reskin", self.kind == "reskin")
+        if self.skin_serial and self.port:
+            raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
+        if self.port and self.kind == SIMULATED:
+            raise ValueError(f"--port is of a board, and --skin is {self.kind}; leave it out, or pass --skin reskin")
 
 
 @dataclass(frozen=True)
@@ -52,26 +83,18 @@ class CameraArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # realsense, simulated, folder, or another package's
-    kind: Annotated[str, tyro.conf.arg(name="camera")] = "simulated"
-    views: Path | None = None  # folder of views to show as the camera
+    # realsense, simulated, or another package's
+    kind: Annotated[str, tyro.conf.arg(name="camera")] = SIMULATED
     # serial number of a RealSense, where several are plugged in; the address of another package's camera
     camera_serial: str | None = None
 
-
-@dataclass(frozen=True)
-class WorldArgs:
-    """The object, and the world of simulated and emulated devices."""
-
-    FLAT: ClassVar[bool] = True
-
-    object: str = "hexagon"  # of the catalogue, or a mesh file
-    # of a mesh file, which does not say it itself; so there is no default
-    unit: Literal["m", "cm", "mm", "inch"] | None = None
-    pad: Path | None = None  # a pad on disk, for simulated skins
-    seed: Seed = 0  # of the sites, and of what is simulated
-    no_pose_error: bool = False  # simulated: object and camera are where they are believed to be
-    stiffness: Annotated[float, Limits(100, 1e6)] = 10e3  # simulated: of arm and mount, N/m
+    def check(self) -> None:
+        """Refuse options that do not go together (ValueError, which names the flag)."""
+        if self.camera_serial and self.kind == SIMULATED:
+            raise ValueError(
+                f"--camera-serial says which camera it is, and --camera is {self.kind}; leave it out, or pass "
+                "--camera realsense"
+            )
 
 
 @dataclass(frozen=True)
@@ -85,6 +108,16 @@ class LabArgs:
     # of the object in the world: x y z in m, then turns about x y z in degrees; by default that of the rig
     pose: tuple[float, float, float, float, float, float] | None = None
     trust_rig: bool = False  # go on although the rig looks wrong: it is not, only unusual
+
+    def check(self) -> None:
+        """Refuse a missing rig, and a pose beyond any lab (ValueError, which names the flag)."""
+        require_path("--rig", self.rig, "file or folder")
+        limits = 3 * (MAX_OBJECT_M,) + 3 * (360.0,)
+        if self.pose and not all(abs(value) <= most for value, most in zip(self.pose, limits, strict=True)):
+            raise ValueError(
+                f"--pose is {' '.join(f'{value:g}' for value in self.pose)}; give x y z in m, each within "
+                f"{MAX_OBJECT_M:g} m, and turns about x y z in degrees, each within 360"
+            )
 
 
 @dataclass(frozen=True)
@@ -107,3 +140,17 @@ class CollectArgs:
     settings: TouchSettings = field(default_factory=TouchSettings)  # how a touch is made
     sites: SiteLimits = field(default_factory=SiteLimits)  # what makes a site safe
     ambient: AmbientSettings = field(default_factory=AmbientSettings)  # free poses, for the ambient field
+
+    def check(self) -> None:
+        """Refuse what does not go together, and files that are not there (ValueError, which names the flag)."""
+        from i2t.objects.named import require_object
+
+        check_options(self)
+        if self.out.exists() and not self.out.is_dir():
+            raise ValueError(f"--out {self.out}: is a file; name a folder")
+        require_path("--pad", self.world.pad, "file or folder")
+        for part in (self.lab, self.arm, self.camera, self.skin):
+            part.check()
+        if self.world.pad and self.skin.kind not in NOT_REAL:
+            raise ValueError(f"--pad is of simulated skins, and --skin is {self.skin.kind}; leave it out")
+        require_object(self.world.object, self.world.unit, flag="--object")

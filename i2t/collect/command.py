@@ -17,7 +17,6 @@ from typing import Any
 
 from i2t.cli import exit_code_of, read_options
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.checks import check_collect_args
 
 # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
 ENDING_SIGNALS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -35,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = read_options(CollectArgs, argv, program="python -m i2t.collect", description=__doc__)
 
     def work() -> int:
-        check_collect_args(args)
+        args.check()
         from i2t.collect.session import collect  # not above: JAX takes seconds, which a refusal need not wait for
 
         return collect(args)

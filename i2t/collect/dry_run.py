@@ -7,18 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from i2t.collect.arguments import ArmArgs, CollectArgs
 from i2t.collect.free_poses import plan_free_poses
 from i2t.collect.path import TouchPath
 from i2t.collect.procedure import Procedure
-from i2t.collect.settings import AmbientSettings
 from i2t.collect.site_plan import SiteSampler
-from i2t.collect.touch import Site, UnreachableError
+from i2t.collect.touch import Site
 from i2t.geometry import inverse
 from i2t.hardware.collision import REACTION_S, overrun_force
 from i2t.hardware.limits import BRAKING_M_S2
 from i2t.hardware.rig import summary
 from i2t.hardware.rig_checks import implausible, other_lens
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
+from i2t.hardware.ur.config import WATCHDOG_RATE_HZ
 
 MIN_MEASURED_SHARE = 0.1  # of a view's pixels
 SHOWN_REFUSALS = 5
@@ -35,18 +36,13 @@ class Check(NamedTuple):
         return f"{'ok' if self.good else 'BAD':<9} {self.what}: {self.said}"
 
 
-def dry_run(
-    procedure: Procedure, sampler: SiteSampler, touches: int, out: Path, ambient: AmbientSettings, watch_s: float | None
-) -> int:
+def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> int:
     """Check sites, settings and devices of a collection, and report what it would do.
 
     Args:
         procedure: Its devices are connected.
         sampler: Of the sites.
-        touches: How many there would be.
-        out: Folder of the touches; the rig's picture is drawn next to it.
-        ambient: Of the free poses before it.
-        watch_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
+        args: Of the collection; the rig's picture is drawn next to its folder.
 
     Returns:
         The exit code.
@@ -55,35 +51,37 @@ def dry_run(
         ValueError: The settings are beyond the arm's limits.
         DeviceError: A device does not do its part.
     """
-    path = procedure.path
+    path, arm = procedure.path, procedure.arm
     path.check_settings()
-    sites = [sampler.site(number) for number in range(touches)]
-    refused = _refused(path, sites)
-    checks = [*_device_checks(procedure), *skin_checks(procedure)]
-    checks += [Check("rig", False, doubt) for doubt in implausible(procedure.rig, sampler.mesh.vertices)]
-    checks.append(Check("sites", len(refused) < len(sites) / 2, f"{len(refused)} of {len(sites)} cannot be reached"))
+    sites = [sampler.site(number) for number in range(args.touches)]
+    refused = {site.number: why for site in sites if (why := path.why_not(site))}
+    checks = [
+        *_device_checks(procedure),
+        *skin_checks(procedure),
+        *(Check("rig", False, doubt) for doubt in implausible(procedure.rig, sampler.mesh.vertices)),
+        Check("sites", len(refused) < len(sites) / 2, f"{len(refused)} of {len(sites)} cannot be reached"),
+    ]
     print(summary(procedure.rig))
-    print("\n".join(energy_lines(path, watch_s)))
-    picture = out.with_name(f"{out.name}-rig.png")
+    print("\n".join(energy_lines(path, _stall_s(args.arm))))
+    picture = args.out.with_name(f"{args.out.name}-rig.png")
     _draw_rig(procedure, sampler, sites[0], picture)
     print(f"picture   the rig with object, tool and camera is drawn in {picture}: does it look like the lab?")
     for number, why in list(refused.items())[:SHOWN_REFUSALS]:
         print(f"          site {number}: {why}")
-    if ambient.poses:
-        heights = [pose.tilted[2, 3] for pose in plan_free_poses(path, procedure.arm.state().T_b_t, ambient)]
-        print(f"          {ambient.poses} free poses before, {min(heights):.3f} to {max(heights):.3f} m in the base")
+    if args.ambient.poses:
+        heights = [pose.tilted[2, 3] for pose in plan_free_poses(path, arm.state().T_b_t, args.ambient)]
+        print(f"          {len(heights)} free poses before, {min(heights):.3f} to {max(heights):.3f} m in the base")
     print("\n".join(map(str, checks)))
-    source = procedure.arm.features.source
-    print("nothing was moved" + ("" if source == "simulated" else "; the arm was taken and let go"))
+    print("nothing was moved" + ("" if arm.features.source == "simulated" else "; the arm was taken and let go"))
     return 0 if all(check.good for check in checks) else 1
 
 
-def energy_lines(path: TouchPath, watch_s: float | None) -> list[str]:
+def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
     """Sentences on the force of a collision and of a press, by the formula of `i2t.hardware.collision`.
 
     Args:
         path: Of the touches.
-        watch_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
+        stall_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
 
     Returns:
         Lines.
@@ -96,7 +94,7 @@ def energy_lines(path: TouchPath, watch_s: float | None) -> list[str]:
 
     stiff = f"at {limits.stiffness / 1e3:g} N/mm"
     asked = f" ({1e3 * settings.speed:.0f} asked)" if path.free_speed < settings.speed else ""
-    stall = f"{more(watch_s):.1f} N" if watch_s is not None else "what the arm's own watch allows"
+    stall = f"{more(stall_s):.1f} N" if stall_s is not None else "what the arm's own watch allows"
     hit = limits.collision_force(path.free_speed, limits.trip_force)
     return [
         f"free      {1e3 * path.free_speed:.0f} mm/s{asked}: stopped at {limits.trip_force:.0f} N, a collision {stiff} "
@@ -107,15 +105,9 @@ def energy_lines(path: TouchPath, watch_s: float | None) -> list[str]:
     ]
 
 
-def _refused(path: TouchPath, sites: list[Site]) -> dict[int, str]:
-    """Numbers of the sites that cannot be reached, and why."""
-    refused = {}
-    for site in sites:
-        try:
-            path.check(site)
-        except UnreachableError as error:
-            refused[site.number] = str(error)
-    return refused
+def _stall_s(arm: ArmArgs) -> float | None:
+    """Time (s) after which an arm whose computer stalls stops by itself; None where only the arm itself knows."""
+    return 1 / (arm.watchdog_rate or WATCHDOG_RATE_HZ) if arm.kind in ("ur", "emulated") else None
 
 
 def _device_checks(procedure: Procedure) -> list[Check]:
@@ -168,7 +160,7 @@ def check_camera(procedure: Procedure) -> None:
             f"{1e3 * distance:.0f} mm; raise looking_distance or take another camera"
         )
     different = other_lens(procedure.rig.camera, procedure.camera.camera)
-    if different and camera.source != "folder":
+    if different:
         raise ValueError(different)
 
 

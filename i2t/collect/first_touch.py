@@ -88,23 +88,18 @@ def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPl
     Raises:
         UnreachableError: No site can be reached, or touched slowly in one motion.
     """
-    sites = []
-    for number in range(FIRST_SITES):
-        site = sampler.site(number)
-        try:
-            procedure.path.check(site)
-            sites.append(site)
-        except UnreachableError as error:
-            refused = error
+    path, tried = procedure.path, [sampler.site(number) for number in range(FIRST_SITES)]
+    refused = [path.why_not(site) for site in tried]
+    sites = [site for site, why in zip(tried, refused, strict=True) if not why]
     if not sites:
-        raise UnreachableError(f"none of {FIRST_SITES} sites can be reached, the last not because {refused}")
+        raise UnreachableError(f"none of {FIRST_SITES} sites can be reached, the last not because {refused[-1]}")
     places = np.array([site.T_w_t[:3, 3] for site in sites])
     up = np.array([-site.T_w_t[2, 2] for site in sites])
     middle = places[:, :2].mean(0)
     best_first = np.argsort(-(np.round(up, 2) - np.linalg.norm(places[:, :2] - middle, axis=1)), kind="stable")
     pasts = (touch_tolerance(procedure), procedure.settings.overtravel)
-    tried = ((i, _slowed(procedure, sites[i], past)) for past in dict.fromkeys(pasts) for i in best_first)
-    first, slow = next(((i, each) for i, each in tried if each is not None), (0, None))
+    slowed = ((i, _slowed(procedure, sites[i], past)) for past in dict.fromkeys(pasts) for i in best_first)
+    first, slow = next(((i, each) for i, each in slowed if each is not None), (0, None))
     if slow is None:
         raise UnreachableError(
             f"a slow touch, from {1e3 * procedure.settings.prepare:.0f} mm before a site to {1e3 * pasts[1]:.0f} mm "
@@ -140,7 +135,7 @@ def _slowed(procedure: Procedure, site: Site, past: float) -> Procedure | None:
     prepare = path.poses(site)[1]
     up = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
     room = min((path.transfer_height() - prepare[2, 3]) / up, limits.approach_distance, MAX_PREPARE_M)
-    count = int(np.clip(FELT_S * procedure.skin.features.rate, settings.ambient, FELT_SAMPLES))
+    count = int(np.clip(FELT_S * procedure.skins[0].skin.features.rate, settings.ambient, FELT_SAMPLES))
     for part in (1.0, 0.5, 0.0):
         slow = replace(
             settings,
@@ -152,12 +147,9 @@ def _slowed(procedure: Procedure, site: Site, past: float) -> Procedure | None:
             ambient=count,
             contact=count,
         )
-        try:
-            slowed = replace(procedure, settings=slow)
-            slowed.path.check(site)
+        slowed = replace(procedure, settings=slow)
+        if not slowed.path.why_not(site):
             return slowed
-        except UnreachableError:
-            continue
     return None
 
 
@@ -178,11 +170,10 @@ def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[st
     plan = plan_first_touch(procedure, sampler)
     _check_air(procedure)
     procedure.retreat()
-    if procedure.camera.features.source != "folder":
-        share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
-        if share > MAX_WRONG_SHARE:
-            raise _seen_elsewhere("in the first looks", share)
-        report(f"first looks: {100 * share:.0f} % of the object's pixels are not where the rig has them")
+    share = float(np.mean([_look(procedure, sampler, site) for site in plan.looks]))
+    if share > MAX_WRONG_SHARE:
+        raise _seen_elsewhere("in the first looks", share)
+    report(f"first looks: {100 * share:.0f} % of the object's pixels are not where the rig has them")
     try:
         report(_touch(plan.slow, plan.looks[0]))
     except RigContradictedError:
@@ -307,6 +298,6 @@ def _touch(slow: Procedure, site: Site) -> str:
     change, force = press.readings[TOOL], -float(press.states[-1].wrench[2])
     defect = press_defect(change, force)
     if defect:
-        raise RigContradictedError(f"{slow.skin.features.name}: {defect}")
+        raise RigContradictedError(f"{slow.skins[0].skin.features.name}: {defect}")
     size = float(np.sqrt(np.nansum(change**2)))
     return f"first touch: met the object {1e3 * late:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"

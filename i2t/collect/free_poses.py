@@ -79,10 +79,7 @@ def plan_free_poses(
     axes = np.column_stack([np.cos(ways), np.sin(ways), np.zeros(CANDIDATES)])
     tilted = upright @ so3_exp(tilts[:, None] * axes)
     chosen = _most_informative(tilted, settings.poses)
-    poses = [FreePose(transform(upright[i], places[i]), transform(tilted[i], places[i])) for i in chosen]
-    for pose in poses:
-        _require_free(path, pose.tilted, low[2])
-    return poses
+    return [FreePose(transform(upright[i], places[i]), transform(tilted[i], places[i])) for i in chosen]
 
 
 def _free_box(path: TouchPath, settings: AmbientSettings) -> tuple[np.ndarray, np.ndarray]:
@@ -131,15 +128,6 @@ def _most_informative(rotations: np.ndarray, count: int) -> list[int]:
     return chosen
 
 
-def _require_free(path: TouchPath, T_b_t: np.ndarray, low: float) -> None:
-    """Refuse a pose that is outside the box, or below a height (m); nothing takes its place."""
-    if not (path.rig.limits.contains(T_b_t[:3, 3]) and T_b_t[2, 3] >= low - 1e-9):
-        raise UnreachableError(
-            f"a free pose would be at {format_position(T_b_t[:3, 3])} m, outside the box or too low; move the tool "
-            "above the object with the pendant, or raise the box"
-        )
-
-
 def gather_free_poses(
     procedure: Procedure, poses: Sequence[FreePose], settings: AmbientSettings
 ) -> dict[str, FreePoses]:
@@ -161,8 +149,12 @@ def gather_free_poses(
     low = _free_box(path, settings)[0][2]
     lifted = np.array(arm.state().T_b_t)
     lifted[2, 3] = max(low, lifted[2, 3])
-    for pose in (*(each.tilted for each in poses), lifted):
-        _require_free(path, pose, low)
+    for goal in (*(each.tilted for each in poses), lifted):
+        if not (path.rig.limits.contains(goal[:3, 3]) and goal[2, 3] >= low - 1e-9):
+            raise UnreachableError(
+                f"a free pose would be at {format_position(goal[:3, 3])} m, outside the box or too low; move the tool "
+                "above the object with the pendant, or raise the box"
+            )
 
     def go(*goals: Array) -> None:
         for goal in goals:

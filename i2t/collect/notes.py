@@ -1,11 +1,11 @@
 """Notes of a collection in its folder: what was begun there, so that only the same goes on.
 
-Board, camera and arm are told by their serial numbers where they have them. Sites that cannot be reached are noted too.
+Board, camera and arm are told by their serial numbers where they have them.
 """
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,15 @@ import numpy as np
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.recorder import site_number_of, touches_in, written_at
 from i2t.collect.touch import SkinOnTool
-from i2t.dataset import read_touch
 from i2t.dataset.files import sync_folder
 from i2t.errors import DataError
 from i2t.files import read_json, replacing
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
-from i2t.types import Board
 
 NOTES = ".collection.json"
-MAX_NOTES_BYTES = 2**26  # a line for each site that cannot be reached
+MAX_NOTES_BYTES = 2**26
 CHANGEABLE_SETTINGS = ("retries", "failures", "patience")  # settings that say when to give up, and nothing of a touch
 
 
@@ -58,10 +56,11 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
     """
     path = folder / NOTES
     try:
-        return dict(read_json(path, MAX_NOTES_BYTES))
+        notes = dict(read_json(path, MAX_NOTES_BYTES))
+        return notes | {"session": str(notes["session"])}
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, LookupError) as error:
         reason = str(error).removeprefix(f"{path}: ")
         raise DataError(f"{path}: cannot be read ({reason}); restore it from a copy, or pass another --out") from error
 
@@ -83,6 +82,10 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
     """
     files = touches_in(args.out) if args.out.is_dir() else []
     notes = read_notes(args.out)
+    if notes is None and files:
+        raise DataError(f"{args.out} holds touches of another making; choose another --out")
+    notes = notes or {"session": f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"}
+    notes["session"] = args.session or notes["session"]
     same = {
         "object": name,
         "seed": args.world.seed,
@@ -94,85 +97,56 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         "rig": rig_hash(rig),
         "mesh": _hash(np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)].round(7).tobytes()),
     }
-    same = json.loads(json.dumps(same))
-    if notes is None:
-        if files:
-            raise DataError(f"{args.out} holds touches of another making; choose another --out")
-        session = args.session or f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
-        return {}, {**same, "session": session, "unreachable": {}}
-    notes = {"board": DEFAULT_BOARD, **{key: same[key] for key in ("settings", "rig", "mesh")}, **notes}
-    try:
-        session = notes["session"] if "session" in notes else notes["run"]  # as earlier versions called it
-        notes["session"] = args.session or str(session)
-        notes["unreachable"] = {str(int(number)): str(why) for number, why in notes["unreachable"].items()}
-    except (LookupError, ValueError, AttributeError) as error:
-        raise DataError(
-            f"{args.out / NOTES}: is damaged ({error!r}); restore it from a copy, or pass another --out"
-        ) from error
-    before, now = _by_flag(notes), _by_flag(same)
-    different = [key for key, value in now.items() if before.get(key) != value]
-    if different:
-        raise DataError(
-            f"{args.out} was begun with another {' and '.join(different)} "
-            f"({'; '.join(f'{key}: {before.get(key)}' for key in different)}); pass that again, or another --out"
-        )
-    if files and "chips " not in notes:  # which earlier versions did not note
-        record = read_touch(files[0])
-        boards = {"": record.touch.board, **{name: each.board for name, each in record.skins.items()}}
-        notes |= {f"chips {name}": _chips(board) for name, board in boards.items()}
+    keep_same(notes, same, args.out)
     return {site_number_of(file): written_at(file) for file in files}, notes
 
 
-def rig_hash(rig: Rig) -> str:
-    """Hash of a rig and of the object's pose in it.
+def keep_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> None:
+    """Note what all touches of a folder must have in common.
 
     Args:
-        rig: Where everything is.
-
-    Returns:
-        Ten hexadecimal digits.
-    """
-    # A key has its earlier name, so that a collection that an earlier version began goes on.
-    return _hash(rig.text().replace("\napproach_distance = ", "\ntravel = ").encode())
-
-
-def _chips(board: Board) -> str:
-    return _hash(np.concatenate([np.ravel(part) for part in board]).astype(np.float32).round(5).tobytes())
-
-
-def _hash(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:10]
-
-
-def _by_flag(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by the names of the command line, those of groups as `settings.press`."""
-    named: dict[str, Any] = {}
-    for key, value in values.items():
-        named |= {f"{key}.{name}": each for name, each in value.items()} if isinstance(value, dict) else {key: value}
-    return named
-
-
-def keep_devices(notes: dict[str, Any], kind: str, devices: Mapping[str, object], out: Path) -> None:
-    """Note the serial numbers of devices, each one for all touches of a folder.
-
-    Args:
-        notes: Of the folder.
-        kind: arm, camera or skin.
-        devices: Connected, by the names of skins; one without a number is not told apart.
+        notes: Of the folder; what they do not say yet is added.
+        same: What holds now; "" where it is not known.
         out: The folder.
 
     Raises:
-        DataError: The folder was begun with another device.
+        DataError: The folder was begun with something else.
     """
-    for name, device in devices.items():
-        serial, key = serial_number(device), f"{kind}_serial {name}".strip()
-        before = notes.get(key) or serial
-        notes[key] = before
-        if serial and before != serial:
-            raise DataError(
-                f"{out} was begun with the {kind} {before}, and this one is {serial}; "
-                f"{'use' if kind == 'arm' else 'plug in'} that one, or pass another --out"
-            )
+    same = json.loads(json.dumps(dict(same)))
+    before, now = _by_flag(notes), _by_flag(same)
+    different = [key for key, value in now.items() if "" not in (value, before.get(key, "")) and before[key] != value]
+    if different:
+        changes = "; ".join(f"{key}: {before[key]}, now {now[key]}" for key in different)
+        said = f"{' and '.join(different)} ({changes})".replace("chips ", "layout of chips ")
+        raise DataError(f"{out} was begun with another {said}; use that again, or another --out")
+    notes |= {key: value for key, value in same.items() if value != "" or key not in notes}
+
+
+def device_notes(kind: str, device: object, name: str = "") -> dict[str, str]:
+    """The serial number of a device, for its folder.
+
+    Args:
+        kind: arm, camera or skin.
+        device: Connected.
+        name: Of a further skin.
+
+    Returns:
+        For `keep_same`.
+    """
+    return {f"{kind}_serial {name}".strip(): serial_number(device)}
+
+
+def board_notes(skin: SkinOnTool) -> dict[str, str]:
+    """Where the chips of a board lie and how they turn, for its folder: no set could hold touches with others.
+
+    Args:
+        skin: With its board.
+
+    Returns:
+        For `keep_same`.
+    """
+    board = np.concatenate([np.ravel(part) for part in skin.board]).astype(np.float32).round(5)
+    return {f"chips {skin.name}": _hash(board.tobytes())}
 
 
 def serial_number(device: object) -> str:
@@ -188,21 +162,26 @@ def serial_number(device: object) -> str:
     return str(number or "")
 
 
-def keep_boards(notes: dict[str, Any], skins: Sequence[SkinOnTool], out: Path) -> None:
-    """Note where the chips of boards lie and how they turn: no set could hold touches with others.
+def rig_hash(rig: Rig) -> str:
+    """Hash of a rig and of the object's pose in it.
 
     Args:
-        notes: Of the folder.
-        skins: With their boards.
-        out: The folder.
+        rig: Where everything is.
 
-    Raises:
-        DataError: The folder was begun with another board.
+    Returns:
+        Ten hexadecimal digits.
     """
-    for each in skins:
-        if notes.setdefault(f"chips {each.name}", _chips(each.board)) != _chips(each.board):
-            which = f"of the skin {each.name} " if each.name else ""
-            raise DataError(
-                f"{out} was begun with a board {which}whose chips lie or turn otherwise; pass that board, as a file if "
-                "it has no name (--board my_board.toml), or another --out"
-            )
+    # A key has its earlier name, so that a collection that an earlier version began goes on.
+    return _hash(rig.text().replace("\napproach_distance = ", "\ntravel = ").encode())
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:10]
+
+
+def _by_flag(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by the names of the command line, those of groups as `settings.press`."""
+    named: dict[str, Any] = {}
+    for key, value in values.items():
+        named |= {f"{key}.{name}": each for name, each in value.items()} if isinstance(value, dict) else {key: value}
+    return named

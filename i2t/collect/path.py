@@ -4,15 +4,13 @@ What is outside is refused and never moved inside. Frames: W world, B robot base
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, UnreachableError
-from i2t.geometry import inverse
 from i2t.hardware.collision import fastest_speed
-from i2t.hardware.kinematics import arms, plan
 from i2t.hardware.limits import BRAKING_M_S2, format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.rig import Rig
@@ -27,14 +25,12 @@ class TouchPath:
         rig: Where everything is, with the arm's limits.
         settings: How a touch is made.
         top: m, height of the object's highest point in W.
-        unreachable: Sites that the arm may not go to, by number, and why.
-        why_unreachable: The arm's own answer (`i2t.hardware.protocols.PlanningArm`), which goes before the rig's.
+        why_unreachable: The arm's own answer (`i2t.hardware.protocols.PlanningArm`), where it has one.
     """
 
     rig: Rig
     settings: TouchSettings
     top: float
-    unreachable: dict[int, str] = field(default_factory=dict)
     why_unreachable: Callable[[Sequence[Array]], str] | None = None
 
     def poses(self, site: Site) -> tuple[Array, Array, Array, Array]:
@@ -64,12 +60,25 @@ class TouchPath:
         Raises:
             UnreachableError: A goal of its touch, or the way there, is outside the box.
         """
-        if site.number in self.unreachable:
-            raise UnreachableError(self.unreachable[site.number])
+        if why := self.why_not(site):
+            raise UnreachableError(why)
+
+    def why_not(self, site: Site) -> str:
+        """Reason why a site cannot be reached.
+
+        Args:
+            site: Where.
+
+        Returns:
+            A sentence; empty where it can.
+
+        Raises:
+            UnreachableError: No site can, as the way across the object is outside the box.
+        """
         poses = self.poses(site)
         for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
             if not self.rig.limits.contains(goal[:3, 3]):
-                raise UnreachableError(
+                return (
                     f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
                     "the box"
                 )
@@ -77,19 +86,9 @@ class TouchPath:
         look, prepare, _, end = poses
         height = self.transfer_height()
         above_look, above = (_at_height(pose, height) for pose in (look, prepare))
-        refused = self._unplanned((above_look, look, above_look, above, prepare, end))
-        if refused:
-            raise UnreachableError(f"site {site.number}: {refused}")
-
-    def _unplanned(self, goals: Sequence[Array]) -> str:
-        """Reason why the arm cannot follow lines, by its own answer or the rig's; empty if it can or nobody knows."""
-        if self.why_unreachable is not None:
-            return self.why_unreachable(goals)
-        if not self.rig.arm:
-            return ""
-        T_tool_flange = inverse(self.rig.T_flange_tool)
-        way = plan(arms()[self.rig.arm], [pose @ T_tool_flange for pose in goals])
-        return way if isinstance(way, str) else ""
+        lines = (above_look, look, above_look, above, prepare, end)
+        refused = "" if self.why_unreachable is None else self.why_unreachable(lines)
+        return f"site {site.number}: {refused}" if refused else ""
 
     def check_settings(self) -> None:
         """Refuse settings that the arm's limits forbid, before anything moves.

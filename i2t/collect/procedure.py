@@ -64,7 +64,7 @@ from i2t.hardware.protocols import (
 )
 from i2t.hardware.rig import Rig
 from i2t.skin.ambient import mean_known
-from i2t.types import Array, Board, ReturnCode
+from i2t.types import Array, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
     "condition": ReturnCode.SKIN,
@@ -94,35 +94,24 @@ class Procedure:
     """Touches with these devices.
 
     Args:
-        arm: Connected, as are skin and camera.
-        skin: That the arm carries.
+        arm: Connected, as are skins and camera.
+        skins: On the tool, first the one that presses.
         camera: That the arm carries.
         rig: Where everything is.
-        board: Of the skin.
         extract_patch: Makes a patch of a view, the camera, T_w_c and T_w_t.
         top: m, height of the object's highest point in W.
         settings: How a touch is made.
         clock: That the devices share.
-        unreachable: Sites that the arm may not go to, by number, and why.
-        carried: Further skins on the tool, connected.
     """
 
     arm: GuardedArm
-    skin: Skin
+    skins: Sequence[SkinOnTool]
     camera: DepthCamera
     rig: Rig
-    board: Board
     extract_patch: ExtractPatch
     top: float
     settings: TouchSettings = field(default_factory=TouchSettings)
     clock: Clock = field(default_factory=MonotonicClock)
-    unreachable: dict[int, str] = field(default_factory=dict)
-    carried: Sequence[SkinOnTool] = ()
-
-    @property
-    def skins(self) -> tuple[SkinOnTool, ...]:
-        """The skins on the tool, first the one that presses."""
-        return (SkinOnTool(TOOL, self.skin, self.board), *self.carried)
 
     def run(self, choose: ChooseSite, recorder: TouchRecorder) -> Iterator[SiteOutcome]:
         """Touch the chosen sites, until none is chosen.
@@ -146,7 +135,7 @@ class Procedure:
             outcome = self.attempt(site, recorder)
             touch = outcome.touch
             history.append(outcome._replace(touch=touch and _without_images(touch)))
-            if site.number not in self.unreachable:
+            if outcome.reachable:
                 failures = failures + 1 if outcome.code == ReturnCode.FAILED else 0
             yield outcome
             if failures >= self.settings.failures:
@@ -173,8 +162,7 @@ class Procedure:
                 touch = self.touch(site, log, attempt)
             except UnreachableError as error:
                 recorder.abandon(str(error))
-                self.unreachable[site.number] = str(error)
-                return SiteOutcome(site, ReturnCode.FAILED, str(error))
+                return SiteOutcome(site, ReturnCode.FAILED, str(error), reachable=False)
             except MotionStoppedError as error:
                 recorder.abandon(str(error))
                 raise
@@ -276,7 +264,7 @@ class Procedure:
         started = self.clock.now()
         result, stop = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
         stopped_by = " and ".join(name or self.rig.skin for name in stop.stopped_by)
-        which = f" {stopped_by}" if self.carried and stopped_by else ""
+        which = f" {stopped_by}" if len(self.skins) > 1 and stopped_by else ""
         log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}{which}")
         self.clock.sleep(settings.hold)
         states, readings = [self.arm.state()], {}
@@ -365,7 +353,7 @@ class Procedure:
     def path(self) -> TouchPath:
         """Path of the tool, and its checks."""
         planned = self.arm.why_unreachable if isinstance(self.arm, PlanningArm) else None
-        return TouchPath(self.rig, self.settings, self.top, self.unreachable, planned)
+        return TouchPath(self.rig, self.settings, self.top, planned)
 
     def move_above(self, goal: Array) -> None:
         """Go up, across and down to a pose, unless the tool is there.

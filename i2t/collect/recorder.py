@@ -58,7 +58,7 @@ class SkinInfo:
 
     pad: str
     board: Board
-    meta: Mapping[str, str] = field(default_factory=dict)  # that differs from that of the session
+    meta: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -66,26 +66,13 @@ class SessionInfo:
     """Metadata that the touches of a session have in common."""
 
     object: str
-    pad: str
     session: str
     source: str  # simulated, real or mixed
-    board: Board
     T_w_b: Array  # (4, 4)
     T_w_o: Array  # (4, 4)
     camera: Camera
+    skins: Mapping[str, SkinInfo]  # by their names in a touch
     meta: Mapping[str, str] = field(default_factory=dict)
-    skin: str = ""  # name of the skin at the tool, where there are further ones
-    carried: Mapping[str, SkinInfo] = field(default_factory=dict)  # by the names of further skins
-
-    @property
-    def skins(self) -> dict[str, SkinInfo]:
-        """Metadata of each skin, by its name in a touch."""
-        named = {dataset.SKIN_NAME: self.skin} if self.carried else {}
-        further = {
-            name: SkinInfo(each.pad, each.board, {**each.meta, dataset.SKIN_NAME: name})
-            for name, each in self.carried.items()
-        }
-        return {TOOL: SkinInfo(self.pad, self.board, named), **further}
 
 
 class StorageError(DeviceError):

@@ -17,24 +17,22 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from i2t.collect.arguments import ArmArgs, CollectArgs, LabArgs
+from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import check_camera, dry_run, skin_checks
 from i2t.collect.first_touch import first_touch
 from i2t.collect.free_poses import contradiction, fitted_ambient
-from i2t.collect.notes import keep_boards, keep_devices, resume, serial_number, write_notes
+from i2t.collect.notes import board_notes, device_notes, keep_same, resume, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
 from i2t.collect.site_plan import SiteSampler, patch_extractor
-from i2t.collect.touch import TOOL, ChooseSite, ExtractPatch, Site, SiteOutcome, UnreachableError
-from i2t.dataset import load_dataset
+from i2t.collect.touch import ChooseSite, Site, SiteOutcome
+from i2t.dataset import SKIN_NAME, load_dataset
 from i2t.dataset.card import write_card
-from i2t.depth.camera import Camera
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
-from i2t.hardware.ur.config import UrConfig
 from i2t.objects.named import read_object
 from i2t.skin.ambient import AmbientField
 from i2t.skin.boards import name_of_board
@@ -94,7 +92,7 @@ def collect(
                 print(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note)
         check_camera(procedure)
         if args.dry_run:
-            return dry_run(procedure, sampler, args.touches, out, args.ambient, _watch_s(args.arm))
+            return dry_run(procedure, sampler, args)
         for check in skin_checks(procedure, strict=True):
             print(check)
         info = _session_info(args, procedure, devices, name, notes)
@@ -103,8 +101,8 @@ def collect(
         if not args.skip_first_touch:
             first_touch(procedure, sampler)
         fields = fitted_ambient(procedure, args.ambient, out, seed=world.seed)
-        session = _Session(args, procedure, sampler, recorder, fields, set(done))
-        session.run(choose or session.choose, notes, on_outcome)
+        write_notes(out, notes)
+        _Session(args, procedure, sampler, recorder, fields, set(done)).run(choose, on_outcome)
     return 0
 
 
@@ -114,44 +112,26 @@ def _connect(
     """Connect the devices, and put them together to a procedure. The arm is connected last, as it must not wait for a
     compiler. Raises DataError where a device is another one than the folder's.
     """
-    tool, *carried = devices.skins
-    stack.enter_context(tool.skin)
+    for each in devices.skins:
+        skin = stack.enter_context(each.skin)
+        keep_same(notes, device_notes("skin", skin, each.name) | board_notes(each), args.out)
     camera = stack.enter_context(devices.camera)
-    extract_patch = _compiled_extractor(camera.camera, sampler)
-    for each in carried:
-        stack.enter_context(each.skin)
-    keep_devices(notes, "skin", {each.name: each.skin for each in devices.skins}, args.out)
-    keep_devices(notes, "camera", {"": camera}, args.out)
-    keep_boards(notes, devices.skins, args.out)
+    keep_same(notes, device_notes("camera", camera), args.out)
+    extract_patch, pose = patch_extractor(), sampler.site(0).T_w_t
+    blank = np.full((camera.camera.height, camera.camera.width), 0.1, np.float32)
+    extract_patch(View(0.0, blank, None), camera.camera, pose, pose)  # which compiles it
     arm = stack.enter_context(devices.arm)
-    keep_devices(notes, "arm", {"": arm}, args.out)
+    keep_same(notes, device_notes("arm", arm), args.out)
     return Procedure(
         arm,
-        tool.skin,
+        devices.skins,
         camera,
         rig,
-        board=tool.board,
         extract_patch=extract_patch,
         top=sampler.top,
         settings=args.settings,
         clock=devices.clock,
-        unreachable={int(number): why for number, why in notes["unreachable"].items()},
-        carried=carried,
     )
-
-
-def _compiled_extractor(camera: Camera, sampler: SiteSampler) -> ExtractPatch:
-    """Patch extractor, compiled."""
-    extract_patch = patch_extractor()
-    pose = sampler.site(0).T_w_t
-    blank = View(0.0, np.full((camera.height, camera.width), 0.1, np.float32), None)
-    extract_patch(blank, camera, pose, pose)
-    return extract_patch
-
-
-def _watch_s(arm: ArmArgs) -> float | None:
-    """Time (s) after which an arm whose computer stalls stops by itself; None where only the arm itself knows."""
-    return 1 / (arm.watchdog_rate or UrConfig.watchdog_rate) if arm.kind in ("ur", "emulated") else None
 
 
 def _session_info(
@@ -159,40 +139,25 @@ def _session_info(
 ) -> SessionInfo:
     """Metadata that the data set has of every touch of this session."""
     arm, camera, rig = procedure.arm, procedure.camera, procedure.rig
-    skins = {
-        each.name: SkinInfo(
-            each.pad,
-            each.board,
-            {
-                "skin": f"{each.skin.features.name} ({each.skin.features.source})",
-                "skin serial number": serial_number(each.skin),
-                "board": each.note,
-            },
-        )
-        for each in devices.skins
-    }
-    tool = skins.pop(TOOL)
+    skins = {}
+    for each in devices.skins:
+        about = {
+            "skin": f"{each.skin.features.name} ({each.skin.features.source})",
+            "skin serial number": serial_number(each.skin),
+        }
+        about |= {"board": each.note} if each.note else {}
+        named = {SKIN_NAME: each.name or rig.skin} if len(devices.skins) > 1 else {}
+        skins[each.name] = SkinInfo(each.pad, each.board, about | named)
     about = {
         "arm": arm.features.name,
         "arm serial number": serial_number(arm),
         "camera serial number": serial_number(camera),
         "rig": notes["rig"],
         "settings": json.dumps(vars(args.settings)),
-        **tool.meta,
     }
-    return SessionInfo(
-        name,
-        tool.pad,
-        notes["session"],
-        devices.source,
-        tool.board,
-        rig.T_world_base,
-        rig.T_world_object,
-        camera.camera,
-        {key: value for key, value in about.items() if value or key == "skin serial number"},
-        skin=rig.skin if skins else "",
-        carried=skins,
-    )
+    meta = {key: value for key, value in about.items() if value}
+    T_w_b, T_w_o = rig.T_world_base, rig.T_world_object
+    return SessionInfo(name, notes["session"], devices.source, T_w_b, T_w_o, camera.camera, skins, meta)
 
 
 class _Session:
@@ -209,42 +174,37 @@ class _Session:
     ) -> None:
         self.args, self.procedure, self.sampler, self.recorder = args, procedure, sampler, recorder
         self.fields, self.done, self.tried = fields, done, set(done)
-        self.before = len(done)
+        self.before, self.unreachable = len(done), 0
         self.codes: Counter[ReturnCode] = Counter()
         self.begun = self.since = time.monotonic()
         self.contradicted = False  # whether the last touch's ambient contradicted a fitted field
 
-    def run(self, choose: ChooseSite, notes: dict[str, Any], on_outcome: Callable[[SiteOutcome], None] | None) -> None:
-        """Touch until there are enough, and leave notes for the next time however it ends."""
+    def run(self, choose: ChooseSite | None, on_outcome: Callable[[SiteOutcome], None] | None) -> None:
+        """Touch until there are enough, and say what was made however it ends."""
         out, procedure = self.args.out, self.procedure
-        write_notes(out, notes)
         try:
-            for outcome in procedure.run(choose, self.recorder):
+            for outcome in procedure.run(choose or self.choose, self.recorder):
                 self.report(outcome)
                 if on_outcome is not None:
                     on_outcome(outcome)
         finally:
-            notes["unreachable"] = {str(number): why for number, why in procedure.unreachable.items()}
-            write_notes(out, notes)
             with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so themselves
-                skin = procedure.rig.skin if procedure.carried else None
+                skin = procedure.rig.skin if len(procedure.skins) > 1 else None
                 collected = load_dataset(out, missing_chips=True, skin=skin)
                 write_card(out, collected, board_name=name_of_board(collected.board))
             print(self.summary())
 
     def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
         """The next sampled site that can be reached, until there are enough touches."""
-        unreachable = self.procedure.unreachable
         while len(self.done) < self.args.touches:
             site = self.sampler.next(self.tried)
             self.tried.add(site.number)
-            try:
-                self.procedure.path.check(site)
+            why = self.procedure.path.why_not(site)
+            if not why:
                 return site
-            except UnreachableError as error:
-                unreachable[site.number] = str(error)
-                if len(unreachable) > 20 + 20 * self.args.touches:
-                    raise DeviceError(f"hardly any site can be reached, the last not because {error}") from error
+            self.unreachable += 1
+            if self.unreachable > 20 + 20 * self.args.touches:
+                raise DeviceError(f"hardly any site can be reached, the last not because {why}")
         return None
 
     def report(self, outcome: SiteOutcome) -> None:
@@ -281,7 +241,7 @@ class _Session:
         lines = [
             f"{len(self.done)} of {self.args.touches} touches are in {self.args.out}; {made} of them now ({ends})",
             f"{seconds / max(1, made):.2f} s and {self.recorder.bytes / max(1, made) / 1024:.0f} KiB a touch; of "
-            f"{samples} samples {lost} were lost; {len(self.procedure.unreachable)} sites cannot be reached",
+            f"{samples} samples {lost} were lost; {self.unreachable} sites cannot be reached",
         ]
         if len(self.done) < self.args.touches:
             lines.append("the same command goes on where this stopped")

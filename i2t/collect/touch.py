@@ -102,6 +102,7 @@ class SiteOutcome(NamedTuple):
     code: ReturnCode
     reason: str
     touch: TouchResult | None = None
+    reachable: bool = True  # whether the arm may go there
 
 
 @runtime_checkable

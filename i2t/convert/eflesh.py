@@ -210,10 +210,12 @@ def _sheared(name: str, table: PressTable, options: _Options, notes: ConversionL
     """
     check = SessionCheck(_board())
     if not options.as_stated:
-        found, scales = find_units(table.position, table.readings)
+        found = find_units(table.position, table.readings)
         if found.wrong:
             notes.info(f"corrected in {name}: {found.sentence}")
-        check = check._replace(factors={"field_factor": scales.field}, meta=findings_to_meta(name, [found]))
+        check = check._replace(
+            factors={"field_factor": found.correction.get("field_factor", 1.0)}, meta=findings_to_meta(name, [found])
+        )
     table = check.apply(table)
     centre = _middle(table.position) if options.centre is None else np.asarray(options.centre)
     x, y = (table.position - centre).T

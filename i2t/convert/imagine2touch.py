@@ -126,7 +126,7 @@ class _Run(NamedTuple):
 def _pushing(dataset: Dataset, other_force: np.ndarray, options: "_Options", notes: ConversionLog) -> Dataset:
     """The data set with forces that push and readings in microtesla, if need be turned and scaled."""
     touches = dataset.touches
-    found, scales = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
+    found = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
     force = touches.force.astype(np.float64)
     sign = find_force_sign(force, touches.reading)
     other = find_force_sign(other_force, touches.reading)
@@ -142,7 +142,7 @@ def _pushing(dataset: Dataset, other_force: np.ndarray, options: "_Options", not
     for finding in (found, sign):
         if finding is found or (enough or finding.wrong is False):
             notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
-    touches = touches._replace(force=force, reading=scales.field * touches.reading)
+    touches = touches._replace(force=force, reading=found.correction.get("field_factor", 1.0) * touches.reading)
     return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [found, sign]))
 
 

@@ -73,8 +73,6 @@ class SessionCheck(NamedTuple):
     findings: tuple[Finding, ...] = ()
     factors: Mapping[str, float] = MappingProxyType({})  # on lengths, fields, forces, signs ...
     lag: int = 0  # rows
-    order: np.ndarray | None = None  # of the chips
-    signs: np.ndarray | None = None  # of the channels
     meta: Mapping[str, str] = MappingProxyType({})
 
     @property
@@ -103,10 +101,6 @@ class SessionCheck(NamedTuple):
             Its rows whose labels and readings belong together.
         """
         readings = table.readings * self.factor("field_factor")
-        if self.order is not None:
-            readings = readings.reshape(len(readings), -1, AXES_OF_CHIP)[:, self.order].reshape(readings.shape)
-        if self.signs is not None:
-            readings = readings * self.signs
         label_rows, reading_rows = lag_rows(len(readings), self.lag)
         return table.rows(label_rows)._replace(
             position=table.position[label_rows] * self.factor("length_factor"),
@@ -147,8 +141,6 @@ def check_session(
         tuple(findings),
         {key: float(value) for key, value in todo.items() if key.endswith(("_factor", "_sign"))},
         lag=int(todo.get("label_lag_rows", 0)),
-        order=np.asarray(todo["chip_order"]) if "chip_order" in todo else None,
-        signs=np.asarray(todo["channel_signs"], np.float64) if "channel_signs" in todo else None,
         meta=findings_to_meta(name, findings),
     )
 

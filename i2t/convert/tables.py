@@ -3,7 +3,7 @@
 What programs and people vary without changing the meaning is undone here, and said: fields between semicolons or tabs
 with decimal commas, lines of comments before the names, columns without a name (a row's number), small and large
 letters, units in brackets, and units other than mm, uT, N and s. What the columns mean is for `i2t.convert.presses`,
-which refuses what is damaged, and `i2t.calibration.heads`, which keeps what can be kept.
+which refuses what is damaged, and `i2t.calibration.recordings`, which keeps what can be kept.
 """
 
 import csv

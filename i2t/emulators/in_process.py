@@ -12,6 +12,7 @@ takes a fraction of one. On the clock of this machine it takes as long as in a l
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from typing import Any, SupportsIndex, TypeAlias
 
 import numpy as np
@@ -47,7 +48,6 @@ STATE_RATE_HZ = 125.0
 NUM_JOINTS = 6
 QUEUE_SAMPLES = 4096
 CHIP_TEMPERATURE_C, CHIP_NOISE_C = 24.6, 0.1
-FAR_TICKS = 3  # that a tool far from everything moves at once
 SLOW_FIELD_S = 1.0  # after which the slow common field is another one; an assumption
 NOISE_BLOCK = 1024  # samples whose noise is drawn at once
 MAX_IDLE_S = 60.0  # what nobody looked at for longer is left out
@@ -81,75 +81,46 @@ class VirtualClock:
         self._now += max(0.0, seconds)
 
 
-class SimulatedLab:
-    """A tool that moves in a scene, and its skin's samples, up to the clock's present.
+class SkinInLab:
+    """A skin on the tool of a lab: what it feels, sample after sample.
 
     Args:
-        scene: What the tool meets.
-        clock: In whose time it moves.
+        scene: What it meets.
+        T_tool_skin: (4, 4) where it is; by default the tool's frame is its own.
         seed: Of the noise.
-        contact_model: What the tool feels; by default made of the scene.
     """
 
-    def __init__(
-        self, scene: TouchableScene, clock: Clock, seed: int = 0, contact_model: ContactModel | None = None
-    ) -> None:
-        self.scene, self.clock, self.noise = scene, clock, scene.errors.noise
-        self.contact_model = contact_model or ContactModel(scene)
-        self.carried: list[CarriedSkinLab] = []
-        self.contacts = Contacts([self.contact_model])
-        self.robot = Robot(np.array(HOME_POSE), self.contacts, scene.errors.force)
-        self.time = clock.now()
-        self.lock = threading.RLock()
+    def __init__(self, scene: TouchableScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
+        self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
         self.samples: deque[Row] = deque(maxlen=QUEUE_SAMPLES)
         self.number = 0
         self.recording = False  # whether somebody holds the skin
         self._random = np.random.default_rng((seed, 1))
         self._slow = np.zeros(3)
-        steps = self.noise.steps(scene.board.num_chips)
+        steps = scene.errors.noise.steps(scene.board.num_chips)
         self._steps = np.where(steps > 0, steps, 1e-6)
         self._noise: list[tuple[Array, Array]] = []
 
-    def advance(self) -> None:
-        """Move tool and samples on to the present."""
-        with self.lock:
-            now = self.clock.now()
-            self.time = max(self.time, now - MAX_IDLE_S)
-            while self.time + TICK_S <= now:
-                at_once = FAR_TICKS if self.contacts.far(self.robot.position, self.robot.rotation) else 1
-                ticks = min(at_once, max(1, int((now - self.time) / TICK_S)))
-                if self.robot.motion is not None:
-                    self.robot.step(ticks * TICK_S)
-                self.robot.wrench()
-                for _ in range(ticks):
-                    self.time += TICK_S
-                    for skin in (self, *self.carried):
-                        skin.keep_sample(self.time, self.robot.position, self.robot.rotation)
-
-    def keep_sample(self, now: float, position: Array, rotation: Array) -> None:
-        """Measure once, if somebody holds the skin.
+    def measure(self, now: float, position: Array, rotation: Array) -> None:
+        """Keep a sample, if somebody holds the skin.
 
         Args:
             now: s.
             position: (3,) m, of the tool in the base.
             rotation: (3, 3) of the tool in the base.
         """
-        if self.recording:
-            self.samples.append((self.number, now, *self._sample(position, rotation)))
-            self.number += 1
-
-    def _sample(self, position: Array, rotation: Array) -> tuple[Array, Array]:
-        """A reading (3 chips,) uT and temperatures (chips,)."""
+        if not self.recording:
+            return
         if not self._noise:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
-        at_rest = self.scene.rest + self.contact_model.ambient(position, rotation)
-        reading = at_rest + self.contact_model.reading + noise
-        return np.rint(reading / self._steps) * self._steps, celsius
+        reading = self.contact_model.at_rest(position, rotation) + self.contact_model.reading + noise
+        self.samples.append((self.number, now, np.rint(reading / self._steps) * self._steps, celsius))
+        self.number += 1
 
     def _draw(self) -> list[tuple[Array, Array]]:
         """Noise as `i2t.skin.noise` has it, but with a slow field that changes by and by."""
-        size, board = self.noise, self.scene.board
+        size, board = self.scene.errors.noise, self.scene.board
         chips, channels = board.num_chips, board.num_readings
         drawn = self._random.standard_normal((NOISE_BLOCK, channels + 3 + chips))
         kept = np.exp(-TICK_S / SLOW_FIELD_S)
@@ -181,37 +152,48 @@ class SimulatedLab:
         )
 
 
-class CarriedSkinLab(SimulatedLab):
-    """A further skin on the tool of a lab, at a pose of its own; give it to a `SimulatedSkin`.
-
-    It meets the scene with its own pad, and pushes the tool as the other skins do.
+class SimulatedLab:
+    """A tool that moves in a scene, and its skins' samples, up to the clock's present.
 
     Args:
-        of: Whose tool carries it.
-        scene: What it meets.
-        T_tool_skin: (4, 4) where it is.
-        seed: Of its noise.
-        contact_model: What it feels; by default made of the scene.
+        scene: What the tool meets.
+        clock: In whose time it moves.
+        seed: Of the noise.
     """
 
-    def __init__(
-        self,
-        of: SimulatedLab,
-        scene: TouchableScene,
-        T_tool_skin: Array,
-        *,
-        seed: int = 1,
-        contact_model: ContactModel | None = None,
-    ) -> None:
-        super().__init__(scene, of.clock, seed, contact_model)
-        self._of, self.lock = of, of.lock
-        self.contact_model.T_tool_skin = np.asarray(T_tool_skin, float)
-        of.contacts.models.append(self.contact_model)
-        of.carried.append(self)
+    def __init__(self, scene: TouchableScene, clock: Clock, seed: int = 0) -> None:
+        self.scene, self.clock = scene, clock
+        self.skins = [SkinInLab(scene, seed=seed)]  # first the one at the tool
+        self.contacts = Contacts([self.skins[0].contact_model])
+        self.robot = Robot(np.array(HOME_POSE), self.contacts, scene.errors.force)
+        self.time = clock.now()
+        self.lock = threading.RLock()
+
+    def carry(self, skin: SkinInLab) -> SkinInLab:
+        """Add a further skin to the tool, which it pushes as the others do.
+
+        Args:
+            skin: With the scene as it meets it.
+
+        Returns:
+            The skin.
+        """
+        self.skins.append(skin)
+        self.contacts.models.append(skin.contact_model)
+        return skin
 
     def advance(self) -> None:
-        """Move the whole lab on to the present."""
-        self._of.advance()
+        """Move tool and samples on to the present."""
+        with self.lock:
+            now = self.clock.now()
+            self.time = max(self.time, now - MAX_IDLE_S)
+            while self.time + TICK_S <= now:
+                self.time += TICK_S
+                if self.robot.motion is not None:
+                    self.robot.step(TICK_S)
+                self.robot.wrench()
+                for skin in self.skins:
+                    skin.measure(self.time, self.robot.position, self.robot.rotation)
 
 
 class _SimulatedDevice(DeviceBase):
@@ -241,11 +223,13 @@ class SimulatedSkin(_SimulatedDevice):
 
     Args:
         lab: In which its arm moves.
+        skin: Of the lab's; by default the one at the tool.
     """
 
-    def __init__(self, lab: SimulatedLab) -> None:
+    def __init__(self, lab: SimulatedLab, skin: SkinInLab | None = None) -> None:
         super().__init__(lab, "the simulated skin")
-        self.board = lab.scene.board
+        self.in_lab = lab.skins[0] if skin is None else skin
+        self.board = self.in_lab.scene.board
         self.silent = False
         self._connects = 0
 
@@ -258,63 +242,56 @@ class SimulatedSkin(_SimulatedDevice):
     def counters(self) -> SkinCounters:
         """Counts so far; nothing is ever lost."""
         rate = 1 / TICK_S if self._trouble is None else 0.0
-        return SkinCounters(samples=self.lab.number, connects=self._connects, rate=rate)
+        return SkinCounters(samples=self.in_lab.number, connects=self._connects, rate=rate)
 
     def connect(self) -> None:
         """Begin to send; the past is not sent."""
         with self.lab.lock:
             self.lab.advance()
-            self.lab.recording = True
+            self.in_lab.recording = True
         self._connects += 1
         super().connect()
         self.read(1)
 
     def close(self) -> None:
         """Stop sending."""
-        self.lab.recording = False
+        self.in_lab.recording = False
         super().close()
 
     def latest(self, timeout: float = 0.4) -> Samples:
         """The newest sample, as in `Skin.latest`."""
-        self._check()
-        with self.lab.lock:
-            age = self.lab.clock.now() - self.lab.samples[-1][1]
-            if age > timeout:
-                raise DeviceTimeoutError(f"{self._name} has been silent for {age:.2g} s")
-            return self.lab.rows([self.lab.samples[-1]])
+        newest = self._after(self.in_lab.number - 2)
+        age = self.lab.clock.now() - newest[-1][1]
+        if age > timeout:
+            raise DeviceTimeoutError(f"{self._name} has been silent for {age:.2g} s")
+        return self.in_lab.rows(newest[-1:])
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
         """The next samples, as in `Skin.read`."""
         if not 0 < count <= QUEUE_SAMPLES:
             raise ValueError(f"{count} samples were asked for; the queue holds 1 to {QUEUE_SAMPLES}")
-        self._check()
-        called, before = self.lab.clock.now(), self.lab.number - 1
+        called, before = self.lab.clock.now(), self.in_lab.number - 1
         timeout = 2 * count * TICK_S + READ_SPARE_S if timeout is None else timeout
         while True:
-            self._check()
-            with self.lab.lock:
-                got = [row for row in self._after(before) if row[1] > called][:count]
+            got = [row for row in self._after(before) if row[1] > called][:count]
             if len(got) == count:
-                return self.lab.rows(got)
+                return self.in_lab.rows(got)
             if self.lab.clock.now() - called >= timeout:
                 raise DeviceTimeoutError(f"{self._name} gave {len(got)} of {count} samples in {timeout:.2g} s")
             self.lab.clock.sleep(min((count - len(got)) * TICK_S, timeout))
 
     def since(self, number: SupportsIndex) -> Samples:
         """Samples that are still queued, as in `Skin.since`."""
-        self._check()
-        with self.lab.lock:
-            return self.lab.rows(self._after(int(number)))
+        return self.in_lab.rows(self._after(int(number)))
 
     def _after(self, number: int) -> list[Row]:
-        if self.silent:
-            self.lab.recording = False
-        rows = []
-        for row in reversed(self.lab.samples):
-            if row[0] <= number:
-                break
-            rows.append(row)
-        return rows[::-1]
+        """Queued samples of higher numbers, up to the present."""
+        self._check()
+        with self.lab.lock:
+            if self.silent:
+                self.in_lab.recording = False
+            newer = takewhile(lambda row: row[0] > number, reversed(self.in_lab.samples))
+            return list(newer)[::-1]
 
 
 class SimulatedArm(_SimulatedDevice):

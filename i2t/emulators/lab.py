@@ -1,69 +1,53 @@
-"""An emulated lab, in processes of its own: a UR controller whose tool meets an object, and a skin that feels.
+"""An emulated lab, in processes of its own: a UR controller whose tool meets an object, and skins that feel.
 
     python -m i2t.emulators.lab --host 127.0.0.9 --link /tmp/skin --object hexagon
     python -m i2t.collect --arm emulated --host 127.0.0.9 --skin emulated --port /tmp/skin --object hexagon
 
-It starts a board of `i2t.emulators.reskin_board` and is itself the controller of `i2t.emulators.ur_controller`, whose
-options it takes, faults on demand included; those after `--board` go to the board, as in `--board --board grid-2x2`
-for a skin of four chips. What the skin feels goes to the
-board over UDP on this machine whenever it changes, at each tick of 2 ms; the board shows the newest with ambient field,
-noise and steps in its next frame, 2.5 ms after the last. So a reading is some 5 ms late on a machine with time to
-spare. `python -m i2t.collect --arm emulated --skin emulated` starts one by itself.
+It is the controller of `i2t.emulators.ur_controller`, with its faults on demand, and starts a board of
+`i2t.emulators.reskin_board` for each skin. The object stands where the rig's file says; force, its centre and what a
+skin reads come from i2t's own contact mechanics, worked out along the tool's z axis once it has stood for some ticks
+(hundredths of a second of computing, next to the 500 Hz; a motion waits for it). What a skin feels goes to its board
+over UDP on this machine whenever it changes, at each tick of 2 ms; the board shows the newest with ambient field, noise
+and steps in its next frame, 2.5 ms after the last. So a reading is some 5 ms late on a machine with time to spare.
+`python -m i2t.collect --arm emulated --skin emulated` starts one by itself.
 """
 
-import contextlib
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from i2t.cli import exit_code_of, read_options, require_path
 from i2t.emulators import processes, reskin_board, ur_controller
+from i2t.emulators.world import WorldArgs, make_scene
+from i2t.hardware.rig import Rig
 from i2t.objects.named import require_object
-from i2t.skin.boards import make_board
+from i2t.skin.boards import DEFAULT_BOARD, make_board
 
-PROGRAM = "python -m i2t.emulators.lab"
+if TYPE_CHECKING:
+    from i2t.emulators.scene import Contacts
 
-
-def board_address(process: "subprocess.Popen[str]") -> tuple[str, int]:
-    """Address at which a board that was started with `--field` listens.
-
-    Args:
-        process: Of the board; this is the next line that it prints.
-
-    Returns:
-        Address and port.
-    """
-    assert process.stdout is not None
-    host, port = process.stdout.readline().split()[1].rsplit(":", 1)
-    return host, int(port)
-
-
-@contextlib.contextmanager
-def started(*options: str) -> Iterator["subprocess.Popen[str]"]:
-    """Run an emulated lab next to this process, as in `i2t.emulators.processes.started`.
-
-    Args:
-        *options: Of the command line.
-
-    Yields:
-        Its process.
-    """
-    with processes.started("i2t.emulators.lab", *options) as (_, process):
-        yield process
+SHOWS_FIELDS = ("--field", "--ambient", "0", "0", "0")  # options of a board that is sent all that its chips feel
+started = partial(processes.started, "i2t.emulators.lab")  # with options: yields a line and its process
 
 
 @dataclass(frozen=True, kw_only=True)
 class LabArgs(ur_controller.ControllerArgs):
-    """An emulated lab; what follows `--board` are options of its board."""
+    """An emulated lab."""
 
     link: Path  # name of the skin's port
-    object: str | None = "hexagon"  # of the catalogue, or a mesh file
-    skin: tyro.conf.Suppress[str | None] = None  # the board, which is started here
-    board: tyro.conf.Suppress[str | None] = None  # whose name is among its own options
+    board: str = DEFAULT_BOARD  # of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file
+    rig: Path | None = None  # a lab's calibration, which says where the object is
+    carried: Annotated[tyro.conf.UseAppendAction[tuple[tuple[str, Path], ...]], tyro.conf.arg(metavar="NAME LINK")] = ()
+    """A further skin of the rig, and the name of its port."""
+    world: Annotated[WorldArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=WorldArgs)
+    plane: tyro.conf.Suppress[tuple[float, float]] = (0.0, 0.0)  # the object takes its place
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -75,30 +59,55 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    end = words.index("--board") if "--board" in words else len(words)
-    args = read_options(LabArgs, words[:end], program=PROGRAM, description=__doc__)
-    options = words[end + 1 :]
-    board = read_options(reskin_board.EmulatedBoardArgs, options, program=f"{PROGRAM} --board").board
+    args = read_options(LabArgs, arguments, program="python -m i2t.emulators.lab", description=__doc__)
 
     def work() -> None:
-        _check(args, board)
-        with reskin_board.started(*reskin_board.SHOWS_FIELDS, "--link", str(args.link), *options) as (_, process):
-            # The skin that is worn must be on that board: any other would send it what it cannot show.
-            ur_controller.run(replace(args, skin="{}:{}".format(*board_address(process)), board=board))
+        _check(args)
+        with ExitStack() as stack:
+            contacts = _contacts(args, Rig() if args.rig is None else Rig.read(args.rig), stack)
+            ur_controller.run(args, contacts, contacts.models[0].scene.errors.force)
 
     return exit_code_of(work)
 
 
-def _check(args: LabArgs, board: str) -> None:
+def _check(args: LabArgs) -> None:
     """Refuse missing files and unknown objects before any process starts."""
-    if args.object is not None:
-        require_object(args.object, args.unit, flag="--object")
+    require_object(args.world.object, args.world.unit, flag="--object")
     require_path("--rig", args.rig, "file")
-    require_path("--pad", args.pad, "file")
-    make_board(board)
+    require_path("--pad", args.world.pad, "file")
+    make_board(args.board)
     if args.link.exists() and not args.link.is_symlink():
         raise ValueError(f"--link {args.link}: exists and is no link; give another name")
+
+
+def _contacts(args: LabArgs, rig: Rig, stack: ExitStack) -> "Contacts":
+    """What the tool feels, which each skin's board hears of; it takes some seconds, in which everything is compiled.
+
+    The pad that is worn must be on its board: any other would send it what it cannot show.
+    """
+    from i2t.emulators.scene import ContactModel, Contacts
+
+    def model(number: int, link: Path, board: str) -> ContactModel:
+        scene = make_scene(args.world, rig, board, number)
+        scene.ahead(rig.T_base_world @ rig.T_world_object)  # compiled before anybody waits for it
+        named = ("--link", str(link), "--board", board)
+        _, process = stack.enter_context(reskin_board.started(*SHOWS_FIELDS, *named))
+        T_tool_skin = rig.skins[number - 1].T_tool_skin if number else None
+        return ContactModel(scene, wait=False, T_tool_skin=T_tool_skin, to=_board_address(process))
+
+    links, names = dict(args.carried), [place.name for place in rig.skins]
+    unknown = set(links) - set(names)
+    if unknown:
+        raise ValueError(f"the rig has no skin {', '.join(sorted(unknown))}; correct --carried")
+    carried = [model(names.index(name) + 1, link, rig.skins[names.index(name)].board) for name, link in links.items()]
+    return Contacts([model(0, args.link, args.board), *carried])
+
+
+def _board_address(process: "subprocess.Popen[str]") -> processes.Address:
+    """Where a board that was started with `--field` listens: the next line that it prints."""
+    assert process.stdout is not None
+    host, port = process.stdout.readline().split()[1].rsplit(":", 1)
+    return host, int(port)
 
 
 if __name__ == "__main__":

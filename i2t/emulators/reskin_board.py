@@ -15,14 +15,13 @@ import select
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +41,7 @@ BOARD_TEMPERATURE_C, TEMPERATURE_NOISE_C, TEMPERATURE_STEP_C = 24.6, 0.1, 1 / 45
 TEMPERATURE_ORIGIN_C = 25.0  # from which the converter counts
 PRESS_UT = np.array([[9, 4, -38], [-14, 8, 12], [6, 20, 9], [-5, -16, 7], [11, -9, 13.0]])  # of chips, over and over
 PRESS_PERIOD_S = 4.0
-SHOWS_FIELDS = ("--field", "--ambient", "0", "0", "0")  # options of a board that is sent all that its chips feel
+started = partial(processes.started, "i2t.emulators.reskin_board")  # with options: yields its port and its process
 RUBBISH_BYTES = 60  # at a time, from a board that starts
 IDLE_S = 0.01  # between two looks whether somebody has opened the port
 TERMIOS_SPEEDS = {
@@ -332,20 +331,6 @@ def _newest_field(inbox: socket.socket, field: np.ndarray) -> np.ndarray:
             field = np.array(struct.unpack(f"<{len(field)}f", data))
     except BlockingIOError:
         return field
-
-
-@contextmanager
-def started(*switches: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
-    """Run a board next to this process, as in `i2t.emulators.processes.started`.
-
-    Args:
-        switches: Options of its command line.
-
-    Yields:
-        Its port and its process, from which further lines that it prints can be read.
-    """
-    with processes.started("i2t.emulators.reskin_board", *switches) as running:
-        yield running
 
 
 if __name__ == "__main__":

@@ -36,8 +36,6 @@ from i2t.windows import PAD_WINDOW
 LINE_LENGTH_M = 0.12  # of a line on which the object is looked for
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
 LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
-NEAR_CONTACT_M = 2e-3  # before first contact, from which motion is followed finely
-AMBIENT_STEP_M = 0.1e-3  # of a motion without a turn, over which the room's field is taken as the same
 SEEN_AT_M = (0.4, 0.0)  # middle of what a camera sees of a plane, below the tool's first pose
 TABLES_SEEN = 5  # times as wide as a table
 STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
@@ -99,9 +97,8 @@ class ContactLine(NamedTuple):
         if past <= 0:
             return 0.0, np.zeros(2), np.zeros(self.reading.shape[1])
         i = int(np.clip(np.searchsorted(self.past_contact, past), 1, len(self.past_contact) - 1))
-        part = (past - self.past_contact[i - 1]) / (
-            self.past_contact[i] - self.past_contact[i - 1]
-        )  # beyond the last it goes on straight
+        before, after = self.past_contact[i - 1 : i + 1]
+        part = (past - before) / (after - before)
         force, reading = ((1 - part) * row[i - 1] + part * row[i] for row in (self.force, self.reading))
         return float(force), self.centre[i], reading
 
@@ -288,7 +285,6 @@ class ContactModel:
         self._beside = None if wait else ThreadPoolExecutor(1, "scene")
         self._seen: tuple[Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)))
         self._times = 0
-        self._ambient: tuple[Array, Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)), self.reading)
         self._to, self._sent = to, np.full(scene.board.num_readings, np.nan)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM) if to else None
 
@@ -296,11 +292,6 @@ class ContactModel:
     def busy(self) -> bool:
         """Tell whether a line is being worked out in the background."""
         return self._coming is not None
-
-    def close(self) -> None:
-        """Tell the board no more."""
-        if self._socket is not None:
-            self._socket.close()
 
     def __call__(self, position: Array, turned: Array) -> Array:
         """Wrench (6,) on the tool about its own origin, at a pose of the tool, base axes."""
@@ -313,23 +304,12 @@ class ContactModel:
             force, (x, y), self.reading = self._line.contact_at(along)
             wrench[:3] = own_turned @ [0.0, 0.0, -force]
             wrench[3:] = own_turned @ [-force * y, force * x, 0.0] + np.cross(at - position, wrench[:3])
-        if self._to is not None:
-            self._tell(self._to, self.scene.rest + self.ambient(position, turned) + self.reading)
+        if self._to and self._socket:
+            self._tell(self._socket, self._to, self.at_rest(position, turned) + self.reading)
         return wrench
 
-    def _skin_pose(self, position: Array, turned: Array) -> tuple[Array, Array]:
-        """Position (3,) m and rotation (3, 3) of the skin in the base, of those of the tool."""
-        return position + turned @ self.T_tool_skin[:3, 3], turned @ self.T_tool_skin[:3, :3]
-
-    def _tell(self, to: Address, reading: Array) -> None:
-        """Send a reading to the board, if it is another one."""
-        if self._socket is not None and not np.array_equal(reading, self._sent):
-            with contextlib.suppress(OSError):
-                self._socket.sendto(struct.pack(f"<{len(reading)}f", *reading), to)
-                self._sent = reading
-
-    def ambient(self, position: Array, turned: Array) -> Array:
-        """Reading of the room's field at a pose, within `AMBIENT_STEP_M` of it (1e-3 uT of the default room).
+    def at_rest(self, position: Array, turned: Array) -> Array:
+        """Reading of a skin that touches nothing: its own field and the room's.
 
         Args:
             position: (3,) m, of the tool in the base.
@@ -338,27 +318,9 @@ class ContactModel:
         Returns:
             (3 chips,) uT.
         """
-        position, turned = self._skin_pose(position, turned)
-        at, way, known = self._ambient
-        if abs(position - at).max() < AMBIENT_STEP_M and (turned == way).all():
-            return known
-        scene, T_b_s = self.scene, transform(np.asarray(turned), np.asarray(position))
-        reading = scene.gains * np.asarray(scene.board.to_board(room_field(scene.room, scene.board, T_b_s)))
-        self._ambient = np.array(position), np.array(turned), reading
-        return reading
-
-    def far(self, position: Array, turned: Array) -> bool:
-        """Test whether the skin is `NEAR_CONTACT_M` from first contact, or off the line on which there is one.
-
-        Args:
-            position: (3,) m, of the tool in the base.
-            turned: (3, 3) rotation of the tool in the base.
-
-        Returns:
-            False where the motion has to be followed in small steps.
-        """
-        line, (at, _) = self._line, self._skin_pose(position, turned)
-        return line is None or float((at - line.T_b_t[:3, 3]) @ line.T_b_t[:3, 2]) < line.first - NEAR_CONTACT_M
+        scene, (at, own_turned) = self.scene, self._skin_pose(position, turned)
+        room = room_field(scene.room, scene.board, transform(own_turned, at))
+        return scene.rest + scene.gains * np.asarray(scene.board.to_board(room))
 
     def stands(self, position: Array, turned: Array) -> None:
         """Work out what is ahead of a tool that stands somewhere, unless that is known or nothing is near.
@@ -368,6 +330,17 @@ class ContactModel:
             turned: (3, 3) rotation of the tool in the base.
         """
         self._stands(*self._skin_pose(position, turned))
+
+    def _skin_pose(self, position: Array, turned: Array) -> tuple[Array, Array]:
+        """Position (3,) m and rotation (3, 3) of the skin in the base, of those of the tool."""
+        return position + turned @ self.T_tool_skin[:3, 3], turned @ self.T_tool_skin[:3, :3]
+
+    def _tell(self, sender: socket.socket, to: Address, reading: Array) -> None:
+        """Send a reading to the board, if it is another one."""
+        if not np.array_equal(reading, self._sent):
+            with contextlib.suppress(OSError):
+                sender.sendto(struct.pack(f"<{len(reading)}f", *reading), to)
+                self._sent = reading
 
     def _look(self, at: Array, turned: Array) -> None:
         if self._coming is not None and self._coming.done():
@@ -411,10 +384,6 @@ class Contacts:
     def __call__(self, position: Array, turned: Array) -> Array:
         """Wrench (6,) on the tool at a pose, base axes."""
         return np.asarray(sum((model(position, turned) for model in self.models), start=np.zeros(6)))
-
-    def far(self, position: Array, turned: Array) -> bool:
-        """Test whether no skin is near what it will meet, as in `ContactModel.far`."""
-        return all(model.far(position, turned) for model in self.models)
 
     def stands(self, position: Array, turned: Array) -> None:
         """Work out what is ahead of each skin, as in `ContactModel.stands`."""

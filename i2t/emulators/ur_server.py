@@ -115,7 +115,7 @@ class Server:
         client = Client(reader, writer)
         try:
             await serve(client)
-        except (asyncio.IncompleteReadError, OSError):
+        except (asyncio.IncompleteReadError, asyncio.CancelledError, OSError):
             pass
         except (ValueError, ArithmeticError, struct.error) as error:
             print(f"{error}: a connection is closed", file=sys.stderr, flush=True)

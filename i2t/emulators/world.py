@@ -1,20 +1,17 @@
-"""World of simulated and emulated devices: an object of the catalogue or a mesh file, and the pad that touches it.
+"""World of simulated and emulated devices: an object of the catalogue or a mesh file, and the pads that touch it.
 
-JAX is imported only once a scene is made.
+Nothing large is imported before a scene or a pad is made.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from i2t.emulators.processes import Address
-from i2t.hardware.rig import Rig
-from i2t.objects.named import read_object
-from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
+from i2t.cli import Limits, Seed
 
 if TYPE_CHECKING:
-    from i2t.emulators.scene import Contacts, ObjectScene
+    from i2t.emulators.scene import ObjectScene
+    from i2t.hardware.rig import Rig
     from i2t.types import Pad
 
 DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
@@ -22,16 +19,18 @@ CARRIED_PAD_KEY = 1900  # of the random pad of a further skin on the tool, plus 
 
 
 @dataclass(frozen=True)
-class WorldConfig:
-    """World that simulated and emulated devices meet."""
+class WorldArgs:
+    """The object, and the world of simulated and emulated devices."""
 
-    object: str  # of the catalogue, or a mesh file
-    unit: str | None = None  # of a mesh file
-    pad: Path | None = None  # on disk; by default a random one
-    seed: int = 0  # of the errors
-    no_pose_error: bool = False  # object and camera are where they are believed to be
-    stiffness: float = 10e3  # N/m, of arm and mount
-    board: str | None = None  # that the pad is on (`i2t.skin.boards.make_board`): a pad on disk's own, else ReSkin's
+    FLAT: ClassVar[bool] = True  # flags are --object, not --world.object
+
+    object: str = "hexagon"  # of the catalogue, or a mesh file
+    # of a mesh file, which does not say it itself; so there is no default
+    unit: Literal["m", "cm", "mm", "inch"] | None = None
+    pad: Path | None = None  # a pad on disk, for simulated and emulated skins; by default a random one
+    seed: Seed = 0  # of the sites, and of what is simulated
+    no_pose_error: bool = False  # simulated: object and camera are where they are believed to be
+    stiffness: Annotated[float, Limits(100, 1e6)] = 10e3  # simulated: of arm and mount, N/m
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":
@@ -48,13 +47,11 @@ def read_pad(path: Path | None, board: str | None = None) -> "Pad":
         ValueError: The file holds no pad, or one on another board.
         OSError: It cannot be read.
     """
-    import jax
-
+    from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
     from i2t.skin.files import load_pad
-    from i2t.skin.pad import sample_pad
 
     if path is None:
-        return sample_pad(jax.random.key(DEFAULT_PAD_KEY), board=make_board(board or DEFAULT_BOARD))
+        return _random_pad(DEFAULT_PAD_KEY, board or DEFAULT_BOARD)
     pad = load_pad(path)
     if board is not None and not same_board(pad.board, make_board(board)):
         raise ValueError(
@@ -64,86 +61,37 @@ def read_pad(path: Path | None, board: str | None = None) -> "Pad":
     return pad
 
 
-def make_scene(world: WorldConfig, rig: Rig) -> "ObjectScene":
+def _random_pad(key: int, board: str) -> "Pad":
+    import jax
+
+    from i2t.skin.boards import make_board
+    from i2t.skin.pad import sample_pad
+
+    return sample_pad(jax.random.key(key), board=make_board(board))
+
+
+def make_scene(world: WorldArgs, rig: "Rig", board: str | None = None, number: int = 0) -> "ObjectScene":
     """The object where the rig says that it stands, but for the errors of a session of that seed.
 
     Args:
         world: What is there.
         rig: Where it is.
+        board: Name of the board of the skin that meets it; by default the pad's own, else ReSkin's.
+        number: Of a further skin on the tool, from 1, which has a random pad of its own; 0 for the one that presses.
 
     Returns:
-        What tool and camera meet.
+        What this skin and the camera meet.
 
     Raises:
         ValueError: Object or pad cannot be used.
         OSError: A file cannot be read.
     """
-    return _scene(world, rig, read_pad(world.pad, world.board))
-
-
-def _scene(world: WorldConfig, rig: Rig, pad: "Pad") -> "ObjectScene":
     from i2t.emulators.scene import ObjectScene
+    from i2t.objects.named import read_object
     from i2t.simulation.touches import SimulationErrors
 
+    pad = _random_pad(CARRIED_PAD_KEY + number, board) if number and board else read_pad(world.pad, board)
     errors = SimulationErrors().scaled(0.0) if world.no_pose_error else SimulationErrors()
     mesh = read_object(world.object, world.unit).mesh
     T_b_o = rig.T_base_world @ rig.T_world_object
     return ObjectScene(mesh, T_b_o, pad, errors, stiffness=world.stiffness, seed=world.seed)
-
-
-def carried_scene(world: WorldConfig, rig: Rig, board: str, number: int) -> "ObjectScene":
-    """The same object as a further skin on the tool meets it, with a random pad of its own.
-
-    Args:
-        world: What is there.
-        rig: Where it is.
-        board: Name of the skin's board.
-        number: Of the skin, from 1.
-
-    Returns:
-        What this skin meets.
-
-    Raises:
-        ValueError: The object cannot be used.
-        OSError: A file cannot be read.
-    """
-    import jax
-
-    from i2t.skin.pad import sample_pad
-
-    pad = sample_pad(jax.random.key(CARRIED_PAD_KEY + number), board=make_board(board))
-    return _scene(world, rig, pad)
-
-
-def make_contacts(
-    world: WorldConfig, rig: Path | None, to: Address | None, carried: Mapping[str, Address]
-) -> "Contacts":
-    """The contacts of an emulated arm with an object; it takes some seconds, in which everything is compiled.
-
-    Args:
-        world: What is there.
-        rig: File that says where; by default the emulators' own rig.
-        to: Where an emulated board receives what the skin feels.
-        carried: Where the boards of further skins of the rig do, by the skins' names.
-
-    Returns:
-        What a moving tool feels.
-
-    Raises:
-        ValueError: Object, pad or rig cannot be used, or the rig has no such skin.
-        OSError: A file cannot be read.
-    """
-    from i2t.emulators.scene import ContactModel, Contacts
-
-    setup = Rig() if rig is None else Rig.read(rig)
-    unknown = set(carried) - {place.name for place in setup.skins}
-    if unknown:
-        raise ValueError(f"the rig has no skin {', '.join(sorted(unknown))}; correct --carried")
-    models = [ContactModel(make_scene(world, setup), wait=False, to=to)]
-    for number, place in enumerate(setup.skins, 1):
-        if place.name in carried:
-            meets = carried_scene(world, setup, place.board, number)
-            models.append(ContactModel(meets, False, place.T_tool_skin, carried[place.name]))
-    for model in models:
-        model.scene.ahead(setup.T_base_world @ setup.T_world_object)  # compiled before anybody waits for it
-    return Contacts(models)

@@ -38,9 +38,6 @@ from i2t.skin.noise import Noise
 from i2t.types import Board, Pad, Surface
 
 HOME_HEIGHT_M = 0.15  # of the tool above the world's origin before the first touch
-# By which features are divided.
-READING_SCALE_UT, FORCE_SCALE_N, ADVANCE_SCALE_M, POSITION_SCALE_M = 10.0, 1.0, 1e-3, 0.03
-MIN_FEATURE_PROBABILITY = 1e-4  # of features
 
 
 @dataclass(frozen=True)
@@ -342,31 +339,6 @@ def sensor_noise(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array
     size = np.sqrt(2 * noise.common) * np.array([noise.xy, noise.xy, noise.z], np.float32)
     field_of_room = jnp.broadcast_to(size * drawn[-3:], (chips, 3))
     return white * np.float32(noise.sigma(chips)) * drawn[:-3] + board.to_board(field_of_room)
-
-
-def features(obs: EnvironmentObservation) -> Float[Array, " f"]:
-    """An observation as numbers of the order of 1, for a network.
-
-    Args:
-        obs: the observation.
-
-    Returns:
-        Reading, force, advance, position, tool axes, flags, share of touches left, and logarithms of the posterior.
-    """
-    flags = jnp.stack([obs.contact, obs.refused]).astype(jnp.float32)
-    return jnp.concatenate(
-        [
-            obs.reading / READING_SCALE_UT,
-            obs.force[None] / FORCE_SCALE_N,
-            obs.advance[None] / ADVANCE_SCALE_M,
-            obs.T_w_t[:3, 3] / POSITION_SCALE_M,
-            obs.T_w_t[:3, 0],
-            obs.T_w_t[:3, 2],
-            flags,
-            obs.left[None],
-            jnp.log(jnp.maximum(obs.posterior, MIN_FEATURE_PROBABILITY)) / 4,
-        ]
-    )
 
 
 def _home() -> Float[Array, "4 4"]:

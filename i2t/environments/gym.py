@@ -1,4 +1,4 @@
-"""Environments for Gymnasium: a vector of them, compiled, and one alone.
+"""The environment for Gymnasium, compiled; many at once are `jax.vmap` of `i2t.environments.core`.
 
 Actions are dictionaries of "action", the number of a site, and "prediction", a logit of each object; observations are
 dictionaries of arrays. Gymnasium is the extra `environments`, and needed by this file only.
@@ -23,81 +23,12 @@ from i2t.environments.tables import make_environment
 try:
     import gymnasium
     from gymnasium import spaces
-    from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise ImportError("i2t.environments.gym needs Gymnasium; run pip install 'imagine2touch[environments]'") from error
 
 DEFAULT_OBJECTS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 ENVIRONMENT_ID = "i2t/WhichObject-v0"
 INFOS = ("refused", "loss", "object")
-
-
-class TouchVectorEnv(gymnasium.vector.VectorEnv):
-    """Many episodes at once, each followed by another in the same step (`AutoresetMode.SAME_STEP`).
-
-    The last observations of episodes that ended are `infos["final_obs"]`, where `infos["_final_obs"]` is true.
-    """
-
-    metadata = {"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
-
-    def __init__(self, environment: TouchEnvironment, params: EnvironmentParams, num_envs: int) -> None:
-        """Compile an environment for a number of episodes.
-
-        Args:
-            environment: its rules.
-            params: what may be there.
-            num_envs: episodes side by side.
-        """
-        self.num_envs, self.environment, self.params = num_envs, environment, params
-        self.single_observation_space, self.single_action_space = observation_space(params), action_space(params)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.render_mode = None
-        self._reset = jax.jit(jax.vmap(environment.reset, (0, None)))
-        self._step = jax.jit(jax.vmap(environment.step, (0, 0, 0, None)))
-        self._state: EnvironmentState | None = None
-        self._key = jax.random.key(0)
-
-    def reset(
-        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin all episodes.
-
-        Args:
-            seed: the same seed gives the same episodes; a list has one for each.
-            options: none are known.
-
-        Returns:
-            Observations, and nothing else.
-        """
-        seeds = list(seed) if isinstance(seed, list | tuple) else None
-        super().reset(seed=seeds[0] if seeds else None if isinstance(seed, list) else seed)
-        self._key, key = jax.random.split(jax.random.key(int(self.np_random.integers(2**31))))
-        keys = jax.vmap(jax.random.key)(jnp.asarray(seeds)) if seeds else jax.random.split(key, self.num_envs)
-        obs, self._state = self._reset(keys, self.params)
-        return _as_dict(obs), {}
-
-    def step(
-        self, actions: dict[str, np.ndarray]
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One touch of each episode.
-
-        Args:
-            actions: of the action space.
-
-        Returns:
-            Observations, rewards, whether episodes ended, whether they were cut short (never), and infos.
-        """
-        if self._state is None:
-            raise gymnasium.error.ResetNeeded("step before reset; call reset first")
-        self._key, key = jax.random.split(self._key)
-        keys = jax.random.split(key, self.num_envs)
-        obs, self._state, reward, done, info = self._step(keys, self._state, _as_action(actions), self.params)
-        ended = np.asarray(done)
-        infos: dict[str, Any] = {name: np.asarray(info[name]) for name in INFOS}
-        if ended.any():
-            infos |= {"final_obs": _as_dict(info["final"]), "_final_obs": ended}
-        return _as_dict(obs), np.asarray(reward, np.float64), ended, np.zeros_like(ended), infos
 
 
 class SingleTouchEnv(gymnasium.Env):

@@ -1,16 +1,13 @@
-"""A folder of recorded views as a depth camera, one after the other; and how to keep views in one.
+"""Folders of a depth camera's views: how they are kept and read.
 
-    DIR/camera.toml      the lens in pixels (keys of `i2t.depth.camera.Camera`), `scale` of the depth files (metres per
-    unit,
-                         or "m" or "mm"), and, where they differ from these, `encoding` = "plain", `nearest` = 0 (m)
-    DIR/depth/NAME.png   16 bits, or .tif; 0 or NaN where nothing was measured (see `i2t.depth.camera.read_depth`)
-    DIR/colour/NAME.png  8 bits RGB of the same pixels; may be missing
-
-Views come in the order of their names. Once all were given, or a file is missing or damaged, `capture` says so.
+DIR/camera.toml      the lens in pixels (keys of `i2t.depth.camera.Camera`), `scale` of the depth files (metres per
+                     unit, or "m" or "mm"), and `encoding`, where it is not "plain"
+DIR/depth/NAME.png   16 bits, or .tif; 0 or NaN where nothing was measured (see `i2t.depth.camera.read_depth`)
+DIR/colour/NAME.png  8 bits RGB of the same pixels; may be missing
 """
 
 import json
-import time
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -20,79 +17,36 @@ import numpy as np
 from PIL import Image
 
 from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_image
-from i2t.errors import DeviceError
 from i2t.files import read_toml
-from i2t.hardware.base import CameraBase
-from i2t.hardware.protocols import CameraFeatures, View
-from i2t.types import Array
+from i2t.hardware.protocols import View
 
 DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
-NOMINAL_RATE_HZ = 30.0
 
 
-class RecordedDepthCamera(CameraBase):
-    """Recorded views as a camera (`i2t.hardware.protocols.DepthCamera`).
+def read_view(path: str | Path) -> tuple[Camera, View]:
+    """Read the first view of a folder.
 
     Args:
-        path: Folder of the views.
-        loop: Begin again where they end.
+        path: The folder.
+
+    Returns:
+        The lens, and the view; its time is NaN.
+
+    Raises:
+        ValueError: The folder holds no views, or a file is damaged; the message names it.
+        OSError: A file cannot be read.
     """
-
-    def __init__(self, path: str | Path, loop: bool = False) -> None:
-        super().__init__(CameraFeatures(f"the folder {path}", "folder", 0.0, NOMINAL_RATE_HZ))
-        self._path, self._loop = Path(path), loop
-        self._names: list[str] | None = None
-        self._next = 0
-
-    def connect(self) -> None:
-        """Read what the folder holds, and begin with its first view; raises DeviceError."""
-        self.close()
-        try:
-            self._camera, given = read_lens(
-                self._path, {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0}
-            )
-            self._features = self._features._replace(nearest=float(given["nearest"]))
-        except (TypeError, ValueError) as error:
-            raise DeviceError(str(error)) from error
-        self._scale, self._encoding = given["scale"], given["encoding"]
-        names = sorted(each.name for each in (self._path / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
-        if not names:
-            raise DeviceError(f"{self._path / 'depth'} holds no views; give a folder with depth/*.png or .tif")
-        self._names, self._next = names, 0
-
-    def close(self) -> None:
-        """Stop giving views."""
-        self._names = None
-
-    def capture(self, timeout: float = 2.0) -> View:
-        """The next view, as in `DepthCamera.capture`, without waiting.
-
-        Raises:
-            DeviceError: There is none left, or its file is damaged.
-        """
-        if self._names is None:
-            raise self._not_connected()
-        if self._next >= len(self._names) and not self._loop:
-            raise DeviceError(f"{self._name} has given all its views; connect again for the first")
-        view = View(time.monotonic(), *self._read(self._names[self._next % len(self._names)]))
-        self._next += 1
-        return view
-
-    def _read(self, name: str) -> tuple[Array, Array | None]:
-        path = self._path / "depth" / name
-        colours = self._path / "colour"
-        try:
-            depth = read_depth(path, self._scale, self._encoding)
-            check_image(depth, self.camera)
-            if not colours.is_dir():
-                return depth, None
-            path = (colours / name).with_suffix(".png")
-            colour = read_image(path, shape=(self.camera.height, self.camera.width), said_by="its depth", mode="RGB")
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error).removeprefix(f"{path}: ")
-            raise DeviceError(f"{self._name} cannot give {path.name}: {reason}; restore {path}") from error
-        return depth, colour
+    camera, given = read_lens(path, {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0})
+    files = sorted(each for each in (Path(path) / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
+    if not files:
+        raise ValueError(f"{Path(path) / 'depth'} holds no views; give a folder with depth/*.png or .tif")
+    depth = read_depth(files[0], given["scale"], given["encoding"])
+    check_image(depth, camera)
+    colour = (Path(path) / "colour" / files[0].name).with_suffix(".png")
+    shape = (camera.height, camera.width)
+    pixels = read_image(colour, shape=shape, said_by="its depth", mode="RGB") if colour.parent.is_dir() else None
+    return camera, View(math.nan, depth, pixels)
 
 
 def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[str, Any]]:

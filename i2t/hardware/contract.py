@@ -25,7 +25,7 @@ from i2t.types import Array
 TEST_PATIENCE_S = 20.0  # that a loaded machine may need
 TEST_STATE_TIMEOUT_S = 3.0
 MIN_STATE_RATE_HZ = 100
-SOURCES = ("real", "emulated", "simulated", "replay", "folder")
+SOURCES = ("real", "emulated", "simulated", "replay")
 
 
 class _Contract:

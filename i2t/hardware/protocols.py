@@ -42,7 +42,7 @@ class SkinFeatures(NamedTuple):
     """Features of a skin, known before it is connected."""
 
     name: str
-    source: str  # real, emulated, simulated or replay: what a file must say of its readings
+    source: str  # real, emulated or simulated: what a file must say of its readings
     channels: tuple[str, ...]  # one for each value of a reading, in the board's order
     unit: str  # uT
     rate: float  # Hz, nominal
@@ -227,7 +227,7 @@ class Arm(Device, Protocol):
 
 @runtime_checkable
 class PlanningArm(Protocol):
-    """An arm that knows where it can go; others are planned with the arm that the rig names, if it names one."""
+    """An arm that knows where it can go; others are asked for nothing but the box."""
 
     def why_unreachable(self, goals: Sequence[Array]) -> str:
         """Reason why it cannot follow straight lines from pose to pose, asked before anything moves.
@@ -244,7 +244,7 @@ class CameraFeatures(NamedTuple):
     """Features of a depth camera, known before it is connected."""
 
     name: str
-    source: str  # real, emulated, simulated or folder
+    source: str  # real, simulated or replay
     nearest: float  # m, below which it measures nothing; NaN where only the device knows it
     rate: float  # Hz, nominal
 

@@ -259,6 +259,31 @@ def held_out(
     return predicted
 
 
+def tuned(
+    method: Regression,
+    options: Sequence[float],
+    x: Float[np.ndarray, "n d"],
+    y: Float[np.ndarray, "n c"],
+    groups: Int[np.ndarray, " n"],
+    *,
+    at: Float[np.ndarray, "m d"],
+) -> Float[np.ndarray, "m c"]:
+    """Predict with the option that has the least squared error on held-out groups of the training touches.
+
+    Args:
+        method: `method(x, y, at, option)` predicts.
+        options: To choose from.
+        x: Features of the training touches.
+        y: Their readings.
+        groups: The run or spatial block of each training touch.
+        at: Features of the touches to predict.
+
+    Returns:
+        Readings, in the unit of `y`.
+    """
+    return method(x, y, at, _best_option(method, options, x, y, fold_of(groups))[0])
+
+
 def _best_option(
     method: Regression, options: Sequence[float], x: np.ndarray, y: np.ndarray, fold: np.ndarray
 ) -> tuple[float, np.ndarray]:

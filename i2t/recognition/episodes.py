@@ -23,7 +23,6 @@ from i2t.geometry import inverse
 from i2t.progress import Progress, progress
 from i2t.recognition import belief
 from i2t.recognition.belief import Likelihood, Particles, TouchObservation
-from i2t.recognition.local_surfaces import is_large, reached_boxes
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
@@ -156,20 +155,19 @@ class EpisodeSimulator:
         episode, where = np.repeat(np.arange(episodes), n), site.reshape(-1)
         numbers = [(len(self.touches) + i % n, int(episode[i]), int(where[i])) for i in range(len(where))]
         known = {} if self.made_before is None else self.made_before
-        missing = np.array([number not in known for number in numbers])
-        done = [(np.array([i]), jax.tree.map(lambda x: x[None], known[numbers[i]])) for i in np.flatnonzero(~missing)]
+        made = {number: known[number] for number in numbers if number in known}
         if bar is not None:
-            bar.update(len(done))
-        batches = list(self._batches(missing, episode))
-        for rows, batch in zip(batches, self._make(keys, episode, where, batches), strict=True):
-            done.append((rows, batch))
+            bar.update(len(made))
+        missing = np.array([number not in made for number in numbers])
+        for rows, batch in self._simulate(keys, episode, where, missing):
+            made |= {numbers[i]: jax.tree.map(lambda x, j=j: x[j], batch) for j, i in enumerate(rows)}
             if bar is not None:
                 bar.update(len(rows))
-        made = _in_order(done)
         if self.made_before is not None:
-            self.made_before |= {numbers[i]: jax.tree.map(lambda x, i=i: x[i], made) for i in np.flatnonzero(missing)}
-        made = jax.tree.map(lambda x: x.reshape(episodes, n, *x.shape[1:]), made)
-        self.touches += [jax.tree.map(lambda x, i=i: x[:, i], made) for i in range(n)]
+            self.made_before |= made
+        whole = jax.tree.map(lambda *x: np.stack(x), *[made[number] for number in numbers])
+        whole = jax.tree.map(lambda x: x.reshape(episodes, n, *x.shape[1:]), whole)
+        self.touches += [jax.tree.map(lambda x, i=i: x[:, i], whole) for i in range(n)]
         self.chosen += list(np.asarray(site).T)
 
     def _touch_keys(self, n: int) -> np.ndarray:
@@ -182,31 +180,27 @@ class EpisodeSimulator:
         )
         return np.asarray(jax.random.key_data(keys.reshape(-1)))
 
-    def _batches(self, missing: np.ndarray, episode: np.ndarray) -> Iterator[np.ndarray]:
-        """Rows of the touches to be made, one object at a time and not too many."""
-        for which in range(len(self.surfaces)):
-            rows = np.flatnonzero(missing & (self.truth[episode] == which))
-            for start in range(0, len(rows), OBSERVED_BATCH):
-                yield rows[start : start + OBSERVED_BATCH]
+    def _simulate(
+        self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, missing: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, Touches]]:
+        """Touches of the missing rows, one object and not too many at a time; each batch is filled up, so that one
+        compilation serves all.
+        """
+        of_objects = [np.flatnonzero(missing & (self.truth[episode] == i)) for i in range(len(self.surfaces))]
+        batches = [
+            rows[start : start + OBSERVED_BATCH] for rows in of_objects for start in range(0, len(rows), OBSERVED_BATCH)
+        ]
 
-    def _make(
-        self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, batches: Sequence[np.ndarray]
-    ) -> Iterator[Touches]:
-        """The touches of each batch of rows."""
-        calls = (self._call(keys, episode, where, rows) for rows in batches)
+        def call(rows: np.ndarray) -> tuple[np.ndarray, Surface, np.ndarray, SessionErrors]:
+            full, which = np.resize(rows, OBSERVED_BATCH), int(self.truth[episode[rows[0]]])
+            return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
+
         made = spread(
-            _touch_many, calls, shared=(self.pad,),
+            _touch_many, map(call, batches), shared=(self.pad,),
             errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
         )  # fmt: skip
         for rows, batch in zip(batches, made, strict=True):
-            yield jax.tree.map(lambda x, rows=rows: np.asarray(x[: len(rows)]), batch)
-
-    def _call(
-        self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, rows: np.ndarray
-    ) -> tuple[np.ndarray, Surface, np.ndarray, SessionErrors]:
-        """Arguments for simulated touches of one object, filled up to a batch so that one compilation serves all."""
-        full, which = np.resize(rows, OBSERVED_BATCH), int(self.truth[episode[rows[0]]])
-        return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
+            yield rows, jax.tree.map(np.asarray, batch)
 
     def observations(self) -> TouchObservation:
         """All touches so far.
@@ -248,12 +242,6 @@ class EpisodeSimulator:
         """
         T = np.stack([touches.T_w_t for touches in self.touches], axis=1)
         return Episodes(self.truth, np.stack(self.chosen, 1), self.observations(), T)
-
-
-def _in_order(parts: Sequence[tuple[np.ndarray, Touches]]) -> Touches:
-    """Touches in the order of the rows that belong to them."""
-    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-    return jax.tree.map(lambda *x: np.concatenate(x)[order], *[part for _, part in parts])
 
 
 def run_episodes(
@@ -347,7 +335,10 @@ def episodes_from_dataset(
         DataError: A session's object is not among `names`, or too few touches can be used.
     """
     made = recorded.touches
-    rows = _first_touches(made, touches)
+    episodes = [rows[:touches] for rows in usable_touches(made).values() if len(rows) >= touches]
+    if not episodes:
+        raise DataError(f"no session has {touches} touches with a measured force; record longer ones")
+    rows = np.stack(episodes)
     kinds = [recorded.objects[i] for i in made.object[rows[:, 0]]]
     unknown = sorted(set(kinds) - set(names))
     if unknown:
@@ -368,16 +359,17 @@ def episodes_from_dataset(
     return sites, Episodes(truth, np.arange(rows.size).reshape(rows.shape), observations, T_o_t.astype(np.float32))
 
 
-def _first_touches(made: Touches, touches: int) -> Int[np.ndarray, "e t"]:
-    """Rows of the first usable touches of each session that has enough of them. Raises DataError where none has."""
-    episodes = []
-    for session in np.unique(made.session):
-        rows = np.flatnonzero((made.session == session) & (made.code != ReturnCode.FAILED) & np.isfinite(made.force))
-        if len(rows) >= touches:
-            episodes.append(rows[:touches])
-    if not episodes:
-        raise DataError(f"no session has {touches} touches with a measured force; record longer ones")
-    return np.stack(episodes)
+def usable_touches(made: Touches) -> dict[int, Int[np.ndarray, " t"]]:
+    """Touches that tell something: those that did not fail and have a measured force.
+
+    Args:
+        made: Touches of any number of sessions.
+
+    Returns:
+        Rows, by number of the session.
+    """
+    usable = (made.code != ReturnCode.FAILED) & np.isfinite(made.force)
+    return {int(session): np.flatnonzero(usable & (made.session == session)) for session in np.unique(made.session)}
 
 
 @jax.jit
@@ -498,7 +490,6 @@ def believe(
     chunks = [np.resize(np.arange(start, min(start + each, count)), each) for start in range(0, count, each)]
     touched = [np.unique(episodes.site[rows], return_inverse=True) for rows in chunks]  # episodes may share sites
     most = max(len(where) for where, _ in touched)
-    boxes = reached_boxes(surfaces, twist) if is_large(surfaces) else None
     parts: list[dict[str, np.ndarray]] = []
     total = len(surfaces) * len(twist) * most * len(chunks)
     with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
@@ -506,7 +497,7 @@ def believe(
             some: Episodes = jax.tree.map(lambda x, rows=rows: x[rows], episodes)
             tables = predict_outcomes(
                 surfaces, twist, T[np.resize(where, most)], reading_models,
-                overtravel=overtravel, boxes=boxes, bar=bar,
+                overtravel=overtravel, bar=bar,
             )  # fmt: skip
             some = some._replace(site=of_touch.reshape(each, touches))
             found: dict[str, np.ndarray] = {}

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
-from scipy import stats
 
 from i2t.recognition.intervals import (
     COVERAGE,
@@ -34,13 +33,15 @@ def to_json(values: Any) -> Any:
     """Scores as JSON has them: fields by name, arrays as lists.
 
     Args:
-        values: A named tuple of scores, an array or a number.
+        values: A named tuple or a dict of scores, an array or a number.
 
     Returns:
         Dicts, lists and numbers.
     """
     if hasattr(values, "_asdict"):
-        return {name: to_json(value) for name, value in values._asdict().items()}
+        values = values._asdict()
+    if isinstance(values, dict):
+        return {name: to_json(value) for name, value in values.items()}
     return values.tolist() if isinstance(values, np.ndarray | np.generic) else values
 
 
@@ -246,9 +247,9 @@ def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *,
         How often it stopped, and how often it was wrong.
     """
     confidences, hit = confidence(p), hits(p, truth)
-    first = confident_at(p, 1 - error)
-    stopped = np.isfinite(first)
-    last = np.where(stopped, first, confidences.shape[1]).astype(int)
+    confident = confidences >= 1 - error
+    stopped = confident.any(1)
+    last = np.where(stopped, confident.argmax(1) + 1, confidences.shape[1])
     wrong, doubt = (np.take_along_axis(1 - x, last[:, None] - 1, 1)[:, 0] for x in (hit, confidences))
     return Stopping(
         requested_error=error,
@@ -259,75 +260,6 @@ def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *,
         stopped_predicted_error=float(doubt[stopped].mean()) if stopped.any() else float("nan"),
         touches=mean_interval(last, clusters),
     )
-
-
-def confident_at(p: Float[Array, "e t c"], level: float = 0.95) -> Float[Array, " e"]:
-    """Number of touches until some class has probability `level`.
-
-    Args:
-        p: Beliefs.
-        level: The probability asked for.
-
-    Returns:
-        Touches of each episode; infinite where that never happens.
-    """
-    confident = confidence(p) >= level
-    return np.where(confident.any(1), confident.argmax(1) + 1.0, np.inf)
-
-
-class TouchesToConfidence(NamedTuple):
-    """Touches until confident; an episode that never was confident counts in the mean as all its touches."""
-
-    mean: Estimate
-    median: Estimate  # infinite where half of them never were; limits from order statistics
-    never: Estimate  # share
-
-
-def touches_to_confidence(first: Shaped[Array, " e"], touches: int, *, clusters: Clusters = ()) -> TouchesToConfidence:
-    """Summarise the numbers of touches until confident.
-
-    Args:
-        first: Of each episode, as `confident_at`.
-        touches: How many each episode has.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
-
-    Returns:
-        Mean, median and the share that never was confident; the median's limits take episodes as independent.
-    """
-    first = np.asarray(first, np.float64)
-    limits = stats.quantile_test(first, p=0.5).confidence_interval(COVERAGE)
-    middle = np.quantile(first, 0.5, method="inverted_cdf")
-    return TouchesToConfidence(
-        mean_interval(np.minimum(first, touches), clusters),
-        Estimate(middle, np.asarray(limits.low), np.asarray(limits.high)),
-        rate_interval(np.isinf(first), clusters),
-    )
-
-
-def touches_saved(
-    first: Shaped[Array, " e"], other: Shaped[Array, " e"], touches: int, *, clusters: Clusters = (), seed: int = 0
-) -> Estimate:
-    """Share by which the restricted mean number of touches until confident is less than that of another policy.
-
-    Paired bootstrap. Episodes in which neither becomes confident count as equal, so a limit on
-    touches hides part of what is saved.
-
-    Args:
-        first: Of each episode under this policy, as `confident_at`.
-        other: The same under the other policy.
-        touches: How many each episode has.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
-        seed: Of the bootstrap.
-
-    Returns:
-        The share.
-    """
-    mine, theirs = (np.minimum(x, touches).astype(np.float64) for x in (first, other))
-
-    def share_saved(weight: np.ndarray) -> np.ndarray:
-        return np.asarray(1 - (weight @ mine) / (weight @ theirs))
-
-    return bootstrap_clusters(share_saved, clusters, len(mine), seed=seed)
 
 
 # --- unknown objects ---

@@ -82,15 +82,7 @@ def save_pad_model(path: Path | str, known: KnownPad) -> None:
     Raises:
         SerializationError: It cannot be written.
     """
-    model = known.model
-    record = _Record(
-        reading_model=model.reading_model,
-        likelihood=model.likelihood,
-        reading_std=model.reading_std,
-        r2=np.asarray(model.r2),
-        held_out_errors=model.held_out_errors,
-        board=known.board,
-    )
+    record = _Record(**known.model._asdict() | {"r2": np.asarray(known.model.r2)}, board=known.board)
     serialization.save(path, PAD_MODEL_KIND, record, asdict(known.origin))
 
 
@@ -136,13 +128,8 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
     reading_model, likelihood = jax.tree.map(
         lambda array: jnp.asarray(array, jnp.float32), (record.reading_model, record.likelihood)
     )
-    model = PadModel(
-        reading_model, likelihood, record.reading_std, float(record.r2), record.held_out_errors
-    )  # fmt: skip
-    origin = PadOrigin(
-        pad=str(about["pad"]), source=str(about["source"]), objects=tuple(about["objects"]),
-        touches=int(about["touches"]), made_from=str(about["made_from"]),
-    )  # fmt: skip
+    model = PadModel(reading_model, likelihood, record.reading_std, float(record.r2), record.held_out_errors)
+    origin = PadOrigin(**about | {"objects": tuple(about["objects"])})
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 

@@ -14,7 +14,7 @@ Source: Ayad et al., "Imagine2touch", section II. Metres, newtons, microtesla; a
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
-from i2t.recognition.episodes import Episodes, MeasuredTouches
+from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
@@ -133,18 +133,6 @@ def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> 
     return distance[: len(point)] / BASELINE_LENGTH_M
 
 
-def contact_scorer(surfaces: Sequence[Surface]) -> Scorer:
-    """The scorer of proprioception.
-
-    Args:
-        surfaces: Of the objects.
-
-    Returns:
-        The scorer.
-    """
-    return partial(contact_distances, surfaces)
-
-
 # --- rules ---
 
 
@@ -196,27 +184,10 @@ def paper_rules(
 # --- the loop ---
 
 
-@runtime_checkable
-class TouchMaker(Protocol):
-    """Maker of the touches of some episodes; `i2t.recognition.episodes.EpisodeSimulator` is one."""
-
-    def touch(self, site: Int[np.ndarray, "e n"]) -> None:
-        """Make the next touches.
-
-        Args:
-            site: Of the pools that were joined, for each episode.
-        """
-        ...
-
-    def last_touches(self) -> MeasuredTouches:
-        """The last touch of each episode."""
-        ...
-
-
 def run_loop(
     key: Key[Array, ""],
     score: Scorer,
-    touches: TouchMaker,
+    touches: EpisodeSimulator,
     pools: SitePools,
     pool: Int[np.ndarray, " e"],
     *,

@@ -1,4 +1,4 @@
-"""Choice of the next touch, and stopping.
+"""Choice of the next touch.
 
 A touch is worth what it is expected to tell: the mutual information between its outcome and the object (Lindley, Annals
 of Mathematical Statistics 27, 1956), and, for a part, between its outcome and where the object lies. It is estimated
@@ -13,7 +13,7 @@ Only allowed sites are chosen among: within reach, not touched yet, and safe on 
 paper's heuristic (`i2t.paper.loop.site_informativeness`), which is for simulated comparisons, asks that a site be safe
 on the one object that it takes as the hypothesis.
 
-Pure functions on one episode, and on many at once; information in nats.
+Pure functions on one episode; information in nats.
 """
 
 from functools import partial
@@ -21,12 +21,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import map_batches
-from i2t.paper import loop
 from i2t.recognition.belief import (
     Belief,
     Likelihood,
@@ -35,10 +33,8 @@ from i2t.recognition.belief import (
     log_likelihood,
     outlier_range,
     posterior,
-    update,
 )
 from i2t.recognition.outcomes import PredictedTouch, interpolate_load
-from i2t.recognition.site_pool import SitePool, SitePools, pool_informativeness
 from i2t.rendering.ops import element
 
 NUM_CANDIDATES = 48  # sites that the next touch is chosen among, drawn anew for each
@@ -228,68 +224,22 @@ def draw_site(key: Key[Array, ""], weight: Float[Array, " sites"], allowed: Bool
     return jnp.where(jnp.any(allowed), jax.random.categorical(key, jnp.log(some)), NO_SITE)
 
 
-def should_stop(probability: Float[Array, " objects"], max_error_probability: float) -> Bool[Array, ""]:
-    """Test whether the most probable object is probable enough.
-
-    Args:
-        probability: Of the objects, calibrated (`i2t.recognition.belief.apply_temperature`).
-        max_error_probability: Largest probability of naming the wrong object.
-
-    Returns:
-        Whether to stop.
-    """
-    return jnp.max(probability) >= 1 - max_error_probability
-
-
-# --- many episodes at once ---
-
-
 @jax.jit
-def update_beliefs(
-    beliefs: Belief,
-    site: Int[Array, " e"],
-    observations: TouchObservation,
-    table: PredictedTouch,
-    likelihood: Likelihood,
-) -> tuple[Belief, Float[Array, "e objects"]]:
-    """All episodes one touch further; an episode without a site (-1) stays as it is.
-
-    Args:
-        beliefs: Of e episodes.
-        site: That was touched in each.
-        observations: What was measured, (e,).
-        table: Predicted touches, (sites, objects, k).
-        likelihood: How far measurements may be from predictions.
-
-    Returns:
-        The beliefs, and the probabilities of the objects.
-    """
-
-    def one(at: tuple[Belief, Array, TouchObservation]) -> tuple[Belief, Array]:
-        before, site, observation = at
-        after = update(before, observation, element(table, jnp.maximum(site, 0)), likelihood)
-        kept = jax.tree.map(lambda new, old: jnp.where(site >= 0, new, old), after, before)
-        return kept, posterior(kept)
-
-    return map_batches(one, (beliefs, site, observations), batch_size=8)
-
-
-@jax.jit
-def choose_informative_sites(
-    keys: Key[Array, " e"],
-    beliefs: Belief,
+def choose_informative_site(
+    key: Key[Array, ""],
+    belief: Belief,
     table: PredictedTouch,
     likelihood: Likelihood,
     *,
-    touched: Bool[Array, "e sites"],
+    touched: Bool[Array, " sites"],
     safe: Bool[Array, "sites objects"],
     skin_change: float | Float[Array, ""],
-) -> Int[Array, " e"]:
-    """Site of most expected information for each episode, of candidates drawn anew.
+) -> Int[Array, ""]:
+    """Site of most expected information, of candidates drawn anew.
 
     Args:
-        keys: Of the candidates and of their imagined outcomes.
-        beliefs: Of e episodes.
+        key: Of the candidates and of their imagined outcomes.
+        belief: After the touches so far.
         table: Predicted touches, (sites, objects, k).
         likelihood: How far measurements may be from predictions.
         touched: Sites that are not to be chosen again.
@@ -297,94 +247,14 @@ def choose_informative_sites(
         skin_change: Change of the reading (uT) at which a press ends.
 
     Returns:
-        Indices of sites; -1 where no candidate is allowed.
+        Index of the site; -1 where no candidate is allowed.
     """
-    sites = touched.shape[1]
-
-    def one(at: tuple[Array, Belief, Array]) -> Array:
-        key, state, done = at
-        key_some, key_gain = jax.random.split(key)
-        some = jax.random.permutation(key_some, sites)[: min(NUM_CANDIDATES, sites)]
-        gain = expected_information_gain(key_gain, state, element(table, some), likelihood, skin_change=skin_change)
-        allowed = safe_sites_mask(state, safe[some]) & ~done[some]
-        best = choose_site(gain, allowed)
-        return jnp.where(best >= 0, some[best], NO_SITE)
-
-    return jax.lax.map(one, (keys, beliefs, touched))
-
-
-@jax.jit
-def choose_random_sites(
-    keys: Key[Array, " e"],
-    beliefs: Belief,
-    *,
-    touched: Bool[Array, "e sites"],
-    safe: Bool[Array, "sites objects"],
-) -> Int[Array, " e"]:
-    """For each episode any site that may be touched, all alike.
-
-    Args:
-        keys: Of the draws.
-        beliefs: Of e episodes.
-        touched: Sites that are not to be chosen again.
-        safe: Whether a touch of each site would be safe on each object.
-
-    Returns:
-        Indices of sites; -1 where none is allowed.
-    """
-
-    def one(key: Array, state: Belief, done: Array) -> Array:
-        return draw_site(key, jnp.ones(len(done)), safe_sites_mask(state, safe) & ~done)
-
-    return jax.vmap(one)(keys, beliefs, touched)
-
-
-def heuristic_weights(sites: SitePool) -> Float[Array, "objects sites"]:
-    """The paper's heuristic over a whole pool.
-
-    Args:
-        sites: The pool.
-
-    Returns:
-        Probability of every site if an object is believed in; 0 for the sites of others.
-    """
-    objects = int(sites.owner.max()) + 1
-    own = pool_informativeness(SitePools(np.asarray(sites.T_w_t).reshape(1, objects, -1, 4, 4)))
-    mine = sites.owner[None] == np.arange(objects)[:, None]
-    return jnp.where(mine, own.reshape(1, -1), 0.0)
-
-
-@jax.jit
-def choose_heuristic_sites(
-    keys: Key[Array, " e"],
-    beliefs: Belief,
-    weights: Float[Array, "objects sites"],
-    *,
-    touched: Bool[Array, "e sites"],
-    safe: Bool[Array, "sites objects"],
-    step: int | Int[Array, ""],
-) -> Int[Array, " e"]:
-    """The paper's choice for each episode: an informative site of the hypothesis, an object drawn by its probability,
-    or, where none is left, any other site. Either is safe on that object; whether it is on others is not asked.
-
-    Args:
-        keys: Of the draws.
-        beliefs: Of e episodes.
-        weights: Of every site for each object (`heuristic_weights`).
-        touched: Sites that are not to be chosen again.
-        safe: Whether a touch of each site would be safe on each object.
-        step: Touches so far.
-
-    Returns:
-        Indices of sites; -1 where none is left.
-    """
-
-    def one(key: Array, state: Belief, done: Array) -> Array:
-        key_object, key_site = jax.random.split(key)
-        which = loop.choose_hypothesis(key_object, posterior(state), step)
-        return draw_site(key_site, weights[which], safe[:, which] & ~done)
-
-    return jax.vmap(one)(keys, beliefs, touched)
+    sites = len(touched)
+    key_some, key_gain = jax.random.split(key)
+    some = jax.random.permutation(key_some, sites)[: min(NUM_CANDIDATES, sites)]
+    gain = expected_information_gain(key_gain, belief, element(table, some), likelihood, skin_change=skin_change)
+    best = choose_site(gain, safe_sites_mask(belief, safe[some]) & ~touched[some])
+    return jnp.where(best >= 0, some[best], NO_SITE)
 
 
 # --- imagining ---

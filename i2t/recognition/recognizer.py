@@ -27,10 +27,11 @@ from jaxtyping import Array, Bool, Float, Key
 from i2t import validation
 from i2t.geometry import from_twist, inverse, is_rigid, nearest_rigid
 from i2t.objects import catalogue
-from i2t.recognition import belief, calibrated, outcomes, policy
-from i2t.recognition.belief import Belief, TouchObservation
+from i2t.recognition import belief, calibrated, outcomes
+from i2t.recognition.belief import Belief, Likelihood, TouchObservation
+from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.pad_model import PadModel
-from i2t.recognition.policy import choose_informative_sites, update_beliefs
+from i2t.recognition.policy import choose_informative_site
 from i2t.recognition.site_pool import (
     SitePool,
     place_surfaces,
@@ -39,6 +40,7 @@ from i2t.recognition.site_pool import (
     safe_sites,
     sample_sites,
 )
+from i2t.rendering.ops import element
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLimits
 from i2t.types import in_one_line
@@ -245,7 +247,7 @@ class ObjectRecognizer:
         """
         config = self.config
         enough = state.touches >= max(1, min(config.min_touches, config.max_touches))
-        if enough and policy.should_stop(jnp.asarray(state.probability), config.max_error_probability):
+        if enough and state.probability.max() >= 1 - config.max_error_probability:
             return f"an object is {1 - config.max_error_probability:.0%} probable"
         if state.touches >= config.max_touches:
             return f"{state.touches} sites were touched"
@@ -303,13 +305,10 @@ class ObjectRecognizer:
                 f"the touch at site {observation.number} lacks chips of the skin, and the pad model needs them all; "
                 "exclude the site, and check the skin's cables"
             )
-        one = jax.tree.map(lambda x: jnp.asarray(x)[None], (state.belief, observation.touch))
-        after, p = update_beliefs(one[0], jnp.asarray([observation.number]), one[1], self.table, self.likelihood)
+        after, p = _update(state.belief, observation.touch, self.table, observation.number, self.likelihood)
         touches = state.touches + 1
-        probability = self._calibrated(p[0], touches)
-        state = RecognizerState(
-            jax.tree.map(lambda x: x[0], after), self.exclude(state, observation.number).touched, touches, probability
-        )
+        touched = self.exclude(state, observation.number).touched
+        state = RecognizerState(after, touched, touches, self._calibrated(p, touches))
         return state, self.info(state)
 
     def exclude(self, state: RecognizerState, number: int) -> RecognizerState:
@@ -390,12 +389,12 @@ class ObjectRecognizer:
 
     def _choose(self, state: RecognizerState, key: Array) -> int:
         """The number of a site among candidates drawn with a key; -1 where none of them is allowed."""
-        state_of_one = jax.tree.map(lambda x: jnp.asarray(x)[None], state.belief)
-        found = choose_informative_sites(
-            jax.random.split(key, 1), state_of_one, self.table, self.likelihood,
-            touched=jnp.asarray(state.touched)[None], safe=self.safe, skin_change=self.config.skin_change,
+        (key_site,) = jax.random.split(key, 1)
+        found = choose_informative_site(
+            key_site, state.belief, self.table, self.likelihood,
+            touched=jnp.asarray(state.touched), safe=self.safe, skin_change=self.config.skin_change,
         )  # fmt: skip
-        return int(found[0])
+        return int(found)
 
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
         """Calibrated probabilities of the known objects from those of all, surrogates included."""
@@ -414,3 +413,12 @@ class ObjectRecognizer:
 
 
 _apply_temperature = jax.jit(belief.apply_temperature)
+
+
+@jax.jit
+def _update(
+    now: Belief, touch: TouchObservation, table: PredictedTouch, number: int | Array, likelihood: Likelihood
+) -> tuple[Belief, Array]:
+    """The belief after a touch of a site, and the probabilities of all objects."""
+    after = belief.update(now, touch, element(table, number), likelihood)
+    return after, belief.posterior(after)

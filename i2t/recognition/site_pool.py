@@ -21,14 +21,6 @@ from i2t.paper import loop
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import Particles
-from i2t.recognition.local_surfaces import (
-    ReachedBoxes,
-    cut_surfaces,
-    is_large,
-    reached_boxes,
-    reached_clusters,
-    size_class,
-)
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
@@ -206,11 +198,9 @@ def predict_outcomes(
     reading_models: Sequence[LinearReadingModel],
     *,
     overtravel: float,
-    boxes: ReachedBoxes | None = None,
     bar: Progress | None = None,
 ) -> list[PredictedTouch]:
-    """Predict a touch of every object in every pose at every site; of large meshes only the part in a site's reach is
-    used (`i2t.recognition.local_surfaces`).
+    """Predict a touch of every object in every pose at every site.
 
     Args:
         surfaces: Of the objects.
@@ -218,65 +208,39 @@ def predict_outcomes(
         T_w_site: Sites.
         reading_models: Of some pads, at the same loads.
         overtravel: Distance (m) beyond a site after which a press gives up.
-        boxes: `reached_boxes` of large meshes, for several calls; worked out here unless given.
         bar: Shows progress.
 
     Returns:
         For each pad the predicted touches, (sites, objects, k), on the host.
     """
     each, T = max(BATCH_TOUCHES // len(twist), 1), np.asarray(T_w_site)
-    reached = None
-    if is_large(surfaces):
-        reached = reached_clusters(boxes or reached_boxes(surfaces, twist), T, overtravel)
+    # Sites are repeated to fill up the last batch: one compilation serves all.
+    rows = np.resize(np.arange(len(T)), -(-len(T) // each) * each).reshape(-1, each)
+    batches = [(number, some) for number in range(len(surfaces)) for some in rows]
+    calls = ((surfaces[number], T[some]) for number, some in batches)
+    made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
     result: list[PredictedTouch] | None = None
-    for groups, batches in _batches(len(surfaces), len(T), each, reached).items():
-        calls = ((_part(surfaces[number], reached, number, rows, groups), T[rows]) for number, rows in batches)
-        made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
-        for (number, rows), part in zip(batches, made, strict=True):
-            if result is None:
-                shape = (len(T), len(surfaces))
-                result = jax.tree.map(lambda x, shape=shape: np.empty((*shape, *x.shape[1:]), x.dtype), part)
-            for whole, some in zip(jax.tree.leaves(result), jax.tree.leaves(part), strict=True):
-                whole[rows, number] = some
-            if bar is not None:
-                bar.update(len(np.unique(rows)) * len(twist))
+    for (number, some), part in zip(batches, made, strict=True):
+        if result is None:
+            shape = (len(T), len(surfaces))
+            result = jax.tree.map(lambda x, shape=shape: np.empty((*shape, *x.shape[1:]), x.dtype), part)
+        for whole, values in zip(jax.tree.leaves(result), jax.tree.leaves(part), strict=True):
+            whole[some, number] = values
+        if bar is not None:
+            bar.update(len(np.unique(some)) * len(twist))
     assert result is not None
     return result
-
-
-def _batches(
-    objects: int, sites: int, each: int, reached: Bool[np.ndarray, "objects sites clusters"] | None
-) -> dict[int, list[tuple[int, np.ndarray]]]:
-    """Sites that are predicted together, `each` at a time: numbers of the object and rows of the sites, by the size
-    class of what they reach, or 0 where surfaces are taken whole. Rows that fill up a batch are repeated.
-    """
-    found: dict[int, list[tuple[int, np.ndarray]]] = {}
-    for number in range(objects):
-        classes = np.zeros(sites, int) if reached is None else np.array([size_class(row) for row in reached[number]])
-        for groups in np.unique(classes):
-            rows = np.flatnonzero(classes == groups)
-            filled = np.resize(rows, -(-len(rows) // each) * each)
-            found.setdefault(int(groups), []).extend((number, batch) for batch in np.split(filled, len(filled) // each))
-    return found
-
-
-def _part(surface: Surface, reached: np.ndarray | None, number: int, rows: np.ndarray, groups: int) -> Surface:
-    """The surface, or the parts of it that some sites reach, stacked."""
-    return surface if reached is None else cut_surfaces(surface, reached[number, rows], groups)
 
 
 @partial(jax.jit, static_argnames=("overtravel",))
 def _predict(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
 ) -> list[PredictedTouch]:
-    def one(surface: Surface, T: Array, x: Array) -> list[PredictedTouch]:
+    def one(T: Array, x: Array) -> list[PredictedTouch]:
         contact = outcomes.predict_contact(surface, jnp.eye(4), x, T, reading_models[0].loads, overtravel=overtravel)
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
-    own = 0 if jnp.ndim(surface.triangles) == 4 else None  # whether each site has a surface of its own
-    return jax.vmap(lambda surface, T: jax.vmap(lambda x: one(surface, T, x))(twist), in_axes=(own, 0))(
-        surface, T_w_site
-    )
+    return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
 
 
 def plan_random_touches(

@@ -21,9 +21,9 @@ zero switches it off. Everything here is simulated, and says so where it is stor
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +46,7 @@ from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 from i2t.views import WideView, camera_view, centre, pixels_on_skin
 from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
+POSE_ERRORS = 7  # the first of `SimulationErrors`
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
 
@@ -70,21 +71,8 @@ class SimulationErrors:
     @classmethod
     def none(cls) -> "SimulationErrors":
         """No errors of the lab; the sensor's own noise and faults are off too."""
-        return cls(
-            placement=0.0,
-            placement_angle=0.0,
-            hand_eye=0.0,
-            hand_eye_angle=0.0,
-            repeatability=0.0,
-            approach_angle=0.0,
-            slant=0.0,
-            depth_noise=0.0,
-            depth_bleed=0.0,
-            depth_quantum=0.0,
-            force=0.0,
-            noise=Noise.none(),
-            faults=Faults(),
-        )
+        sensor: dict[str, Any] = {"noise": Noise.none(), "faults": Faults()}
+        return cls(**{each.name: sensor.get(each.name, 0.0) for each in fields(cls)})
 
     def scaled(self, factor: float) -> "SimulationErrors":
         """All pose errors times a factor; camera and sensor stay.
@@ -95,16 +83,7 @@ class SimulationErrors:
         Returns:
             The new errors.
         """
-        names = (
-            "placement",
-            "placement_angle",
-            "hand_eye",
-            "hand_eye_angle",
-            "repeatability",
-            "approach_angle",
-            "slant",
-        )
-        return replace(self, **{name: factor * getattr(self, name) for name in names})
+        return replace(self, **{each.name: factor * getattr(self, each.name) for each in fields(self)[:POSE_ERRORS]})
 
 
 class SessionErrors(NamedTuple):
@@ -320,17 +299,15 @@ def apply_sensor_model(
     Returns:
         The touches with other readings.
     """
-    key_faults, key_noise, key_record = jax.random.split(key, 3)
+    key_faults, key_noise, _ = jax.random.split(key, 3)  # one more than is used: the draws of a seed stay
     rest = pad.board.to_board(rest_field(pad))
-    key_board = faults.board_key(pad.gains)
     felt = faults.apply(
         key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults,
-        key_board=key_board, rest=rest, presses_before=presses_before,
+        key_board=faults.board_key(pad.gains), rest=rest, presses_before=presses_before,
     )  # fmt: skip
     keys = jax.random.split(key_noise, len(felt))
     read = jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
-    recorded = faults.record(key_record, read, errors.faults, key_board=jax.random.clone(key_board))
-    return touches._replace(reading=recorded)
+    return touches._replace(reading=read)
 
 
 def touch_simulator(

@@ -188,25 +188,6 @@ def subtract_ambient(
     return np.asarray(reading, float) - np.asarray(board.to_board(predicted)).reshape(np.shape(reading))
 
 
-def subtract_offsets(
-    field: AmbientField, board: Board, reading: Float[Array, " c"]
-) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "3"]]:
-    """A reading without the chips' offsets and without the field that all chips share, where the arm's pose is not
-    known.
-
-    Args:
-        field: Fitted.
-        board: Of the skin.
-        reading: uT.
-
-    Returns:
-        The reading (uT), and the shared field (3,) uT in tool axes, whose size should be that of the fitted one.
-    """
-    free = np.asarray(board.to_tool(np.asarray(reading, float))) - field.offset
-    shared = mean_known(free, axis=0)
-    return np.asarray(board.to_board(free - shared)), shared
-
-
 def ambient_changed(field: AmbientField, board: Board, poses: FreePoses, *, false_alarm: float = 0.01) -> AmbientChange:
     """Test new free readings against a fitted field.
 
@@ -315,20 +296,6 @@ def mean_known(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, 
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def fitted_turn(T_b_t: Float[Array, "p 4 4"]) -> float:
-    """Turn of the field by poses: the root mean square by which its weakest direction moves in the tool.
-
-    Args:
-        T_b_t: Tool in base.
-
-    Returns:
-        0 where they do not turn about two axes, up to 1.
-    """
-    rotations = np.asarray(T_b_t, float)[:, :3, :3]
-    moved = rotations - rotations.mean(0)
-    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(np.einsum("pij,pkj->ik", moved, moved) / len(moved))[0])))
-
-
 # The least squares. Parameters are, in this order: earth 3, offsets 3n, gradient 5, responses 9n; all in tool or base
 # axes as in `AmbientField`.
 
@@ -365,7 +332,9 @@ def _check(poses: FreePoses, board: Board) -> None:
         raise ValueError(f"{n} free poses tell no ambient field; take at least {MIN_POSES}, better a dozen")
     if not np.isfinite(T_b_t).all() or not np.isfinite(samples).any():
         raise ValueError("free poses hold no readings, or poses that are not finite; take them again")
-    if fitted_turn(T_b_t) < MIN_TURN:
+    moved = T_b_t[:, :3, :3] - T_b_t[:, :3, :3].mean(0)
+    weakest = np.linalg.eigvalsh(np.einsum("pij,pkj->ik", moved, moved) / n)[0]
+    if not weakest >= MIN_TURN**2:
         raise ValueError(
             "the free poses hardly turn the skin, so the Earth's field and the chips' offsets cannot be told apart; "
             "tilt it by 30 degrees or more about two axes"

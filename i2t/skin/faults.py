@@ -1,12 +1,10 @@
 """Faults of a real skin besides noise: each a small function whose size, at zero, switches it off.
 
-`apply` takes the readings of one session in the order in which they were made, and `record` what the board then sends;
-together they compose the faults as physics does:
+`apply` takes the readings of one session in the order in which they were made, and composes the faults as physics does:
 
   the layer     softens with use, creeps while it is held, and keeps a part of the press before;
-  its field     is joined by that of a ferrous object, and by the earth's and the room's, which turn as the arm does;
-  the chip      warms, has gains of its own, and saturates; `i2t.skin.noise` comes next;
-  the recorder  gets nothing from a dead axis, and may repeat a row.
+  its field     is joined by the earth's and the room's, which turn as the arm does;
+  the chip      warms and saturates; `i2t.skin.noise` comes next.
 
 Additive fields that change slowly reach a reading only by their change since the ambient was last measured, see
 `subtract_ambient`. How often that is, is `Faults.ambient_every`: by default at every touch, as in the paper's procedure
@@ -14,8 +12,8 @@ and in `i2t.collect`; data of that procedure also hold one ambient for every ten
 session. An ambient of the same touch takes the uniform fields of earth and room away, as the tool does not turn after
 it, but not the drift in the seconds until the reading (`Faults.ambient_lag`).
 
-What belongs to a board and not to a session is drawn from `board_key`: the chip that remembers, the chips' own drifts,
-gains and dead axes, and the place where the board is used. Softening goes on over the sessions of a pad.
+What belongs to a board and not to a session is drawn from `board_key`: the chip that remembers, the chips' own drifts
+and the place where the board is used. Softening goes on over the sessions of a pad.
 
 Default sizes are of real boards where a recording exists, and else of the literature; each docstring says which, and
 says so where a size is an assumption. Readings are microtesla in the board's order and the chips' own axes; W is the
@@ -27,10 +25,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry
-from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI, dipole_field
 from i2t.types import Board
 
 EARTH_DIP_RAD = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)
@@ -39,6 +36,8 @@ WEAR_PRESSES = (
     40.0  # presses: a contact of 10 mm2 covers the pad once, and all softening comes with a place's first presses
 )
 RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
+HOLD_TIME_S = 1.0  # s, mean time from contact to the reading
+LAYER_SHARE = 0.2  # part of a press that the layer takes up and not the arm; see `creep`
 WARMING_SPREAD = 0.12  # of the warming: chips warmed by 10 K lie up to 2.4 K apart, as recorded
 
 
@@ -49,27 +48,18 @@ class Faults:
     softening: float = 0.0  # final part by which readings grow with use (Mullins softening); see `mullins_softening`
     relaxation: float = 0.0  # final part of the layer's stress that relaxes; see `creep`
     hysteresis: float = 0.0  # part of the press before that one chip keeps (hysteresis); see `apply_hysteresis`
-    ferrous: float = 0.0  # field of a steel tip over the touch's own; see `ferrous`
     earth: float = 0.0  # uT; see `ambient_field`
     room: float = 0.0  # uT, standard deviation of each component
     warming: float = 0.0  # K over the session; see `temperature_drift` and `apply_warming`
-    gain: float = 0.0  # standard deviation of gains; see `gains`
     range_xy: float = 0.0  # uT, full scale of x and y; see `saturate`
     range_z: float = 0.0  # and of z
-    dead: int = 0  # axes that do not answer; see `dead_axes`
-    stale: float = 0.0  # probability that a row repeats the one before; see `stale_rows`
     # How the session was made, without effect while the sizes above are zero:
     ambient_every: int = 1  # touches from one measurement of the ambient to the next; 0: once, before the session
     ambient_lag: float = 0.2  # of the time from touch to touch, from an ambient to its reading; see `temperature_drift`
-    presses_before: int = 0  # presses of the pad before its first session
-    hold_time: float = 1.0  # s, mean time from contact to the reading
-    layer_share: float = 0.2  # see `creep`
 
     @classmethod
     def typical(cls) -> "Faults":
-        """Sizes as on real boards in order, the ambient measured at every touch. Off are gains, of which simulated
-        pads have their own (`Pad.gains`), and what only a broken set-up shows: steel tip, dead axes, stale rows.
-        """
+        """Sizes as on real boards in order, the ambient measured at every touch."""
         return cls(
             softening=0.1,
             relaxation=0.05,
@@ -106,7 +96,7 @@ def apply(
     faults: Faults,
     *,
     key_board: Key[Array, ""],
-    rest: Float[Array, " c"] | None = None,
+    rest: Float[Array, " c"],
     presses_before: Int[Array, ""] | int = 0,
 ) -> Float[Array, "n c"]:
     """The readings of one session by a faulty sensor (see the module's head).
@@ -119,32 +109,27 @@ def apply(
         faults: sizes of the faults.
         key_board: random key of the board, the same in all its sessions; see `board_key`.
         rest: uT, what the chips measure of the pad itself when nothing touches it (`dipoles.rest_field` through
-            `board.to_board`; zero if not given): saturation starts from there, and warming weakens it.
-        presses_before: that the pad had in the sessions before, in addition to `faults.presses_before`.
+            `board.to_board`): saturation starts from there, and warming weakens it.
+        presses_before: that the pad had in the sessions before.
 
     Returns:
         Readings in uT.
     """
     n, channels = readings.shape
-    rest = jnp.zeros(channels) if rest is None else rest
-    key_hold, key_tip, key_warm = jax.random.split(key, 3)
-    key_memory, key_place, key_offset, key_gain = jax.random.split(jax.random.fold_in(key_board, 0), 4)
+    key_hold, _, key_warm = jax.random.split(key, 3)  # one more than is used, and below: the draws of a seed stay
+    key_memory, key_place, key_offset, _ = jax.random.split(jax.random.fold_in(key_board, 0), 4)
 
-    presses = faults.presses_before + presses_before + jnp.arange(n)
-    seconds = 2 * faults.hold_time * jax.random.uniform(key_hold, (n,))
+    presses = presses_before + jnp.arange(n)
+    seconds = 2 * HOLD_TIME_S * jax.random.uniform(key_hold, (n,))
     x = jax.vmap(lambda reading, i: mullins_softening(reading, i, faults.softening))(readings, presses)
-    x = jax.vmap(lambda reading, held: creep(reading, held, faults.relaxation, faults.layer_share))(x, seconds)
+    x = jax.vmap(lambda reading, held: creep(reading, held, faults.relaxation))(x, seconds)
     x = apply_hysteresis(key_memory, x, faults.hysteresis)
 
-    direction = jax.random.normal(key_tip, (3,))
-    x = jax.vmap(lambda reading: ferrous(reading, direction, board, faults.ferrous))(x)
     place = ambient_field(key_place, faults.earth, faults.room)
     seen = jax.vmap(lambda T: ambient(T, place, board))(T_w_t)
     offset = jax.random.normal(key_offset, (channels,))
     x, drifted, drifted_before = _warmed(key_warm, x, rest=rest, offset=offset, chips=board.num_chips, faults=faults)
     x = x + subtract_ambient(seen + drifted, seen + drifted_before, faults.ambient_every)
-
-    x = gains(key_gain, channels, faults.gain)[None] * x
     return jax.vmap(lambda reading: saturate(reading, rest, faults.range_xy, faults.range_z))(x)
 
 
@@ -165,25 +150,6 @@ def _warmed(
     warm = jax.vmap(lambda reading, kelvin: apply_warming(reading, rest, kelvin, offset))
     _, drifted_before = warm(readings, early)
     return (*warm(readings, late), drifted_before)
-
-
-def record(
-    key: Key[Array, ""], readings: Float[Array, "n c"], faults: Faults, *, key_board: Key[Array, ""]
-) -> Float[Array, "n c"]:
-    """Recorded readings of a session: nothing new from dead axes, and some rows twice.
-
-    Args:
-        key: Random key of the session.
-        readings: uT, of the session's touches in order.
-        faults: Which faults the board has.
-        key_board: Random key of the board, the same in all its sessions; see `board_key`.
-
-    Returns:
-        The recorded readings (uT).
-    """
-    key_dead = jax.random.fold_in(key_board, 1)
-    answered = jnp.where(dead_axes(key_dead, readings.shape[-1], faults.dead)[None], 0.0, readings)
-    return stale_rows(key, answered, faults.stale)
 
 
 def mullins_softening(
@@ -223,7 +189,7 @@ def creep(
     reading: Float[Array, " c"],
     seconds: Float[Array, ""] | float,
     size: float = 0.05,
-    yielding: float = 0.2,
+    yielding: float = LAYER_SHARE,
 ) -> Float[Array, " c"]:
     """Growth of a reading while the touch is held and the stress in the layer relaxes.
 
@@ -264,48 +230,6 @@ def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: f
     chip = jnp.repeat(jnp.arange(chips) == jax.random.randint(key, (), 0, chips), 3)
     before = jnp.concatenate([jnp.zeros_like(readings[:1]), readings[:-1]])
     return readings + size * jnp.where(chip[None], before, 0.0)
-
-
-def induced(
-    place: Float[Array, "3"], magnetising: Float[Array, "3"], radius: float, board: Board
-) -> Float[Array, " c"]:
-    """Reading of a steel ball in a magnetic field.
-
-    A highly permeable ball in a uniform field B has the moment 4 pi radius^3 B / mu0 (Jackson, Classical
-    Electrodynamics, section 5.11).
-
-    Args:
-        place: m, of the ball in the tool frame.
-        magnetising: uT, the field in which it is.
-        radius: m, of the ball.
-        board: That reads it.
-
-    Returns:
-        The reading (uT).
-    """
-    moment = radius**3 * magnetising / (MU0_OVER_4PI * MICROTESLA)
-    return MICROTESLA * board.to_board(dipole_field(jnp.asarray(board.chips), place[None], moment[None]))
-
-
-def ferrous(
-    reading: Float[Array, " c"], direction: Float[Array, "3"], board: Board, size: float = 7.0
-) -> Float[Array, " c"]:
-    """A steel tip adds a multiple of the touch's norm, shared out as the field of a ball of 2 mm on the skin's centre.
-
-    Presses with a steel tip gave 6-10 times more per newton than with a plastic one: 8 times is 7 on top.
-
-    Args:
-        reading: uT, with a plastic tip.
-        direction: Along which the pad magnetises the ball.
-        board: That reads it.
-        size: That multiple.
-
-    Returns:
-        The reading (uT) with the steel tip.
-    """
-    pattern = induced(jnp.asarray([0.0, 0.0, 1e-3]), direction, 1e-3, board)
-    norm = jnp.sqrt(jnp.sum(reading**2) + 1e-12)  # with a derivative at zero
-    return reading + size * norm * pattern / jnp.linalg.norm(pattern)
 
 
 def ambient_field(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0) -> Float[Array, "3"]:
@@ -415,20 +339,6 @@ def apply_warming(
     return reading * (1 + gain * warmer), warmer * (gain * rest + drift * offset)
 
 
-def gains(key: Key[Array, ""], channels: int, size: float = 0.05) -> Float[Array, " c"]:
-    """Gains of the chips' axes about 1, at most three `size` away. 5 % is an assumption, as in `pad.sample_pad`.
-
-    Args:
-        key: Random key.
-        channels: Of the board, three for each chip.
-        size: Standard deviation.
-
-    Returns:
-        The gains.
-    """
-    return 1 + size * jax.random.truncated_normal(key, -3.0, 3.0, (channels,))
-
-
 def saturate(
     reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: float = RANGE_XY_UT, range_z: float = RANGE_Z_UT
 ) -> Float[Array, " c"]:
@@ -451,36 +361,3 @@ def saturate(
     total = rest + reading
     over = total - jnp.clip(total, -limit, limit)
     return reading - over + (rest - jnp.clip(rest, -limit, limit))
-
-
-def dead_axes(key: Key[Array, ""], channels: int, count: int = 1) -> Bool[Array, " c"]:
-    """Axes, drawn anew for each board, whose readings no longer change.
-
-    Args:
-        key: Random key.
-        channels: Of the board, three for each chip.
-        count: How many are dead.
-
-    Returns:
-        True for dead axes.
-    """
-    return jax.random.permutation(key, channels) < count
-
-
-def stale_rows(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.01) -> Float[Array, "n c"]:
-    """Each row but the first repeats the one recorded before it with a small probability.
-
-    The public driver hands out buffers of up to 48 old frames, 0.12 s at 400 Hz and longer than the burst that makes a
-    reading. How often was not recorded; one in a hundred is an assumption.
-
-    Args:
-        key: Random key.
-        readings: uT, of the session's touches in order.
-        size: That probability.
-
-    Returns:
-        The recorded readings (uT).
-    """
-    touch = jnp.arange(readings.shape[0])
-    fresh = jax.random.uniform(key, touch.shape) >= size
-    return readings[jax.lax.cummax(jnp.where(fresh, touch, 0))]

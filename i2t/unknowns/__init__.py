@@ -7,18 +7,11 @@
         print(finding.sentence)
 
 `estimate` runs the hypotheses: `labels` a lag, signs and units, `heights` the height of first contact, `chip_field` how
-the board lies under the skin. `alignment` lays an earlier session over this one, and `segmentation` finds the presses
-in a stream of readings. Every function is pure and takes arrays; what estimates returns a `Finding`, which says whether
-the recording can tell at all. NumPy and SciPy only, so that converters can use it.
+the board lies under the skin. `segmentation` finds the presses in a stream of readings. Every function is pure and
+takes arrays; what estimates returns a `Finding`, which says whether the recording can tell at all. NumPy and SciPy
+only, so that converters can use it.
 """
 
-from i2t.unknowns.alignment import (
-    SessionMap,
-    align_session,
-    fit_session_map,
-    lay_over,
-    predict_session,
-)
 from i2t.unknowns.chip_field import find_board, turn_board
 from i2t.unknowns.estimate import estimate_labels, estimate_unknowns
 from i2t.unknowns.findings import (
@@ -37,8 +30,6 @@ from i2t.unknowns.labels import find_force_sign, find_height_axis, find_lag, fin
 __all__ = [
     "Finding",
     "RecordedPresses",
-    "SessionMap",
-    "align_session",
     "corrected_presses",
     "estimate_labels",
     "estimate_unknowns",
@@ -52,10 +43,7 @@ __all__ = [
     "find_units",
     "findings_from_meta",
     "findings_to_meta",
-    "fit_session_map",
     "lag_rows",
-    "lay_over",
     "metrics_of",
-    "predict_session",
     "turn_board",
 ]

@@ -1,4 +1,4 @@
-"""Placement of the board under the skin, from what its chips read together: turned or mirrored, or two chips swapped.
+"""Placement of the board under the skin, from what its chips read together: as described, turned or mirrored.
 
 All chips feel one skin. Let the skin be magnetized any way, dipoles m_i on a grid at a height over the chips. A press
 at x sinks them, moves them aside and tilts them by smooth functions of their distance from x, and the readings of all
@@ -6,15 +6,13 @@ channels are linear in the moments, y = f(load) F(x) m + noise. With m ~ N(0, s^
 
     y ~ N(0, s^2 K),  K = F F' + noise I,
 
-whatever the magnetization is, and the evidence of y says how well a board explains them. Chips that are swapped permute
-y; a board that is turned changes the positions x. What is reported is the gain of log evidence for each value (a
-reading of one channel), because a model this plain is too sure of itself: on the recording that thresholds were chosen
-on (eFlesh `spatial`) the best swap of a sound board gains 0.04. An axis of a chip that is flipped gains no more than
-the best wrong flip of a sound board, and is found against an earlier session only (`i2t.unknowns.alignment`). Metres,
-microtesla, NumPy and SciPy only.
+whatever the magnetization is, and the evidence of y says how well a board explains them: one that is turned changes the
+positions x. What is reported is the gain of log evidence for each value (a reading of one channel), because a model
+this plain is too sure of itself; thresholds were chosen on eFlesh `spatial`. Chips that are swapped and axes that are
+flipped gain hardly more than the best wrong ones of a sound board, and are not looked for. Metres, microtesla, NumPy
+and SciPy only.
 """
 
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -25,11 +23,10 @@ from i2t.types import Board
 from i2t.unknowns.findings import Finding, RecordedPresses
 from i2t.unknowns.smooth import thinned
 
-STAGE, SWAPPED = "board on the stage", "order of the chips"
+STAGE = "board on the stage"
 FIELD_PRESSES = 70  # that are looked at: the cost grows with their cube
 MIN_FIELD_PRESSES = 25
 STAGE_GAIN = 0.09  # of log evidence for each value, for the board to be turned
-SWAP_GAIN = 0.05
 IDENTIFICATION_GAIN = 0.02  # what the wrong hypotheses must lose for the right one to be known
 GRID_CELLS = 15  # of dipoles along an edge
 AS_RECORDED = "as recorded"
@@ -62,10 +59,8 @@ class _Sample(NamedTuple):
     readings: np.ndarray  # (n, chips, 3), of mean square 1
 
 
-def find_board(
-    presses: RecordedPresses, board: Board, *, growth: Float[np.ndarray, " n"] | None = None
-) -> list[Finding]:
-    """Ask how the board lies under the skin, and whether its chips are in order.
+def find_board(presses: RecordedPresses, board: Board, *, growth: Float[np.ndarray, " n"] | None = None) -> Finding:
+    """Ask how the board lies under the skin.
 
     Args:
         presses: Of one skin, at many places.
@@ -73,7 +68,7 @@ def find_board(
         growth: How much each press moves the skin, relative to the others; by default the same.
 
     Returns:
-        Findings about the stage and the order of the chips.
+        The finding about the stage.
     """
     n, chips = len(presses.readings), len(board.chips)
     if n < MIN_FIELD_PRESSES or chips < 3 or presses.position.std(0).min() < 1e-3:
@@ -82,24 +77,15 @@ def find_board(
             else f"a board of {chips} chips has too few" if chips < 3
             else "all presses are at one place"
         )  # fmt: skip
-        return [Finding(name, f"{name.capitalize()}: not identifiable, as {why}.", False) for name in (STAGE, SWAPPED)]
+        return Finding(STAGE, f"{STAGE.capitalize()}: not identifiable, as {why}.", False)
     sample = _sample(presses, growth, chips)
-    shape = _fit_shape(sample, board)
-    factor, values = _factor(sample, board, shape), sample.readings.size
-    recorded = _log_evidence(factor, sample.readings)
-    stages = {
-        name: (_log_evidence(_factor(sample, board, shape, matrix), sample.readings) - recorded) / values
+    shape, values = _fit_shape(sample, board), sample.readings.size
+    evidence = {
+        name: _log_evidence(_factor(sample, board, shape, matrix), sample.readings) / values
         for name, matrix in STAGES.items()
     }
-    orders = {pair: _swapped(chips, pair) for pair in combinations(range(chips), 2)}
-    swaps = {
-        pair: (_log_evidence(factor, sample.readings[:, order]) - recorded) / values for pair, order in orders.items()
-    }
-    likelier_turned = max(stages.values()) >= max(swaps.values())
-    return [
-        _stage_finding(stages, recorded / values, likeliest=likelier_turned),
-        _swap_finding(swaps, orders, likeliest=not likelier_turned),
-    ]
+    recorded = evidence[AS_RECORDED]
+    return _stage_finding({name: found - recorded for name, found in evidence.items()}, recorded)
 
 
 def turn_board(board: Board, matrix: Float[np.ndarray, "2 2"]) -> Board:
@@ -129,12 +115,6 @@ def _sample(presses: RecordedPresses, growth: np.ndarray | None, chips: int) -> 
         position=presses.position[rows].astype(np.float64), growth=grown[rows] / np.mean(grown[rows]),
         readings=readings.reshape(len(rows), chips, 3),
     )  # fmt: skip
-
-
-def _swapped(chips: int, pair: tuple[int, int]) -> np.ndarray:
-    order = np.arange(chips)
-    order[list(pair)] = order[list(pair[::-1])]
-    return order
 
 
 def _fit_shape(sample: _Sample, board: Board) -> FieldShape:
@@ -214,12 +194,12 @@ def _dipole_tensors(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 3 * outer / r**5 - eye / r**3, gradient
 
 
-def _stage_finding(gains: dict[str, float], evidence_per_value: float, *, likeliest: bool) -> Finding:
+def _stage_finding(gains: dict[str, float], evidence_per_value: float) -> Finding:
     best, second = sorted(gains, key=lambda name: -gains[name])[:2]
     lead = gains[best] - gains[second]
     evidence = {"evidence_per_value": evidence_per_value, "lead": lead}
     evidence |= {f"gain_{name}": gain for name, gain in gains.items() if name != AS_RECORDED}
-    if likeliest and gains[best] > STAGE_GAIN:
+    if gains[best] > STAGE_GAIN:
         said = (
             f"The readings of the chips go together better with the stage {best}: log evidence of each value "
             f"{gains[best]:+.2f}; the board is turned so."
@@ -234,22 +214,3 @@ def _stage_finding(gains: dict[str, float], evidence_per_value: float, *, likeli
         f"about as well ({lead:+.3f} of log evidence for each value)."
     )
     return Finding(STAGE, said, identifiable=False, evidence=evidence)
-
-
-def _swap_finding(
-    gains: dict[tuple[int, int], float], orders: dict[tuple[int, int], np.ndarray], *, likeliest: bool
-) -> Finding:
-    swap = max(gains, key=lambda pair: gains[pair])
-    gain, evidence = gains[swap], {"best_gain": gains[swap]}
-    if likeliest and gain > SWAP_GAIN:
-        said = f"Chips {swap[0]} and {swap[1]} are swapped: exchanged, log evidence of each value grows by {gain:.2f}."
-        correction = {"chip_order": orders[swap].tolist()}
-        return Finding(SWAPPED, said, identifiable=True, wrong=True, evidence=evidence, correction=correction)
-    if gain <= -IDENTIFICATION_GAIN:
-        said = f"The chips are in order: any swap loses {-gain:.2f} of log evidence for each value."
-        return Finding(SWAPPED, said, identifiable=True, evidence=evidence)
-    said = (
-        f"Whether chips {swap[0]} and {swap[1]} are swapped is not identifiable ({gain:+.3f} of log evidence for each "
-        "value)."
-    )
-    return Finding(SWAPPED, said, identifiable=False, evidence=evidence)

@@ -27,8 +27,8 @@ def estimate_unknowns(
         stated_zero: Height of first contact (m) that the recording states, where it does.
 
     Returns:
-        A finding for each unknown: units, sign of the force, direction of the height, lag, height zero, the board's
-        turn and the order of its chips.
+        A finding for each unknown: units, sign of the force, direction of the height, lag, height zero and the
+        board's turn.
     """
     missing = np.isnan(presses.readings).mean(0) > MISSING_SHARE
     if missing.any():
@@ -40,7 +40,7 @@ def estimate_unknowns(
     presses = corrected_presses(presses, findings)
     zero = find_height_zero(presses, stated_zero)
     findings.append(zero)
-    return findings if board is None else findings + find_board(presses, board, growth=growth_of(presses, zero))
+    return findings if board is None else [*findings, find_board(presses, board, growth=growth_of(presses, zero))]
 
 
 def estimate_labels(presses: RecordedPresses) -> list[Finding]:
@@ -84,7 +84,7 @@ def growth_of(presses: RecordedPresses, zero: Finding) -> np.ndarray | None:
 def _units(presses: RecordedPresses) -> Finding:
     height = presses.height
     depth = None if height is None or not np.isfinite(height).any() else np.abs(height - np.nanmax(height))
-    return find_units(presses.position, presses.readings, depth=depth, force=presses.force)[0]
+    return find_units(presses.position, presses.readings, depth=depth, force=presses.force)
 
 
 # What labels and readings tell together, in this order: each sees what those before have put right.

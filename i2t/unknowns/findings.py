@@ -88,7 +88,7 @@ def find(findings: Iterable[Finding], name: str) -> Finding | None:
 
 
 def corrected_presses(presses: RecordedPresses, findings: Iterable[Finding]) -> RecordedPresses:
-    """A recording with what was found put right: units, signs, lag, order and axes of the chips.
+    """A recording with what was found put right: units, signs and lag.
 
     Height zero stays where it is: it is a number, not a mistake of a column.
 
@@ -104,7 +104,7 @@ def corrected_presses(presses: RecordedPresses, findings: Iterable[Finding]) -> 
         factors = {name: todo.get(f"{name}_factor", 1.0) * todo.get(f"{name}_sign", 1.0) for name in _FACTORS}
         presses = presses._replace(
             position=presses.position * factors["length"],
-            readings=corrected_readings(presses.readings, todo),
+            readings=presses.readings * todo.get("field_factor", 1.0),
             height=None if presses.height is None else presses.height * factors["depth"] * factors["height"],
             force=None if presses.force is None else presses.force * factors["force"],
         )
@@ -114,23 +114,6 @@ def corrected_presses(presses: RecordedPresses, findings: Iterable[Finding]) -> 
 
 
 _FACTORS = ("length", "depth", "height", "force")
-
-
-def corrected_readings(readings: Float[np.ndarray, "n c"], correction: Mapping[str, Any]) -> Float[np.ndarray, "n c"]:
-    """Readings in microtesla, their chips in order and their axes turned.
-
-    Args:
-        readings: As recorded.
-        correction: Of a finding.
-
-    Returns:
-        The same rows.
-    """
-    readings = readings * correction.get("field_factor", 1.0)
-    if "chip_order" in correction:
-        chips = readings.reshape(len(readings), -1, AXES)
-        readings = chips[:, list(correction["chip_order"])].reshape(readings.shape)
-    return readings * np.asarray(correction.get("channel_signs", 1.0), np.float64)
 
 
 def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:

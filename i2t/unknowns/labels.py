@@ -3,8 +3,6 @@
 NumPy only. Each function judges recorded presses by one property that any sound skin has; none needs a model of one.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import rankdata
@@ -32,15 +30,6 @@ TESLA_BELOW = 2e-3  # in the unit recorded: readings between the two are millite
 MAX_NORM_UT = 2e5  # chips end at 1.3e5 uT on each axis
 MAX_FORCE_N = 150.0  # beyond are grams
 NEWTONS_PER_GRAM = 9.80665e-3
-
-
-class Scales(NamedTuple):
-    """Factors that turn what was recorded into metres, microtesla and newtons."""
-
-    length: float = 1.0
-    depth: float = 1.0
-    field: float = 1.0
-    force: float = 1.0
 
 
 def find_lag(presses: RecordedPresses, max_lag: int = 4) -> Finding:
@@ -170,7 +159,7 @@ def find_units(
     *,
     depth: Float[np.ndarray, " n"] | None = None,
     force: Float[np.ndarray, " n"] | None = None,
-) -> tuple[Finding, Scales]:
+) -> Finding:
     """Ask whether lengths are metres, fields microtesla and forces newtons, by their sizes.
 
     Args:
@@ -180,7 +169,7 @@ def find_units(
         force: As recorded, where it was.
 
     Returns:
-        The finding, and the factors to metres, microtesla and newtons.
+        The finding; its correction has the factors to metres, microtesla and newtons.
     """
     norm = np.linalg.norm(readings[np.isfinite(readings).all(1)], axis=1)
     strong = float(np.quantile(norm, 0.9)) if len(norm) else np.nan
@@ -217,7 +206,7 @@ def find_units(
         UNITS, sentence, identifiable=bool(np.isfinite(strong)), wrong=bool(wrong),
         evidence={"extent": extent, "strong_norm": strong, "largest_depth": deep, "largest_force": hard},
         correction={f"{name}_factor": factor for name, factor, _ in wrong},
-    ), Scales(**{name: factor for name, factor, _ in wrong})  # fmt: skip
+    )  # fmt: skip
 
 
 def _depends(position: np.ndarray, readings: np.ndarray) -> bool:

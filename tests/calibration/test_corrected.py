@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.damage import VARIANTS, press
 
-from i2t.calibration.heads import SkinRecording, corrected_recording
+from i2t.calibration.recordings import SkinRecording, corrected_recording
 from i2t.unknowns import Finding, RecordedPresses, estimate_labels
 
 
@@ -50,15 +50,9 @@ def test_labels_of_another_row_come_back_to_their_readings(mistake):
     np.testing.assert_array_equal(np.diff(found.time), 1)
 
 
-def test_chips_in_disorder_are_put_in_order_and_a_sound_recording_stays_as_it_is():
-    signs = np.ones(15)
-    signs[4] = -1
-    order = [0, 3, 2, 1, 4]
-    swapped = EXPECTED.readings.reshape(-1, 5, 3)[:, order].reshape(-1, 15)
-    finding = Finding("chips", "", True, wrong=True, correction={"chip_order": order, "channel_signs": signs})
-    baseline = np.arange(15.0) * np.ones((90, 1))
-    found = corrected_recording(replace(EXPECTED, readings=swapped, baseline=baseline), [finding])
-    np.testing.assert_allclose(found.readings, EXPECTED.readings * signs)
-    assert found.baseline[0, 3] == 9
+def test_a_sound_recording_stays_as_it_is_and_what_was_subtracted_has_the_unit_of_the_readings():
     recording, same = put_right("sound")
     assert same is recording
+    finding = Finding("units", "", True, wrong=True, correction={"field_factor": 1e3})
+    found = corrected_recording(replace(EXPECTED, baseline=np.ones((90, 15))), [finding])
+    np.testing.assert_array_equal(found.baseline, 1e3)

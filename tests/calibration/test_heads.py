@@ -12,17 +12,9 @@ from sklearn.gaussian_process.kernels import RBF, DotProduct, WhiteKernel
 from sklearn.neighbors import KNeighborsRegressor
 
 from i2t.calibration import regression as methods
-from i2t.calibration.heads import (
-    BASELINE_HEADS,
-    HeadBudget,
-    SkinRecording,
-    _factor_of_groups,
-    fit_head,
-    hold_out_groups,
-    load_head,
-    read_recordings,
-)
-from i2t.calibration.recordings import is_stream
+from i2t.calibration.heads import fit_head, hold_out_groups, load_head
+from i2t.calibration.recordings import SkinRecording, is_stream, read_recordings
+from i2t.calibration.regression import BASELINE_HEADS, HeadBudget
 from i2t.errors import DataError, SerializationError
 
 SMALL = HeadBudget(selection_rows=150, known_rows=250)
@@ -111,17 +103,6 @@ def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(
     (tmp_path / "head.npz").write_bytes(b"x")
     with pytest.raises(SerializationError, match="damaged"):
         load_head(tmp_path / "head.npz")
-
-
-def test_a_range_holds_nine_in_ten_of_the_strokes_and_not_of_the_rows_alone():
-    rng = np.random.default_rng(3)
-    stroke = np.repeat(np.arange(10), 50)
-    ratio = rng.uniform(0, 1, (500, 1))
-    ratio[stroke == 4] *= 3  # one stroke in ten errs three times as far
-    assert np.quantile(ratio, 0.9) < 1.3
-    np.testing.assert_allclose(_factor_of_groups(ratio, stroke), 2.7, atol=0.3)
-    # Of rows that share nothing it is the quantile with one more row to come.
-    np.testing.assert_allclose(_factor_of_groups(ratio, np.arange(500)), np.quantile(ratio, 0.9 * 501 / 500))
 
 
 def test_ranges_hold_on_strokes_that_err_alike():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from i2t.calibration import Presses, physics
-from i2t.calibration.physics import RoundTip, parse_tip
+from i2t.calibration import physics
+from i2t.calibration.physics import Presses, RoundTip, parse_tip
 from i2t.skin import boards
 from i2t.skin.elasticity import Grid
 from i2t.skin.pad import POISSON_RATIO, press, sample_pad

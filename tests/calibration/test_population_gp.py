@@ -18,6 +18,7 @@ from i2t.calibration.population_gp import (
     predict_population,
 )
 from i2t.calibration.prior import KernelPrior, load_prior
+from i2t.calibration.structured_gp import DEPTH_HYPERPARAMETERS, fit_structured
 
 CHIPS = np.array([[0, 0], [6, 0], [-6, 0], [0, 6], [0, -6]]) * 1e-3
 CHANNELS = 15
@@ -115,18 +116,14 @@ def test_a_press_left_out_is_what_leaving_it_out_gives(chips):
                 np.testing.assert_allclose(spread[s, i, c] / found.scale[s, c] ** 2, relative, rtol=1e-6)
 
 
-def test_a_mixture_of_one_predicts_as_dense_algebra_does(monkeypatch):
-    monkeypatch.setattr(prior, "PLAIN_SHARE", 1e-300)
-    monkeypatch.setattr(mixture, "BOARD_SHARE", 1 - 1e-15)
-    monkeypatch.setattr(mixture, "_with_heavy_tails", lambda gp: gp)
-    monkeypatch.setattr(mixture, "_with_heights", lambda gp: gp)
-    one = KernelPrior(kernel.take(KINDS, slice(0, 1)), np.zeros((2, 1)))
+def test_a_mixture_of_one_predicts_as_dense_algebra_does():
     rng = np.random.default_rng(6)
     (x, d), (z, e) = drawn(7, 12), drawn(8, 5)
     readings = rng.normal(scale=20, size=(12, CHANNELS))
-    gp = fit_population(table(x, d), readings, load_kinds=("depth",), chip_positions=CHIPS[None], prior=one)
-    mean, std = predict_population(gp, table(z, e))
     unit = np.sqrt(np.mean(d**2))
+    one = kernel.take(KINDS, slice(0, 1))
+    gp = mixture.fit_one(one, table(x, d), readings, typical_load=unit, chip_positions=CHIPS)
+    mean, std = predict_population(gp, table(z, e))
     d, e = d / unit, e / unit
     for c in (0, 7):
         chip = CHIPS[c // 3]
@@ -138,6 +135,30 @@ def test_a_mixture_of_one_predicts_as_dense_algebra_does(monkeypatch):
         variance -= np.sum(k * solved[:, 1:].T, axis=1)
         scale = np.sqrt(variance[0]) / std[0, c]
         np.testing.assert_allclose(std[:, c] * scale, np.sqrt(variance), rtol=1e-6)
+
+
+@pytest.mark.parametrize("rough", [0.4, 0.0])
+def test_heights_of_a_given_kernel_help_where_there_are_any_and_do_no_harm_where_there_are_none(rough):
+    rng = np.random.default_rng(3)
+    waves, phase = rng.normal(size=(60, 2)) / 3e-3, rng.uniform(0, 2 * np.pi, 60)
+    read, (x, d), (z, e) = skin(4), drawn(40, 200), drawn(41, 200)
+
+    def touched(position: np.ndarray, load: np.ndarray) -> np.ndarray:
+        height = 0.5 * rough * np.sqrt(2 / 60) * np.cos(position @ waves.T + phase).sum(1)
+        return read(position, np.maximum(load + height, 0))
+
+    given = DEPTH_HYPERPARAMETERS._replace(
+        unit_load=1.0, load_offset=0.1, load_power=1.5, map_length=5e-3, height_std=0.2, height_length=3e-3
+    )
+    readings, truth = touched(x, d) + rng.normal(size=(200, CHANNELS)), touched(z, e)
+    without, with_ = (
+        explained(fit_structured(h, table(x, d), readings), table(z, e), truth)
+        for h in (given._replace(height_std=0.0), given)
+    )
+    if rough:
+        assert 1 - with_ < 0.9 * (1 - without)
+    else:
+        assert with_ > without - 5e-3 > 0.9
 
 
 def test_weights_go_to_the_kernel_that_the_presses_are_of():

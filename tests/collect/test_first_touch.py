@@ -54,22 +54,18 @@ def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(off):
         first_touch(procedure, Block(HEIGHT + off))
 
 
-@pytest.mark.parametrize(
-    ("off", "sentence"), [(0.010, "met nothing up to 4 mm past"), (-0.018, "something was met 16 mm before")]
-)
-def test_an_object_that_is_met_elsewhere_is_said_and_the_tool_retreats(monkeypatch, off, sentence):
-    procedure, sampler = make(settings=QUICK), Block()
+@pytest.mark.parametrize(("off", "gain", "sentence"), [
+    (0.010, GAIN, "met nothing up to 4 mm past"),
+    (-0.018, GAIN, "something was met 16 mm before"),
+    (0.0, 0 * GAIN, r"a press of \d\.\d N changed its reading by 0\.0 uT"),
+])  # fmt: skip
+def test_what_is_met_elsewhere_or_not_felt_is_said_and_the_tool_retreats(monkeypatch, off, gain, sentence):
+    procedure, sampler = make(gain=gain, settings=QUICK), Block()
     monkeypatch.setattr(module, "_look", lambda *_: 0.0)
     sampler.height = HEIGHT + off
     with pytest.raises(RigContradictedError, match=sentence):
         first_touch(procedure, sampler, lambda line: None)
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029
-
-
-def test_a_skin_that_feels_nothing_is_said():
-    procedure = make(gain=np.zeros(len(GAIN)), settings=QUICK)
-    with pytest.raises(RigContradictedError, match=r"a press of \d\.\d N changed its reading by 0\.0 uT"):
-        first_touch(procedure, Block(), lambda line: None)
 
 
 def test_a_wrong_payload_is_felt_and_sites_out_of_reach_are_known_before_anything_moves():

@@ -18,7 +18,7 @@ from i2t.collect.recorder import Recorder
 from i2t.collect.settings import AmbientSettings
 from i2t.collect.touch import UnreachableError
 from i2t.dataset import load_dataset
-from i2t.skin.ambient import FreePoses, ambient_changed, fit_ambient, load_ambient, predict_ambient
+from i2t.skin.ambient import load_ambient, predict_ambient
 
 SETTINGS = AmbientSettings(poses=8, seconds=0.1)
 
@@ -84,30 +84,15 @@ def test_on_the_way_the_tool_is_never_lower_nor_tilted_further():
     assert tilt_of(arm.state().T_b_t) < 1e-6
 
 
-def gathered(procedure, count):
-    """What its skin reads in some free poses."""
-    settings = replace(SETTINGS, poses=count)
-    poses = plan_free_poses(procedure.path, procedure.arm.state().T_b_t, settings)
-    return gather_free_poses(procedure, poses, settings)[""]
-
-
-@pytest.mark.full
-def test_the_simulated_skin_feels_the_room_as_the_tool_turns():
-    procedure = make()  # without noise
-    free = gathered(procedure, 12)
-    field = fit_ambient(free, procedure.board)
-    np.testing.assert_allclose(field.earth, ROOM.earth, atol=1.0)  # iron on the tool is in the response
-    assert np.ptp(free.reading, axis=0).max() > 20
-
-
 @pytest.mark.full
 def test_a_session_fits_keeps_and_compares_its_field_and_notices_a_room_that_changed(tmp_path, capsys):
     procedure = make(errors=NOISY)
     assert fitted_ambient(procedure, AmbientSettings(), tmp_path) == {}
     fields = fitted_ambient(procedure, replace(SETTINGS, poses=12), tmp_path)
     first = fields[""]
+    np.testing.assert_allclose(first.earth, ROOM.earth, atol=3.0)  # iron on the tool is in the response
     assert "once subtracted" in capsys.readouterr().out
-    kept, about = load_ambient(tmp_path / AMBIENT_FILE, procedure.board)
+    kept, about = load_ambient(tmp_path / AMBIENT_FILE, procedure.skins[0].board)
     np.testing.assert_array_equal(kept.earth, first.earth)
     assert about["source"] == "simulated"
     with Recorder(tmp_path, names(procedure)) as file:
@@ -115,21 +100,14 @@ def test_a_session_fits_keeps_and_compares_its_field_and_notices_a_room_that_cha
         file.save(touched)
     assert contradiction(fields, procedure, touched) == ""
     T_b_t = procedure.rig.T_base_world @ touched.T_w_t
-    expected = predict_ambient(first, procedure.board, T_b_t)[0]
+    expected = predict_ambient(first, procedure.skins[0].board, T_b_t)[0]
     assert np.sqrt(np.mean((touched.skins[""].ambient - expected) ** 2)) < 8
-    away = procedure.board.to_board(np.repeat((T_b_t[:3, :3].T @ [0.0, 40.0, 0.0])[None], 5, axis=0))
+    away = procedure.skins[0].board.to_board(np.repeat((T_b_t[:3, :3].T @ [0.0, 40.0, 0.0])[None], 5, axis=0))
     elsewhere = touched.skins[""]._replace(ambient=touched.skins[""].ambient + np.asarray(away))
     assert "ambient field" in contradiction(fields, procedure, touched._replace(skins={"": elsewhere}))
     assert len(load_dataset(tmp_path)) == 1  # the field is no touch
     again = fitted_ambient(procedure, AmbientSettings(), tmp_path)
     np.testing.assert_array_equal(again[""].earth, first.earth)
-    few = gathered(procedure, 4)
-    turned = few.T_b_t[:, :3, :3].swapaxes(-1, -2) @ [0.0, 25.0, 0.0]
-    more = procedure.board.to_board(np.repeat(turned[:, None], 5, axis=1))
-    assert not ambient_changed(first, procedure.board, few).changed
-    change = ambient_changed(first, procedure.board, FreePoses(few.T_b_t, few.samples + np.asarray(more)[:, None]))
-    assert change.changed
-    np.testing.assert_allclose(change.field, [0.0, 25.0, 0.0], atol=6)
 
 
 def test_settings_that_make_no_sense_or_pass_the_limits_are_refused(tmp_path):

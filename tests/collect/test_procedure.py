@@ -130,13 +130,13 @@ def test_the_camera_can_refuse_a_site():
             procedure.touch(site(0), memory)
 
 
-def test_places_outside_the_box_are_remembered_and_cost_no_motion():
+def test_places_outside_the_box_cost_no_motion_and_are_no_failures_of_a_device():
     procedure, outcomes, _ = pressed(site(7, x=0.3), site(8), site(7, x=0.3), settings=TouchSettings(failures=1))
     assert [outcome.code for outcome in outcomes] == [ReturnCode.FAILED, ReturnCode.SKIN, ReturnCode.FAILED]
-    assert list(procedure.unreachable) == [7]
-    assert "outside the box" in procedure.unreachable[7]
-    with pytest.raises(UnreachableError):
-        procedure.path.check(site(7))
+    assert [outcome.reachable for outcome in outcomes] == [False, True, False]
+    assert "outside the box" in outcomes[0].reason
+    with pytest.raises(UnreachableError, match="outside the box"):
+        procedure.path.check(site(7, x=0.3))
 
 
 def test_every_pose_on_the_way_stays_in_the_box_and_above_the_object_and_choosers_are_told_all_but_images():
@@ -163,15 +163,16 @@ def test_every_pose_on_the_way_stays_in_the_box_and_above_the_object_and_chooser
 
 def test_a_skin_that_falls_silent_stops_the_press_and_is_connected_again():
     procedure, memory = make(), Memory()
-    recording, calls = procedure.skin.since, []
+    skin, calls = procedure.skins[0].skin, []
+    since = skin.since
 
     def failing(number):
         calls.append(number)
         if len(calls) == 300:
             raise DeviceTimeoutError("the skin has been silent")
-        return recording(number)
+        return since(number)
 
-    procedure.skin.since = failing
+    skin.since = failing
     (outcome,) = procedure.run(listed(site(0)), memory)
     assert outcome.code == ReturnCode.SKIN
     assert memory.abandoned == ["the skin has been silent"]

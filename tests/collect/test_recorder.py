@@ -10,23 +10,13 @@ import numpy as np
 import pytest
 from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
 
+from experiments.faults.closed_form import SettableClock
 from i2t import dataset
 from i2t.collect import notes, recorder
 from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, written_at
 from i2t.errors import DataError, DeviceError
 from i2t.files import unwritable
 from i2t.types import ReturnCode
-
-
-class Jumping:
-    """A clock whose Unix time somebody sets."""
-
-    def __init__(self, clock):
-        self.clock, self.jump = clock, 0.0
-        self.now, self.sleep = clock.now, clock.sleep
-
-    def wall(self):
-        return self.clock.wall() + self.jump
 
 
 def sites(*numbers):
@@ -36,7 +26,7 @@ def sites(*numbers):
 @pytest.fixture
 def lab(tmp_path):
     """A procedure and a recorder of a folder."""
-    procedure = make()
+    procedure = make(clock=SettableClock(WALL))
     with Recorder(tmp_path / "set", names(procedure), procedure.clock) as recording:
         yield procedure, recording
 
@@ -193,32 +183,30 @@ def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypat
     assert len(dataset.load_dataset(recording.folder)) == 1
 
 
-def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch(tmp_path):
-    procedure = make()
-    clock = procedure.clock = Jumping(procedure.clock)
+def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch(lab):
+    procedure, recording = lab
     capture = procedure.camera.capture
 
     def jumped():
-        clock.jump = -3600.0
+        procedure.clock.jump = -3600.0
         return capture()
 
-    with Recorder(tmp_path, names(procedure), clock) as recording:
-        list(procedure.run(sites(0), recording))
-        procedure.camera.capture = jumped
-        with pytest.raises(StorageError, match=r"jumped by -3600\.0 s; the touch is saved"):
-            list(procedure.run(sites(1), recording))
-        with pytest.raises(StorageError, match="behind the newest touch"):
-            list(procedure.run(sites(2), recording))
-    first, second = touches_in(tmp_path)
+    list(procedure.run(sites(0), recording))
+    procedure.camera.capture = jumped
+    with pytest.raises(StorageError, match=r"jumped by -3600\.0 s; the touch is saved"):
+        list(procedure.run(sites(1), recording))
+    with pytest.raises(StorageError, match="behind the newest touch"):
+        list(procedure.run(sites(2), recording))
+    first, second = touches_in(recording.folder)
     assert 5 < written_at(second) - written_at(first) < 30
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
 
 
 def test_notes_survive_and_damage_is_named(tmp_path):
     assert notes.read_notes(tmp_path) is None
-    notes.write_notes(tmp_path, {"run": "a", "unreachable": {"3": "far"}})
-    assert notes.read_notes(tmp_path) == {"run": "a", "unreachable": {"3": "far"}}
-    for damaged in ("{", "3"):
+    notes.write_notes(tmp_path, {"session": "a", "seed": 3})
+    assert notes.read_notes(tmp_path) == {"session": "a", "seed": 3}
+    for damaged in ("{", "3", "{}"):
         (tmp_path / notes.NOTES).write_text(damaged)
         with pytest.raises(DataError, match="cannot be read"):
             notes.read_notes(tmp_path)
@@ -228,7 +216,7 @@ def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the
     """The clock of a later touch is read between its check and its date: set back by 0.3 s, it would sort first."""
     procedure, recording = lab
     (outcome,) = procedure.run(sites(0), recording)
-    clock = recording._clock = Jumping(procedure.clock)
+    clock = procedure.clock
     state = procedure.arm.state()
     for number in range(1, 4):
         log = recording.begin(site(number), 0)

@@ -13,12 +13,12 @@ import pytest
 
 from i2t import dataset
 from i2t.collect import command, notes, recorder, session
-from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs, WorldArgs
-from i2t.collect.checks import check_collect_args
-from i2t.collect.devices import make_devices
+from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs
+from i2t.collect.devices import Devices, make_devices
 from i2t.collect.touch import SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
+from i2t.emulators.world import WorldArgs
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
@@ -118,22 +118,19 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
     ):
         with pytest.raises(DataError, match=said):
             notes.resume(now, "hexagon", lab_now, mesh)
-    for damaged in ({"unreachable": {}}, {"session": "a", "unreachable": {"three": "far"}}, {"run": "a"}):
-        notes.write_notes(tmp_path, damaged)
-        with pytest.raises(DataError, match="is damaged"):
-            notes.resume(args, "hexagon", Rig(), BOX)
-    notes.write_notes(tmp_path, begun)
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
     _, begun = notes.resume(patient, "hexagon", Rig(), BOX)
     for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):
         for serial in ("", "A1", "", "A1"):  # a number that is known only later counts from then on
-            notes.keep_devices(begun, kind, {name: SimpleNamespace(serial_number=serial)}, tmp_path)
-        with pytest.raises(DataError, match=f"begun with the {kind} A1, and this one is B2"):
-            notes.keep_devices(begun, kind, {name: SimpleNamespace(serial_number="B2")}, tmp_path)
+            device = SimpleNamespace(serial_number=serial)
+            notes.keep_same(begun, notes.device_notes(kind, device, name), tmp_path)
+        other = notes.device_notes(kind, SimpleNamespace(serial_number="B2"), name)
+        with pytest.raises(DataError, match=rf"begun with another {kind}_serial.*: A1, now B2\); use that again"):
+            notes.keep_same(begun, other, tmp_path)
     for board in (grid_board(2, 2), grid_board(2, 2)):
-        notes.keep_boards(begun, [SkinOnTool("", None, board)], tmp_path)
-    with pytest.raises(DataError, match="begun with a board whose chips lie or turn otherwise; pass that board"):
-        notes.keep_boards(begun, [SkinOnTool("", None, grid_board(2, 3))], tmp_path)
+        notes.keep_same(begun, notes.board_notes(SkinOnTool("", None, board)), tmp_path)
+    with pytest.raises(DataError, match="begun with another layout of chips"):
+        notes.keep_same(begun, notes.board_notes(SkinOnTool("", None, grid_board(2, 3))), tmp_path)
     assert notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
 
 
@@ -165,7 +162,7 @@ def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
     ("wrong", "said"),
     [
         ("--arm emulated", "a simulated skin feels only"),
-        ("--settings.press 0.25", "press is 0.25; give 0.0001 to 0.05 m/s"),
+        ("--settings.press 0.25", "settings.press is 0.25; give 0.0001 to 0.05"),
         ("--state-timeout 60", "state timeout 60 s is outside"),
         ("--pose 30 0 0 0 0 0", "--pose is 30 0 0"),
         ("--pose 0 0 0.2 0 0 0", "above the table"),
@@ -183,10 +180,10 @@ def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong
 
 def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_path, four_chips):
     arm, skin = ArmArgs("ur", "10.0.0.2", watchdog_rate=5.0), SkinArgs("reskin", "/dev/skin", board="grid-4x4")
-    args = CollectArgs(arm=arm, skin=skin, camera=CameraArgs("folder", tmp_path))
+    args = CollectArgs(arm=arm, skin=skin, camera=CameraArgs("realsense"))
 
     def made(args):
-        check_collect_args(args)
+        args.check()
         with ExitStack() as stack:
             return make_devices(args, Rig(), stack)
 
@@ -205,6 +202,19 @@ def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_
     said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
     with pytest.raises(ValueError, match=said):
         made(of_four_chips)
+
+
+@pytest.mark.parametrize(
+    ("sources", "said"),
+    [
+        (("real", "real", "real"), "real"),
+        (("real", "emulated", "real"), "mixed"),
+        (("emulated", "emulated", "simulated"), "simulated"),
+    ],
+)
+def test_touches_are_real_only_where_every_device_is(sources, said):
+    arm, skin, camera = (SimpleNamespace(features=SimpleNamespace(source=source)) for source in sources)
+    assert Devices(arm, (SimpleNamespace(skin=skin),), camera, None).source == said
 
 
 @pytest.mark.full

@@ -10,13 +10,13 @@ from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 from i2t import dataset
 from i2t.collect import command, recorder
 from i2t.collect.free_poses import fitted_ambient
-from i2t.collect.recorder import Recorder, SkinInfo, read_raw, touches_in
+from i2t.collect.recorder import Recorder, read_raw, touches_in
 from i2t.collect.settings import AmbientSettings
 from i2t.collect.touch import SkinOnTool
 from i2t.convert import commands
 from i2t.dataset import SkinChoiceError
 from i2t.depth.camera import Camera
-from i2t.emulators.in_process import CarriedSkinLab, SimulatedSkin
+from i2t.emulators.in_process import SimulatedSkin, SkinInLab
 from i2t.emulators.room import RoomField
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceTimeoutError
@@ -44,16 +44,21 @@ def two(out_by: float):
     """A procedure over a springy plane with a second skin of four chips on the tool."""
     procedure = make()
     plane = SpringPlane(HEIGHT, STIFFNESS, SQUARE_GAIN, QUIET, SQUARE, room=ROOM)
-    skin = SimulatedSkin(CarriedSkinLab(procedure.arm.lab, plane, beside(out_by)))
+    lab = procedure.arm.lab
+    skin = SimulatedSkin(lab, lab.carry(SkinInLab(plane, beside(out_by), seed=1)))
     skin.connect()
-    procedure.carried = (SkinOnTool("right", skin, SQUARE, beside(out_by), pad="right pad"),)
+    procedure.skins.append(SkinOnTool("right", skin, SQUARE, beside(out_by), pad="right pad"))
     procedure.rig = replace(procedure.rig, skin="left")
     return procedure
 
 
 def info_of(procedure):
-    about = {each.name: SkinInfo(each.pad, each.board, {"skin": "right's"}) for each in procedure.carried}
-    return replace(names(procedure), skin=procedure.rig.skin, carried=about)
+    info = names(procedure)
+    about = {
+        name: replace(each, meta={"skin": f"{name or 'left'}'s", dataset.SKIN_NAME: name or procedure.rig.skin})
+        for name, each in info.skins.items()
+    }
+    return replace(info, skins=about)
 
 
 def touched(folder, procedure, count=1):
@@ -98,7 +103,8 @@ def test_two_skins_that_feel_a_press_share_its_force_which_is_then_unknown_for_e
 
 def test_a_second_skin_that_falls_silent_ends_the_press_and_what_it_sent_is_kept(tmp_path):
     procedure = two(-5e-3)
-    skin, since = procedure.carried[0].skin, procedure.carried[0].skin.since
+    skin = procedure.skins[1].skin
+    since = skin.since
     heard = []
 
     def fading(number):
@@ -152,7 +158,8 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
 @pytest.mark.full
 def test_each_skin_has_an_ambient_field_of_its_own_in_the_same_poses(tmp_path):
     procedure = two(0.0)
-    procedure.arm.lab.scene.room = procedure.carried[0].skin.lab.scene.room = RoomField()
+    for skin in procedure.arm.lab.skins:
+        skin.scene.room = RoomField()
     fields = fitted_ambient(procedure, AmbientSettings(poses=6, seconds=0.1), tmp_path)
     field, right = fields[""], fields["right"]
     np.testing.assert_allclose(right.earth, field.earth, atol=0.5)  # of one room, in the base

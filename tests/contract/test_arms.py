@@ -42,5 +42,5 @@ class TestEmulatedArm(OurArms):
         """A new controller for each test."""
         pytest.importorskip("rtde_control", reason="ur_rtde is not installed (wheels are for Python 3.10 to 3.12)")
         host = ur_controller.loopback(219)
-        with ur_controller.process(host, "--plane", str(FLOOR), "--stiffness", str(STIFFNESS)):
+        with ur_controller.process(host, "--plane", str(FLOOR), str(STIFFNESS)):
             yield lambda: UrArm(host, LIMITS, state_timeout=3.0, watchdog_rate=0.3)

@@ -9,8 +9,6 @@ import pytest
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedCamera
 from i2t.emulators.scene import ObjectScene
-from i2t.hardware import camera_folder
-from i2t.hardware.camera_folder import RecordedDepthCamera
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.contract import TEST_PATIENCE_S, CameraContract
 from i2t.hardware.protocols import DepthCamera, View
@@ -39,19 +37,11 @@ class TestRecordingOfTheSdk(OurCameras):
         pytest.importorskip(
             "pyrealsense2", reason="pyrealsense2, or its libusb-1.0-0, is not installed", exc_type=ImportError
         )
-        from i2t.emulators import realsense_file
+        from helpers import realsense_file
 
         path = tmp_path / "views.db3"
         realsense_file.write(path, CAMERA, VIEWS)
         return lambda: RealSense(file=path, size=(64, 48))
-
-
-class TestFolderOfViews(OurCameras):
-    @pytest.fixture
-    def make(self, tmp_path) -> Callable[[], DepthCamera]:
-        path = tmp_path / "views"
-        list(camera_folder.save_views(path, CAMERA, VIEWS))
-        return lambda: RecordedDepthCamera(path)
 
 
 @pytest.fixture(scope="module")

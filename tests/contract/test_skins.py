@@ -1,4 +1,4 @@
-"""Skins of i2t meet the contract: the real driver with an emulated board, a recording, and the simulated one."""
+"""Skins of i2t meet the contract: the real driver with an emulated board, and the simulated one."""
 
 from collections.abc import Callable, Iterator
 
@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from i2t.emulators.in_process import SimulatedLab, SimulatedSkin
-from i2t.emulators.reskin_board import Readings, started
+from i2t.emulators.reskin_board import started
 from i2t.emulators.scene import SpringPlane
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.contract import SkinContract
 from i2t.hardware.protocols import Skin
-from i2t.hardware.reskin import recording
-from i2t.hardware.reskin.driver import Replay, ReSkin
-from i2t.hardware.reskin.layouts import encode
+from i2t.hardware.reskin.driver import ReSkin
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 
@@ -23,16 +21,6 @@ class TestEmulatedSkin(SkinContract):
     def make(self) -> Iterator[Callable[[], Skin]]:
         with started() as (port, _):
             yield lambda: ReSkin(port)
-
-
-class TestReplayedSkin(SkinContract):
-    @pytest.fixture
-    def make(self, tmp_path) -> Callable[[], Skin]:
-        board = Readings(1.0, 0.0, None, 0)
-        with recording.create(tmp_path / "skin") as file:
-            for i in range(4000):
-                recording.append(file, i / 400, encode(*board.at(0.0)))
-        return lambda: Replay(tmp_path / "skin")
 
 
 class TestSimulatedSkin(SkinContract):

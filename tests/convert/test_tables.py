@@ -6,7 +6,7 @@ from helpers.recordings import READING_NAMES, converted, refused, write_table
 from helpers.skin_presses import presses_of_a_skin
 
 from experiments.calibrate.data import read_presses
-from i2t.calibration.heads import read_recordings
+from i2t.calibration.recordings import read_recordings
 from i2t.convert.tables import read_text_table
 from i2t.dataset import load_dataset
 from i2t.errors import DataError

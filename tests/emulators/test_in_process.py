@@ -176,6 +176,6 @@ def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
     inside = lab()
     with SimulatedArm(inside, BOX) as arm:
         arm.go(pose(0.4, 0.0, 0.05))
-        assert inside.contact_model._line is None
+        assert inside.skins[0].contact_model._line is None
         arm.go(pose(0.4, 0.0, HEIGHT - 0.5e-3), 0.05)
         np.testing.assert_allclose(arm.state().wrench, [0, 0, -5, 0, 0, 0], atol=1e-6)

@@ -13,10 +13,10 @@ import pytest
 from i2t.emulators import lab, ur_controller
 from i2t.emulators.room import RoomField, room_field
 from i2t.emulators.world import DEFAULT_PAD_KEY
+from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.driver import UrArm
-from i2t.hardware.ur.poses import from_ur
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.noise import Noise
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addre
 
 
 def down(z):
-    return from_ur([0.4, 0.0, z, np.pi, 0.0, 0.0])
+    return pose_from_vector([0.4, 0.0, z, np.pi, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +39,8 @@ def touching(tmp_path_factory):
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     pose = ["0.4", "0", str(ABOVE), str(np.pi), "0", "0"]
     host, link = ur_controller.loopback(200), str(tmp_path_factory.mktemp("pair") / "skin")
-    options = ["--object", "star", "--no-pose-error", "--mount", str(STIFFNESS), "--noise", "0", "--pose", *pose]
-    with lab.started("--host", host, "--link", link, *options) as running:
+    options = ["--object", "star", "--no-pose-error", "--stiffness", str(STIFFNESS), "--noise", "0", "--pose", *pose]
+    with lab.started("--host", host, "--link", link, *options) as (_, running):
         yield host, link
         running.send_signal(signal.SIGTERM)
         assert running.wait(PATIENCE) == 0
@@ -92,13 +92,15 @@ def test_a_press_is_felt_as_the_physics_says_with_the_noise_of_its_world(touchin
         assert skin.counters.loss < 0.02  # a loaded machine loses some; none of what is compared is one sample
 
 
-@pytest.mark.full
-def test_what_cannot_be_touched_is_said(tmp_path):
+def test_what_cannot_be_touched_is_said(tmp_path, capsys):
+    Rig().write(tmp_path / "lab.toml")
     for options, why in (
-        (["--object", "nothing.stl"], r"nothing\.stl"),
-        (["--object", "star", "--rig", str(tmp_path / "nowhere.toml")], "no such file"),
-        (["--object", "star", "--pad", str(tmp_path / "nowhere.npz")], r"nowhere\.npz"),
+        (["--object", "nothing.stl"], "nothing.stl"),
+        (["--rig", str(tmp_path / "nowhere.toml")], "no such file"),
+        (["--pad", str(tmp_path / "nowhere.npz")], "nowhere.npz"),
+        (["--rig", str(tmp_path / "lab.toml"), "--carried", "right", "link"], "the rig has no skin right"),
     ):
-        with pytest.raises(SystemExit, match=why) as ended:
-            ur_controller.main(["--host", ur_controller.loopback(202), *options])
-        assert "\n" not in str(ended.value)
+        assert lab.main(["--host", ur_controller.loopback(202), "--link", str(tmp_path / "skin"), *options]) == 2
+        said = capsys.readouterr().err
+        assert why in said
+        assert said.count("\n") == 1

@@ -18,7 +18,7 @@ def test_the_debug_preset_compares_policies(tmp_path, capsys, monkeypatch):
     assert main(["--preset", "debug", "--objects", "star", "hexagon", "--out", str(tmp_path / "out")]) == 0
     report = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert report["source"] == "simulated"
-    assert set(report["accuracy"]) == {"random", "learned"}
+    assert set(report["accuracy"]) == {"random"}
     for curve in report["accuracy"].values():
         assert len(curve) == 3
         assert all(low <= mean <= high for mean, low, high in curve)

@@ -9,11 +9,13 @@ from helpers import random_touches
 from helpers.skin_presses import presses_of_a_skin
 
 from experiments.fidelity import __main__ as fidelity
-from experiments.fidelity import curves, describe, dynamics, forward, heads, mistakes, run
+from experiments.fidelity import curves, describe, dynamics, forward, heads, run
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import press_set
 from experiments.fidelity.sections import CannotTellError, Section, written
-from i2t.calibration.heads import HeadBudget, SkinRecording, from_dataset, load_head
+from i2t.calibration.heads import load_head
+from i2t.calibration.recordings import SkinRecording, from_dataset
+from i2t.calibration.regression import HeadBudget
 from i2t.unknowns import estimate_labels
 
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
@@ -237,21 +239,6 @@ def test_a_range_that_holds_too_few_rows_is_said():
     assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
 
 
-def test_a_session_that_does_not_tell_how_hard_was_pressed_is_laid_over_another():
-    """In both directions."""
-    section, big = Section("across"), presses_of_a_skin(600)
-    depth = big.targets["depth"][:, 0]
-    later = np.flatnonzero(np.arange(600) >= 300)
-    near = later[np.argsort(np.abs(depth[later] - np.quantile(depth, 0.7)))[:30]]
-    level = replace(big.rows(near), name="level", targets={"position": big.targets["position"][near]})
-    curves.across_sessions([big.rows(slice(300)), level], replace(TINY, forward_rows=300), 0, section)
-    (table,) = section.tables.values()
-    assert [row[:2] for row in table[1:]] == [[big.name, "level"], ["level", big.name]]
-    found = section.numbers["r2"][f"{big.name} -> level"]
-    assert found["aligned"] > 0.9
-    assert found["aligned"] > found["as it is"]
-
-
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
 def test_the_unit_is_predicted_from_the_steps(factor, unit):
     steps = np.tile([0.300 * 4, 0.300 * 4, 0.484 * 4], 5)
@@ -331,23 +318,12 @@ def test_heads_are_fitted_by_one_command(tmp_path, capsys):
 
 
 @pytest.mark.full
-def test_mistakes_are_put_into_parts_of_a_recording_and_counted():
-    section = Section("mistakes")
-    mistakes.mistake_section(presses_of_a_skin(170), TINY, 0, section)
-    found = {name: one[0] for name, one in section.numbers["mistakes"].items()}
-    assert set(found) >= {"heights into the skin", "another height zero"}
-    for name in ("labels of another row", "positions in millimetres", "readings in millitesla"):
-        assert found[name] == {"found": True, "known": True, "accused": False}, name
-
-
-@pytest.mark.full
 def test_the_report_of_a_real_session(shared_data, tmp_path):
     args = [
         "--dataset",
         str(shared_data / "eflesh" / "spatial"),
         "--preset",
         "debug",
-        "--mistakes",
         "--out",
         str(tmp_path / "out"),
     ]

@@ -21,14 +21,11 @@ from experiments.reproduce.tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
 from experiments.train import __main__ as train
 from i2t import dataset
-from i2t.errors import DataError
 from i2t.objects import catalogue
 from i2t.paper import network
 from i2t.recognition import metrics, site_pool
-from i2t.recognition.episodes import episodes_from_dataset
-from i2t.recognition.paper_rules import _nearest_distances, constant_predictor, reading_scorers
+from i2t.recognition.paper_rules import constant_predictor, reading_scorers
 from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
-from i2t.simulation.press import PressLimits
 from i2t.skin.pad import numbered_pad
 from i2t.types import ReturnCode
 from i2t.view.contents import read_belief
@@ -146,27 +143,6 @@ def test_what_was_recorded_is_trained_on_and_recognised(trained_run, tmp_path, c
     assert recorded["methods"]["fused"]["accuracy"]["mean"][-1] > 1 / len(recorded["objects"])
 
 
-@pytest.mark.full
-def test_a_replayed_press_ends_where_it_was_recorded(trained_run):
-    """Sites are where presses ended, so that the advance beyond them is nothing, but for touches that met air."""
-    recorded = dataset.load_dataset(trained_run / "data.h5")
-    sites, episodes = episodes_from_dataset(recorded, list(recorded.objects), 3)
-    rows = np.flatnonzero(recorded.touches.session == 0)[:3]
-    air = recorded.touches.code[rows] == ReturnCode.AIR
-    np.testing.assert_array_equal(np.asarray(episodes.observations.contact)[0], ~air)
-    advance = np.where(air, PressLimits.overtravel, 0.0)
-    np.testing.assert_allclose(episodes.observations.advance[0], advance)
-    ended = np.linalg.inv(recorded.touches.T_w_o[rows]) @ recorded.touches.T_w_t[rows]
-    np.testing.assert_allclose(episodes.T_w_t[0], ended, atol=1e-6)
-    found = np.array(sites.T_w_t)[episodes.site[0]]
-    found[:, :3, 3] += advance[:, None] * found[:, :3, 2]
-    np.testing.assert_allclose(found, ended, atol=1e-6)
-    with pytest.raises(DataError, match="of which there is no mesh"):
-        episodes_from_dataset(recorded, ["square"], 3)
-    with pytest.raises(DataError, match="no session has 100 touches"):
-        episodes_from_dataset(recorded, list(recorded.objects), 100)
-
-
 LIVE = ["--num-sites", "3", "--num-particles", "16", "--num-surrogates", "2", "--true-object", "hammer"]
 
 
@@ -247,12 +223,3 @@ def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
     (out / "metrics.json").unlink()
     assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
     assert (out / "metrics.json").read_text() == before
-
-
-def test_the_papers_distances_prefer_what_was_touched():
-    """Without any error the model at the contact is nearest to it: proprioception is right, whatever the readings."""
-    surfaces = site_pool.prepare_surfaces([catalogue.make_object(name).mesh for name in ("square", "cylinder")])
-    point = np.float32([[24e-3, 24e-3, 30e-3]])  # near the square's corner, outside the cylinder
-    apart = [float(_nearest_distances(jax.numpy.asarray(point), surface)[0]) for surface in surfaces]
-    assert apart[0] == pytest.approx(0, abs=1e-6)
-    assert apart[1] == pytest.approx(np.hypot(24e-3, 24e-3) - 30e-3, abs=0.1e-3)

@@ -12,6 +12,7 @@ from helpers import random_touches
 from experiments.reconstruct.__main__ import main
 from experiments.reconstruct.patch import CURVE, FIRST_STOP, NEIGHBOURS, PRIOR
 from experiments.reconstruct.recorded import choose_object, read_touches
+from i2t.dataset import save_dataset
 from i2t.errors import DataError
 from i2t.objects.mesh_files import load_object
 from i2t.types import ReturnCode
@@ -57,29 +58,9 @@ def test_presses_of_unseen_shapes_are_told_and_scored_by_every_method(tmp_path, 
     assert "simulated" in capsys.readouterr().out
 
 
-@pytest.mark.full
-def test_an_arm_explores_an_object_whose_mesh_may_be_recognised(tmp_path, capsys):
-    out = tmp_path / "run"
-    words = ["--arm", "simulated", "--true-object", "pyramid", "--preset", "debug", "--touches", "4", "--name", "felt"]
-    assert main(["--out", str(out), *words]) == 0
-    report = json.loads((out / "metrics.json").read_text())
-    assert (report["source"], report["object"]) == ("simulated", "unknown")
-    assert report["contacts"] + report["in_air"] == 4
-    assert 0 < report["surface_std_mm"]["median"] < 30
-    assert {"before", "after"} == set(report["against_the_catalogue"])
-    felt = load_object(out / "felt.stl", "m")
-    np.testing.assert_allclose(felt.mesh.vertices[:, 2].min(), 0, atol=1e-6)  # it stands as a loaded mesh does
-    assert (out / "surface.png").exists()
-    assert "next: python -m experiments.recognize live" in capsys.readouterr().out
-
-    again = tmp_path / "again"  # the same touches, as a data set
-    assert main(["--out", str(again), "--preset", "debug", "--dataset", str(out / "touches")]) == 0
-    recorded = json.loads((again / "metrics.json").read_text())
-    assert recorded["surface_std_mm"] == report["surface_std_mm"]
-
-
-def test_touches_of_a_data_set_are_taken_back_to_first_contact_in_the_objects_frame():
-    made = random_touches.make(4, objects=("thing",))
+def _recorded(name):
+    """Three presses from above and one that met nothing."""
+    made = random_touches.make(4, objects=(name,))
     placed = np.eye(4)
     placed[:3, 3] = 0.1, 0, 0
     down = placed @ np.diag([1.0, -1, -1, 1])
@@ -91,7 +72,27 @@ def test_touches_of_a_data_set_are_taken_back_to_first_contact_in_the_objects_fr
         code=np.array([ReturnCode.SKIN, ReturnCode.WRENCH, ReturnCode.SKIN, ReturnCode.AIR]),
         object=np.zeros(4, int),
     )
-    dataset = replace(made, touches=touches)
+    return replace(made, touches=touches, source="simulated")
+
+
+@pytest.mark.full
+def test_the_mesh_of_recorded_touches_may_be_recognised(tmp_path, capsys):
+    out = tmp_path / "run"
+    save_dataset(tmp_path / "touches.h5", _recorded("pyramid"))
+    words = ["--dataset", str(tmp_path / "touches.h5"), "--preset", "debug", "--name", "felt"]
+    assert main(["--out", str(out), *words]) == 0
+    report = json.loads((out / "metrics.json").read_text())
+    assert (report["source"], report["object"], report["contacts"], report["in_air"]) == ("simulated", "pyramid", 3, 1)
+    assert 0 < report["surface_std_mm"]["median"] < 30
+    assert {"before", "after"} == set(report["against_the_catalogue"])
+    felt = load_object(out / "felt.stl", "m")
+    np.testing.assert_allclose(felt.mesh.vertices[:, 2].min(), 0, atol=1e-6)  # it stands as a loaded mesh does
+    assert (out / "surface.png").exists()
+    assert "next: python -m experiments.recognize live" in capsys.readouterr().out
+
+
+def test_touches_of_a_data_set_are_taken_back_to_first_contact_in_the_objects_frame():
+    dataset = _recorded("thing")
     found = read_touches(dataset, "thing")
     np.testing.assert_array_equal(found.hit, [True, True, True, False])
     np.testing.assert_allclose(found.T_o_t[:, :3, 3], [[0, 0, 0.021]] * 3 + [[0, 0, 0.02]], atol=1e-6)

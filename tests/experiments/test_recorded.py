@@ -9,7 +9,7 @@ import pytest
 from helpers.random_touches import make
 
 from experiments.recognize import __main__ as recognize
-from experiments.recognize import pad_sources, recorded
+from experiments.recognize import pad_sources, recorded, report
 from experiments.recognize.config import PRESETS
 from experiments.recognize.report import EpisodeResults
 from i2t import dataset as data
@@ -49,26 +49,25 @@ def test_every_long_enough_session_counts_and_the_limit_is_said():
     assert recorded.choose_sessions(sessions_of(3, 2), 10, None).names == ("run 0",)
 
 
-@pytest.mark.parametrize("episodes", [2, 8])
-def test_few_episodes_get_no_interval(episodes, capsys):
+@pytest.mark.parametrize("episodes", [1, 2, 8])
+def test_few_sessions_get_no_interval(episodes, capsys):
     truth = np.arange(episodes) % 2
     p = np.full((episodes, 3, 2), 0.5)
     right = np.arange(episodes) % 4 < 2  # every second one at the end
     p[:, 2] = np.where((np.eye(2)[truth] > 0) == right[:, None], 0.9, 0.1)
     met = SimpleNamespace(observations=SimpleNamespace(contact=np.ones((episodes, 3), bool)))
-    scores = recorded.score(EpisodeResults(("star", "mug"), truth, {"fused": p}, met))
+    sessions = np.array([f"run {i}" for i in range(episodes)])
+    beliefs = dict.fromkeys(("fused", "readings"), p)
+    parts = [{"recorded": EpisodeResults(("star", "mug"), truth, beliefs, met, "skin A", sessions)}]
+    scores = report.score_set(parts, "recorded")
     fused = scores["methods"]["fused"]
     assert fused["accuracy"]["mean"] == [0.5, 0.5, 0.5 if episodes == 8 else 1.0]
-    assert (fused["mean"]["low"] is None) == (episodes == 2)
-    summary = {
-        "source": "real", "sessions": {"touches": 3}, "objects_also_trained_on": ["mug"], "sets": {"recorded": scores},
-    }  # fmt: skip
-    recorded.print_table(summary, "ANOTHER SKIN: so it is")
+    assert np.isfinite(fused["mean"]["low"]) == (episodes == 8)
+    report.print_tables({"source": "real", **report.pads_of(parts, "sessions"), "sets": {"recorded": scores}})
     said = capsys.readouterr().out
-    assert (recorded.TOO_FEW in said) == (episodes == 2)
+    assert f"{episodes} sessions, 1 pads" in said
+    assert "95 %, over sessions, for this pad" in said
     assert ("[" in said) == (episodes == 8)
-    assert "ANOTHER SKIN: so it is" in said
-    assert "fitted to touches of mug too" in said
 
 
 def test_candidates_are_those_of_the_data_set_or_of_the_user():

@@ -14,11 +14,7 @@ REFUSED = [
     ("reconstruct tip --dataset nowhere", "nowhere"),
     ("reconstruct --conditions guess", "is none of random"),
     ("reconstruct --dataset nowhere", "there is no such data set"),
-    ("reconstruct --arm simulated", "--arm has no effect without --true-object"),
-    ("reconstruct --true-object star", "--true-object has no effect without --arm"),
-    ("reconstruct --arm simulated --true-object nothing", "nor an object of the catalogue"),
-    ("reconstruct --arm simulated --true-object star --conditions random", "simulated objects"),
-    ("reconstruct --name mine", "--name has no effect without --dataset or --arm"),
+    ("reconstruct --name mine", "--name has no effect without --dataset"),
 ]
 
 

@@ -116,10 +116,10 @@ def test_the_hysteresis_of_a_chip_is_found():
 def test_designs_are_linear_readings_of_the_pad_itself():
     """A skin that is known exactly reads what its designs say."""
     dataset, where = pressed(), presses_on(pressed(), 0)
-    benchmark = make_benchmark(where, dataset.board, world.SHAPES, cfg=replace(CFG.methods, library=2), seed=0)
+    benchmark = make_benchmark(where, dataset.board, world.SHAPES, cfg=CFG.methods, seed=0)
     train = np.arange(40)
     skin, readings = benchmark.fitted(train)
-    phi = benchmark.features.hypotheses(skin.layer, where.poses, "presses")
+    phi = benchmark.features.hypotheses(skin.layer)
     mean = pad.predict_reading(skin, phi)[np.arange(50), where.shape]
     left = np.sum((readings - mean)[40:] ** 2) / np.sum(readings[40:] ** 2)
     assert left < 0.25  # noise and tilt; a reading that is not explained leaves 1

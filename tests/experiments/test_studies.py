@@ -45,10 +45,6 @@ def open_set_part(episodes: int = 8) -> dict:
 
 def part(study: str) -> dict:
     """What a study made of one pad."""
-    if study == "policy":
-        return {"truth": PLAN["truth"]} | {name: beliefs(10) for name in ("random", "heuristic", "information")}
-    if study == "object_count":
-        return {f"{n} objects": PLAN | {"truth": np.arange(EPISODES) % n, "p": beliefs(20, n)} for n in (10, 25)}
     if study == "open_set":
         return open_set_part()
     return PLAN | {"fused, first": beliefs(10), "fused, other": beliefs(10), "position and presence": beliefs(10)}

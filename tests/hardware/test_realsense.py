@@ -21,7 +21,7 @@ pytest.importorskip(
     "pyrealsense2", reason="pyrealsense2, or its system package libusb-1.0-0, is not installed", exc_type=ImportError
 )
 
-from i2t.emulators import realsense_file
+from helpers import realsense_file
 
 ROOT = Path(__file__).parents[2]
 CAMERA = Camera(64, 48, 60.0, 61.0, 31.0, 24.0, "brown_conrady", (0.1, -0.02, 1e-3, 2e-3, 0.01))

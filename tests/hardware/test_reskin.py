@@ -1,4 +1,4 @@
-"""The skin's driver against a board in another process, and its recordings."""
+"""The skin's driver against a board in another process."""
 
 import contextlib
 import os
@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from i2t.emulators.reskin_board import Readings, started
-from i2t.errors import DataError, DeviceError, DeviceTimeoutError
-from i2t.hardware.reskin import driver, recording
-from i2t.hardware.reskin.driver import BoardInfo, Replay, ReSkin
+from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.hardware.reskin import driver
+from i2t.hardware.reskin.driver import BoardInfo, ReSkin
 from i2t.hardware.reskin.layouts import Format, encode
 
 PATIENCE = 20.0  # s that a loaded machine may need for what takes a moment
@@ -49,21 +49,6 @@ def failure(skin, words: str) -> str:
 
     until(ask)
     return said[-1]
-
-
-def test_a_recording_gives_back_what_was_put_in(tmp_path):
-    path = tmp_path / "skin"
-    with recording.create(path) as file:
-        for at, chunk in ((5.0, b"abc"), (5.5, b""), (6.25, b"\r\n")):
-            recording.append(file, at, chunk)
-    assert list(recording.chunks(path)) == [(0.0, b"abc"), (0.5, b""), (1.25, b"\r\n")]
-    path.write_bytes(path.read_bytes()[:-1])  # cut off
-    assert list(recording.chunks(path)) == [(0.0, b"abc"), (0.5, b"")]
-    with pytest.raises(FileExistsError):
-        recording.create(path)
-    path.write_bytes(bytes(range(200)))
-    with pytest.raises(DataError, match="is no recording"):
-        list(recording.chunks(path))
 
 
 @pytest.mark.parametrize("form", Format)
@@ -132,8 +117,6 @@ def test_what_cannot_be_opened_says_why(tmp_path):
             (ReSkin(port), "in use by another program"),
             (ReSkin(str(tmp_path / "nowhere")), r"there is no port .*nowhere"),
             (ReSkin(str(tmp_path / "file")), "is it a serial port"),
-            (Replay(tmp_path / "nowhere"), "cannot be read"),
-            (Replay(tmp_path / "file"), "is no recording"),
         ):
             with pytest.raises(DeviceError, match=why):
                 skin.connect()
@@ -208,16 +191,6 @@ def test_a_late_read_is_counted_and_dated_back():
     assert (np.diff(times) >= 0).all()
 
 
-def test_a_full_disk_is_not_survived_in_silence(monkeypatch, tmp_path):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    with started() as (port, _), ReSkin(port) as skin:
-        skin.record(tmp_path / "skin")
-        monkeypatch.setattr(recording, "append", full)
-        assert re.search("recording the skin on .* failed .*No space left", failure(skin, "recording"))
-
-
 def test_it_can_be_closed_from_anywhere_and_at_once():
     with started() as (port, process):
         skin = ReSkin(port)
@@ -290,7 +263,7 @@ def test_what_was_sent_to_nobody_is_not_read():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("form", [Format.BINARY, Format.FRAMED_TEXT])
+@pytest.mark.parametrize("form", Format)
 def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
     switches = ("--board", "grid-2x2", "--field", "--noise", "0", "--fail", "1", "--format", form)
     with started(*switches) as (port, process):
@@ -306,22 +279,21 @@ def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
 
 
 @pytest.mark.parametrize(("substitute", "drop"), [(0.01, 0.0), (0.0, 0.01)])
-def test_a_framed_board_is_read_over_a_bad_line(tmp_path, substitute, drop):
+def test_a_framed_board_is_read_over_a_bad_line(monkeypatch, substitute, drop):
     """What arrives whole is delivered, and nothing else; what this computer was too late to take is no matter here."""
-    path = tmp_path / "raw"
     switches = ("--format=framed", "--noise=0", f"--substitute={substitute}", f"--drop={drop}")
     with started(*switches) as (port, _), ReSkin(port, capacity=100_000) as skin:
         mark = int(skin.latest(PATIENCE).number[-1])
-        skin.record(path)
+        heard, process = [], skin._process
+        monkeypatch.setattr(skin, "_process", lambda chunk, now: (heard.append(chunk), process(chunk, now)))
         until(lambda: skin.counters.samples > mark + 400)
-        skin.stop_recording()
         rows = skin.since(mark)
         assert skin.info.form == Format.FRAMED
-    data = b"".join(chunk for _, chunk in recording.chunks(path))
+    data = b"".join(heard)
     intact = sum(data.count(encode(REST, CELSIUS, Format.FRAMED, count)) for count in range(256))
     wrong = int((np.abs(rows.reading - REST).max(1) > 1e-3).sum())
     assert wrong <= 0.001 * len(rows.number)
-    assert len(rows.number) - wrong >= 0.99 * (intact - 60)  # the end of the recording may not be decoded yet
+    assert len(rows.number) - wrong >= 0.99 * (intact - 60)  # the last chunk may not be decoded yet
 
 
 @pytest.mark.full

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from i2t.collect.procedure import Procedure
-from i2t.collect.recorder import SessionInfo
+from i2t.collect.recorder import SessionInfo, SkinInfo
 from i2t.collect.settings import TouchSettings
-from i2t.collect.touch import SeenPatch, Site
+from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.room import RoomField
@@ -84,11 +84,11 @@ def make(
     arm, skin, eye = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab), Eye(clock)
     for device in (arm, skin, eye):
         device.connect()
-    return Procedure(arm, skin, eye, rig, board, extract_patch, HEIGHT, settings or TouchSettings(), clock)
+    return Procedure(
+        arm, [SkinOnTool(TOOL, skin, board)], eye, rig, extract_patch, HEIGHT, settings or TouchSettings(), clock
+    )
 
 
 def names(procedure):
-    rig = procedure.rig
-    return SessionInfo(
-        "plane", "pad", "session", "simulated", procedure.board, rig.T_world_base, rig.T_world_object, Eye.camera, {}
-    )
+    rig, pads = procedure.rig, {each.name: SkinInfo(each.pad or "pad", each.board) for each in procedure.skins}
+    return SessionInfo("plane", "session", "simulated", rig.T_world_base, rig.T_world_object, Eye.camera, pads)

@@ -54,19 +54,6 @@ def lagged(recorded: Recorded, rows: int) -> Recorded:
     return Recorded(*(part[readings] for part in recorded[:3]), recorded.readings[labels])
 
 
-def swapped(recorded: Recorded, a: int, b: int) -> Recorded:
-    """Two chips in each other's place."""
-    order = np.arange(recorded.readings.shape[1] // 3)
-    order[[a, b]] = order[[b, a]]
-    readings = recorded.readings.reshape(len(recorded.force), -1, 3)[:, order]
-    return recorded._replace(readings=readings.reshape(recorded.readings.shape))
-
-
-def scaled(recorded: Recorded, gains: np.ndarray) -> Recorded:
-    """Chips with other gains."""
-    return recorded._replace(readings=recorded.readings * np.repeat(gains, 3))
-
-
 def five_heights(recorded: Recorded) -> Recorded:
     """Presses to five heights only."""
     levels = np.linspace(recorded.height.min(), 0, 5)
@@ -91,8 +78,6 @@ VARIANTS: dict[str, Callable[[Recorded], Recorded]] = {
     "x and y exchanged": lambda one: one._replace(position=one.position[:, ::-1]),
     "labels a row late": lambda one: lagged(one, 1),
     "labels two rows early": lambda one: lagged(one, -2),
-    "chips 1 and 3 swapped": lambda one: swapped(one, 1, 3),
-    "gains of 0.7 to 1.3": lambda one: scaled(one, np.linspace(0.7, 1.3, 5)),
     "positions in millimetres": lambda one: one._replace(position=1e3 * one.position),
     "readings in millitesla": lambda one: one._replace(readings=1e-3 * one.readings),
     "five heights": five_heights,

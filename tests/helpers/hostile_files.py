@@ -25,8 +25,9 @@ import h5py
 import numpy as np
 from helpers import random_touches
 
-from i2t.calibration.heads import load_head, read_recordings
+from i2t.calibration.heads import load_head
 from i2t.calibration.model import load_calibration
+from i2t.calibration.recordings import read_recordings
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.notes import resume
 from i2t.collect.recorder import RAW_FILE_HEADER, read_raw
@@ -34,10 +35,8 @@ from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset
 from i2t.depth.camera import read_depth
 from i2t.errors import I2TError
-from i2t.hardware.camera_folder import RecordedDepthCamera
+from i2t.hardware.camera_folder import read_view
 from i2t.hardware.hand_eye import CharucoBoard, estimate
-from i2t.hardware.reskin.driver import Replay
-from i2t.hardware.reskin.recording import CHUNK, RECORDING_HEADER
 from i2t.hardware.rig import Rig
 from i2t.objects import load_mesh, load_point_cloud, make_object
 from i2t.prediction.predictor import load_predictor
@@ -260,10 +259,6 @@ def raw(entry: str) -> str:
     return f"{RAW_FILE_HEADER.decode()}\n{entry}\n"
 
 
-def stream(last: float) -> bytes:
-    return RECORDING_HEADER + b"".join(CHUNK.pack(when, 3) + b"abc" for when in (0.0, last))
-
-
 BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("mesh", "a.glb"): {
         "300_000 nodes": lambda _: glb(nodes=[{"mesh": 0}] * 300_000, scenes=[{"nodes": [*range(300_000)]}]),
@@ -376,14 +371,13 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("readings", "a.csv"): {"a cell of a million letters": lambda _: 'b0x_uT,"' + "z" * 10**6},
     ("session", "theirs/.collection.json"): {
         "nested deep": DEEP,
-        "sites without numbers": json.dumps(NOTES | {"unreachable": {"three": "far"}}),
+        "no session": json.dumps({"object": "cube"}),
     },
     ("raw", "a.raw"): {
         "a broken event": raw('["event", [1.0'),
         "samples of two sizes": raw('["skin", [[0.0, 0.0], [0.0]]]'),
         "no pair": raw('["skin"]'),
     },
-    ("replay", "a.raw"): {"no times": stream(float("nan")), "a thousand years": stream(3e10)},
 }
 EVERY_FILE = {"a pipe": PIPE, "rubbish": bytes(range(256)) * 80}
 HOSTILE: dict[str, tuple[str, str, Content]] = {
@@ -394,12 +388,6 @@ HOSTILE: dict[str, tuple[str, str, Content]] = {
 
 
 # What reads them
-
-
-def _views(path: Path) -> None:
-    camera = RecordedDepthCamera(path)
-    camera.connect()
-    camera.capture()
 
 
 def _session(path: Path) -> None:
@@ -419,7 +407,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "predictor": lambda path: load_predictor(path.parent),
     "depth": lambda path: read_depth(path, "mm"),
     "rig": Rig.read,
-    "views": _views,
+    "views": read_view,
     "hand_eye": lambda path: estimate(path, CharucoBoard()),
     "imagine2touch": lambda path: imagine2touch.convert(path, board=reskin_board()),
     "eflesh": eflesh.convert,
@@ -427,7 +415,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "readings": read_recordings,
     "session": _session,
     "raw": lambda path: list(read_raw(path)),
-    "replay": lambda path: Replay(path).connect(),
 }
 
 

@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from i2t.prediction import metrics
-from i2t.prediction.metrics import grouped_interval, nearest_neighbours, score, student_interval, tuned
+from i2t.prediction.baselines import tuned
+from i2t.prediction.metrics import grouped_interval, nearest_neighbours, score, student_interval
 
 
 def test_scores_by_hand():
@@ -96,5 +97,5 @@ def test_options_are_chosen_between_groups():
         return nearest_neighbours(x, y, at, int(k))
 
     for groups, best in ((np.tile(np.arange(50), 2), 32), (np.repeat([0, 1], 50), 1)):  # copies together, and apart
-        tuned(method, (1, 32), x, y, groups, at=x[:3])
+        tuned(method, (1.0, 32.0), x, y, groups, at=x[:3])
         assert asked[-1] == best

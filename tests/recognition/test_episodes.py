@@ -100,11 +100,11 @@ class CountingSimulator(EpisodeSimulator):
 
     made = 0
 
-    def _make(self, keys, episode, where, batches):
-        for rows in batches:
-            type(self).made += len(rows)
-            yield touches(
-                np.tile(np.eye(4), (len(rows), 1, 1)), nearest=keys[rows][:, 0].astype(float),
+    def _simulate(self, keys, episode, where, missing):
+        for rows in np.flatnonzero(missing)[:, None]:
+            type(self).made += 1
+            yield rows, touches(
+                np.tile(np.eye(4), (1, 1, 1)), nearest=keys[rows][:, 0].astype(float),
                 force=episode[rows].astype(float), depth=where[rows].astype(float),
                 object=self.truth[episode[rows]].astype(np.int32),
             )  # fmt: skip
@@ -155,8 +155,7 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, 
     T[:, 2, 3] = heights
     batches: list[int] = []
 
-    def predict(surfaces, twist, T_w_site, reading_models, *, overtravel, boxes, bar):
-        assert boxes is None
+    def predict(surfaces, twist, T_w_site, reading_models, *, overtravel, bar):
         batches.append(len(T_w_site))
         return [np.asarray(T_w_site)[:, 2, 3] for _ in reading_models]
 
@@ -164,7 +163,6 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, 
         return {kind: np.repeat(table[some.site][..., None], 2, -1) + some.truth[:, None, None] for kind in kinds}
 
     monkeypatch.setattr(episodes_module, "predict_outcomes", predict)
-    monkeypatch.setattr(episodes_module, "is_large", lambda surfaces: False)
     monkeypatch.setattr(episodes_module, "run_belief", judge)
     monkeypatch.setattr(episodes_module, "BELIEVED_TOUCHES", 3 * together)
     observations = belief.TouchObservation(*(np.zeros((7, 3)) for _ in range(4)))

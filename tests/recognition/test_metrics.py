@@ -83,16 +83,6 @@ def test_the_calibration_error_of_a_calibrated_forecaster_is_that_of_chance():
     assert worse.error > 0.05 > worse.chance_high
 
 
-def test_chance_tells_how_often_a_calibrated_forecaster_seems_worse():
-    rng = np.random.default_rng(3)
-    above = []
-    for i in range(60):
-        sure = rng.uniform(0.3, 1, 200)
-        found = scores.calibration_error(sure, rng.random(200) < sure, seed=i)
-        above.append(found.error > found.chance_high)
-    assert sum(above) <= stats.binom.ppf(0.9999, 60, 0.05)
-
-
 def test_the_loss_is_proper_and_as_by_hand():
     p, truth = np.array([[[0.7, 0.2, 0.1]], [[1.0, 0.0, 0.0]]]), np.array([0, 2])
     assert_allclose(scores.log_loss(p, truth)[:, 0], [-np.log(0.7), -np.log(scores.PROBABILITY_FLOOR)])
@@ -108,7 +98,6 @@ def test_the_loss_is_proper_and_as_by_hand():
 def test_stopping_by_hand():
     p = np.array([[0.6, 0.96, 0.5], [0.7, 0.8, 0.9], [0.99, 0.2, 0.2], [0.5, 0.5, 0.5]])
     p = np.stack([p, 1 - p], -1)
-    assert_array_equal(scores.confident_at(p), [2, np.inf, 1, np.inf])
     found = scores.stopping(p, np.array([0, 1, 1, 0]), 0.05)
     # Decided at touches 2, 3, 1, 3 with 0.96, 0.9, 0.99 and a tie: right, wrong, wrong, half right.
     assert_allclose((found.error.mean, found.predicted_error), (2.5 / 4, (0.04 + 0.1 + 0.01 + 0.5) / 4))
@@ -127,30 +116,6 @@ def test_a_calibrated_forecaster_stops_with_the_error_it_promises():
     assert found.stopped_predicted_error < 0.1
     hasty = scores.stopping(sharper(p, 2), truth, 0.1)
     assert hasty.stopped_error.low > hasty.stopped_predicted_error
-
-
-def test_touches_to_confidence_by_hand_and_the_interval_of_their_median_covers_it():
-    first = np.array([1, 2, 2, 3, np.inf])
-    found = scores.touches_to_confidence(first, 4)
-    assert_allclose((found.mean.mean, found.median.mean, found.never.mean), ((1 + 2 + 2 + 3 + 4) / 5, 2, 0.2))
-    assert np.isinf(scores.touches_to_confidence(np.array([1, 2, np.inf, np.inf, np.inf]), 4).median.mean)
-    rng, inside = np.random.default_rng(8), []
-    for _ in range(400):
-        _, low, high = scores.touches_to_confidence(rng.geometric(0.1, 60).astype(float), 50).median
-        inside.append(low <= 7 <= high)  # 1 - 0.9^7 is the first above one half
-    assert np.mean(inside) > 0.95 - 3 * np.sqrt(0.05 * 0.95 / 400)
-
-
-def test_the_share_of_touches_saved():
-    rng = np.random.default_rng(9)
-    other = rng.integers(4, 12, 300).astype(float)
-    assert_allclose(scores.touches_saved(other / 2, other, 20), 0.5)  # the same in every pair: a point
-    # The limit on touches hides savings: 5 against 10, seen up to 8.
-    assert_allclose(scores.touches_saved(np.full(9, 5.0), np.full(9, np.inf), 8), 3 / 8)
-    noisy = scores.touches_saved(other * rng.uniform(0.4, 1, 300), other, 20)
-    ratio = np.sqrt(0.6**2 / 12 * (other**2).mean() / other.mean() ** 2 / 300)  # delta method, pairs
-    assert noisy.low < 0.3 < noisy.high
-    assert_allclose(noisy.high - noisy.low, 2 * 1.96 * ratio, rtol=0.2)
 
 
 # --- unknown objects ---

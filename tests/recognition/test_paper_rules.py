@@ -10,7 +10,7 @@ from i2t.objects import catalogue
 from i2t.prediction.predictor import Predictor, Reading
 from i2t.prediction.touch_model import TouchBatch, TouchModel
 from i2t.recognition.belief import TouchObservation
-from i2t.recognition.episodes import Episodes, MeasuredTouches
+from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
 from i2t.recognition.paper_rules import constant_predictor, paper_rules, run_loop
 from i2t.recognition.site_pool import prepare_surfaces
 
@@ -90,7 +90,7 @@ POOL = np.array([0, 1, 0, 1])
 DISTANCES = np.array([[3.0, 1.0], [1.0, 2.0], [5.0, 0.0]])
 
 
-class Recorder:
+class Recorder(EpisodeSimulator):
     """Makes no touch, but keeps what it was asked for."""
 
     def __init__(self) -> None:

@@ -194,14 +194,12 @@ def probable(*probability: float) -> Belief:
     return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)))
 
 
-def test_permitted_sites_are_safe_on_what_is_possible_and_enough_is_enough():
+def test_permitted_sites_are_safe_on_what_is_possible():
     now = probable(0.9, 0.06, 0.03)
     safe = jnp.array([[1, 1, 1], [1, 1, 0], [1, 0, 1], [1, 0, 0], [0, 1, 1]], bool)
     np.testing.assert_array_equal(policy.safe_sites_mask(now, safe), [True, True, False, False, False])
     np.testing.assert_array_equal(policy.safe_sites_mask(now, safe, 0.1), [True, True, True, True, False])
     np.testing.assert_array_equal(policy.safe_sites_mask(now, safe, 0.0), [True, False, False, False, False])
-    stops = [bool(policy.should_stop(belief.posterior(now), error)) for error in (0.05, 0.11)]
-    assert stops == [False, True]
 
 
 @pytest.mark.parametrize(

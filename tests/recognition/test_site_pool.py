@@ -6,7 +6,7 @@ import pytest
 from helpers.site_poses import TWO_POOLS
 
 from i2t.objects import catalogue
-from i2t.recognition import policy, site_pool
+from i2t.recognition import site_pool
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import RECOGNITION_LIMITS
 
@@ -62,8 +62,6 @@ def test_joined_pools_number_their_own_sites_pool_by_pool(surfaces):
 def test_the_heuristic_is_of_each_pool_by_itself_and_plans_touches_there():
     found = site_pool.pool_informativeness(TWO_POOLS)
     np.testing.assert_allclose(found, [[[0, 1], [0, 1]], [[1, 0], [1, 0]]], atol=1e-6)
-    one = site_pool.SitePool(jax.numpy.asarray(TWO_POOLS.T_w_t[0].reshape(-1, 4, 4)), np.repeat([0, 1], 2))
-    np.testing.assert_allclose(policy.heuristic_weights(one), [[0, 1, 0, 0], [0, 0, 0, 1]], atol=1e-6)
     plan = site_pool.plan_informative_touches(jax.random.key(0), TWO_POOLS, np.array([0, 1, 1]), 20)
     at = np.asarray(plan.sites.T_w_t)[plan.chosen][:, :, 0, 3]
     np.testing.assert_allclose(at, [[1e-2] * 20, [0] * 20, [0] * 20], atol=1e-8)

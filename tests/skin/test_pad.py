@@ -86,8 +86,8 @@ def test_sessions_of_one_pad_are_alike(samples):
     def sensed(key: jax.Array, readings: jax.Array, pad: Pad) -> jax.Array:
         still = jnp.broadcast_to(jnp.eye(4), (len(readings), 4, 4))
         key_faults, key_noise = jax.random.split(key)
-        key_board = faults.board_key(pad.gains)
-        felt = faults.apply(key_faults, readings, still, pad.board, errors.faults, key_board=key_board)
+        own = {"key_board": faults.board_key(pad.gains), "rest": jnp.zeros(15)}
+        felt = faults.apply(key_faults, readings, still, pad.board, errors.faults, **own)
         keys = jax.random.split(key_noise, len(readings))
         return jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
 

@@ -1,4 +1,4 @@
-"""ReSkin, AnySkin and eFlesh boards on a serial port, and recordings of them.
+"""ReSkin, AnySkin and eFlesh boards on a serial port.
 
 `python -m i2t.hardware.reskin` shows one.
 
@@ -15,17 +15,16 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import takewhile
-from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, SupportsIndex, TypeAlias
+from typing import Any, NamedTuple, SupportsIndex
 
 import numpy as np
 
-from i2t.errors import DataError, DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import READ_SPARE_S, Samples, SkinCounters, SkinFeatures, channel_names
-from i2t.hardware.reskin import frames, recording
+from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.frames import Decoder, Frame
 from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
 
@@ -40,10 +39,6 @@ START_UP_S = 6.0  # that a board may send rubbish after it was reset, which open
 RATE_WINDOW_S = 1.0  # over which the rate is taken
 JOIN_S = 1.0  # in which the thread ends
 DECODER_COUNTS = ("samples", "lost", "gaps", "skipped", "empty", "missing", "bytes")
-
-# A serial port or a played recording: `in_waiting`, `read` and `close`. No protocol, as a check of types at run time
-# would ask a port how much is waiting that may be gone.
-Port: TypeAlias = Any
 
 
 class StreamRow(NamedTuple):
@@ -66,19 +61,40 @@ class BoardInfo(NamedTuple):
     usb: str | None = None  # vendor and product
 
 
-class Stream(DeviceBase):
-    """A skin whose bytes come through something with the face of a serial port; `_open` gives it.
+class ReSkin(DeviceBase):
+    """A board on a serial port (`i2t.hardware.protocols.Skin`).
 
     Args:
-        name: Of the skin, for messages.
-        source: Real, emulated or replay.
+        port: Its name; by default the one board that `connect` finds.
+        baud: Its rate; by default `connect` tries the usual ones.
         chips: How many magnetometers the board has.
         rate: Hz, nominal.
         capacity: Samples that the queue holds.
+        serial_number: Of the board, which then has to be there; in place of its port.
+
+    Raises:
+        DeviceError: pyserial is missing.
     """
 
-    def __init__(self, name: str, source: str, *, chips: int, rate: float, capacity: int) -> None:
-        self._features = SkinFeatures(name, source, channel_names(chips), "uT", rate)
+    def __init__(
+        self,
+        port: str | None = None,
+        baud: int | None = None,
+        *,
+        chips: int = DEFAULT_CHIPS,
+        rate: float = RATE_HZ,
+        capacity: int = 4096,
+        serial_number: str | None = None,
+    ) -> None:
+        try:
+            import serial
+            from serial.tools import list_ports
+        except ImportError as error:
+            raise DeviceError("pyserial is missing; install it with: pip install 'imagine2touch[hardware]'") from error
+        self._serial, self._comports = serial.Serial, list_ports.comports
+        self._asked_port, self._asked_serial, self._baud = port, serial_number, baud
+        name = f"the skin on {port}" if port else f"the skin {serial_number}" if serial_number else "the skin"
+        self._features = SkinFeatures(name, _source(port), channel_names(chips), "uT", rate)
         self._chips = chips
         self._queue: deque[StreamRow] = deque(maxlen=capacity)
         self._changed = threading.Condition()  # guards what the thread and the calls share
@@ -92,7 +108,6 @@ class Stream(DeviceBase):
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._listened = -np.inf  # s, when the thread last came back from the port
-        self._file: BinaryIO | None = None
         self._info: BoardInfo | None = None
 
     # What a user of any skin holds.
@@ -138,7 +153,6 @@ class Stream(DeviceBase):
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(JOIN_S)  # a read ends within a tick
         self._thread = None
-        self.stop_recording()
         self._fail(NotConnectedError(f"{self._name} was closed; connect it again"))
 
     def latest(self, timeout: float = 0.4) -> Samples:
@@ -199,31 +213,6 @@ class Stream(DeviceBase):
             self._newest_given = max(self._newest_given, got[-1].number)
             return self._samples(got)
 
-    def record(self, path: str | Path) -> None:
-        """Write every byte that comes from now on to a file (`i2t.hardware.reskin.recording`), until `stop_recording`
-        or `close`. A full disk ends the skin as an unplugged cable would.
-
-        Args:
-            path: Of the new file.
-
-        Raises:
-            DeviceError: It exists, or cannot be written.
-        """
-        self._check()
-        self.stop_recording()
-        try:
-            self._file = recording.create(path)
-        except FileExistsError:
-            raise DeviceError(f"{path} exists already; give the recording a new name") from None
-        except OSError as error:
-            raise DeviceError(f"{path} cannot be written ({error.strerror}); give another place") from error
-
-    def stop_recording(self) -> None:
-        """End the recording, if there is one."""
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()
-
     # The thread, and what it shares with the calls above.
 
     def _check(self) -> None:
@@ -234,15 +223,7 @@ class Stream(DeviceBase):
         rows = list(takewhile(lambda row: row.number > number, reversed(self._queue)))
         return rows[::-1]
 
-    def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
-        """A port from which frames come."""
-        raise NotImplementedError
-
-    def _lost(self, error: Exception) -> DeviceError:
-        """Error that the end of a port means."""
-        raise NotImplementedError
-
-    def _read_loop(self, port: Port, stop: threading.Event) -> None:
+    def _read_loop(self, port: Any, stop: threading.Event) -> None:
         try:
             while not stop.is_set():
                 chunk = port.read(max(1, port.in_waiting))
@@ -257,14 +238,6 @@ class Stream(DeviceBase):
             port.close()
 
     def _process(self, chunk: bytes, now: float) -> None:
-        file = self._file
-        if file is not None:
-            try:
-                recording.append(file, now, chunk)
-            except (OSError, ValueError) as error:
-                if self._file is file:  # not closed meanwhile
-                    sentence = f"recording {self._name} to {file.name} failed ({error}); free some space"
-                    raise DeviceError(sentence) from error
         decoder, found = frames.decode(self._decoder, chunk)
         with self._changed:
             late = len(chunk) >= PORT_BUFFER_BYTES
@@ -324,48 +297,14 @@ class Stream(DeviceBase):
         temperatures = np.array(temperature, float).reshape(-1, self._chips)
         return Samples(np.array(number, np.int64), np.array(times, float), readings, temperatures)
 
-
-class ReSkin(Stream):
-    """A board on a serial port (`i2t.hardware.protocols.Skin`).
-
-    Args:
-        port: Its name; by default the one board that `connect` finds.
-        baud: Its rate; by default `connect` tries the usual ones.
-        chips: How many magnetometers the board has.
-        rate: Hz, nominal.
-        capacity: Samples that the queue holds.
-        serial_number: Of the board, which then has to be there; in place of its port.
-
-    Raises:
-        DeviceError: pyserial is missing.
-    """
-
-    def __init__(
-        self,
-        port: str | None = None,
-        baud: int | None = None,
-        *,
-        chips: int = DEFAULT_CHIPS,
-        rate: float = RATE_HZ,
-        capacity: int = 4096,
-        serial_number: str | None = None,
-    ) -> None:
-        try:
-            import serial
-            from serial.tools import list_ports
-        except ImportError as error:
-            raise DeviceError("pyserial is missing; install it with: pip install 'imagine2touch[hardware]'") from error
-        self._serial, self._comports = serial.Serial, list_ports.comports
-        self._asked_port, self._asked_serial, self._baud = port, serial_number, baud
-        name = f"the skin on {port}" if port else f"the skin {serial_number}" if serial_number else "the skin"
-        super().__init__(name, _source(port), chips=chips, rate=rate, capacity=capacity)
+    # The board, and the port that it is on.
 
     def ports(self) -> list[BoardInfo]:
         """USB serial ports of this machine, those of likely boards first; nothing is opened."""
         found = [port for port in self._comports() if port.vid is not None]
         return [_board_info(port) for port in sorted(found, key=lambda port: port.vid not in VENDORS)]
 
-    def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
+    def _open(self) -> tuple[Any, Decoder, list[Frame], BoardInfo]:
         port = self._find()
         rates = (self._baud,) if self._baud else BAUD_RATES
         line = self._open_port(port, rates[0])
@@ -383,8 +322,8 @@ class ReSkin(Stream):
         kind = DeviceError if heard else DeviceTimeoutError
         raise kind(f"no skin on {port}: {diagnose(heard, self._chips, self._baud)}")
 
-    def _listen(self, line: Port, rates: Sequence[int]) -> tuple[int, Decoder, list[Frame], bytes]:
-        """The rate at which frames come, with what `detect_format` gives.
+    def _listen(self, line: Any, rates: Sequence[int]) -> tuple[int, Decoder, list[Frame], bytes]:
+        """The rate at which frames come, with what `_detect` gives.
 
         The port stays open meanwhile: opening it resets many boards, which then send rubbish for seconds. So all rates
         are tried again until that is over.
@@ -400,11 +339,26 @@ class ReSkin(Stream):
                     raise DeviceError(f"the port cannot be set to {baud} baud; give its rate with --baud") from error
                 except OSError as error:
                     raise self._lost(error) from error
-                decoder, found, heard = detect_format(line, self._chips, self._lost)
+                decoder, found, heard = self._detect(line)
                 if found or not heard:  # at a wrong rate bytes are wrong, but they come
                     return baud, decoder, found, heard
             if time.monotonic() > end or frames.known_trouble(heard, self._chips):
                 return baud, decoder, found, heard
+
+    def _detect(self, line: Any) -> tuple[Decoder, list[Frame], bytes]:
+        """The decoder that fits, its first frames, and the last bytes that came; no frames if none fits in time."""
+        candidates, heard, end = frames.decoders(self._chips), b"", time.monotonic() + FIRST_BYTE_S
+        while time.monotonic() < end:
+            try:
+                chunk = line.read(max(1, line.in_waiting))
+            except Exception as error:
+                raise self._lost(error) from error
+            end = time.monotonic() + FIRST_FRAME_S if chunk and not heard else end
+            heard = (heard + chunk)[-PORT_BUFFER_BYTES:]
+            candidates, found = frames.decode_any(candidates, chunk)
+            if found:
+                return candidates[0], found, heard
+        return candidates[0], [], heard
 
     def _find(self) -> str:
         """The port that was asked for, or the board that was there before, or the only likely one."""
@@ -458,37 +412,6 @@ class ReSkin(Stream):
         return lost
 
 
-class Replay(Stream):
-    """A recording as a skin (`i2t.hardware.reskin.recording`); it fails when it is over.
-
-    Args:
-        path: Of the recording.
-        chips: How many magnetometers the board has.
-        capacity: Samples that the queue holds.
-    """
-
-    def __init__(self, path: str | Path, *, chips: int = DEFAULT_CHIPS, capacity: int = 4096) -> None:
-        self._path = Path(path)
-        super().__init__(f"the recording {path}", "replay", chips=chips, rate=RATE_HZ, capacity=capacity)
-
-    def _open(self) -> tuple[Port, Decoder, list[Frame], BoardInfo]:
-        try:
-            port = recording.PlayedPort(self._path, READ_TIMEOUT_S)
-        except OSError as error:
-            raise DeviceError(f"{self._path} cannot be read ({error.strerror}); name a recording") from error
-        except DataError as error:
-            raise DeviceError(str(error)) from error
-        decoder, found, heard = detect_format(port, self._chips, self._lost)
-        if not found:
-            raise DeviceError(f"no skin in {self._path}: {diagnose(heard, self._chips)}")
-        return port, decoder, found, BoardInfo(str(self._path), None, decoder.layout.form, "recording")
-
-    def _lost(self, error: Exception) -> DeviceError:
-        if isinstance(error, EOFError):
-            return DeviceError(f"{self._name} is over; connect again to play it from its start")
-        return DeviceError(f"{self._name} failed ({error})")
-
-
 def diagnose(heard: bytes, chips: int, baud: int | None = None) -> str:
     """Explain why a board's bytes gave no frame.
 
@@ -500,43 +423,11 @@ def diagnose(heard: bytes, chips: int, baud: int | None = None) -> str:
     Returns:
         Half a sentence with the remedy.
     """
+    known = frames.known_trouble(heard, chips)
+    if known or heard.isascii():
+        return known or "lines of text come; let the board run the sketch that sends binary frames"
     tried = f"at {baud} baud" if baud else "at any usual rate"
-    rubbish = (
-        f"{len(heard)} bytes came {tried} that are no frames; check the baud rate and that this port is the skin's"
-    )
-    return frames.known_trouble(heard, chips) or rubbish
-
-
-def detect_format(
-    port: Port, chips: int, lost: Callable[[Exception], DeviceError]
-) -> tuple[Decoder, list[Frame], bytes]:
-    """Read from a port until one of the formats gives a frame.
-
-    Args:
-        port: Where a board's bytes come from.
-        chips: How many the board has.
-        lost: The error to raise when reading fails.
-
-    Returns:
-        The decoder that fits, its first frames, and the last bytes that came; no frames if none fits in time.
-
-    Raises:
-        DeviceError: `lost` of what went wrong.
-    """
-    candidates, heard, end = frames.decoders(chips), b"", time.monotonic() + FIRST_BYTE_S
-    while time.monotonic() < end:
-        try:
-            chunk = port.read(max(1, port.in_waiting))
-        except EOFError:
-            break
-        except Exception as error:
-            raise lost(error) from error
-        end = time.monotonic() + FIRST_FRAME_S if chunk and not heard else end
-        heard = (heard + chunk)[-PORT_BUFFER_BYTES:]
-        candidates, found = frames.decode_any(candidates, chunk)
-        if found:
-            return candidates[0], found, heard
-    return candidates[0], [], heard
+    return f"{len(heard)} bytes came {tried} that are no frames; check the baud rate and that this port is the skin's"
 
 
 def _source(port: str | None) -> str:

@@ -1,7 +1,7 @@
 """Bytes of a board to frames: pure functions on whatever part of the stream has come.
 
-`i2t.hardware.reskin.layouts` says how frames look. Three of the five formats have no header, counter or checksum, CR LF
-also occurs within their numbers (34.513 degrees is 98 0d 0a 42), and a byte may be changed or lost. So a *candidate* is
+`i2t.hardware.reskin.layouts` says how frames look. The binary format has no header, counter or checksum, CR LF also
+occurs within its numbers (34.513 degrees is 98 0d 0a 42), and a byte may be changed or lost. So a *candidate* is
 a stretch of the right form whose values are plausible, and a candidate is a *frame* if
 
     it lies within `MAX_JUMP_UT` of the last frame in every channel, or
@@ -36,10 +36,7 @@ from i2t.hardware.reskin.layouts import (
 from i2t.skin import boards
 
 TEMPERATURE_RANGE_C = (-40.0, 85.0)
-FIELD_RANGE_UT = (
-    1e-5,
-    50e3,
-)  # firmware that averages or zeroes sends less than a step, but nothing below; the chip's end
+FIELD_RANGE_UT = (1e-5, 50e3)  # firmware that averages sends less than a step, but nothing below; the chip's end
 MAX_JUMP_UT, MAX_WARMING_K = 100.0, 2.0  # from one frame to the next
 RUN_LENGTH = 3  # candidates in a row that are believed without a frame before them
 MIN_TEMPERATURE_SIZE = 1e-3  # degrees; the step is 1/45 and does not begin at 0, so nothing but zero lies below
@@ -259,7 +256,7 @@ def _values(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
         return None
     table = said.table
     table[~table[:, 1:].any(1), 1:] = np.nan
-    if not layout.has_temperature:
+    if layout.checked:
         table[:, 0] = np.nan
     return said
 

@@ -23,7 +23,6 @@ from i2t.depth.camera import Camera
 from i2t.files import read_toml, replacing
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.carried_skins import TEXT_KEYS, TOOL_SKIN, CarriedSkin, require_distinct
-from i2t.hardware.kinematics import arms
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.types import Array
 from i2t.windows import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
@@ -41,12 +40,12 @@ MAX_CAMERA_TILT_DEG = 60  # between the camera's axis and the tool's, beyond whi
 DEFAULT_OBJECT_STD_M = np.repeat([1e-3, math.radians(1) * TWIST_LEVER_M], 3)  # unless a rig says others
 
 TABLES = {  # of a file, with their keys in order
-    "tool": ("T_flange_tool", "mass", "centre", "arm", "skin"),
+    "tool": ("T_flange_tool", "mass", "centre", "skin"),
     "camera": ("T_tool_camera", "looking_distance", *(each.name for each in fields(Camera))),
     "world": ("T_world_base", "T_world_object", "object_from", "object_covariance"),
     "limits": tuple(each.name for each in fields(MotionLimits)),
 }
-TEXTS = {"arm", "skin", "model", "object_from"}
+TEXTS = {"skin", "model", "object_from"}
 OPTIONAL = {*TEXTS, "coefficients", "object_covariance", *TABLES["limits"][2:]}
 COMMENTS = {
     "tool": "the skin (T: origin at its centre, z out of it) on the flange, and what the flange carries (kg, m)",
@@ -56,7 +55,6 @@ COMMENTS = {
     "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, the longest approach (m), and the "
     "stiffness of skin, arm and mount in series (N/m), with which collisions are reckoned",
 }
-RENAMED_RIG_KEYS = {"limits": {"travel": "approach_distance"}}  # earlier name to name: files of both are read
 
 
 def _pose(x: float, y: float, z: float) -> Array:
@@ -85,7 +83,6 @@ class Rig:
     object_covariance: Array = field(
         default_factory=lambda: np.diag(DEFAULT_OBJECT_STD_M) ** 2
     )  # (6, 6) m^2 (`i2t.registration.touch`)
-    arm: str = ""  # a name of `i2t.hardware.kinematics.arms`, whose reach is then planned with; empty: it is not known
     skin: str = TOOL_SKIN  # name of the skin in the tool's frame, which presses
     skins: tuple[CarriedSkin, ...] = ()  # further ones, which are read in each touch
 
@@ -103,8 +100,6 @@ class Rig:
                 raise ValueError(f"{_key(name)} is {value:g}; give {unit}, from {least:g} to {most:g}")
             object.__setattr__(self, name, value)
         object.__setattr__(self, "object_covariance", _covariance("world.object_covariance", self.object_covariance))
-        if self.arm and self.arm not in arms():
-            raise ValueError(f"tool.arm is {self.arm!r}; give one of {', '.join(arms())}, or leave it out")
         if self.object_from not in OBJECT_SOURCES:
             raise ValueError(f"world.object_from is {self.object_from!r}; give one of {', '.join(OBJECT_SOURCES)}")
         if self.T_tool_camera[2, 2] < math.cos(math.radians(MAX_CAMERA_TILT_DEG)):
@@ -159,7 +154,7 @@ class Rig:
     def text(self) -> str:
         """The rig as TOML."""
         lines = ["# A rig of i2t: T_a_b maps points in b to a, as the four rows of its matrix."]
-        left_out = {key for key, default in (("arm", ""), ("skin", TOOL_SKIN)) if getattr(self, key) == default}
+        left_out = {"skin"} if self.skin == TOOL_SKIN else set()
         for table, keys in TABLES.items():
             lines += ["", f"# {COMMENTS[table]}", f"[{table}]"]
             values = {**vars(self.limits), **vars(self.camera), **vars(self)}
@@ -226,7 +221,6 @@ def _parsed(tables: dict[str, Any]) -> Rig:
         given = tables.get(table)
         if not isinstance(given, dict):
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
-        given = _with_present_names(table, given)
         _known(f"key of [{table}]", given, keys)
         missing = [key for key in keys if key not in given and key not in OPTIONAL]
         if missing:
@@ -275,15 +269,6 @@ def _text(key: str, value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{key} is {value!r}; give a word in quotes")
     return value
-
-
-def _with_present_names(table: str, values: dict[str, Any]) -> dict[str, Any]:
-    """A table of a file, which may be of an earlier version, with the keys' names of this one."""
-    renamed = RENAMED_RIG_KEYS.get(table, {})
-    for earlier, name in renamed.items():
-        if earlier in values and name in values:
-            raise ValueError(f"[{table}] has {name} and {earlier}, its earlier name; keep {name}")
-    return {renamed.get(key, key): value for key, value in values.items()}
 
 
 def _known(what: str, given: dict[str, Any], known: Sequence[str] | dict[str, Any]) -> None:
