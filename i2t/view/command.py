@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from i2t.cli import Count, check_options, exit_code_of, read_options, require_path, require_with, require_writable
+from i2t.cli import Count, check_options, exit_code_of, read_options, require_with, require_writable
 from i2t.files import why_no_touches
 from i2t.objects.named import require_object
 
@@ -25,8 +25,6 @@ class ViewArgs:
     """The object: a name of the catalogue, or a mesh file; by default by its name in the touches."""
     unit: Literal["m", "cm", "mm", "inch"] | None = None
     """Of a mesh file, which does not say it itself."""
-    belief: Path | None = None
-    """JSON file with names of candidates and p, their probabilities after each touch."""
     touches: Count | None = None
     """Look at so many at most, the first ones."""
     skin_name: str | None = None
@@ -55,7 +53,6 @@ def _write(asked: ViewArgs) -> None:
     require_with("--unit", asked.unit is not None, "--mesh", asked.mesh is not None)
     if asked.mesh is not None:
         require_object(asked.mesh, asked.unit, flag="--mesh")
-    require_path("--belief", asked.belief, "file")
     if asked.path.is_file() and (why := why_no_touches(asked.path)):
         raise ValueError(why)
     name = (asked.path.resolve().stem or "view") + (f"-{asked.skin_name}" if asked.skin_name else "")
@@ -69,9 +66,7 @@ def _write(asked: ViewArgs) -> None:
     from i2t.view.page import write_page
     from i2t.view.rerun_file import why_no_recording, write_recording
 
-    contents = read_contents(
-        asked.path, mesh=asked.mesh, unit=asked.unit, belief=asked.belief, most=asked.touches, skin=asked.skin_name
-    )
+    contents = read_contents(asked.path, mesh=asked.mesh, unit=asked.unit, most=asked.touches, skin=asked.skin_name)
     asked.out.mkdir(parents=True, exist_ok=True)
     print(f"wrote {write_page(contents, page)}")
     if asked.html:

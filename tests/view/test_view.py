@@ -12,10 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from i2t.collect.recorder import POSE_CHANNELS, WRENCH_CHANNELS
 from i2t.dataset import Image, Record, Series, save_dataset, write_touch
-from i2t.errors import DataError
 from i2t.hardware.protocols import channel_names
 from i2t.view import command, rerun_file
-from i2t.view.contents import read_belief, read_contents
+from i2t.view.contents import read_contents
 
 LENS = {"width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5}
 BEGUN = 1.7e9
@@ -69,16 +68,13 @@ def column(found, entity, component):
 def test_a_session_reads_back_from_its_recording(session, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed")
-    belief = tmp_path / "belief.json"
-    belief.write_text(json.dumps({"names": ["hexagon", "star"], "p": [[0.6, 0.4], [0.9, 0.1]]}))
-    assert command.main([str(session), "--out", str(tmp_path / "out"), "--belief", str(belief)]) == 0
+    assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
     found = list(chunk.RrdReader(tmp_path / "out" / "session.rrd").stream())
     scalars = column(found, "/readings/chip0/x", "Scalars:scalars")
     contents = read_contents(session)
     expected = [record.series["tactile"].values[:, 0] - 30 for record in contents.records()]
     np.testing.assert_allclose(np.sort(scalars), np.sort(np.concatenate(expected)))
     assert len(column(found, "/force/z", "Scalars:scalars")) == 2 * SAMPLES
-    assert sorted(column(found, "/belief/hexagon", "Scalars:scalars")) == [0.6, 0.9]
     assert {"contact of touch 0", "contact of touch 1"} <= set(column(found, "/events", "TextLog:text"))
     vertices = np.array(column(found, "/world/object", "Mesh3D:vertex_positions")).reshape(-1, 3)
     np.testing.assert_allclose(np.ptp(vertices, 0), np.ptp(contents.mesh.vertices, 0), rtol=1e-5)
@@ -123,14 +119,6 @@ def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, caps
 
 
 def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
-    belief = tmp_path / "belief.json"
-    for text, why in (('{"names": ["a"], "p": [[1.0]]}', "give 2 rows of 1"), ('["a"]', "holds no belief")):
-        belief.write_text(text)
-        with pytest.raises(DataError, match=why):
-            read_belief(belief, 2)
-    # Of a live episode:
-    belief.write_text('{"objects": ["a", "b"], "belief": [[0.5, 0.5], [0.9, 0.1]], "sites": [3, 4]}')
-    assert read_belief(belief, 2).names == ("a", "b")
     for options, why in (
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
         ([str(session), "--unit", "cm"], "no effect without --mesh"),
