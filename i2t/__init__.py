@@ -17,7 +17,7 @@ the hardware layer stays free of it. The second tier, documented as well, is `i2
 import importlib
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.2.0"
+from i2t._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from i2t.calibration.model import calibrate, load_calibration

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from i2t import __version__
+from i2t._version import __version__
 from i2t.cli import WRONG_USE, exit_code_of
 
 COMMANDS = {

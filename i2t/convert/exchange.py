@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from i2t import __version__, files
+from i2t import files
+from i2t._version import __version__
 from i2t.dataset import Dataset, missing_context
 from i2t.dataset.card import write_card
 from i2t.dataset.sets import INDICES, validate

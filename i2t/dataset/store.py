@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import h5py
 import numpy as np
 
-from i2t import __version__
+from i2t._version import __version__
 from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
