@@ -20,45 +20,30 @@ from typing import TYPE_CHECKING, Any
 from i2t._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from i2t.calibration.model import calibrate as calibrate
-    from i2t.calibration.model import load_calibration as load_calibration
-    from i2t.dataset.sets import Dataset as Dataset
-    from i2t.dataset.store import load_dataset as load_dataset
-    from i2t.dataset.store import save_dataset as save_dataset
-    from i2t.depth.camera import Camera as Camera
-    from i2t.depth.patches import patch_from_depth as patch_from_depth
-    from i2t.depth.pixel_pose import pose_at_pixel as pose_at_pixel
-    from i2t.errors import DataError as DataError
-    from i2t.errors import DeviceError as DeviceError
-    from i2t.errors import I2TError as I2TError
-    from i2t.objects.catalogue import make_object as make_object
-    from i2t.objects.mesh_files import load_mesh as load_mesh
-    from i2t.objects.poses import contact_pose as contact_pose
-    from i2t.objects.solids import Mesh as Mesh
-    from i2t.prediction.predictor import Predictor as Predictor
-    from i2t.prediction.predictor import Reading as Reading
-    from i2t.prediction.predictor import load_predictor as load_predictor
-    from i2t.recognition.pad_model_files import load_pad_model as load_pad_model
-    from i2t.recognition.recognizer import ObjectRecognizer as ObjectRecognizer
-    from i2t.registration.depth import register_by_depth as register_by_depth
-    from i2t.registration.estimate import PoseEstimate as PoseEstimate
-    from i2t.registration.touch import register_by_touch as register_by_touch
-    from i2t.rendering.render import prepare_surface as prepare_surface
-    from i2t.rendering.render import render_patch as render_patch
-    from i2t.simulation.sites import sample_touch_sites as sample_touch_sites
-    from i2t.simulation.touches import simulate_touches as simulate_touches
-    from i2t.skin.boards import anyskin_board as anyskin_board
-    from i2t.skin.boards import reskin_board as reskin_board
-    from i2t.skin.files import load_pad as load_pad
-    from i2t.skin.files import save_pad as save_pad
-    from i2t.skin.pad import nominal_pad as nominal_pad
-    from i2t.skin.pad import press as press
-    from i2t.skin.pad import sample_pad as sample_pad
-    from i2t.types import Board as Board
-    from i2t.types import Pad as Pad
-    from i2t.types import Patch as Patch
-    from i2t.types import Surface as Surface
-    from i2t.types import Touches as Touches
+    from i2t.calibration.model import calibrate, load_calibration
+    from i2t.dataset.sets import Dataset
+    from i2t.dataset.store import load_dataset, save_dataset
+    from i2t.depth.camera import Camera
+    from i2t.depth.patches import patch_from_depth
+    from i2t.depth.pixel_pose import pose_at_pixel
+    from i2t.errors import DataError, DeviceError, I2TError
+    from i2t.objects.catalogue import make_object
+    from i2t.objects.mesh_files import load_mesh
+    from i2t.objects.poses import contact_pose
+    from i2t.objects.solids import Mesh
+    from i2t.prediction.predictor import Predictor, Reading, load_predictor
+    from i2t.recognition.pad_model_files import load_pad_model
+    from i2t.recognition.recognizer import ObjectRecognizer
+    from i2t.registration.depth import register_by_depth
+    from i2t.registration.estimate import PoseEstimate
+    from i2t.registration.touch import register_by_touch
+    from i2t.rendering.render import prepare_surface, render_patch
+    from i2t.simulation.sites import sample_touch_sites
+    from i2t.simulation.touches import simulate_touches
+    from i2t.skin.boards import anyskin_board, reskin_board
+    from i2t.skin.files import load_pad, save_pad
+    from i2t.skin.pad import nominal_pad, press, sample_pad
+    from i2t.types import Board, Pad, Patch, Surface, Touches
 
 _HOMES = {
     "calibration.model": ("calibrate", "load_calibration"),

@@ -31,7 +31,7 @@ EXPERIMENTS = {
     "experiments.fidelity": "what is a recording of a skin worth?",
     "experiments.shapes": "which of five stamps was pressed?",
     "experiments.tsne": "do views and readings sort alike?",
-    "experiments.registration": "poses from patches, real depth images",
+    "experiments.registration": "patches of real depth images, and imagined",
     "experiments.gallery": "the pictures of the documents",
     "experiments.ready_models": "the models that come with the package",
     "experiments.notebooks": "notebooks as HTML",

@@ -1,10 +1,26 @@
-"""Functions of one item, over many items in batches that fit the processor's caches."""
+"""Many calls of one function: items in batches that fit the processor's caches, and calls laid over devices.
 
-from collections.abc import Callable
-from typing import Any
+What is computed in bulk (simulated touches, predicted touches, beliefs along episodes, members of an ensemble) is many
+calls of one compiled function with arguments of the same shapes. Where there is one device, `spread` makes them one
+after the other, as a loop would. Where there are n, it makes n at a time: their arguments lie side by side on a mesh of
+one axis, and each device runs what a single one would have run, on arrays of the same shapes. So results do not depend
+on the number of devices, and devices exchange nothing.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
+from itertools import chain, islice
+from typing import Any, TypeAlias
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.sharding import AxisType, Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+from jaxtyping import PyTree
+
+CALLS = "calls"  # the axis of the mesh
+Call: TypeAlias = tuple[Any, ...]
 
 
 def map_batches(function: Callable[[Any], Any], items: Any, batch_size: int) -> Any:
@@ -27,3 +43,99 @@ def map_batches(function: Callable[[Any], Any], items: Any, batch_size: int) -> 
     rows = np.minimum(np.arange(n + -n % batch_size), n - 1).reshape(-1, batch_size)
     found = jax.lax.map(jax.vmap(function), jax.tree.map(lambda x: x[rows], items))
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], found)
+
+
+def spread(
+    function: Callable[..., PyTree], calls: Iterable[Call], *, shared: Call = (), **static: Any
+) -> Iterator[PyTree]:
+    """`function(*call, *shared, **static)` for each call, as many at a time as there are devices.
+
+    Args:
+        function: Compiled (`jax.jit`), of module level or kept by whoever calls, because what is compiled for several
+            devices is found again by it.
+        calls: Positional arguments that are each call's own, all of the same shapes. They are asked for as they are
+            needed.
+        shared: Positional arguments that follow, the same for all calls.
+        static: Named arguments that are not arrays, the same for all calls.
+
+    Yields:
+        Results in the order of the calls, on the host.
+    """
+    remaining, devices = iter(calls), jax.device_count()
+    group = list(islice(remaining, devices))
+    if len(group) < 2:  # one device, or nothing to share between several
+        shared = _here(shared)
+        for call in chain(group, remaining):
+            yield jax.device_get(function(*call, *shared, **static))
+        return
+    program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
+    by_call = NamedSharding(_mesh(), P(CALLS))
+    while group:
+        filled = group + group[-1:] * (devices - len(group))  # the last devices repeat the last call
+        side_by_side = jax.device_put(jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled), by_call)
+        made = jax.device_get(program(side_by_side, shared))
+        for i in range(len(group)):
+            yield jax.tree.map(lambda leaf, i=i: leaf[i], made)
+        group = list(islice(remaining, devices))
+
+
+def spread_rows(
+    function: Callable[..., PyTree], rows: Call, *, shared: Call = (), multiple: int = 1, **static: Any
+) -> PyTree:
+    """`function(*rows, *shared, **static)` with the rows cut into equal parts, one for each device.
+
+    Args:
+        function: As of `spread`; every array of its result has the rows as axis 0, and no row depends on another.
+        rows: Positional arguments whose arrays all have the rows as axis 0.
+        shared: Positional arguments that follow.
+        multiple: Of which the number of rows in a part is one: a function that takes so many rows at a time then takes
+            the same ones together wherever they are.
+        static: Named arguments that are not arrays.
+
+    Returns:
+        The result for all rows.
+    """
+    length = len(jax.tree.leaves(rows)[0])
+    groups = -(-length // multiple)
+    parts = min(jax.device_count(), groups)
+    if parts < 2:
+        return function(*rows, *_here(shared), **static)
+    each = multiple * -(-groups // parts)
+    index = np.resize(np.arange(length), (parts, each))  # filled up with the first rows
+    calls = [jax.tree.map(lambda leaf, part=part: leaf[part], rows) for part in index]
+    made = list(spread(function, calls, shared=shared, **static))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:length], *made)
+
+
+def everywhere(values: PyTree) -> PyTree:
+    """Arrays on all devices, for arguments that several calls of `spread` share.
+
+    Args:
+        values: Arrays on the host or on any device; those that are everywhere already stay.
+
+    Returns:
+        The same arrays on all devices.
+    """
+    return jax.device_put(values, NamedSharding(_mesh(), P()) if jax.device_count() > 1 else None)
+
+
+def _here(values: PyTree) -> PyTree:
+    """Arrays on one device only, so that single computations do not run on all."""
+    return jax.device_put(values, jax.devices()[0]) if jax.device_count() > 1 else values
+
+
+def _mesh() -> Mesh:
+    return jax.make_mesh((jax.device_count(),), (CALLS,), axis_types=(AxisType.Auto,), devices=jax.devices())
+
+
+@lru_cache(maxsize=32)
+def _program(function: Callable[..., PyTree], static: tuple[tuple[str, Any], ...], mesh: Mesh) -> Callable[..., PyTree]:
+    """Program of each device: a call on its own arguments, which are one row of those side by side."""
+
+    def local(own: PyTree, shared: PyTree) -> PyTree:
+        call = jax.tree.map(lambda leaf: leaf[0], own)
+        return jax.tree.map(lambda leaf: leaf[None], function(*call, *shared, **dict(static)))
+
+    # Loops that end sooner on one device than on another are no error: devices do not wait for each other.
+    over = jax.shard_map(local, mesh=mesh, in_specs=(P(CALLS), P()), out_specs=P(CALLS), check_vma=False)
+    return jax.jit(over)

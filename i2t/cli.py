@@ -200,72 +200,41 @@ def docstring_of(module: str) -> str:
     return ast.get_docstring(ast.parse(Path(spec.origin).read_text())) or ""
 
 
-@dataclass
-class Ending:
-    """Exit code of a command: 0 if it did what was asked; 2 if that cannot be done (a ValueError, or a file or folder
-    that is not as the command line has it), 1 if a device or the disk failed, 130 after Ctrl-C, 141 without a word if
-    nobody reads its output any more.
-    """
-
-    code: int = 0
-
-    def take(self, result: Any) -> None:
-        """Take a command's result for its exit code, if it is an int.
-
-        Args:
-            result: Of the work.
-        """
-        self.code = result if isinstance(result, int) else 0
-
-
-@contextmanager
-def ending(interrupted: str | Callable[[], str] = "interrupted") -> Iterator[Ending]:
-    """Context of a command's work: errors for its user become one sentence, Ctrl-C a report of the state.
-
-    Args:
-        interrupted: The sentence after Ctrl-C, or what makes it then.
-
-    Yields:
-        How it ended, to be read after the block.
-    """
-    use_compile_cache()
-    shown, warnings.showwarning = warnings.showwarning, _show_warning
-    end = Ending()
-    try:
-        with _interrupts_in_good_time():
-            yield end
-        if sys.stdout is not None and not sys.stdout.closed:
-            sys.stdout.flush()  # here, where it is known what to say if that fails
-    except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
-        if isinstance(error, BrokenPipeError) and _nobody_reads():
-            end.code = NOBODY_READS
-            return
-        print(f"error: {_sentence(error)}", file=sys.stderr)
-        mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
-        end.code = WRONG_USE if mendable else FAILED
-    except KeyboardInterrupt:
-        print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
-        end.code = INTERRUPTED_BY_USER
-    except MemoryError:
-        print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)
-        end.code = FAILED
-    finally:
-        warnings.showwarning = shown
-
-
 def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] = "interrupted") -> int:
-    """Do a command's work and return its exit code, as in `ending`.
+    """Do a command's work and return its exit code; errors for its user become one sentence, Ctrl-C a report of the
+    state.
 
     Args:
         work: Of the command; an int that it returns is the exit code.
         interrupted: The sentence after Ctrl-C, or what makes it then.
 
     Returns:
-        The exit code: that of `work`, or of `Ending`.
+        0 if it did what was asked; 2 if that cannot be done (a ValueError, or a file or folder that is not as the
+        command line has it), 1 if a device or the disk failed, 130 after Ctrl-C, 141 without a word if nobody reads its
+        output any more.
     """
-    with ending(interrupted) as end:
-        end.take(work())
-    return end.code
+    use_compile_cache()
+    shown, warnings.showwarning = warnings.showwarning, _show_warning
+    try:
+        with _interrupts_in_good_time():
+            result = work()
+        if sys.stdout is not None and not sys.stdout.closed:
+            sys.stdout.flush()  # here, where it is known what to say if that fails
+        return result if isinstance(result, int) else 0
+    except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
+        if isinstance(error, BrokenPipeError) and _nobody_reads():
+            return NOBODY_READS
+        print(f"error: {_sentence(error)}", file=sys.stderr)
+        mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
+        return WRONG_USE if mendable else FAILED
+    except KeyboardInterrupt:
+        print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
+        return INTERRUPTED_BY_USER
+    except MemoryError:
+        print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)
+        return FAILED
+    finally:
+        warnings.showwarning = shown
 
 
 def command(

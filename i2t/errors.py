@@ -69,7 +69,6 @@ EXTRAS = {  # by the name under which each is imported
     "embreex": Extra("embreex", "bench"),
     "gymnasium": Extra("Gymnasium", "environments"),
     "manifold3d": Extra("manifold3d", "shapes"),
-    "mcap": Extra("mcap", "view"),
     "open3d": Extra("Open3D", "bench"),
     "nbconvert": Extra("Jupyter", "notebooks"),
     "ipykernel": Extra("Jupyter", "notebooks"),
@@ -88,7 +87,7 @@ def why_missing(module: str, need: str) -> str:
 
     Args:
         module: One of `EXTRAS`.
-        need: What needs it, the subject of a sentence, such as "an MCAP file".
+        need: What needs it, the subject of a sentence, such as "a Rerun recording".
 
     Returns:
         One sentence with the remedy; "" where the package is there.

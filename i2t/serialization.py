@@ -64,25 +64,8 @@ def load(
     Raises:
         SerializationError: There is no such file, or it is of another kind or damaged.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise SerializationError(f"{path}: there is no such file; name a {kind} file that i2t wrote")
-    try:
-        data = _bytes_of_archive(path)
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        header = json.loads(str(arrays.pop(ABOUT)))
-        if any(array.dtype.kind not in "biufU" for array in arrays.values()):
-            raise ValueError("neither numbers nor text")
-        found, version, digest = header["format"], header["version"], header["sha256"]
-    except DataError as error:  # says itself what it is
-        raise SerializationError(str(error)) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        raise SerializationError(
-            f"{path}: is damaged or was not written by i2t; restore a copy or make it again"
-        ) from error
-    except Exception as error:  # zlib's and the zip reader's own kinds, which have no common parent
-        raise SerializationError(f"{path}: is damaged; restore a copy or make it again") from error
+    arrays, header = _read(path, f"{kind} file")
+    found, version, digest = header["format"], header["version"], header["sha256"]
     if found != kind:
         raise SerializationError(f"{path}: holds a {found}, not a {kind}; name the right file")
     if version != TREE_VERSION:
@@ -114,16 +97,7 @@ def file_kind(path: Path | str) -> str:
     Raises:
         SerializationError: There is no such file, or it was not written by `save`.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise SerializationError(f"{path}: there is no such file; name one that i2t wrote")
-    try:
-        with np.load(io.BytesIO(_bytes_of_archive(path)), allow_pickle=False) as file:
-            return str(json.loads(str(file[ABOUT]))["format"])
-    except DataError as error:
-        raise SerializationError(str(error)) from error
-    except Exception as error:  # as many kinds as in `load`
-        raise SerializationError(f"{path}: is damaged or was not written by i2t; name another file") from error
+    return str(_read(path, "file")[1]["format"])
 
 
 @contextmanager
@@ -186,10 +160,30 @@ def _build(form: Any, arrays: dict[str, np.ndarray], prefix: str) -> Any:
     return form(**values)
 
 
-def _bytes_of_archive(path: Path) -> bytes:
-    data = files.read_bytes(path)
-    files.check_archive(path, data)
-    return data
+def _read(path: Path | str, what: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays of a file, and its header."""
+    path = Path(path)
+    if not path.is_file():
+        raise SerializationError(f"{path}: there is no such file; name a {what} that i2t wrote")
+    try:
+        data = files.read_bytes(path)
+        files.check_archive(path, data)
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(str(arrays.pop(ABOUT)))
+        if any(array.dtype.kind not in "biufU" for array in arrays.values()):
+            raise ValueError("neither numbers nor text")
+        if not {"format", "version", "sha256", "about"} <= header.keys():
+            raise ValueError("no header")
+    except DataError as error:  # says itself what it is
+        raise SerializationError(str(error)) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise SerializationError(
+            f"{path}: is damaged or was not written by i2t; restore a copy or make it again"
+        ) from error
+    except Exception as error:  # zlib's and the zip reader's own kinds, which have no common parent
+        raise SerializationError(f"{path}: is damaged; restore a copy or make it again") from error
+    return arrays, header
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:

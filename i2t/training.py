@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key, PyTree, UInt32
 
-from i2t.sharding import spread_rows
+from i2t.batching import spread_rows
 from i2t.types import in_one_line
 
 Tree = TypeVar("Tree")

@@ -34,7 +34,7 @@ COMPILATION = (
 COMPUTING = ("test_recognize.py", "test_constants.py")
 # Longest first, so that no worker is left with one of them at the end. The second needs no trained run, which the first
 # makes meanwhile.
-SLOW = ("test_recognize.py", "test_sharding.py", "test_examples.py", "test_train.py")
+SLOW = ("test_recognize.py", "test_batching.py", "test_examples.py", "test_train.py")
 
 
 class OneFileOneWorker(LoadFileScheduling):

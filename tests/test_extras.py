@@ -12,7 +12,6 @@ from i2t.cli import require_writable
 from i2t.convert.commands import main as convert
 from i2t.errors import EXTRAS, MissingExtraError
 from i2t.objects import make_object, random_object
-from i2t.view import command as view
 
 ROOT = Path(__file__).parents[1]
 
@@ -36,11 +35,8 @@ def test_an_experiment_looks_for_its_extra_before_it_works(tmp_path, monkeypatch
 
 
 def test_a_command_looks_for_its_extra_before_it_works(tmp_path, monkeypatch, capsys):
-    for module in ("mcap", "pyarrow"):
-        monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
     (tmp_path / "touches").mkdir()
-    assert view.main([str(tmp_path / "touches"), "--out", str(tmp_path / "page"), "--mcap"]) == 2
-    assert "--mcap needs mcap, which is missing: pip install" in capsys.readouterr().err
     assert convert(["lerobot", str(tmp_path / "touches"), str(tmp_path / "lerobot")]) == 2
     assert "needs pyarrow, which is missing: pip install" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["touches"]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 from i2t import training
@@ -217,3 +218,18 @@ def test_touches_that_cannot_be_learned_from_are_refused(damaged: Batch, words: 
 def test_impossible_trainings_are_refused(change: dict) -> None:
     with pytest.raises(ValueError, match=f"train.{next(iter(change))}"):
         TrainConfig(**change)
+
+
+def test_full_batch_descent_finds_least_squares_and_reports_the_loss_before_each_step() -> None:
+    x, y = jax.random.normal(jax.random.key(2), (40, 3)), jax.random.normal(jax.random.key(3), (40, 2))
+    start = jnp.ones((3, 2))
+
+    def loss(kernel: jax.Array, _: jax.Array) -> jax.Array:
+        return jnp.mean((x @ kernel - y) ** 2)
+
+    keys = jax.random.split(jax.random.key(4), 300)
+    fitted, path = jax.jit(lambda start: training.descend(start, loss, optax.sgd(0.3), keys))(start)
+    best = np.linalg.lstsq(np.asarray(x, np.float64), np.asarray(y, np.float64))[0]
+    np.testing.assert_allclose(fitted, best, atol=1e-5)
+    assert path.shape == (300,)
+    assert path[0] == pytest.approx(float(loss(start, keys[0])), rel=64 * EPS)

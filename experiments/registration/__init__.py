@@ -1,1 +1,1 @@
-"""Where an object is, and what a real camera sees of it."""
+"""What a real camera sees of an object, next to what is imagined."""

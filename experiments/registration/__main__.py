@@ -1,17 +1,11 @@
-"""`python -m experiments.registration patch --help` and `python -m experiments.registration frames --help`."""
+"""`python -m experiments.registration frames --help`."""
 
 import sys
 
 from experiments.common.commands import command_of_parts
-from experiments.registration.arguments import FramesArgs, PatchPoseArgs
+from experiments.registration.arguments import FramesArgs
 
-main = command_of_parts(
-    "experiments.registration",
-    {
-        "patch": (PatchPoseArgs, "experiments.registration.patch"),
-        "frames": (FramesArgs, "experiments.registration.frames"),
-    },
-)
+main = command_of_parts("experiments.registration", {"frames": (FramesArgs, "experiments.registration.frames")})
 
 if __name__ == "__main__":
     sys.exit(main())

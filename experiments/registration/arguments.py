@@ -2,23 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from experiments.common.options import RunOptions
 from i2t.cli import Count, Positive
 from i2t.windows import PATCH_WINDOW
 
 FRAME_FOLDERS = ("ycbvideo", "ycb_meshes", "apc_depth")
-CASES = {"paper": 200, "debug": 6}  # shared among all objects
-OBJECTS = {"paper": 40, "debug": 3}
-
-
-@dataclass(frozen=True)
-class PatchPoseArgs(RunOptions):
-    """Seek poses from single patches and say how often they are found."""
-
-    out: Path = Path("runs/registration_patch")  # folder for what is made
-    preset: Literal["paper", "debug"] = "paper"
 
 
 @dataclass(frozen=True)

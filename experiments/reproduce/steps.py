@@ -63,7 +63,6 @@ STEPS = (
         again=OVERWRITE,
     ),
     Step("fidelity", "-m experiments.fidelity --dataset eflesh/spatial", minutes=11, again=OVERWRITE),
-    Step("registration_patch", "-m experiments.registration patch", minutes=2, again=OVERWRITE),
     Step("registration_frames", "-m experiments.registration frames --data DATA", minutes=1, again=OVERWRITE),
     Step("active_touch", "-m experiments.active_touch", minutes=10, again=OVERWRITE),
     Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again=OVERWRITE),

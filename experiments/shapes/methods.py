@@ -29,9 +29,8 @@ from experiments.shapes.world import PREFIX, SHAPES
 from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
 from i2t.geometry import inverse
-from i2t.mlp import Layers
 from i2t.paper import classifier
-from i2t.paper.classifier import Classifier
+from i2t.paper.classifier import Classifier, Layers
 from i2t.skin.elasticity import GRID, Grid
 from i2t.types import Board, ReturnCode
 

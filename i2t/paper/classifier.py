@@ -6,17 +6,18 @@ The paper does not say what follows the hidden layers (rectifiers here), nor how
 1024 presses in minibatches of 128, the rate falling to 0 as a cosine).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from i2t import mlp
-from i2t.mlp import Layers
 from i2t.training import descend
+
+Layers: TypeAlias = list[dict[str, Array]]  # of each layer "kernel" (inputs, outputs) and "bias" (outputs,)
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,25 @@ def fit(
         return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(logits(layers, x), y))
 
     keys = jax.vmap(lambda i: jax.random.fold_in(key_steps, i))(jnp.arange(cfg.steps))
-    return descend(mlp.init(key_init, (inputs, *cfg.hidden, classes)), loss, optimizer, keys)[0]
+    return descend(init(key_init, (inputs, *cfg.hidden, classes)), loss, optimizer, keys)[0]
+
+
+def init(key: Key[Array, ""], sizes: Sequence[int]) -> Layers:
+    """Random layers: normal weights of variance 2 / inputs, which suits rectifiers (He et al., "Delving deep into
+    rectifiers", 2015), and biases of 0.
+
+    Args:
+        key: Random key.
+        sizes: Width of the input, of each hidden layer and of the output.
+
+    Returns:
+        One layer fewer than there are sizes.
+    """
+    keys = jax.random.split(key, len(sizes) - 1)
+    return [
+        {"kernel": jnp.sqrt(2.0 / a) * jax.random.normal(k, (a, b)), "bias": jnp.zeros(b)}
+        for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)
+    ]
 
 
 def logits(layers: Layers, x: Float[Array, "n d"]) -> Float[Array, "n classes"]:
@@ -76,4 +95,11 @@ def logits(layers: Layers, x: Float[Array, "n d"]) -> Float[Array, "n classes"]:
     Returns:
         Log probabilities, up to a constant for each reading.
     """
-    return jax.vmap(lambda one: mlp.apply(layers, one))(x)
+
+    def one(x: Float[Array, " d"]) -> Float[Array, " classes"]:
+        *hidden, last = layers
+        for layer in hidden:
+            x = jax.nn.relu(x @ layer["kernel"] + layer["bias"])
+        return x @ last["kernel"] + last["bias"]
+
+    return jax.vmap(one)(x)

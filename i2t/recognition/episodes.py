@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from i2t.batching import map_batches
+from i2t.batching import everywhere, map_batches, spread, spread_rows
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
@@ -26,7 +26,6 @@ from i2t.recognition.belief import Likelihood, Particles, TouchObservation
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
-from i2t.sharding import everywhere, spread, spread_rows
 from i2t.simulation import touches as simulation
 from i2t.simulation.press import PressLaw, PressLimits
 from i2t.simulation.touches import SessionErrors, SimulationErrors

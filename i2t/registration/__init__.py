@@ -1,19 +1,15 @@
-"""Pose of an object or a tool, from one depth patch, from touches or from a depth image."""
+"""Pose of an object or a tool, from touches or from a depth image."""
 
 from i2t.registration.depth import DepthRegistrationConfig, camera_covariance, register_by_depth
 from i2t.registration.estimate import PoseEstimate
-from i2t.registration.patch import PatchRegistrationConfig, RefinedPose, refine_pose
 from i2t.registration.touch import TouchRegistrationConfig, contact_poses, register_by_touch
 
 __all__ = [
     "DepthRegistrationConfig",
-    "PatchRegistrationConfig",
     "PoseEstimate",
-    "RefinedPose",
     "TouchRegistrationConfig",
     "camera_covariance",
     "contact_poses",
-    "refine_pose",
     "register_by_depth",
     "register_by_touch",
 ]

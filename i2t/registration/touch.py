@@ -195,8 +195,8 @@ def _most_probable(
     scales = _annealed(noise, jnp.hypot(prior_std[0], prior_std[3]), config)  # how far the prior may be off at the face
 
     def search(z: Float[Array, "6"]) -> tuple[Float[Array, "6"], _Linearised, Float[Array, ""]]:
-        end = levenberg_marquardt(problem, z, scales, scale_free=True)
-        return end.x, end.linearised, problem.cost(end.x, end.linearised, noise)
+        found, linearised = levenberg_marquardt(problem, z, scales)
+        return found, linearised, problem.cost(found, linearised, noise)
 
     starts = jax.random.normal(key, (config.num_starts, 6)).at[0].set(0.0)
     ends = jax.lax.map(search, starts)
@@ -275,7 +275,6 @@ def _touch_problem(contacts: _Contacts, half_edge: float) -> LeastSquares:
         residual_and_jacobian=lambda z: _linearise(z, contacts, half_edge),
         cost=lambda z, linearised, scale: _cost(z, linearised, contacts.weight, scale),
         normal_equations=lambda z, linearised, scale: _normal_equations(z, linearised, contacts.weight, scale),
-        retract=lambda z, change: z + change,
         unseen=_Linearised(jnp.full(n, UNSEEN_CONTACT_RESIDUAL_M), jnp.zeros((n, 6)), jnp.ones(n)),
     )
 

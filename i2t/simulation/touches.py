@@ -31,8 +31,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry, validation
+from i2t.batching import spread
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
-from i2t.sharding import spread
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLaw, PressLimits, press_to_stop
 from i2t.skin import faults

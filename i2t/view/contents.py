@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from i2t.dataset import Dataset, Record, Series, load_dataset, read_touch
 from i2t.depth.camera import Camera
-from i2t.errors import DataError
-from i2t.files import read_json
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
@@ -39,7 +37,7 @@ class Poses(NamedTuple):
 class Numbers(NamedTuple):
     """Numbers that change with time; NaN where one is not known."""
 
-    place: str  # readings (uT less the ambient), temperature (degrees Celsius), force (N), torque (Nm) or belief
+    place: str  # readings (uT less the ambient), temperature (degrees Celsius), force (N) or torque (Nm)
     names: tuple[str, ...]
     time: Times
     values: Float[np.ndarray, "n names"]
@@ -71,13 +69,6 @@ class Events(NamedTuple):
 Item: TypeAlias = Poses | Numbers | Field | Picture | Events
 
 
-class BeliefHistory(NamedTuple):
-    """Belief after each touch."""
-
-    names: tuple[str, ...]  # of the candidates
-    p: Float[np.ndarray, "touches candidates"]
-
-
 @dataclass(frozen=True)
 class Contents:
     """A session or a data set."""
@@ -86,7 +77,6 @@ class Contents:
     dataset: Dataset  # of all touches, chips that did not answer as NaN
     files: tuple[Path, ...]  # of recorded touches, in the order of the data set; empty for other data sets
     mesh: Mesh | None  # of the object, in its own frame
-    belief: BeliefHistory | None
     skin: str | None = None  # which of several
 
     @property
@@ -109,7 +99,6 @@ def read_contents(
     *,
     mesh: str | None = None,
     unit: str | None = None,
-    belief: Path | None = None,
     most: int | None = None,
     skin: str | None = None,
 ) -> Contents:
@@ -120,7 +109,6 @@ def read_contents(
         mesh: Of the object: a name of the catalogue, or a file; by default the name that the touches give, if the
             catalogue knows it.
         unit: Of a mesh file: m, cm, mm or inch; an object of the catalogue needs none.
-        belief: A JSON file: `names` of candidates, and `p`, their probabilities after each touch.
         most: Touches that are looked at, the first ones; by default all.
         skin: Name of the skin, where several were read in each touch.
 
@@ -138,8 +126,7 @@ def read_contents(
         files = ()  # a packed set, or one with others next to it
     if most is not None:
         dataset, files = dataset.select(np.arange(min(most, len(dataset)))), files[:most]
-    believed = None if belief is None else read_belief(belief, len(dataset))
-    return Contents(path, dataset, files, _mesh(mesh, unit, dataset), believed, skin=skin)
+    return Contents(path, dataset, files, _mesh(mesh, unit, dataset), skin=skin)
 
 
 def _mesh(name: str | None, unit: str | None, dataset: Dataset) -> Mesh | None:
@@ -147,32 +134,6 @@ def _mesh(name: str | None, unit: str | None, dataset: Dataset) -> Mesh | None:
         known = [each for each in dataset.objects if each in NAMES]
         return make_object(known[0]).mesh if len(dataset.objects) == 1 and known else None
     return read_object(name, unit).mesh
-
-
-def read_belief(path: Path, touches: int) -> BeliefHistory:
-    """Read the belief after each touch.
-
-    Args:
-        path: A JSON file with `names` and `p`, or the `result.json` of `experiments.recognize live`, which calls them
-            `objects` and `belief`.
-        touches: How many there are.
-
-    Returns:
-        The belief.
-
-    Raises:
-        DataError: The file holds something else.
-        OSError: It cannot be read.
-    """
-    found = read_json(path)
-    try:
-        keys = ("objects", "belief") if "belief" in found else ("names", "p")
-        names, p = tuple(str(name) for name in found[keys[0]]), np.array(found[keys[1]], np.float64)
-    except (LookupError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: holds no belief ({error}); give names, and p of each after every touch") from error
-    if p.shape != (touches, len(names)) or not ((p >= 0) & (p <= 1)).all():
-        raise DataError(f"{path}: p has the shape {p.shape}; give {touches} rows of {len(names)} probabilities")
-    return BeliefHistory(names, p)
 
 
 def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
@@ -214,8 +175,6 @@ def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
         yield Numbers("torque", AXES, series["wrench"].time, series["wrench"].values[:, 3:])
     else:
         yield Numbers("force", ("normal",), known, np.asarray(touches.force[:1, None], float))
-    if contents.belief is not None:
-        yield Numbers("belief", contents.belief.names, known, contents.belief.p[number : number + 1])
     if record.events:
         yield Events(np.array([when for when, _ in record.events]), tuple(text for _, text in record.events))
 

@@ -46,8 +46,6 @@ def write_page(contents: Contents, path: Path) -> Path:
                                  window=dataset.window, reach=dataset.reach)),
         *((f"Touch {row + 1}", figure) for row, figure in _courses(contents, shown)),
     ]  # fmt: skip
-    if contents.belief is not None:
-        pictures.append(("Belief", _belief(contents)))
     about = {"touches": str(len(dataset)), "source": dataset.source, **dataset.meta}
     body = [
         f"<h1>{html.escape(titled(str(contents.path.name), contents.simulated))}</h1>",
@@ -85,19 +83,6 @@ def _course(record: Record, simulated: bool, row: int) -> Figure:
     right.set(xlabel="time (s)", ylabel="force on the tool (N)")
     events = "; ".join(f"{when - begun:.2f} s {text}" for when, text in record.events)
     figure.suptitle(f"{titled(f'Touch {row + 1}', simulated)}\n{events[:200]}", fontsize=9)
-    return figure
-
-
-def _belief(contents: Contents) -> Figure:
-    belief = contents.belief
-    assert belief is not None
-    figure = Picture(figsize=(7, 3.5), layout="constrained")
-    axes = figure.subplots()
-    for i, name in enumerate(belief.names):
-        axes.plot(np.arange(1, len(belief.p) + 1), belief.p[:, i], "o-", color=COLOURS[i % len(COLOURS)], label=name)
-    axes.set(xlabel="touch", ylabel="probability", ylim=(0, 1))
-    axes.legend(fontsize=8)
-    figure.suptitle(titled("Belief after each touch", contents.simulated))
     return figure
 
 

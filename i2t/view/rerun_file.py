@@ -6,7 +6,7 @@
     readings/chip0/x ...           microtesla, less the ambient
     temperature/chip0 ...          degrees Celsius
     force/x ..., torque/x ...      on the tool, tool axes
-    patch, events, about, belief   what was extracted, what happened, provenance, probabilities
+    patch, events, about           what was extracted, what happened, provenance
 
 Every touch also has its number on the line `touch`. Rerun (rerun.io) shows such a file with `rerun FILE`; the package
 rerun-sdk is needed to write it.

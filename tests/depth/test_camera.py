@@ -157,6 +157,7 @@ def test_views_are_checked():
         ((depth.T, lens, eye, eye), "shape"),
         ((np.full((4, 5), np.nan, np.float32), lens, eye, eye), "no pixel"),
         ((np.where(np.eye(4, 5) > 0, -depth, depth), lens, eye, eye), "negative"),
+        ((1e3 * depth, lens, eye, eye), "divide millimetres by 1000"),
         ((1e-3 * depth, lens, eye, eye), r"nearer than 0.0003 m, .* \(20 mm\)"),
         ((depth, lens, gone, eye), "T_w_c: holds NaN"),
         ((depth, lens, eye, np.zeros((4, 4))), "T_w_t: is not a rigid"),

@@ -250,14 +250,8 @@ def test_hostile_values():
     elsewhere = extract(plane(), CAMERA, eye, pose(np.eye(3), [5, 0, LOOKING_DISTANCE_M]))
     assert not np.asarray(elsewhere.valid_mask).any()
     assert elsewhere.patch.nearest == np.inf
-    # Where values are known, each of these has its sentence.
-    for depth, T, message in (
-        (1e3 * plane(), T_w_t, "divide millimetres by 1000"),
-        (0 * plane(), T_w_t, "no pixel was measured"),
-        (plane(), 2 * T_w_t, "T_w_t: is not a rigid motion"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            patch_from_depth(depth, CAMERA, eye, T)
+    with pytest.raises(ValueError, match="no pixel was measured"):  # where values are known (`check_view`)
+        patch_from_depth(0 * plane(), CAMERA, eye, T_w_t)
     with pytest.raises(ValueError, match="shape"):
         extract(plane().T, CAMERA, eye, T_w_t)
     with pytest.raises(ValueError, match="uint16"):

@@ -16,7 +16,6 @@ def squares(residual, parameters: int, size: int) -> LeastSquares:
             linearised[1].T @ linearised[1],
             linearised[1].T @ linearised[0],
         ),
-        retract=lambda x, change: x + change,
         unseen=(jnp.full(size, 1e6), jnp.zeros((size, parameters))),
     )
 
@@ -24,9 +23,8 @@ def squares(residual, parameters: int, size: int) -> LeastSquares:
 def test_the_valley_of_rosenbrock_ends_at_its_minimum():
     """Rosenbrock, "An automatic method for finding the greatest or least value of a function", 1960: (1, 1)."""
     problem = squares(lambda x: jnp.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]]), 2, 2)
-    for scale_free in (False, True):
-        end = levenberg_marquardt(problem, jnp.array([-1.2, 1.0]), jnp.ones(60), scale_free=scale_free)
-        np.testing.assert_allclose(end.x, [1, 1], atol=1e-5)
+    x, _ = levenberg_marquardt(problem, jnp.array([-1.2, 1.0]), jnp.ones(60))
+    np.testing.assert_allclose(x, [1, 1], atol=1e-5)
 
 
 def test_marquardts_damping_knows_no_units():
@@ -34,16 +32,7 @@ def test_marquardts_damping_knows_no_units():
     a, b = np.random.default_rng(0).normal(size=(8, 3)), np.random.default_rng(1).normal(size=8)
     units = np.array([1.0, 64.0, 1 / 1024])  # powers of two, which round nothing
     one, other = (
-        levenberg_marquardt(squares(lambda x, u=u: (a * u) @ x - b, 3, 8), jnp.zeros(3), jnp.ones(3), scale_free=True)
+        levenberg_marquardt(squares(lambda x, u=u: (a * u) @ x - b, 3, 8), jnp.zeros(3), jnp.ones(3))[0]
         for u in (np.ones(3), units)
     )
-    np.testing.assert_allclose(other.x * units, one.x, rtol=1e-5)
-
-
-def test_a_tolerance_ends_the_search_at_the_last_scale():
-    problem = squares(lambda x: x - 3.0, 2, 2)
-    scales = jnp.array([4.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    assert levenberg_marquardt(problem, jnp.zeros(2), scales).steps == len(scales)
-    end = levenberg_marquardt(problem, jnp.zeros(2), scales, tolerance=0.01)
-    assert 3 <= end.steps < len(scales)
-    np.testing.assert_allclose(end.x, 3, atol=0.01)
+    np.testing.assert_allclose(other * units, one, rtol=1e-5)

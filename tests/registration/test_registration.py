@@ -10,13 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
+from depth.test_patches import image
 from scipy.spatial.transform import Rotation
 
 from experiments.registration.frames import OBJECTS, frames
 from i2t.depth.camera import Camera
-from i2t.depth.distortion import pixel_rays
 from i2t.geometry import inverse, random_motion, to_twist
 from i2t.objects import make_object, read_mesh
 from i2t.registration import camera_covariance, contact_poses, register_by_depth, register_by_touch
@@ -191,18 +189,12 @@ def look_at(at: np.ndarray, degrees: float, distance: float = 0.25) -> np.ndarra
     return T
 
 
-def image(mesh, T_w_c: np.ndarray, rng: np.random.Generator, noise: float = 1e-3) -> np.ndarray:
+def noisy_image(mesh, T_w_c: np.ndarray, rng: np.random.Generator, noise: float = 1e-3) -> np.ndarray:
     """Depth (m) of an object on a table, with noise."""
     table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])
-    scene = EmbreeScene()
-    for part in (mesh, table):
-        TriangleMesh(scene, np.asarray(part.vertices, np.float32)[np.asarray(part.faces)])
-    x, y = np.asarray(pixel_rays(CAMERA), float)
-    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ T_w_c[:3, :3].T
-    starts = np.broadcast_to(T_w_c[:3, 3], rays.shape)
-    hits = scene.run(starts.astype(np.float32), rays.astype(np.float32), output=1)  # in units of the rays: depth
-    depth = np.where(hits["primID"] < 0, np.nan, hits["tfar"]).reshape(x.shape)
-    return (depth + rng.normal(0, noise, x.shape)).astype(np.float32)
+    scene = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), table])
+    depth = image(scene, T_w_c, CAMERA)
+    return (depth + rng.normal(0, noise, depth.shape)).astype(np.float32)
 
 
 def off(rng: np.random.Generator, distance: float = 7e-3, degrees: float = 5.0) -> np.ndarray:
@@ -223,7 +215,7 @@ def test_depth_finds_the_pose(name, at):
     squared = []
     for degrees in (25, 35, 45, 55):
         T_w_c = look_at(np.array([at, 0, 15e-3]), degrees)
-        found = register_by_depth(mesh, off(rng), image(mesh, T_w_c, rng), CAMERA, T_w_c)
+        found = register_by_depth(mesh, off(rng), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c)
         error = errors(found.T_w_o[None], np.eye(4)[None])[0]
         assert np.linalg.norm(error[:3]) < 1e-3
         if name != "dome":
@@ -244,7 +236,7 @@ def test_covariance_from_depth_includes_the_prior():
     T_w_c = look_at(np.array([0, 0, 15e-3]), 35)
     std, angle = 1e-6, 0.02
     found = register_by_depth(
-        mesh, np.eye(4), image(mesh, T_w_c, rng), CAMERA, T_w_c, translation_std=std, rotation_std=angle
+        mesh, np.eye(4), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c, translation_std=std, rotation_std=angle
     )
     predicted = np.sqrt(np.diagonal(np.asarray(found.covariance, float)))
     np.testing.assert_allclose(predicted[:3], std, rtol=1e-2)
@@ -271,7 +263,7 @@ def test_an_object_is_as_far_off_as_its_camera():
 def test_what_cannot_be_registered_is_refused():
     rng, mesh = np.random.default_rng(0), make_object("hexagon").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 30)
-    depth = image(mesh, T_w_c, rng)
+    depth = noisy_image(mesh, T_w_c, rng)
     far, lifted = np.eye(4), np.eye(4)
     far[0, 3], lifted[2, 3] = 0.15, 0.7 * 30e-3
     # One of a third the size, its top on the real top, has a ninth of its area within reach of the rest.

@@ -1,6 +1,5 @@
 """A session as a Rerun recording and as a page: what was recorded is in both, and reads back."""
 
-import base64
 import json
 import re
 import sys
@@ -13,11 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from i2t.collect.recorder import POSE_CHANNELS, WRENCH_CHANNELS
 from i2t.dataset import Image, Record, Series, save_dataset, write_touch
-from i2t.errors import DataError
 from i2t.hardware.protocols import channel_names
-from i2t.skin.boards import reskin_board
 from i2t.view import command, rerun_file
-from i2t.view.contents import read_belief, read_contents
+from i2t.view.contents import read_contents
 
 LENS = {"width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5}
 BEGUN = 1.7e9
@@ -71,16 +68,13 @@ def column(found, entity, component):
 def test_a_session_reads_back_from_its_recording(session, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed")
-    belief = tmp_path / "belief.json"
-    belief.write_text(json.dumps({"names": ["hexagon", "star"], "p": [[0.6, 0.4], [0.9, 0.1]]}))
-    assert command.main([str(session), "--out", str(tmp_path / "out"), "--belief", str(belief)]) == 0
+    assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
     found = list(chunk.RrdReader(tmp_path / "out" / "session.rrd").stream())
     scalars = column(found, "/readings/chip0/x", "Scalars:scalars")
     contents = read_contents(session)
     expected = [record.series["tactile"].values[:, 0] - 30 for record in contents.records()]
     np.testing.assert_allclose(np.sort(scalars), np.sort(np.concatenate(expected)))
     assert len(column(found, "/force/z", "Scalars:scalars")) == 2 * SAMPLES
-    assert sorted(column(found, "/belief/hexagon", "Scalars:scalars")) == [0.6, 0.9]
     assert {"contact of touch 0", "contact of touch 1"} <= set(column(found, "/events", "TextLog:text"))
     vertices = np.array(column(found, "/world/object", "Mesh3D:vertex_positions")).reshape(-1, 3)
     np.testing.assert_allclose(np.ptp(vertices, 0), np.ptp(contents.mesh.vertices, 0), rtol=1e-5)
@@ -125,50 +119,9 @@ def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, caps
 
 
 def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
-    belief = tmp_path / "belief.json"
-    for text, why in (('{"names": ["a"], "p": [[1.0]]}', "give 2 rows of 1"), ('["a"]', "holds no belief")):
-        belief.write_text(text)
-        with pytest.raises(DataError, match=why):
-            read_belief(belief, 2)
-    # Of a live episode:
-    belief.write_text('{"objects": ["a", "b"], "belief": [[0.5, 0.5], [0.9, 0.1]], "sites": [3, 4]}')
-    assert read_belief(belief, 2).names == ("a", "b")
     for options, why in (
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
         ([str(session), "--unit", "cm"], "no effect without --mesh"),
     ):
         assert command.main([*options, "--out", str(tmp_path / "out")]) == 2
         assert why in capsys.readouterr().err
-
-
-@pytest.mark.full
-def test_a_session_reads_back_from_its_messages(session, tmp_path, capsys):
-    """By the format's own reader: every sample with its time, poses, images and events."""
-    reader = pytest.importorskip("mcap.reader")
-    assert command.main([str(session), "--html", "--mcap", "--out", str(tmp_path / "out")]) == 0
-    assert "session.mcap" in capsys.readouterr().out
-    topics: dict[str, list] = {}
-    with (tmp_path / "out" / "session.mcap").open("rb") as file:
-        for schema, channel, message in reader.make_reader(file).iter_messages():
-            topics.setdefault(channel.topic, []).append((schema.name, message.log_time, json.loads(message.data)))
-    tactile = next(iter(read_contents(session).records())).series["tactile"]
-    readings = topics["/readings"]
-    assert len(readings) == len(topics["/force"]) == len(topics["/torque"]) == 2 * SAMPLES
-    names = [f"chip{chip}/{axis}" for chip in range(5) for axis in "xyz"]
-    told = [[message[name] for name in names] for _, _, message in readings[:SAMPLES]]
-    np.testing.assert_allclose(told, tactile.values - 30.0)
-    np.testing.assert_allclose([at / 1e9 for _, at, _ in readings[:SAMPLES]], tactile.time, atol=1e-6)
-    assert topics["/temperature"][0][2]["chip0"] == 24.0
-    assert [message["message"] for _, _, message in topics["/events"]] == ["contact of touch 0", "contact of touch 1"]
-    name, _, depth = topics["/depth"][0]
-    assert name == "foxglove.RawImage"
-    metres = np.frombuffer(base64.b64decode(depth["data"]), "<f4").reshape(depth["height"], depth["width"])
-    np.testing.assert_allclose(metres, 0.1)
-    frames = {each["child_frame_id"] for _, _, message in topics["/tf"] for each in message["transforms"]}
-    assert frames == {"tool", "object", "camera"}
-    arrows = topics["/field"][0][2]["entities"][0]["arrows"]
-    field = reskin_board().to_tool(tactile.values[0] - 30.0)
-    for arrow, vector in zip(arrows, field, strict=True):  # along the x axis of its pose
-        turn = Rotation.from_quat([arrow["pose"]["orientation"][axis] for axis in "xyzw"])
-        np.testing.assert_allclose(arrow["shaft_length"] * turn.apply([1.0, 0.0, 0.0]), 1e-4 * vector, atol=1e-9)
-    assert topics["/object"][0][2]["entities"][0]["triangles"][0]["indices"]
