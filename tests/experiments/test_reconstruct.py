@@ -10,7 +10,7 @@ import pytest
 from helpers import random_touches
 
 from experiments.reconstruct.__main__ import main
-from experiments.reconstruct.patch import CURVE, FIRST_STOP, NEIGHBOURS, PRIOR
+from experiments.reconstruct.patch import CURVE, METHODS, PRIOR
 from experiments.reconstruct.recorded import choose_object, read_touches
 from i2t.dataset import save_dataset
 from i2t.errors import DataError
@@ -47,8 +47,8 @@ def test_presses_of_unseen_shapes_are_told_and_scored_by_every_method(tmp_path, 
     report = json.loads((out / "metrics.json").read_text())
     assert report["source"] == "simulated"
     assert report["touches"] == report["counts"]["test"] > 0
-    prior, curve = report["methods"]["prior"], report["methods"]["by imagination, press curve"]
-    assert set(report["methods"]) == {PRIOR, FIRST_STOP, CURVE, NEIGHBOURS}
+    prior, curve = report["methods"][PRIOR], report["methods"][CURVE]
+    assert set(report["methods"]) == set(METHODS)
     assert prior["crps_ratio"][0] == 1
     assert curve["centre_mm_median"][0] < prior["centre_mm_median"][0]
     for found in report["methods"].values():
