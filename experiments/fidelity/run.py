@@ -47,8 +47,7 @@ def run(args: FidelityArgs) -> dict[str, Any]:
     chapters: dict[str, list[Section]] = {}
     for recording in recordings:
         print(f"\n{recording.name}: {len(recording)} readings")
-        sections = sections_of(recording, preset, args.seed)
-        chapters[recording.name] = [_printed(section) for section in sections]
+        chapters[recording.name] = [_printed(section) for section in sections_of(recording, preset, args.seed)]
     if len(recordings) > 1:
         work = partial(curves.across_sessions, recordings, preset, args.seed)
         chapters["Across sessions"] = [_printed(written("What one session says of another", work))]

@@ -83,7 +83,6 @@ def test_the_mesh_of_recorded_touches_may_be_recognised(tmp_path, capsys):
     report = json.loads((out / "metrics.json").read_text())
     assert (report["source"], report["object"], report["contacts"], report["in_air"]) == ("simulated", "pyramid", 3, 1)
     assert 0 < report["surface_std_mm"]["median"] < 30
-    assert {"before", "after"} == set(report["against_the_catalogue"])
     felt = load_object(out / "felt.stl", "m")
     np.testing.assert_allclose(felt.mesh.vertices[:, 2].min(), 0, atol=1e-6)  # it stands as a loaded mesh does
     assert (out / "surface.png").exists()
