@@ -67,8 +67,6 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     with replacing(mesh_file) as temporary:
         trimesh.Trimesh(standing.vertices, standing.faces, process=False).export(temporary, file_type="stl")
     write_json(args.out / "metrics.json", result)
-    if reason := viz.write_surface_gltf(surface, args.out / "surface.gltf"):
-        print(reason)
     title = f"{name} from {len(hit)} touches"
     figure = viz.plot_growing_surface([surface], None, title, dataset.source == "simulated")
     viz.save_figure(figure, args.out / "surface.png")
