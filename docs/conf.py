@@ -58,9 +58,10 @@ def help_of(command: str) -> str:
 
 
 def subcommands_of(text: str) -> list[str]:
-    """The sub-commands that a command's help lists, each below the title "subcommands"."""
+    """The sub-commands that a command's help lists below the title "subcommands", or the parts that it names."""
     _, _, listed = text.partition("─ subcommands ─")
-    return re.findall(r"^│   • ([\w-]+)", listed, re.M)
+    parts = re.search(r"each with its own\s+--help:\s+([\w,\s]+)\.", text)
+    return re.findall(r"^│   • ([\w-]+)", listed, re.M) + (re.split(r",\s+", parts[1])[1:] if parts else [])
 
 
 def _help(command: str, *words: str) -> str:

@@ -12,13 +12,11 @@ import os
 import sys
 import time
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import tyro
 
-from experiments.common.runs import check_folder, exit_code_of_run
-from i2t.cli import read_options
+from experiments.common.commands import command
 from i2t.errors import require_extra
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
@@ -34,13 +32,6 @@ class NotebookArgs:
     debug: bool = False  # small, in seconds
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    program = "python -m experiments.notebooks"
-    args = read_options(NotebookArgs, argv, program=program, description=__doc__, config=())
-    return exit_code_of_run(partial(run, args))
-
-
 def run(args: NotebookArgs) -> list[Path]:
     """Run the notebooks; returns the files written. Raises ValueError for a name that is none, or where Jupyter is
     missing.
@@ -51,7 +42,6 @@ def run(args: NotebookArgs) -> list[Path]:
         raise ValueError(f"no notebook is called {', '.join(unknown)}; {FOLDER} has {', '.join(known) or 'none'}")
     for module in ("nbconvert", "ipykernel"):
         require_extra(module, "a page of a notebook")
-    check_folder(args.out)
     args.out.mkdir(parents=True, exist_ok=True)
     return [render(name, args.out, args.debug) for name in args.names or known]
 
@@ -80,6 +70,8 @@ def sources(path: Path) -> list[str]:
     cells = json.loads(path.read_text())["cells"]
     return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
 
+
+main = command(NotebookArgs, "experiments.notebooks")
 
 if __name__ == "__main__":
     sys.exit(main())

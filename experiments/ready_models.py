@@ -18,7 +18,6 @@ at places that neither the teacher nor the widths have seen: a fifth of all, dra
 
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,7 +25,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from experiments.common.checks import finished_runs
-from experiments.common.commands import run_command
+from experiments.common.commands import command
+from experiments.common.options import RunOptions
 from experiments.common.runs import METRICS, begin, write_json
 
 if TYPE_CHECKING:
@@ -44,14 +44,12 @@ MM_PER_M = 1e3
 
 
 @dataclass(frozen=True)
-class ReadyModelsArgs:
+class ReadyModelsArgs(RunOptions):
     """Make the ready models of the package: of a simulated pad from a finished run, or of a real skin."""
 
     out: Path = Path("runs/ready_models")  # folder for predictor/, pad_model.npz and metrics.json
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train that simulated its touches
     eflesh: Path | None = None  # a session of eFlesh (states.csv ...): make the calibration of that skin instead
-    seed: int = 0
-    overwrite: bool = False  # replace an earlier run in --out
 
     def check(self) -> None:
         """Refuse a run or a session that is not there."""
@@ -59,11 +57,6 @@ class ReadyModelsArgs:
             finished_runs(self.trained_run)
         elif not self.eflesh.is_dir():
             raise ValueError(f"--eflesh {self.eflesh}: no such folder; name a session's folder")
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    return run_command(ReadyModelsArgs, argv, "experiments.ready_models", work=run)
 
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:
@@ -210,6 +203,8 @@ def _nearest(known: _Session, test: _Session) -> np.ndarray:
 def _range(values: np.ndarray) -> list[float]:
     return [round(MM_PER_M * float(values.min()), 2), round(MM_PER_M * float(values.max()), 2)]
 
+
+main = command(ReadyModelsArgs, "experiments.ready_models")
 
 if __name__ == "__main__":
     sys.exit(main())

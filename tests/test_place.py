@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from i2t import place
 from i2t.hardware import camera_folder
+from i2t.hardware.poses import pose_to_vector
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.poses import to_ur
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
 from i2t.simulation.depth_camera import render_view
@@ -24,7 +24,7 @@ def pose(turn, at):
 # The camera looks at the object from 40 degrees beside the vertical, 0.2 m away.
 T_B_C = Rig().T_base_world @ pose([0, 0, 0], [0, 0, 0.015]) @ pose([np.pi - 0.7, 0, 0], [0, 0, 0])
 T_B_C = T_B_C @ pose([0, 0, 0], [0, 0, -0.2])
-TOOL = to_ur(T_B_C @ np.linalg.inv(Rig().T_tool_camera))
+TOOL = pose_to_vector(T_B_C @ np.linalg.inv(Rig().T_tool_camera))
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.common.checks import with_trained_run
-from i2t.cli import Seed
+from experiments.common.options import RunOptions
 
 PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 
@@ -32,14 +32,12 @@ PRESETS: dict[str, ActiveTouchSizes] = {
 
 
 @dataclass(frozen=True)
-class ActiveTouchArgs:
-    """Compare policies of touching."""
+class ActiveTouchArgs(RunOptions):
+    """Compare policies of touching on pads held out."""
 
     out: Path = Path("runs/active_touch")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
     objects: tuple[str, ...] = PRISMS  # names of the catalogue, at least two
-    seed: Seed = 0
-    overwrite: bool = False  # replace a finished run in --out
 
     @property
     def next_command(self) -> str:

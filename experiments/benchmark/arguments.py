@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from i2t.cli import Limits
 from i2t.errors import require_extra
 
-BenchmarkSection = Literal["training", "rendering", "skin", "policy", "environment", "startup", "logs"]
+BenchmarkSection = Literal["training", "rendering", "skin", "policy"]
 PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section compares with
     "training": ("torch",), "rendering": ("open3d", "embreex"), "skin": ("ContactMechanics",),
 }  # fmt: skip

@@ -5,9 +5,7 @@
 Every row times our work and its peer's in turns, on the same machine with the same inputs, after checking that both
 compute the same thing; the table gives the median of each and the median of the turns' ratios (above 1: we are
 faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and `skin`
-need the extra `bench`. Three more sections are run where they are named: `environment`, steps of the environments of
-active touch, `startup`, a command's second run next to its first, and `logs`, the memory and time that the import of
-a long log takes.
+need the extra `bench`.
 """
 
 import os
@@ -18,8 +16,7 @@ import jax
 
 from experiments.benchmark.arguments import BenchmarkArgs, BenchmarkSection
 from experiments.benchmark.contests import BenchmarkRow, Contest, measure
-from experiments.benchmark.inference import environment, policy
-from experiments.benchmark.processes import logs, startup
+from experiments.benchmark.policy import policy
 from experiments.benchmark.rendering import rendering
 from experiments.benchmark.skin import skin
 from experiments.benchmark.training import training
@@ -30,9 +27,6 @@ SECTIONS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # con
     "rendering": rendering,
     "skin": skin,
     "policy": policy,
-    "environment": environment,
-    "startup": startup,
-    "logs": logs,
 }
 
 

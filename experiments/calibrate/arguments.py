@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from experiments.common.checks import require_dataset
+from experiments.common.options import RunOptions
 from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS
-from i2t.cli import Count, Limits, Seed, require_with
+from i2t.cli import Count, Limits, require_with
 
 TARGET_NAMES = ("position", "depth", "force", "shear")  # as `i2t.calibration.heads` has them
 PressCount: TypeAlias = Annotated[int, Limits(2)]
@@ -34,7 +35,7 @@ PRESETS: dict[str, Preset] = {
 
 
 @dataclass(frozen=True)
-class CalibrateArgs:
+class CalibrateArgs(RunOptions):
     """How many presses does a skin need, and by which method?"""
 
     dataset: Path | None = None  # a data set of one tip on one skin
@@ -50,8 +51,6 @@ class CalibrateArgs:
     load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
     presses: tuple[PressCount, ...] = ()  # how many to calibrate with; by default what the preset says
     draws: Count | None = None  # of the presses to calibrate with, in place of the preset's
-    seed: Seed = 0  # of what is held out and of the draws
-    overwrite: bool = False  # replace a run in --out
 
     @property
     def folder(self) -> Path | None:

@@ -5,18 +5,16 @@
 
 Each finding is one line, `file:line: sentence`. The exit code is 1 if there is any.
 
-Pages: links, files, tests, names, commands and their options exist; Python calls what exists; tables and sentences
-repeat what was measured (docs/results). Code: a package
-imports from lower floors only, nothing imports itself in a circle, and docstrings say what is taken and given. The
-site is built, and a warning is a finding.
+Pages: links, files, tests, names, commands and their options exist; Python calls what exists; tables repeat what was
+measured (docs/results). Code: a package imports from lower floors only, nothing imports itself in a circle, and
+docstrings say what is taken and given. The site is built, and a warning is a finding.
 """
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.common.commands import run_command
+from experiments.common.commands import command
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,20 +25,12 @@ class CheckDocsArgs:
 
     site: bool = True  # build the site as well
 
-    def check(self) -> None:
-        """Refuse nothing: there is nothing that does not go together."""
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    return run_command(CheckDocsArgs, argv, "experiments.check_docs.__main__", work=run)
-
 
 def run(args: CheckDocsArgs) -> int:
     """Print what is wrong; returns the exit code."""
-    from experiments.check_docs import code, numbers, pages
+    from experiments.check_docs import code, pages
 
-    found = [*pages.findings(ROOT), *numbers.findings(ROOT), *code.findings(ROOT)]
+    found = [*pages.findings(ROOT), *code.findings(ROOT)]
     if args.site:
         found += pages.site(ROOT)
     for path, line, sentence in found:
@@ -49,6 +39,8 @@ def run(args: CheckDocsArgs) -> int:
         print("documents and house are in order")
     return 1 if found else 0
 
+
+main = command(CheckDocsArgs, "experiments.check_docs.__main__")
 
 if __name__ == "__main__":
     sys.exit(main())

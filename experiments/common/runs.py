@@ -8,18 +8,16 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from i2t.cli import Ending, ending, require_writable
+from i2t.cli import exit_code_of, require_writable
 from i2t.files import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
-RECOGNITION_ABOUT = "recognition.json"  # what a run on recorded touches keeps for recognition, or why it keeps nothing
 LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
 MAX_PICTURES_NAMED = 6
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # whose versions a run notes
@@ -30,24 +28,15 @@ Part = dict[str, Any]
 BETWEEN = "/"  # names of a part's levels on disk
 
 
-@contextmanager
-def ending_of_run(resumable: Path | None = None) -> Iterator[Ending]:
-    """Run an experiment's work in a block: what its user can mend is said in one sentence, and after Ctrl-C where a
+def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
+    """The exit code of an experiment's work: what its user can mend is said in one sentence, and after Ctrl-C where a
     `resumable` run left its finished parts. A run that made nothing leaves nothing behind, nor does it take an earlier
     one's place.
     """
     try:
-        with ending(lambda: _interrupted(resumable)) as end:
-            yield end
+        return exit_code_of(work, lambda: _interrupted(resumable))
     finally:
         settle_begun()
-
-
-def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
-    """The exit code of an experiment, whose work is done as in `ending_of_run`."""
-    with ending_of_run(resumable) as end:
-        end.take(work())
-    return end.code
 
 
 def _interrupted(resumable: Path | None) -> str:

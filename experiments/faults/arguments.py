@@ -2,13 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Literal, get_args
 
-from i2t.cli import Limits
-
-FaultSection = Literal[
-    "disk", "presses", "ambient", "wire", "arm", "skin", "force", "volume", "rig", "sites", "links", "stalls", "kill"
-]
+FaultSection = Literal["disk", "presses", "arm", "skin", "force", "rig", "sites", "links", "stalls", "kill"]
 FAULT_SECTIONS: tuple[FaultSection, ...] = get_args(FaultSection)
 
 
@@ -19,8 +15,3 @@ class FaultsArgs:
     out: Path = Path("runs/faults")  # folder for the report, in which a later call goes on
     sections: tuple[FaultSection, ...] = FAULT_SECTIONS  # which
     preset: Literal["paper", "debug"] = "paper"  # how often: as the documents say, or each fault once
-    share: Annotated[float, Limits(0, 1, above=True)] = 1.0  # of that
-    again: bool = False  # begin anew, whatever is kept in the folder
-
-    def check(self) -> None:
-        """Refuse nothing: no option excludes another."""

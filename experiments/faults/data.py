@@ -4,7 +4,6 @@ What was acknowledged must be there and be readable, whatever happens.
 """
 
 import contextlib
-import os
 import subprocess
 import sys
 import tempfile
@@ -16,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from experiments.faults.closed_form import make_procedure, session_info, site
-from experiments.faults.motion import status
+from experiments.faults.motion import status, watch
 from experiments.faults.table import Fault, Measure, Trial
 from i2t import dataset
 from i2t.collect.procedure import Procedure
@@ -33,9 +32,6 @@ RESERVE_BYTES = 0  # that a disk must have free
 MAX_ATTEMPTS = 3  # collections that go on after a kill: a busy computer may end one by itself
 STAND_GOAL_S = 0.2
 WATCHDOG_HZ = "10"  # a lab's
-VOLUME_TOUCHES, WARM_TOUCHES = 100, 20  # of a collection, and until everything has been compiled and allocated
-MAX_GROWTH = 0.1  # share of the memory that may come on top
-MIB = 2**20
 
 
 def lost_touches(folder: Path, acknowledged: list[str]) -> Trial:
@@ -151,7 +147,7 @@ def killed_collection(number: int) -> Trial | None:
             acknowledged += child.stdout.read().splitlines()
         if ended or not begun:
             return None
-        stands = _stands_after(host, before["clock"])
+        stands = watch(host, before["clock"])["stands after"]
         found = lost_touches(out, acknowledged)
         wanted = len(touches_in(out)) + 1
         again = any(
@@ -163,39 +159,6 @@ def killed_collection(number: int) -> Trial | None:
     return {**found, "stands after": stands, "incomplete": incomplete, "said": said}
 
 
-def _stands_after(host: str, clock: float) -> float:
-    """Seconds on the controller's clock until the arm stood."""
-    end = time.monotonic() + 3.0
-    while status(host)["moving"] and time.monotonic() < end:
-        time.sleep(0.02)
-    now = status(host)
-    time.sleep(0.3)  # the watchdog ends the program
-    return float("inf") if now["moving"] else max(0.0, now["stood"] - clock)
-
-
-def long_collection(number: int) -> Trial:
-    """A hundred simulated touches by the command: are all readable, and does its memory stay flat?"""
-    memory = []
-    with tempfile.TemporaryDirectory() as folder:
-        words = ["-u", "-m", "i2t.collect", "--out", f"{folder}/data", "--touches", str(VOLUME_TOUCHES)]
-        with subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                if line.startswith("touch "):
-                    memory.append(_resident(process.pid))
-        readable = len(dataset.load_dataset(f"{folder}/data"))
-    warm = memory[WARM_TOUCHES:]
-    return {"lost": VOLUME_TOUCHES - readable, "memory": max(warm) / MIB, "growth": max(warm) / warm[0] - 1}
-
-
-def _resident(pid: int) -> int:
-    """Bytes of a process in memory (Linux)."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return 0
-
-
 KEPT = (Measure("lost", 0, of="acknowledged"), Measure("unreadable", 0))
 ENDED = (*KEPT, Measure("moving", 0), Measure("not ended", 0))
 DATA_FAULTS = (
@@ -205,6 +168,4 @@ DATA_FAULTS = (
     Fault("disk", "camera unplugged", camera_unplugged, 5, ENDED),
     Fault("kill", "kill -9 of an emulated collection", killed_collection, 200,
           (*KEPT, Measure("stands after", STAND_GOAL_S, "s"), Measure("incomplete", 0))),
-    Fault("volume", f"{VOLUME_TOUCHES} touches of the command", long_collection, 10,
-          (Measure("lost", 0), Measure("growth", MAX_GROWTH), Measure("memory", unit="MiB"))),
 )  # fmt: skip

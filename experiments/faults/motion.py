@@ -20,14 +20,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from experiments.faults.closed_form import HEIGHT_M, STIFFNESS_N_M, NullRecorder, make_procedure, make_scene, site
-from experiments.faults.table import Fault, Measure, Trial
+from experiments.faults.table import NOTICED, Fault, Measure, Trial
 from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
 from i2t.hardware.collision import REACTION_S, overrun_force
 from i2t.hardware.limits import BRAKING_M_S2
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.config import UrConfig
+from i2t.hardware.ur.config import STATE_TIMEOUT_S, WATCHDOG_RATE_HZ
 from i2t.hardware.ur.driver import UrArm
 from i2t.types import ReturnCode
 
@@ -37,7 +37,7 @@ SETTINGS, LIMITS = TouchSettings(), Rig().limits
 OVERRUN = partial(overrun_force, SETTINGS.press, LIMITS.stiffness, braking=BRAKING_M_S2)
 TRAVEL_M = 0.15  # of a motion in which something breaks
 FROZEN_S = 1.0
-NOTICED_GOAL_S, STOP_GOAL_S = 0.5, 0.2
+STOP_GOAL_S = 0.2
 WATCHED_S = 1.0  # after the arm stood, in which it must not move again
 ENDED_S = 10.0  # until a call that was in the motion must have returned
 OVER_GOAL_N = 2.0  # past the force limit of a press
@@ -96,7 +96,7 @@ def break_in_motion(harm: Harm, number: int, rate: float, watched: bool = True) 
     """
     host, rng = ur_controller.loopback(number), np.random.default_rng((number, 7))
     with ur_controller.process(host) as process:
-        arm = UrArm(host, LIMITS, state_timeout=max(UrConfig.state_timeout, 1 / rate), watchdog_rate=rate)
+        arm = UrArm(host, LIMITS, state_timeout=max(STATE_TIMEOUT_S, 1 / rate), watchdog_rate=rate)
         with contextlib.suppress(DeviceError):
             arm.connect()
             with contextlib.closing(arm), ThreadPoolExecutor(1) as executor:
@@ -110,7 +110,7 @@ def break_in_motion(harm: Harm, number: int, rate: float, watched: bool = True) 
                 error = _error_of(motion)
                 noticed = time.monotonic() - begun
                 crashed = not isinstance(error, DeviceError)
-                after = _watch(host, before["clock"]) if watched else {}
+                after = watch(host, before["clock"]) if watched else {}
                 said = str(error).split(":")[0].split(" at 127")[0]
                 return {"noticed": noticed, "crashed": crashed, "said": said, **after}
     return None
@@ -130,7 +130,7 @@ def _error_of(motion: "Future[None]") -> BaseException | None:
         return TimeoutError(f"the motion was not over {ENDED_S:g} s after the fault")
 
 
-def _watch(host: str, clock: float) -> Trial:
+def watch(host: str, clock: float) -> Trial:
     """When the arm stood since a time of the controller's clock, and whether it moves again or its program runs on."""
     end = time.monotonic() + 5.0
     while status(host)["moving"] and time.monotonic() < end:
@@ -275,9 +275,8 @@ def _stands(rate: float) -> Measure:
 
 
 NEVER, CRASHED = Measure("moved again", 0), Measure("crashed", 0)
-NOTICED = Measure("noticed", NOTICED_GOAL_S, "s")
 OVER = Measure("over", OVER_GOAL_N, "N")
-STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / UrConfig.watchdog_rate), "N"), NEVER)
+STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / WATCHDOG_RATE_HZ), "N"), NEVER)
 HARMS: dict[str, Harm] = {
     "stream stalled": _ask("stall"),
     "all ports mute": _ask("mute"),

@@ -4,7 +4,7 @@
     python -m experiments.faults --sections skin disk    some of it
     python -m experiments.faults --preset debug          every fault once
 
-The same command goes on where it was stopped, as every trial is kept as it is made; `--again` begins anew.
+The same command goes on where it was stopped, as every trial is kept as it is made.
 
 Real drivers talk to emulators of a skin and a UR controller (whose watchdog and protective stop follow Universal
 Robots' documents and were compared with no real controller), and simulated devices fill disks and press a thousand
@@ -16,7 +16,6 @@ import re
 import time
 
 from experiments.common.runs import write_json
-from experiments.faults.ambient import AMBIENT_FAULTS
 from experiments.faults.arguments import FaultsArgs
 from experiments.faults.data import DATA_FAULTS
 from experiments.faults.motion import MOTION_FAULTS
@@ -25,7 +24,7 @@ from experiments.faults.skin import SKIN_FAULTS
 from experiments.faults.table import Fault, FaultRow, judge, report, run_trials
 from i2t.errors import DeviceError
 
-FAULTS: tuple[Fault, ...] = (*DATA_FAULTS, *MOTION_FAULTS, *SKIN_FAULTS, *AMBIENT_FAULTS, *RIG_FAULTS)
+FAULTS: tuple[Fault, ...] = (*DATA_FAULTS, *MOTION_FAULTS, *SKIN_FAULTS, *RIG_FAULTS)
 
 
 def run(args: FaultsArgs) -> int:
@@ -49,10 +48,8 @@ def run(args: FaultsArgs) -> int:
 
 def _tried(fault: Fault, args: FaultsArgs) -> FaultRow:
     """The row of a fault, with the trials of an earlier run where they are kept."""
-    count = max(1, round(fault.count * args.share)) if args.preset == "paper" else 1
+    count = fault.count if args.preset == "paper" else 1
     path = args.out / "trials" / f"{fault.section}-{re.sub('[^a-z0-9.]+', '-', fault.name.lower())}.jsonl"
-    if args.again:
-        path.unlink(missing_ok=True)
     try:
         return judge(fault, run_trials(fault, count, path), count)
     except DeviceError as error:

@@ -23,6 +23,9 @@ class Measure(NamedTuple):
     of: str = ""  # name of the number of which it is a share, both summed over the trials
 
 
+NOTICED = Measure("noticed", 0.5, "s")  # the error of a driver, after the fault
+
+
 @dataclass(frozen=True)
 class Fault:
     """A fault."""

@@ -5,18 +5,16 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.common.checks import require_dataset
-from i2t.cli import Seed
+from experiments.common.options import RunOptions
 
 
 @dataclass(frozen=True)
-class FidelityArgs:
+class FidelityArgs(RunOptions):
     """Judge recordings of a skin: checks, noise, calibration curves, heads and ceilings in one report."""
 
     dataset: tuple[Path, ...]  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
     out: Path = Path("runs/fidelity")  # folder for report.txt, figures, metrics.json and config.json
     preset: Literal["paper", "short", "debug"] = "paper"
-    seed: Seed = 0  # of what is held out and of the draws
-    overwrite: bool = False  # replace a run in --out
 
     def check(self) -> None:
         """Refuse a recording that is not there."""

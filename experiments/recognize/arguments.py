@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
-from experiments.common.tasks import TaskOptions
+from experiments.common.options import ResumableOptions
 from i2t.cli import Count, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 
@@ -17,7 +17,7 @@ NOT_REAL = ("simulated", "emulated")
 
 
 @dataclass(frozen=True)
-class SimulateArgs:
+class SimulateArgs(ResumableOptions):
     """Recognise objects by touch and report how often and how sure."""
 
     out: Path = Path("runs/recognize")  # folder for everything that is made
@@ -36,10 +36,6 @@ class SimulateArgs:
     episodes: Count | None = None  # of each object, for each pad and seed
     paper_episodes: Count | None = None  # the same in the paper's sets, twice as many unless given
     num_particles: Count | None = None  # poses of each object, in place of the preset's
-    seed: Seed = 0
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished run in --out
-    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     @property
     def next_command(self) -> str:

@@ -1,21 +1,17 @@
 """`python -m experiments.registration patch --help` and `python -m experiments.registration frames --help`."""
 
 import sys
-from collections.abc import Sequence
 
-from experiments.common.commands import run_part
+from experiments.common.commands import command_of_parts
 from experiments.registration.arguments import FramesArgs, PatchPoseArgs
 
-PARTS = {
-    "patch": (PatchPoseArgs, "experiments.registration.patch"),
-    "frames": (FramesArgs, "experiments.registration.frames"),
-}
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    return run_part(PARTS, argv, "experiments.registration")
-
+main = command_of_parts(
+    "experiments.registration",
+    {
+        "patch": (PatchPoseArgs, "experiments.registration.patch"),
+        "frames": (FramesArgs, "experiments.registration.frames"),
+    },
+)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -20,15 +20,12 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-from experiments.common.runs import check_folder, exit_code_of_run
+from experiments.common.commands import command
 from experiments.reproduce.steps import STEPS, Step
 from experiments.reproduce.tables import TABLES, shortened, write_tables
-from i2t.cli import read_options
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -42,12 +39,6 @@ class ReproduceArgs:
     list: bool = False  # say what there is, and end
     tables: bool = False  # run nothing; write the tables from docs/results
     docs: Path = DOCS  # folder of the documents
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    args = read_options(ReproduceArgs, argv, program="python -m experiments.reproduce", description=__doc__, config=())
-    return exit_code_of_run(partial(run, args))
 
 
 def run(args: ReproduceArgs) -> None:
@@ -64,7 +55,6 @@ def run(args: ReproduceArgs) -> None:
         print("\n".join(describe(step, args.out) for step in steps))
         return
     if not args.tables:
-        check_folder(args.out)
         for step in steps:
             if step.needs and not Path(step.needs).is_dir():
                 if args.only:
@@ -105,6 +95,8 @@ def _run_step(step: Step, args: ReproduceArgs) -> None:
         kept = json.dumps(shortened(step.name, measured), ensure_ascii=False, separators=(",", ":"))
         (results / f"{step.name}.json").write_text(kept + "\n")
 
+
+main = command(ReproduceArgs, "experiments.reproduce.__main__")
 
 if __name__ == "__main__":
     sys.exit(main())

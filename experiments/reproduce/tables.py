@@ -1,21 +1,20 @@
 """Tables of the documents, written from what the steps measured.
 
 A table stands between `<!-- table: STEP NAME -->` and `<!-- end of table -->`; STEP is a step's name, which has a file
-in docs/results, and NAME one of its tables below. What stands below `<!-- table to come: STEP NAME -->` is kept until
-there is such a file; then the mark becomes that of a table.
+in docs/results, and NAME one of its tables below. Most are rows over the entries of a dict of what was measured.
 """
 
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
 Measured = dict[str, Any]
 Table = Callable[[Measured], str]
+Cell = Callable[[Any], str]  # of what was measured of a row
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
-TO_COME = re.compile(r"<!-- table to come: (\w+) ([^>]+?) -->\n")
 KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "by_object", "calibration_error", "log_loss", "stopping")
 KEPT_OF_STUDIES = ("source", "pads", "runs", "episodes", "touches", "tables")
 UNSHOWN = ", average"  # a rule between the other two
@@ -43,17 +42,10 @@ def write_tables(docs: Path) -> list[str]:
             written.append(f"{page.name}: {step} {name}")
             return found[1] + table(docs, step, name, page.name) + "\n" + found[4]
 
-        after = MARK.sub(fill, TO_COME.sub(partial(_measured_now, docs), before))
+        after = MARK.sub(fill, before)
         if after != before:
             page.write_text(after)
     return written
-
-
-def _measured_now(docs: Path, found: re.Match[str]) -> str:
-    """The mark of a table to come, or of a table if it was measured since."""
-    if not (docs / "results" / f"{found[1]}.json").exists():
-        return found[0]
-    return f"<!-- table: {found[1]} {found[2]} -->\n"
 
 
 def table(docs: Path, step: str, name: str, page: str = "") -> str:
@@ -129,73 +121,86 @@ def estimate(found: Any, decimals: int = 3, sign: bool = False) -> str:
     return f"{mean:{plus}.{decimals}f}{limits}"
 
 
+def percent(found: Mapping[str, Any], decimals: int = 1) -> str:
+    """A rate with its interval in percent."""
+    mean, low, high = (None if value is None else 100 * value for value in found.values())
+    limits = "" if low is None or high is None else f" [{low:.{decimals}f}, {high:.{decimals}f}]"
+    return f"{mean:.{decimals}f} %{limits}"
+
+
 def at(accuracy: Mapping[str, Sequence[Any]], touch: int) -> dict[str, Any]:
     """The estimate after a number of touches, -1 for the last."""
     index = touch - 1 if touch > 0 else touch
     return {name: values[index] for name, values in accuracy.items()}
 
 
+def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False) -> Table:
+    """A table with a row for each entry of a dict.
+
+    Args:
+        path: Of the dict in what was measured, its names divided by "/".
+        head: Names of the columns; the first may name a value of what was measured, as {source}.
+        *cells: What makes the cells of a row after its name.
+        kept: Whether the name of what was kept is marked.
+    """
+
+    def render(measured: Measured) -> str:
+        entries = reduce(lambda node, name: node[name], path.split("/"), measured)
+        best = measured["best"] if kept else None
+        rows = [
+            [f"{name} (kept)" if name == best else name, *(cell(found) for cell in cells)]
+            for name, found in entries.items()
+            if not name.endswith(UNSHOWN)
+        ]
+        return markdown([head[0].format_map(measured), *head[1:]], rows)
+
+    return render
+
+
 # --- recognition ---
+
+
+def last(scores: Mapping[str, Any]) -> str:
+    """Accuracy after the last touch."""
+    return estimate(at(scores["accuracy"], -1))
+
+
+def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
+    """Mean over touches of a score."""
+    return number(sum(scores[key]) / len(scores[key]), decimals)
+
+
+METHOD_HEAD = (
+    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "mean of 1 to 10 [95 %]", "ECE", "log loss",
+)  # fmt: skip
+METHOD_CELLS: tuple[Cell, ...] = (
+    *(lambda scores, touch=touch: number(at(scores["accuracy"], touch)["mean"]) for touch in (1, 3, 5)),
+    last,
+    lambda scores: estimate(scores["mean"]),
+    partial(mean_of, "calibration_error", 3),
+    partial(mean_of, "log_loss", 2),
+)
 
 
 def methods_of_set(name: str) -> Table:
     """Accuracy of every method on a set of objects."""
-
-    def render(measured: Measured) -> str:
-        entry = measured["sets"][name]
-        rows = []
-        for method, scores in entry["methods"].items():
-            accuracy = scores["accuracy"]
-            early = [number(at(accuracy, touch)["mean"]) for touch in (1, 3, 5)]
-            errors = [number(sum(scores[key]) / len(scores[key]), places) for key, places in _ERRORS]
-            rows.append([method, *early, estimate(at(accuracy, -1)), estimate(scores["mean"]), *errors])
-        return markdown(
-            ["method", "after 1", "after 3", "after 5", "after 10 [95 %]", "mean of 1 to 10 [95 %]", "ECE", "log loss"],
-            rows,
-        )
-
-    return render
+    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS)
 
 
-_ERRORS = (("calibration_error", 3), ("log_loss", 2))
-
-
-def other_objects(name: str) -> Table:
-    """Accuracy after the last touch, for these objects and for others like them."""
-
-    def render(measured: Measured) -> str:
-        rows = [
-            [method, estimate(at(scores["accuracy"], -1)), estimate(scores["last_other_objects"])]
-            for method, scores in measured["sets"][name]["methods"].items()
-        ]
-        return markdown(["method", "these objects", "objects like these"], rows)
-
-    return render
+def differences_of_set(name: str) -> Table:
+    """Paired differences between methods."""
+    head = ("one method minus another", "after the last touch", "mean over touches")
+    cells = (lambda found, key=key: estimate(found[key], sign=True) for key in ("last", "mean"))
+    return rows_over(f"sets/{name}/paired", head, *cells)
 
 
 def objects_of_set(name: str) -> Table:
     """Accuracy after the last touch by the object that was there."""
 
     def render(measured: Measured) -> str:
-        entry = measured["sets"][name]
-        rows = [
-            [method, *(estimate(scores["by_object"][one]["last"], 2) for one in entry["objects"])]
-            for method, scores in entry["methods"].items()
-        ]
-        return markdown(["method", *entry["objects"]], rows)
-
-    return render
-
-
-def differences_of_set(name: str) -> Table:
-    """Paired differences between methods."""
-
-    def render(measured: Measured) -> str:
-        rows = [
-            [pair, estimate(found["last"], sign=True), estimate(found["mean"], sign=True)]
-            for pair, found in measured["sets"][name]["paired"].items()
-        ]
-        return markdown(["one method minus another", "after the last touch", "mean over touches"], rows)
+        objects = measured["sets"][name]["objects"]
+        cells = (lambda scores, each=each: estimate(scores["by_object"][each]["last"], 2) for each in objects)
+        return rows_over(f"sets/{name}/methods", ["method", *objects], *cells)(measured)
 
     return render
 
@@ -219,21 +224,6 @@ def stopping_of_set(name: str, method: str) -> Table:
         )  # fmt: skip
 
     return render
-
-
-def percent(found: Mapping[str, Any], decimals: int = 1) -> str:
-    """A rate with its interval in percent."""
-    mean, low, high = (None if value is None else 100 * value for value in found.values())
-    limits = "" if low is None or high is None else f" [{low:.{decimals}f}, {high:.{decimals}f}]"
-    return f"{mean:.{decimals}f} %{limits}"
-
-
-def means_of_sets(measured: Measured) -> str:
-    """The paper's last column: all objects of both sets."""
-    rows = [
-        [method, estimate(found)] for method, found in measured["mean of the sets"].items() if "average" not in method
-    ]
-    return markdown(["method", "after 10 [95 %]"], rows)
 
 
 # --- studies of recognition ---
@@ -266,53 +256,30 @@ def _cell(value: Any, column: Mapping[str, Any]) -> str:
 # --- prediction ---
 
 
-def predictors(measured: Measured) -> str:
-    """Scores of every predictor over pads."""
-    rows = []
-    for method, scores in measured["over_pads"].items():
-        others = [number(scores[key][0], 2) for key in ("rmse", "rmse_sigma", "cosine")]
-        rows.append([method, estimate(scores["r2"], 2), *others])
-    return markdown(["method", "R² [95 % over pads]", "RMSE µT", "RMSE / sigma", "median cosine"], rows)
+def r2_of(decimals: int, scores: Mapping[str, Any]) -> str:
+    """R² of one pad and seed with its interval over sessions."""
+    return estimate([scores["r2"], *scores["r2_interval"]], decimals)
 
 
-def predictors_of_one_pad(measured: Measured) -> str:
-    """Scores of every predictor with one pad and seed, with intervals over sessions."""
-    rows = []
-    for method, scores in measured["methods"].items():
-        r2 = estimate([scores["r2"], *scores["r2_interval"]], 2)
-        rows.append([method, r2, *(number(scores[key], 2) for key in ("rmse", "rmse_sigma", "cosine"))])
-    head = f"on six unseen objects, {measured['source']}"
-    return markdown([head, "R² [95 % over sessions]", "RMSE µT", "RMSE / sigma", "median cosine"], rows)
+def numbers_of(keys: Sequence[str], decimals: int = 2) -> tuple[Cell, ...]:
+    """Cells of single scores."""
+    return tuple(lambda scores, key=key: number(scores[key], decimals) for key in keys)
+
+
+ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / sigma", "median cosine")
+ON_UNSEEN = ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES)
+OVER_PADS = ("method", "R² [95 % over pads]", *ERROR_TITLES)
+OVER_PADS_CELLS: tuple[Cell, ...] = (
+    lambda scores: estimate(scores["r2"], 2),
+    *(lambda scores, key=key: number(scores[key][0], 2) for key in ERRORS),
+)
 
 
 def predictors_on_recording(over: str) -> Table:
-    """Scores of every predictor on a recording's held-out presses.
-
-    Args:
-        over: What the intervals resample.
-    """
-
-    def render(measured: Measured) -> str:
-        rows = [
-            [
-                f"{method} (kept)" if method == measured["best"] else method,
-                estimate([scores["r2"], *scores["r2_interval"]]),
-                number(scores["r2_median"]),
-                number(scores["coverage_90"], 2),
-            ]
-            for method, scores in measured["methods"].items()
-        ]
-        return markdown(
-            [
-                f"on one skin, {measured['source']}",
-                f"R² [95 % over {over}]",
-                "median over channels",
-                "in the 90 % range",
-            ],
-            rows,
-        )
-
-    return render
+    """Scores of every predictor on a recording's held-out presses; `over` says what the intervals resample."""
+    head = ("on one skin, {source}", f"R² [95 % over {over}]", "median over channels", "in the 90 % range")
+    cells: tuple[Cell, ...] = (partial(r2_of, 3), *numbers_of(["r2_median"], 3), *numbers_of(["coverage_90"]))
+    return rows_over("methods", head, *cells, kept=True)
 
 
 def predictors_by_object(measured: Measured) -> str:
@@ -344,42 +311,29 @@ def reconstructions(measured: Measured) -> str:
     return markdown(["condition", "start, mm", *touches, "IoU", "F-score", "in the 90 % band", "band, mm"], rows)
 
 
-_PATCH_SCORES = (
+def scores_of(*scores: tuple[str, str, int]) -> Table:
+    """Scores of every method, each by its name, its title and its decimals; nothing where a method has none."""
+    head = ["method", *(title for _, title, _ in scores)]
+    return rows_over("methods", head, *(partial(_span, name, decimals) for name, _, decimals in scores))
+
+
+def _span(name: str, decimals: int, scores: Mapping[str, Any]) -> str:
+    """A mean with its interval."""
+    if name not in scores:
+        return ""
+    mean, low, high = scores[name]
+    return f"{mean:.{decimals}f} ({low:.{decimals}f}-{high:.{decimals}f})"
+
+
+LOCAL_SHAPES = scores_of(
     ("mask_iou", "mask IoU", 2), ("contact_iou", "contact IoU", 2), ("centre_mm_median", "centre, median mm", 2),
     ("centre_mm_90", "centre, 90 % mm", 1), ("crps_ratio", "CRPS / prior's", 2), ("coverage_90", "90 % covers", 2),
 )  # fmt: skip
-
-
-def local_shapes(measured: Measured) -> str:
-    """Scores of every method that tells a patch from a press."""
-    head = ["method", *(title for _, title, _ in _PATCH_SCORES)]
-    return markdown(head, _patch_rows(measured["methods"], _PATCH_SCORES))
-
-
-_TIP_SCORES = (
+TIPS = scores_of(
     ("position_mm_median", "position, median mm", 2), ("position_mm_90", "position, 90 % mm", 1),
     ("within_1mm", "within 1 mm", 2), ("depth_error", "depth, mean mm", 2), ("coverage_90", "90 % covers", 2),
     ("bits", "bits", 1),
 )  # fmt: skip
-
-
-def tips_of_recording(measured: Measured) -> str:
-    """Scores of every method that tells where a tip pressed."""
-    head = ["method", *(title for _, title, _ in _TIP_SCORES)]
-    return markdown(head, _patch_rows(measured["methods"], _TIP_SCORES))
-
-
-def _patch_rows(methods: Mapping[str, Any], scores: Sequence[tuple[str, str, int]]) -> list[list[str]]:
-    return [
-        [name, *(_span(found[score], decimals) if score in found else "" for score, _, decimals in scores)]
-        for name, found in methods.items()
-    ]
-
-
-def _span(found: Sequence[float], decimals: int) -> str:
-    """A mean with its interval."""
-    mean, low, high = found
-    return f"{mean:.{decimals}f} ({low:.{decimals}f}-{high:.{decimals}f})"
 
 
 STUDY_TABLES = {
@@ -389,14 +343,17 @@ STUDY_TABLES = {
     "new_pad": ("methods",),
 }
 TABLES: dict[str, dict[str, Table]] = {
-    "train": {"predictors": predictors_of_one_pad},
+    "train": {"predictors": rows_over("methods", ON_UNSEEN, partial(r2_of, 2), *numbers_of(ERRORS))},
     "train_blocks": {"predictors": predictors_on_recording("blocks")},
     "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
-    "study": {"predictors": predictors, "by object": predictors_by_object},
+    "study": {
+        "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
+        "by object": predictors_by_object,
+    },
     "paper": {
         "primitives": methods_of_set("primitives"),
         "tools": methods_of_set("tools"),
-        "mean": means_of_sets,
+        "mean": rows_over("mean of the sets", ("method", "after 10 [95 %]"), estimate),
         "primitives differences": differences_of_set("primitives"),
         "tools differences": differences_of_set("tools"),
         "primitives by object": objects_of_set("primitives"),
@@ -406,13 +363,18 @@ TABLES: dict[str, dict[str, Table]] = {
         "all": methods_of_set("all"),
         "primitives": methods_of_set("primitives"),
         "tools": methods_of_set("tools"),
-        "all other objects": other_objects("all"),
+        "all other objects": rows_over(
+            "sets/all/methods",
+            ("method", "these objects", "objects like these"),
+            last,
+            lambda scores: estimate(scores["last_other_objects"]),
+        ),
         "all by object": objects_of_set("all"),
         "all differences": differences_of_set("all"),
         "stopping": stopping_of_set("all", "fused"),
     },
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
     "reconstruct": {"conditions": reconstructions},
-    "reconstruct_patch": {"methods": local_shapes},
-    "reconstruct_tip": {"methods": tips_of_recording},
+    "reconstruct_patch": {"methods": LOCAL_SHAPES},
+    "reconstruct_tip": {"methods": TIPS},
 }

@@ -1,27 +1,20 @@
 """The options of `python -m experiments.shapes`, without JAX."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from experiments.common.checks import require_dataset
-from experiments.common.tasks import TaskOptions
-from i2t.cli import Seed
+from experiments.common.options import ResumableOptions
 
 
 @dataclass(frozen=True)
-class ShapesArgs:
+class ShapesArgs(ResumableOptions):
     """Tell stamps apart by touch, on new positions, depths, rotations and skins."""
 
     out: Path = Path("runs/shapes")  # folder for everything that is made
     preset: Literal["paper", "debug"] = "paper"
     dataset: Path | None = None  # recorded presses in place of simulated ones; its objects are the shapes
-    seed: Seed = 0
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished one
-    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     @property
     def next_command(self) -> str:

@@ -1,16 +1,11 @@
 """`python -m experiments.studies --help`."""
 
 import sys
-from collections.abc import Sequence
 
-from experiments.common.commands import run_command
+from experiments.common.commands import command
 from experiments.studies.arguments import StudyArgs
 
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    return run_command(StudyArgs, argv, "experiments.studies.run")
-
+main = command(StudyArgs, "experiments.studies.run")
 
 if __name__ == "__main__":
     sys.exit(main())

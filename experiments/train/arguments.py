@@ -1,22 +1,17 @@
 """The options of `python -m experiments.train`, without JAX, so that its help and its refusals are there at once."""
 
-import json
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
-
 from experiments.common.checks import require_dataset, require_objects
-from experiments.common.runs import RECOGNITION_ABOUT
-from experiments.common.tasks import TaskOptions
+from experiments.common.options import ResumableOptions
 from i2t.cli import Count, Limits, Seed, require_path, require_with
 from i2t.paper.config import PaperOptions
 
 
 @dataclass(frozen=True)
-class TrainArgs:
+class TrainArgs(ResumableOptions):
     """Train a touch predictor and report how well it does on unseen objects (or unseen places)."""
 
     out: Path = Path("runs/train")  # folder for everything that is made
@@ -28,38 +23,19 @@ class TrainArgs:
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
     pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
     pads: tuple[Seed, ...] | None = None  # numbers of simulated pads, in place of the preset's
-    seed: Seed = 0  # of everything random
     seeds: Count | None = None  # how many seeds, from --seed on; one unless given
     methods: tuple[str, ...] | None = None  # in place of the preset's; the mean reading is always among them
     method: tuple[str, ...] = ()  # of your own, beside those: my_package.module:Method
     paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
     epochs: Count | None = None  # of the networks, in place of the preset's
     softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0  # of the skin; 4: E is a quarter of the nominal
-    resume: bool = False  # go on with an unfinished run in --out
-    overwrite: bool = False  # replace a finished or unfinished run in --out
-    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     @property
     def next_command(self) -> str:
-        """Command to try with a finished run: recognition, where its touches make a pad model and meshes are known."""
-        objects = "" if self.dataset is None else self._objects_to_recognise()
-        if self.dataset is None or objects:
-            return f"python -m experiments.recognize --trained-run {self.out}{objects}"
+        """Command to try with a finished run."""
+        if self.dataset is None:
+            return f"python -m experiments.recognize --trained-run {self.out}"
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
-
-    def _objects_to_recognise(self) -> str:
-        """Options that name the recorded touches and their objects; nothing where recognition cannot use the run."""
-        from i2t.objects.catalogue import NAMES
-
-        kept = [json.loads(path.read_text()) for path in Path(self.out).glob(f"**/{RECOGNITION_ABOUT}")]
-        files = {Path(path).stem: str(path) for path in self.objects}
-        names = {name: files.get(name, name) for about in kept for name in about.get("recorded_objects", files)}
-        unknown = [name for name in names if name not in files and name not in NAMES]
-        if any("unusable" in about for about in kept) or unknown or len(names) < 2:
-            return ""
-        words = ["--dataset", str(self.dataset), *(["--skin-name", self.skin_name] if self.skin_name else [])]
-        words += ["--objects", *names.values(), "--unit", str(self.unit)] if files else []
-        return " " + shlex.join(words)
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""

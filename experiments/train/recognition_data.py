@@ -8,14 +8,13 @@ A run of `experiments.train --dataset` keeps `recognition.h5`, the training touc
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.runs import RECOGNITION_ABOUT as RECOGNITION_ABOUT
 from experiments.common.runs import write_json
 from i2t import dataset as data
 from i2t.dataset import Dataset
@@ -25,7 +24,7 @@ from i2t.geometry import inverse
 from i2t.objects import Mesh, catalogue, load_object
 from i2t.types import ReturnCode
 
-RECOGNITION_TOUCHES, RECOGNITION_MESHES = "recognition.h5", "meshes"
+RECOGNITION_TOUCHES, RECOGNITION_ABOUT, RECOGNITION_MESHES = "recognition.h5", "recognition.json", "meshes"
 MIN_PAD_TOUCHES, SPARE_TOUCHES = 20, 5  # that a pad model can be made of; more than a reading has values
 MIN_PAD_SESSIONS = 2  # hyperparameters are chosen on sessions left out
 
@@ -42,31 +41,6 @@ class KnownTouches(NamedTuple):
 
     dataset: Dataset
     meshes: dict[str, Mesh]
-
-
-def mesh_files(paths: Sequence[Path], unit: str | None) -> dict[str, MeshFile]:
-    """Mesh files by the names of their objects.
-
-    Args:
-        paths: Of the files.
-        unit: Of their lengths.
-
-    Returns:
-        Files and unit, by the files' stems.
-
-    Raises:
-        ValueError: No unit, no such file, or two of one name.
-    """
-    if paths and unit is None:
-        raise ValueError("say in which unit the files of --objects are, for instance --unit mm")
-    found: dict[str, MeshFile] = {}
-    for path in paths:
-        if not path.is_file():
-            raise ValueError(f"{path}: there is no such mesh file; check --objects")
-        if path.stem in found:
-            raise ValueError(f"{path} and {found[path.stem].path} are both called {path.stem}; rename one of them")
-        found[path.stem] = MeshFile(path, str(unit))
-    return found
 
 
 def known_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Mesh], whose: str) -> KnownTouches:
@@ -142,7 +116,6 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
         "pad": dataset.pads[int(touches.pad[0])],
         "touches": len(touches.force),
         "objects": {name: _kept_mesh(out, files.get(name)) for name in known.meshes},
-        "recorded_objects": list(dataset.objects),
     }
     write_json(out / RECOGNITION_ABOUT, about)
     return (

@@ -1,7 +1,7 @@
 """Output of `experiments.train`: scores with intervals, tables and figures."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from i2t.files import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 from i2t.prediction.predictor import Predictor, save
 
+COLUMNS = (("R²", 22), ("RMSE µT", 10), ("/ sigma", 9), ("cosine", 8))  # of tables of scores, and their widths
 ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not
 
 
@@ -57,21 +58,16 @@ def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict
             metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
             metadata |= {"epochs": len(curve)} if (curve := (predictor.metadata or {}).get("curve")) else {}
             save(out / "checkpoint" / folder, replace(predictor, metadata=metadata))
-    figures(
-        out, dataset, split,
-        predicted=evaluation.predicted, best=choice.best, curves=curves_of(evaluation.predictors), noise=noise,
-        metrics=metrics,
-    )  # fmt: skip
+    figures(out, prepared, evaluation, metrics, noise)
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(out / "metrics.json", metrics)
 
 
 def curves_of(fitted: Mapping[str, Predictor]) -> dict[str, np.ndarray]:
     """Errors of networks over epochs, on training and on validation touches."""
-    kept = {name: each.metadata or {} for name, each in fitted.items()}
-    curves = {name: np.asarray(metadata["curve"]) for name, metadata in kept.items() if "curve" in metadata}
+    kept = {name: np.asarray((each.metadata or {}).get("curve", ())) for name, each in fitted.items()}
     parts = ("training", "validation")
-    return {f"{name}, {part}": curve[:, i] for name, curve in curves.items() for i, part in enumerate(parts)}
+    return {f"{name}, {parts[i]}": curve[:, i] for name, curve in kept.items() if len(curve) for i in (0, 1)}
 
 
 def scored(
@@ -109,16 +105,15 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
 
 
 def figures(
-    out: Path, dataset: Dataset, split: Split, *, predicted: dict[str, np.ndarray], best: str,
-    curves: dict[str, np.ndarray], noise: np.ndarray | None, metrics: dict[str, Any],
-) -> None:  # fmt: skip
+    out: Path, prepared: Prepared, evaluation: Evaluation, metrics: dict[str, Any], noise: np.ndarray | None
+) -> None:
     """All pictures of one run, in the folder `out`."""
-    simulated = dataset.source != "real"
-    truth = dataset.touches.reading[split.test]
+    dataset, split = prepared.touches.dataset, prepared.split
+    predicted, best = evaluation.predicted, evaluation.choice.best
+    simulated, truth = dataset.source != "real", dataset.touches.reading[split.test]
     _touches(out, dataset, split, predicted[best])
-    trained = {name: values for name, values in curves.items() if len(values)}
-    if trained:
-        figure = viz.plot_training_curves(trained, "Training", "squared error (standardised)", simulated)
+    if curves := curves_of(evaluation.predictors):
+        figure = viz.plot_training_curves(curves, "Training", "squared error (standardised)", simulated)
         viz.save_figure(figure, out / "training.png")
     errors = {
         name: np.sqrt(((predicted[name] - truth) ** 2).mean(0))
@@ -217,14 +212,13 @@ def print_table(result: dict[str, Any]) -> None:
     enough = result["groups"] >= MIN_CLUSTERS
     over = f"{'95 % interval' if enough else 'too few for an interval'}: {result['groups']} groups"
     print(f"\ntest touches{kind}; {over}; kept as predictor: {result['best']}")
-    print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}{'R² x / y / z':>22}{'in 90 %':>9}")
+    rows = {}
     for name, values in result["methods"].items():
+        numbers = [_number(values.get(field)) for field in ("rmse", "rmse_sigma", "cosine")]
         axes = " / ".join(_number(value) for value in values["r2_axis"])
         r2 = with_interval(values["r2"], *values["r2_interval"])
-        rmse, sigmas, cosine, inside = (
-            _number(values.get(field)) for field in ("rmse", "rmse_sigma", "cosine", "coverage_90")
-        )
-        print(f"{name:48}{r2:>22}{rmse:>10}{sigmas:>9}{cosine:>8}{axes:>22}{inside:>9}")
+        rows[name] = [r2, *numbers, axes, _number(values.get("coverage_90"))]
+    _print_rows("", (*COLUMNS, ("R² x / y / z", 22), ("in 90 %", 9)), rows)
     _print_choice(result)
     _print_objects(result["by_object"])
     print(f"{result['seconds']:.0f} s")
@@ -257,20 +251,28 @@ def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:
 def _print_methods(title: str, methods: dict[str, Any]) -> None:
     """Estimates of every method."""
     print(f"\n{title}")
-    print(f"{'':48}{'R²':>22}{'RMSE µT':>10}{'/ sigma':>9}{'cosine':>8}")
-    for name, values in methods.items():
-        rmse, sigmas, cosine = (_number(values[field][0]) for field in ("rmse", "rmse_sigma", "cosine"))
-        r2 = with_interval(*values["r2"])
-        print(f"{name:48}{r2:>22}{rmse:>10}{sigmas:>9}{cosine:>8}")
+    rows = {
+        name: [with_interval(*values["r2"]), *(_number(values[field][0]) for field in ("rmse", "rmse_sigma", "cosine"))]
+        for name, values in methods.items()
+    }
+    _print_rows("", COLUMNS, rows)
 
 
 def _print_objects(scores: dict[str, dict[str, float]]) -> None:
     """R² of every method on the touches of each object, where there are several."""
     if len(scores) < 2:
         return
-    print(f"\n{'R² by object':48}" + "".join(f"{name[:12]:>13}" for name in scores))
-    for method in next(iter(scores.values())):
-        print(f"{method:48}" + "".join(f"{_number(row.get(method)):>13}" for row in scores.values()))
+    print()
+    methods = next(iter(scores.values()))
+    rows = {method: [_number(row.get(method)) for row in scores.values()] for method in methods}
+    _print_rows("R² by object", [(name[:12], 13) for name in scores], rows)
+
+
+def _print_rows(title: str, columns: Sequence[tuple[str, int]], rows: Mapping[str, Sequence[str]]) -> None:
+    """A table: the columns' names with their widths, and the cells of each row by its name."""
+    names, widths = zip(*columns, strict=True)
+    for name, cells in ((title, names), *rows.items()):
+        print(f"{name:48}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
 
 
 def _number(value: float | None) -> str:

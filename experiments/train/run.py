@@ -46,7 +46,7 @@ from experiments.train.arguments import TrainArgs
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.evaluation import evaluate, pressure_note
 from experiments.train.prepare import Prepared, prepare
-from experiments.train.recognition_data import MeshFile, mesh_files
+from experiments.train.recognition_data import MeshFile
 from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling, simulated_dataset
 from i2t import dataset as data
@@ -66,7 +66,7 @@ def run(args: TrainArgs) -> dict[str, Any]:
         cfg = replace(cfg, training=replace(cfg.training, epochs=args.epochs))
     find_methods(cfg.methods)  # refuses names that are none, before anything is made
     seeds = range(args.seed, args.seed + (args.seeds or cfg.seeds))
-    meshes = mesh_files(args.objects, args.unit)
+    meshes = {path.stem: MeshFile(path, str(args.unit)) for path in args.objects}
     pads: Sequence[Pad | int | None] = (None,) if args.dataset else (load_pad(args.pad),) if args.pad else cfg.pads
     begin(args.out, args, cfg, args.resume, args.overwrite)
     several, tasks = len(seeds) * len(pads) > 1, []

@@ -21,7 +21,7 @@ from i2t.depth.camera import Distortion
 from i2t.emulators.world import make_scene, read_pad
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.named_devices import named_arm, named_camera, require_named
-from i2t.hardware.plugins import DeviceSetup, PluginConfig, is_plugin, load_plugin
+from i2t.hardware.plugins import DeviceSetup, is_plugin, load_plugin
 from i2t.hardware.protocols import DepthCamera, GuardedArm, Skin
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
@@ -219,7 +219,7 @@ def _make_skin(wanted: _WantedSkin, lab: _Lab, arm: GuardedArm) -> SkinOnTool:
             raise ValueError(
                 f"--board {args.board} means nothing to --skin {args.kind}, which knows its own; leave it out"
             )
-        skin = load_plugin("skin", PluginConfig(args.kind, args.port), DeviceSetup(lab.rig, args.port, arm))
+        skin = load_plugin("skin", args.kind, DeviceSetup(lab.rig, args.port, arm))
         if not wanted.number and getattr(skin, "board", None) is None:
             raise ValueError(
                 f"--skin {args.kind}: does not say where its chips are; give it an attribute board, such as "

@@ -19,7 +19,7 @@ from i2t.hardware.limits import BRAKING_M_S2
 from i2t.hardware.rig import summary
 from i2t.hardware.rig_checks import implausible, other_lens
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
-from i2t.hardware.ur.config import UrConfig
+from i2t.hardware.ur.config import WATCHDOG_RATE_HZ
 
 MIN_MEASURED_SHARE = 0.1  # of a view's pixels
 SHOWN_REFUSALS = 5
@@ -107,7 +107,7 @@ def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
 
 def _stall_s(arm: ArmArgs) -> float | None:
     """Time (s) after which an arm whose computer stalls stops by itself; None where only the arm itself knows."""
-    return 1 / (arm.watchdog_rate or UrConfig.watchdog_rate) if arm.kind in ("ur", "emulated") else None
+    return 1 / (arm.watchdog_rate or WATCHDOG_RATE_HZ) if arm.kind in ("ur", "emulated") else None
 
 
 def _device_checks(procedure: Procedure) -> list[Check]:

@@ -2,8 +2,8 @@
 
 With X = T_t_c and Y = T_b_o of the board, a corner p of the board appears in view i along the line of sight of
 X^-1 T_b_t,i^-1 Y p. First X's rotation from the rotations between views, then its translation, both linear (Park and
-Martin, IEEE T-RO 10, 1994), from the board's pose in each view by its homography (Zhang, PAMI 22, 2000); then X and Y
-together by least squares of what was seen, with a loss that forgives single corners. The error stated is the
+Martin, IEEE T-RO 10, 1994), from the board's pose in each view as OpenCV finds it; then X and Y together by least
+squares of what was seen, with a loss that forgives single corners. The error stated is the
 jackknife's over views, since corners of a view share the error of the arm's pose: sqrt((n - 1) / n sum d_i^2) of the
 change d_i without view i.
 
@@ -96,7 +96,7 @@ def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:
         raise ValueError(f"the board was found in {len(views)} views; take at least {MIN_VIEWS}, better 15")
     T_c_o = np.stack([board_pose(view) for view in views])
     tools = np.stack([view.T_b_t for view in views])
-    X = closed_form(tools, T_c_o)
+    X = _closed_form(tools, T_c_o)
     Y = _mean([T @ X @ seen for T, seen in zip(tools, T_c_o, strict=True)])
     whole = _refine(views, focal, X, Y)
     parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole)[0] for i in range(len(views))]
@@ -121,7 +121,7 @@ def opencv() -> Any:
 
 
 def board_pose(view: BoardView) -> Array:
-    """The board's pose from one view's homography between the board and lines of sight.
+    """The board's pose from one view.
 
     Args:
         view: With at least `MIN_CORNERS` corners.
@@ -134,30 +134,12 @@ def board_pose(view: BoardView) -> Array:
     """
     if len(view.corners) < MIN_CORNERS:
         raise ValueError(f"a view shows {len(view.corners)} corners; at least {MIN_CORNERS} are needed")
-    scale = np.abs(view.corners).max()
-    flat = np.column_stack([view.corners[:, :2] / scale, np.ones(len(view.corners))])
-    zero = np.zeros_like(flat)
-    x, y = view.rays[:, :1], view.rays[:, 1:]
-    equations = np.concatenate([np.hstack([flat, zero, -x * flat]), np.hstack([zero, flat, -y * flat])])
-    H = np.linalg.svd(equations)[2][-1].reshape(3, 3) @ np.diag([1 / scale, 1 / scale, 1])
-    H *= np.sign(H[2, 2]) / math.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))  # before the camera
-    u, _, vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
-    return transform(u @ vt, H[:, 2])
+    _, turn, place = opencv().solvePnP(view.corners, view.rays, np.eye(3), None, flags=opencv().SOLVEPNP_IPPE)
+    return transform(so3_exp(turn.ravel()), place.ravel())
 
 
-def closed_form(tools: Array, T_c_o: Array) -> Array:
-    """The camera in the tool, by two linear steps (Park and Martin).
-
-    Args:
-        tools: (n, 4, 4) T_b_t of the views.
-        T_c_o: (n, 4, 4) what the camera saw.
-
-    Returns:
-        (4, 4) T_t_c.
-
-    Raises:
-        ValueError: The tool turned about one axis at most.
-    """
+def _closed_form(tools: Array, T_c_o: Array) -> Array:
+    """The camera in the tool (4, 4) from poses (n, 4, 4) of tool and board, by two linear steps (Park and Martin)."""
     A = inverse(tools[1:]) @ tools[0]  # t_i <- t_0
     B = T_c_o[1:] @ inverse(T_c_o[0])  # c_i <- c_0, and A X = X B
     turns = Rotation.from_matrix(A[:, :3, :3]).as_rotvec()

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import DeviceError
-from i2t.hardware.plugins import DeviceKind, DeviceSetup, PluginConfig, is_plugin, load_plugin
+from i2t.hardware.plugins import DeviceKind, DeviceSetup, is_plugin, load_plugin
 from i2t.hardware.protocols import Arm, ColourImage, GuardedArm
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.config import UrConfig
 from i2t.types import Array
 
 UR, REALSENSE = "ur", "realsense"
 
 
-def named_arm(name: str, host: str | None, rig: Rig, **watch: float) -> GuardedArm:
+def named_arm(name: str, host: str | None, rig: Rig, **watch: Any) -> GuardedArm:
     """An arm by its name.
 
     Args:
@@ -38,15 +37,11 @@ def named_arm(name: str, host: str | None, rig: Rig, **watch: float) -> GuardedA
     if name == UR:
         from i2t.hardware.ur.driver import UrArm
 
-        config = UrConfig(_require_host(host), **watch)
-        return UrArm(
-            config.host, rig.limits, rig.T_flange_tool, (rig.mass, rig.centre),
-            state_timeout=config.state_timeout, watchdog_rate=config.watchdog_rate,
-        )  # fmt: skip
+        return UrArm(_require_host(host), rig.limits, rig.T_flange_tool, (rig.mass, rig.centre), **watch)
     if watch:
         flags = " and ".join(f"--{each.replace('_', '-')}" for each in watch)
         raise ValueError(f"{flags}: of a UR arm, and --arm is {name}; leave it out")
-    arm: GuardedArm = load_plugin("arm", PluginConfig(name, host), DeviceSetup(rig, host))
+    arm: GuardedArm = load_plugin("arm", name, DeviceSetup(rig, host))
     return arm
 
 
@@ -71,7 +66,7 @@ def named_camera(
     """
     require_named("camera", name, REALSENSE)
     if name != REALSENSE:
-        return load_plugin("camera", PluginConfig(name, address), DeviceSetup(rig, address, arm))
+        return load_plugin("camera", name, DeviceSetup(rig, address, arm))
     from i2t.hardware.realsense import RealSense
 
     own_size, distance = (rig.camera.width, rig.camera.height), rig.looking_distance if size is None else None

@@ -26,14 +26,6 @@ GROUPS: dict[DeviceKind, str] = {"arm": "i2t.arms", "skin": "i2t.skins", "camera
 PROTOCOLS: dict[DeviceKind, type] = {"arm": GuardedArm, "skin": Skin, "camera": DepthCamera}
 
 
-@dataclass(frozen=True)
-class PluginConfig:
-    """A device of a third party."""
-
-    name: str  # that a package registers, or package.module:Class
-    address: str | None = None  # such as a host or a port
-
-
 @dataclass(frozen=True, eq=False)
 class DeviceSetup:
     """Setup with which a third party's device is built."""
@@ -56,12 +48,12 @@ def is_plugin(kind: DeviceKind, name: str) -> bool:
     return ":" in name or bool(_registered(kind, name))
 
 
-def load_plugin(kind: DeviceKind, config: PluginConfig, setup: DeviceSetup) -> Any:
+def load_plugin(kind: DeviceKind, name: str, setup: DeviceSetup) -> Any:
     """Build a third party's device, without connecting it.
 
     Args:
         kind: Arm, skin or camera.
-        config: Which.
+        name: That a package registers, or package.module:Class.
         setup: What it is built with.
 
     Returns:
@@ -70,14 +62,14 @@ def load_plugin(kind: DeviceKind, config: PluginConfig, setup: DeviceSetup) -> A
     Raises:
         ValueError: It cannot be imported or built, or lacks what its protocol asks for; one sentence says what.
     """
-    given = f"--{kind} {config.name}"
-    make = _find(kind, config.name, given)
+    given = f"--{kind} {name}"
+    make = _find(kind, name, given)
     try:
         device = make(setup)
     except TypeError as error:
         raise ValueError(f"{given}: cannot be built ({error}); it must take one DeviceSetup") from error
     own, asked = getattr(device, "__dict__", {}), PROTOCOLS[kind]
-    missing = [name for name in _members(asked) if name not in own and not hasattr(type(device), name)]
+    missing = [each for each in _members(asked) if each not in own and not hasattr(type(device), each)]
     if missing:
         raise ValueError(f"{given}: lacks {', '.join(missing)} of {asked.__name__} (i2t.hardware.protocols); add that")
     return device

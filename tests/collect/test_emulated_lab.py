@@ -8,16 +8,10 @@ import pytest
 
 from i2t import dataset
 from i2t.collect import command
-from i2t.collect.site_plan import SiteSampler
 from i2t.depth.camera import Camera
 from i2t.emulators import lab as emulated_lab
 from i2t.emulators import ur_controller
-from i2t.hardware import camera_folder
-from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
-from i2t.objects import catalogue
-from i2t.simulation.depth_camera import render_view
-from i2t.simulation.site_limits import SiteLimits
 from i2t.types import ReturnCode
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z")
@@ -30,17 +24,11 @@ ATTEMPTS = 20
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """Emulators over a star that stands where it is believed; a rig, and the view of its first site."""
+    """Emulators over a star that stands where it is believed, and a rig."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     path = tmp_path_factory.mktemp("lab")
     rig = replace(Rig(), camera=Camera(160, 90, 80.6, 80.5, 79.5, 44.5))
     rig.write(path / "lab.toml")
-    mesh = catalogue.make_object("star").mesh
-    T_w_c = SiteSampler(mesh, rig.T_world_object, SiteLimits(), 0, "star").site(0).T_w_t.copy()
-    T_w_c[:3, 3] -= rig.looking_distance * T_w_c[:3, 2]  # the camera's axes are the tool's
-    depth, _ = render_view(mesh.vertices[mesh.faces], T_w_c, rig.camera)
-    view = View(0.0, np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), None)
-    list(camera_folder.save_views(path / "views", rig.camera, [view]))
     host, link = ur_controller.loopback(202), path / "skin"
     options = ["--object", "star", "--no-pose-error", "--rig", str(path / "lab.toml")]
     with emulated_lab.started("--host", host, "--link", str(link), *options):
@@ -58,9 +46,9 @@ def test_an_arm_by_its_address_a_skin_by_its_port_and_a_simulated_camera(lab, ca
     path, options = lab
     out = path / "touched"
     assert collected(["--out", str(out), "--skin", "reskin", "--port", str(path / "skin"), *options])
-    assert "MIXED: some of these devices are not real" in capsys.readouterr().out  # a pseudo-terminal is no lab
+    assert "SIMULATED: no real device takes part" in capsys.readouterr().out  # a pseudo-terminal is no lab
     made = dataset.load_dataset(out)
-    assert made.source == "mixed"
+    assert made.source == "simulated"
     assert made.meta["arm serial number"] == "20200000001"  # as the controller's dashboard tells it
     touches = made.touches
     assert touches.code[0] in (ReturnCode.SKIN, ReturnCode.WRENCH)

@@ -18,7 +18,7 @@ from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
 from i2t.collect.devices import make_devices
 from i2t.depth.camera import Camera
 from i2t.hardware import camera_folder, hand_eye, plugins
-from i2t.hardware.plugins import DeviceSetup, PluginConfig, load_plugin
+from i2t.hardware.plugins import DeviceSetup, load_plugin
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import reskin_board
 
@@ -79,7 +79,7 @@ def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said)
     broken.NoMethods = type("NoMethods", (), {"__init__": lambda self, setup: None})
     monkeypatch.setitem(sys.modules, "broken_devices", broken)
     with pytest.raises(ValueError, match=r"^--arm ") as error:
-        load_plugin("arm", PluginConfig(name), DeviceSetup(Rig()))
+        load_plugin("arm", name, DeviceSetup(Rig()))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 

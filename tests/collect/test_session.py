@@ -14,7 +14,7 @@ import pytest
 from i2t import dataset
 from i2t.collect import command, notes, recorder, session
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs
-from i2t.collect.devices import make_devices
+from i2t.collect.devices import Devices, make_devices
 from i2t.collect.touch import SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
@@ -202,6 +202,19 @@ def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_
     said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
     with pytest.raises(ValueError, match=said):
         made(of_four_chips)
+
+
+@pytest.mark.parametrize(
+    ("sources", "said"),
+    [
+        (("real", "real", "real"), "real"),
+        (("real", "emulated", "real"), "mixed"),
+        (("emulated", "emulated", "simulated"), "simulated"),
+    ],
+)
+def test_touches_are_real_only_where_every_device_is(sources, said):
+    arm, skin, camera = (SimpleNamespace(features=SimpleNamespace(source=source)) for source in sources)
+    assert Devices(arm, (SimpleNamespace(skin=skin),), camera, None).source == said
 
 
 @pytest.mark.full

@@ -13,10 +13,10 @@ import pytest
 from i2t.emulators import lab, ur_controller
 from i2t.emulators.room import RoomField, room_field
 from i2t.emulators.world import DEFAULT_PAD_KEY
+from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.driver import UrArm
-from i2t.hardware.ur.poses import from_ur
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.noise import Noise
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addre
 
 
 def down(z):
-    return from_ur([0.4, 0.0, z, np.pi, 0.0, 0.0])
+    return pose_from_vector([0.4, 0.0, z, np.pi, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from helpers.baselines import placed_dataset
 
 from experiments.calibrate import __main__ as command
 from experiments.calibrate import arguments, methods, pad, prior_search, simulated, skins
@@ -17,12 +18,11 @@ from i2t import dataset as data
 from i2t.calibration import load_calibration, plain_gp
 from i2t.calibration.physics import PadFit, RoundTip, layer_prior
 from i2t.calibration.prior import PRIOR_KIND, KernelPrior, load_prior
-from i2t.dataset import Dataset, missing_context
+from i2t.dataset import Dataset
 from i2t.prediction.metrics import score
 from i2t.skin import boards
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.skin.pad import sample_pad
-from i2t.types import ReturnCode, Touches
 
 
 def recording(n: int, pads: int = 1, **columns) -> Dataset:
@@ -31,24 +31,11 @@ def recording(n: int, pads: int = 1, **columns) -> Dataset:
     place, depth = rng.uniform(-12e-3, 12e-3, (n, 2)), rng.uniform(0.5e-3, 4e-3, n)
     centres = rng.uniform(-15e-3, 15e-3, (20, 2))
     g = np.exp(-((place[:, None] - centres) ** 2).sum(-1) / 2 / 9e-3**2) @ rng.normal(scale=60, size=(20, 15))
-    T_w_o = np.tile(np.eye(4), (n, 1, 1))
-    T_w_o[:, :2, 3] = place
-    touches = Touches(
-        patch=np.zeros((n, 8, 8)),
-        wide=missing_context(n),
-        nearest=-depth,
-        reading=g * ((depth + 3e-3) / 5e-3)[:, None] ** 1.75 + rng.normal(size=(n, 15)),
-        force=np.full(n, np.nan),
-        depth=depth,
-        T_w_t=np.tile(np.eye(4), (n, 1, 1)),
-        T_w_o=T_w_o,
-        object=np.zeros(n),
-        pad=np.arange(n) % pads,
-        session=np.zeros(n),
-        code=np.full(n, ReturnCode.UNDEFINED),
-    )
-    names = tuple(f"skin {i}" for i in range(pads))
-    return Dataset(touches._replace(**columns), ("tip",), names, ("run",), boards.eflesh_board(), "simulated")
+    reading = g * ((depth + 3e-3) / 5e-3)[:, None] ** 1.75 + rng.normal(size=(n, 15))
+    known = {"nearest": -depth, "depth": depth, "pad": np.arange(n) % pads} | columns
+    board = boards.eflesh_board()
+    made = placed_dataset(place, np.zeros((n, 8, 8)), reading, board=board, source="simulated", **known)
+    return replace(made, pads=tuple(f"skin {i}" for i in range(pads)))
 
 
 @pytest.mark.full
@@ -239,18 +226,6 @@ def test_candidates_lie_in_their_ranges_and_the_known_ones_are_among_those_about
         for name, values in known._asdict().items():
             np.testing.assert_array_equal(getattr(about, name)[: len(values)], values)
         assert (about.far_amplitude[known.far_amplitude[np.arange(10) % len(known.load_power)] == 1] == 1).all()
-
-
-def test_shares_go_to_what_predicts_best_and_some_to_what_was_known():
-    error = np.full((4, 3, 6), 0.5)
-    error[:2, :, 1] = 0.1  # of skins of one load
-    error[2:, :, 4] = 0.1  # of the other
-    own = np.array([True, True, False, False])
-    share = prior_search._shares(error, own, np.array([3]))
-    assert share.sum() == pytest.approx(1)
-    assert share.argmax() == 1
-    assert prior_search.ANCHOR_SHARE <= share[3] < 0.3
-    assert share[4] > share[0]  # a tenth is of all skins
 
 
 @pytest.mark.full

@@ -5,16 +5,16 @@ from functools import partial
 
 import numpy as np
 import pytest
+from helpers.baselines import placed_dataset, round_tip
 
 from experiments.fidelity import causes
 from experiments.fidelity.causes import LAG, SIGN, SOFTNESS
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.sections import written
 from experiments.train.loads import press_load, with_known_load
-from i2t.dataset import Dataset, missing_context, save_dataset
+from i2t.dataset import save_dataset
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin import boards
-from i2t.types import ReturnCode, Touches
 
 FORCED = PressureModelConfig(pitch=1e-3)
 
@@ -23,31 +23,13 @@ def recording(n=200, force=None, depth=None, seed=0):
     """A round tip at random places of a skin, whose readings go with the load and the place."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(-6e-3, 6e-3, (n, 2))
-    at = ((np.arange(24) + 0.5) / 24 - 0.5) * 17e-3
-    r2 = (at[None, :, None] - place[:, 1, None, None]) ** 2 + (at[None, None, :] - place[:, 0, None, None]) ** 2
     load = rng.uniform(0.5, 2.0, n)
     board = boards.reskin_board()
     near = np.exp(-((place[:, None] - board.chips[:, :2]) ** 2).sum(-1) / 2 / 5e-3**2)
     reading = 40 * load[:, None] * np.repeat(near, 3, axis=1) * rng.choice([-1, 1], 15)
-    T = np.tile(np.eye(4), (n, 1, 1))
-    T_w_o = T.copy()
-    T_w_o[:, :2, 3] = place
-    nothing = np.full(n, np.nan)
-    touches = Touches(
-        patch=np.minimum(r2 / 8e-3, 4e-3),
-        wide=missing_context(n),
-        nearest=nothing,
-        reading=reading + rng.normal(size=(n, 15)),
-        force=load if force is None else force,
-        depth=nothing if depth is None else depth,
-        T_w_t=T,
-        T_w_o=T_w_o,
-        object=np.zeros(n),
-        pad=np.zeros(n),
-        session=np.zeros(n),
-        code=np.full(n, ReturnCode.UNDEFINED),
-    )
-    return Dataset(touches, ("tip",), ("skin",), ("run",), board, "simulated")
+    reading = reading + rng.normal(size=(n, 15))
+    loads = {"force": load if force is None else force} | ({} if depth is None else {"depth": depth})
+    return placed_dataset(place, round_tip(place, 24), reading, board=board, source="simulated", **loads)
 
 
 UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e-3, 200)

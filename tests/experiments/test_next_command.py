@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.util
-import json
 import pkgutil
 import shlex
 from pathlib import Path
@@ -12,8 +11,7 @@ import pytest
 import experiments
 from experiments.common.checks import with_trained_run
 from experiments.common.commands import say_where
-from experiments.common.runs import METRICS, RECOGNITION_ABOUT
-from experiments.train.arguments import TrainArgs
+from experiments.common.runs import METRICS
 
 OPTIONS = [
     options
@@ -35,25 +33,6 @@ def test_results_pictures_and_the_next_command_are_named_where_there_are_any(tmp
     assert said == f"\nresults and pictures (curves.png) are in {tmp_path}\nnext: python -m experiments.train\n"
 
 
-RECOGNIZE = "python -m experiments.recognize --trained-run {out} --dataset DATA"
-
-
-@pytest.mark.parametrize(
-    ("about", "suggested"),
-    [
-        ({"unusable": "no press has a measured depth"}, "python -m experiments.fidelity --dataset DATA"),
-        ({"recorded_objects": ["star", "teapot"]}, "python -m experiments.fidelity --dataset DATA"),
-        ({"recorded_objects": ["star", "hammer"]}, RECOGNIZE),
-        ({"recorded_objects": ["star", "mug"]}, f"{RECOGNIZE} --objects star mug.stl --unit mm"),
-    ],
-)
-def test_recognition_is_suggested_only_where_it_can_use_the_run(about, suggested, tmp_path):
-    (tmp_path / RECOGNITION_ABOUT).write_text(json.dumps(about))
-    files = (Path("mug.stl"),) if "mug" in about.get("recorded_objects", ()) else ()
-    args = TrainArgs(out=tmp_path, dataset=Path("DATA"), objects=files, unit="mm" if files else None)
-    assert args.next_command == suggested.format(out=tmp_path)
-
-
 def test_a_run_of_training_is_suggested_first_where_there_is_none(tmp_path):
     study = "python -m experiments.studies open_set"
     assert with_trained_run(study, tmp_path) == f"python -m experiments.train --out {tmp_path}"
@@ -65,9 +44,6 @@ class Named:
     """Options whose every value is a word; there is one skin, which needs no name."""
 
     skin_name = None
-
-    def _objects_to_recognise(self) -> str:
-        return TrainArgs._objects_to_recognise(self)
 
     def __getattr__(self, name: str) -> str:
         return "x"

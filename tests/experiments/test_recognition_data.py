@@ -11,7 +11,8 @@ from helpers.random_touches import make
 
 from experiments.recognize import trained_run
 from experiments.train import recognition_data
-from experiments.train.recognition_data import MeshFile, keep, known_touches, mesh_files, read
+from experiments.train.arguments import TrainArgs
+from experiments.train.recognition_data import MeshFile, keep, known_touches, read
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
@@ -48,7 +49,7 @@ def test_training_touches_come_back_as_seen_from_the_object(tmp_path, mug):
     rows[:4] = False
     out = tmp_path / "run"
     out.mkdir()
-    said = keep(out, dataset, rows, mesh_files([mug], "mm"))
+    said = keep(out, dataset, rows, {"mug": MeshFile(mug, "mm")})
     assert '36 training touches of star, mug (simulated) make a pad model of "pad é"' in said
     kept = read(out)
     assert len(kept.dataset) == 36
@@ -70,7 +71,7 @@ def test_a_mesh_that_has_changed_is_refused(tmp_path, mug):
     out = tmp_path / "run"
     out.mkdir()
     dataset = recorded()
-    keep(out, dataset, everything(dataset), mesh_files([mug], "mm"))
+    keep(out, dataset, everything(dataset), {"mug": MeshFile(mug, "mm")})
     copy = out / "meshes" / "mug.stl"
     trimesh.Trimesh(1.05 * np.array(CORNERS), FACES).export(copy)
     with pytest.raises(DataError, match="is not the mesh that the run kept of mug"):
@@ -107,15 +108,15 @@ def test_objects_without_a_mesh_are_left_out_or_named():
 
 
 def test_mesh_files_need_a_unit_and_names_of_their_own(tmp_path, mug):
-    assert mesh_files([mug], "cm") == {"mug": MeshFile(mug, "cm")}
-    with pytest.raises(ValueError, match="--unit mm"):
-        mesh_files([mug], None)
-    with pytest.raises(ValueError, match="no such mesh file"):
-        mesh_files([tmp_path / "cup.stl"], "mm")
     other = tmp_path / "mug.obj"
     other.write_text("")
-    with pytest.raises(ValueError, match="are both called mug"):
-        mesh_files([mug, other], "mm")
+    for files, unit, said in (
+        ((mug,), None, "--unit mm"),
+        ((tmp_path / "cup.stl",), "mm", "cup.stl"),
+        ((mug, other), "mm", "are both called mug"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            TrainArgs(dataset=tmp_path, objects=files, unit=unit).check()
 
 
 def test_names_of_the_catalogue_and_mesh_files_mix(tmp_path, mug):

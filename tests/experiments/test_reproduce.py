@@ -101,21 +101,12 @@ def test_a_table_is_written_where_it_was_measured_and_only_there(tmp_path):
     assert page.read_text() == before
 
 
-def test_a_table_that_is_to_come_keeps_what_is_there_until_it_was_measured(tmp_path):
-    page, results = tmp_path / "page.md", tmp_path / "results"
-    text = "<!-- table to come: open_set auroc -->\n| of before |\n<!-- end of table -->\n"
-    page.write_text(text)
-    assert write_tables(tmp_path) == []
-    assert page.read_text() == text
-    results.mkdir()
+def test_a_study_s_own_tables_are_kept_with_few_decimals_and_written():
     columns = [{"name": name, "decimals": 2, "signed": False, "percent": False} for name in ("met", "fused")]
     measured = {"bits": {}, "tables": {"auroc": {"columns": columns, "rows": [["air", 0.98765432]]}}}
     kept = shortened("open_set", measured)
     assert kept == {"step": "open_set", "tables": {"auroc": {"columns": columns, "rows": [["air", 0.987654]]}}}
-    (results / "open_set.json").write_text(json.dumps(kept))
-    assert write_tables(tmp_path) == ["page.md: open_set auroc"]
-    rows = "| met | fused |\n| --- | --- |\n| air | 0.99 |\n"
-    assert page.read_text() == f"<!-- table: open_set auroc -->\n{rows}<!-- end of table -->\n"
+    assert TABLES["open_set"]["auroc"](kept) == "| met | fused |\n| --- | --- |\n| air | 0.99 |"
 
 
 def test_cells_by_hand():

@@ -8,13 +8,14 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.baselines import bare_dataset, placed_dataset, round_tip
 
 import i2t
 from experiments.train import __main__ as command
@@ -35,8 +36,7 @@ from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
-from i2t.types import Board, ReturnCode, Touches
-from tests.helpers.baselines import bare_dataset
+from i2t.types import Board
 
 BASELINES = [method.title for method in map(find_method, METHODS) if method.baseline]
 
@@ -198,20 +198,13 @@ def small_recording(board: Board, **columns) -> dataset.Dataset:
     rng = np.random.default_rng(0)
     n, board_chips = 160, np.asarray(board.chips)
     place, depth = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.3e-3, 2e-3, n)
-    at = ((np.arange(48) + 0.5) / 48 - 0.5) * 17e-3
-    r2 = (at[None, :, None] - place[:, 1, None, None]) ** 2 + (at[None, None, :] - place[:, 0, None, None]) ** 2
     near = np.exp(-((place[:, None] - board_chips[:, :2]) ** 2).sum(-1) / 2 / 5e-3**2)
-    T_w_o = np.tile(np.eye(4), (n, 1, 1))
-    T_w_o[:, :2, 3] = place
     noise = rng.normal(size=(n, 3 * len(board_chips)))
-    made = Touches(
-        patch=np.minimum(r2 / 8e-3, 4e-3), wide=dataset.missing_context(n), nearest=-depth,
-        reading=4e4 * depth[:, None] * np.repeat(near, 3, axis=1) + noise,
-        force=np.full(n, np.nan), depth=depth, T_w_t=np.tile(np.eye(4), (n, 1, 1)), T_w_o=T_w_o,
-        object=np.zeros(n), pad=np.zeros(n), session=np.arange(n) // 10, code=np.full(n, ReturnCode.UNDEFINED),
+    made = placed_dataset(
+        place, round_tip(place, 48), 4e4 * depth[:, None] * np.repeat(near, 3, axis=1) + noise, board=board,
+        **({"nearest": -depth, "depth": depth, "session": np.arange(n) // 10} | columns),
     )  # fmt: skip
-    names = tuple(f"run {i}" for i in range(16))
-    return dataset.Dataset(made._replace(**columns), ("tip",), ("skin",), names, board, "real")
+    return replace(made, sessions=tuple(f"run {i}" for i in range(16)))
 
 
 @pytest.mark.full

@@ -25,9 +25,9 @@ from i2t.emulators import robot_motion, rtde_protocol, ur_controller, ur_server
 from i2t.emulators.ur_controller import TICK, ask
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError
 from i2t.hardware.limits import MotionLimits
+from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.ur import access, driver, rtde_worker
 from i2t.hardware.ur.driver import UrArm
-from i2t.hardware.ur.poses import from_ur
 from i2t.hardware.ur.rtde_worker import BRAKE_MPS2
 
 LIMITS = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), approach_distance=0.3)
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs the addre
 
 
 def pose(x, y, z, rx=np.pi, ry=0.0, rz=0.0):
-    return from_ur([x, y, z, rx, ry, rz])
+    return pose_from_vector([x, y, z, rx, ry, rz])
 
 
 def status(host):
@@ -232,7 +232,7 @@ def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start
         np.testing.assert_allclose(state.T_b_t, goal, atol=1e-6)
         np.testing.assert_allclose(state.wrench, 0, atol=1e-12)
         after = status(host)
-        np.testing.assert_allclose(from_ur(after["pose"]), goal, atol=1e-6)
+        np.testing.assert_allclose(pose_from_vector(after["pose"]), goal, atol=1e-6)
         assert 0.09 < after["fastest"] <= 0.1 * (1 + 1e-9)
     assert status(host)["runtime"] == ur_controller.STOPPED
     host = start()
@@ -451,10 +451,10 @@ VICTIM = f"""
 import sys, time
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.ur.driver import UrArm
-from i2t.hardware.ur.poses import from_ur
+from i2t.hardware.poses import pose_from_vector
 assert "jax" not in sys.modules
 with UrArm(sys.argv[1], {LIMITS!r}, state_timeout=2.0, watchdog_rate={WATCHDOG_RATE}) as arm:
-    arm.move(from_ur([0.4, 0.25, 0.3, {np.pi}, 0, 0]), 0.05)
+    arm.move(pose_from_vector([0.4, 0.25, 0.3, {np.pi}, 0, 0]), 0.05)
     print("moving", flush=True)
     while arm.state(2.0).moving:
         time.sleep(0.01)

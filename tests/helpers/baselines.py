@@ -1,27 +1,46 @@
-"""Every baseline fitted to bare arrays, by its name on the command line."""
+"""Data sets of bare arrays, and every baseline fitted to them, by its name on the command line."""
+
+from typing import Any
 
 import jax
 import numpy as np
 
-from i2t.dataset import Dataset, Split
+from i2t.dataset import Dataset, Split, missing_context
 from i2t.prediction.methods import METHODS, TrainingTouches, find_method
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
-from i2t.types import Board, Touches
+from i2t.types import Board, ReturnCode, Touches
 
 MEASURED = ("force", "nearest")
 
 
-def bare_dataset(patches: np.ndarray, readings: np.ndarray, **columns: np.ndarray) -> Dataset:
-    """Touches of one object, skin and session of which nothing else is known."""
+def bare_dataset(
+    patches: np.ndarray, readings: np.ndarray, board: Board | None = None, source: str = "real", **columns: np.ndarray
+) -> Dataset:
+    """Touches of one object, skin and session of which nothing else is known than the columns that are given."""
     n, chips = len(patches), readings.shape[1] // 3
-    still, zero = np.tile(np.eye(4), (n, 1, 1)), np.zeros(n)
-    known = dict.fromkeys(("force", "nearest", "depth"), np.full(n, np.nan)) | columns
-    touches = Touches(
-        patch=patches, wide=patches, reading=readings, T_w_t=still, T_w_o=still, object=zero, pad=zero, session=zero,
-        code=zero, **known,
-    )  # fmt: skip
-    board = Board(np.zeros((chips, 3)), np.tile(np.eye(3), (chips, 1, 1)))
-    return Dataset(touches, ("tip",), ("skin",), ("run",), board, "real")
+    still, zero, unknown = np.tile(np.eye(4), (n, 1, 1)), np.zeros(n), np.full(n, np.nan)
+    others = {
+        "wide": patches, "force": unknown, "nearest": unknown, "depth": unknown, "T_w_t": still, "T_w_o": still,
+        "object": zero, "pad": zero, "session": zero, "code": zero,
+    }  # fmt: skip
+    touches = Touches(patch=patches, reading=readings, **(others | columns))
+    board = board or Board(np.zeros((chips, 3)), np.tile(np.eye(3), (chips, 1, 1)))
+    return Dataset(touches, ("tip",), ("skin",), ("run",), board, source)
+
+
+def placed_dataset(place: np.ndarray, patches: np.ndarray, readings: np.ndarray, **more: Any) -> Dataset:
+    """Touches as in `bare_dataset`, with the tip at places (n, 2) m and nothing seen around it."""
+    T_w_o = np.tile(np.eye(4), (len(place), 1, 1))
+    T_w_o[:, :2, 3] = place
+    code = np.full(len(place), ReturnCode.UNDEFINED)
+    return bare_dataset(patches, readings, wide=missing_context(len(place)), T_w_o=T_w_o, code=code, **more)
+
+
+def round_tip(place: np.ndarray, pixels: int) -> np.ndarray:
+    """Patches (n, pixels, pixels) m of a tip of 4 mm radius at places of the skin."""
+    at = ((np.arange(pixels) + 0.5) / pixels - 0.5) * 17e-3
+    r2 = (at[None, :, None] - place[:, 1, None, None]) ** 2 + (at[None, None, :] - place[:, 0, None, None]) ** 2
+    return np.minimum(r2 / 8e-3, 4e-3)
 
 
 def fit_baselines(

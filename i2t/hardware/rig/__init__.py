@@ -55,8 +55,6 @@ COMMENTS = {
     "limits": "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, the longest approach (m), and the "
     "stiffness of skin, arm and mount in series (N/m), with which collisions are reckoned",
 }
-UNUSED_KEYS = {("tool", "arm")}  # of earlier files, which are read
-RENAMED_RIG_KEYS = {"limits": {"travel": "approach_distance"}}  # earlier name to name: files of both are read
 
 
 def _pose(x: float, y: float, z: float) -> Array:
@@ -223,7 +221,6 @@ def _parsed(tables: dict[str, Any]) -> Rig:
         given = tables.get(table)
         if not isinstance(given, dict):
             raise ValueError(f"[{table}] is missing; add that table, with {COMMENTS[table]}")
-        given = _with_present_names(table, given)
         _known(f"key of [{table}]", given, keys)
         missing = [key for key in keys if key not in given and key not in OPTIONAL]
         if missing:
@@ -272,16 +269,6 @@ def _text(key: str, value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{key} is {value!r}; give a word in quotes")
     return value
-
-
-def _with_present_names(table: str, values: dict[str, Any]) -> dict[str, Any]:
-    """A table of a file, which may be of an earlier version, with the keys' names of this one."""
-    renamed = RENAMED_RIG_KEYS.get(table, {})
-    for earlier, name in renamed.items():
-        if earlier in values and name in values:
-            raise ValueError(f"[{table}] has {name} and {earlier}, its earlier name; keep {name}")
-    used = {key: value for key, value in values.items() if (table, key) not in UNUSED_KEYS}
-    return {renamed.get(key, key): value for key, value in used.items()}
 
 
 def _known(what: str, given: dict[str, Any], known: Sequence[str] | dict[str, Any]) -> None:

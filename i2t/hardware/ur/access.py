@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from i2t.errors import DeviceError
-from i2t.hardware.ur.poses import from_ur
+from i2t.hardware.poses import pose_from_vector
 from i2t.types import Array
 
 RTDE_PORT, DASHBOARD_PORT = 30004, 29999
@@ -185,6 +185,6 @@ def tool_pose(host: str) -> Array:
     except RuntimeError as error:
         raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
     try:
-        return from_ur(listening.getActualTCPPose())
+        return pose_from_vector(listening.getActualTCPPose())
     finally:
         listening.disconnect()

@@ -1,7 +1,7 @@
-"""Configuration of a UR arm and its watch, without its client library."""
+"""Times of the watch of a UR arm, without its client library."""
 
-from dataclasses import dataclass
-
+STATE_TIMEOUT_S = 0.1  # without a state, after which the arm is taken for lost
+WATCHDOG_RATE_HZ = 10.0  # how often the controller must hear from us
 STATE_TIMEOUT_RANGE_S = (0.02, 5.0)
 WATCHDOG_RATE_RANGE_HZ = (0.25, 50.0)  # from 4 s, in which an arm at 40 mm/s goes 0.16 m, to 20 ms
 
@@ -22,15 +22,3 @@ def check_watch(state_timeout: float | None, watchdog_rate: float | None) -> Non
     ):
         if value is not None and not least <= value <= most:
             raise ValueError(f"The {name} {value:g} {unit} is outside {least:g} to {most:g} {unit}.")
-
-
-@dataclass(frozen=True)
-class UrConfig:
-    """A UR arm; see `i2t.hardware.ur.driver`."""
-
-    host: str  # address of the controller
-    state_timeout: float = 0.1  # s without a state after which the arm is taken for lost
-    watchdog_rate: float = 10.0  # Hz, how often the controller must hear from us
-
-    def __post_init__(self) -> None:
-        check_watch(self.state_timeout, self.watchdog_rate)

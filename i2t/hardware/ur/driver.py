@@ -37,6 +37,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.errors import DeviceError
 from i2t.hardware.limits import MotionLimits, format_position
+from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState, StopReason
 from i2t.hardware.ur.access import (
     NO_LIBRARY,
@@ -45,8 +46,7 @@ from i2t.hardware.ur.access import (
     release_protective_stop,
     take_lock,
 )
-from i2t.hardware.ur.config import check_watch
-from i2t.hardware.ur.poses import from_ur, to_ur
+from i2t.hardware.ur.config import STATE_TIMEOUT_S, WATCHDOG_RATE_HZ, check_watch
 from i2t.hardware.ur.rtde_link import MotionGuard, RtdeConnection
 from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
@@ -84,8 +84,8 @@ class UrArm:
         tool: Array | None = None,
         payload: tuple[float, tuple[float, float, float]] | None = None,
         *,
-        state_timeout: float = 0.1,
-        watchdog_rate: float = 10.0,
+        state_timeout: float = STATE_TIMEOUT_S,
+        watchdog_rate: float = WATCHDOG_RATE_HZ,
         source: Literal["real", "emulated"] | None = None,
     ) -> None:
         check_watch(state_timeout, watchdog_rate)
@@ -201,7 +201,7 @@ class UrArm:
         """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         self._start(T_b_t, speed, acceleration, self._free_guard)
-        return from_ur(to_ur(T_b_t))
+        return pose_from_vector(pose_to_vector(T_b_t))
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait for the end, as in `GuardedArm.go`.

@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
+from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ArmState, StopReason
 from i2t.hardware.rig_checks import other_tool
 from i2t.hardware.ur import rtde_worker
 from i2t.hardware.ur.access import ask_dashboard
-from i2t.hardware.ur.poses import from_ur, to_ur
 from i2t.hardware.ur.rtde_worker import POLL_S, Channel, Message
 from i2t.types import Array
 
@@ -111,7 +111,7 @@ class RtdeConnection:
         self._reset()
         request = {
             "host": self.host,
-            "tool": None if tool is None else to_ur(tool),
+            "tool": None if tool is None else pose_to_vector(tool),
             "payload": None if payload is None else [payload[0], list(payload[1])],
             "watchdog_rate": self.watchdog_rate,
         }
@@ -119,7 +119,7 @@ class RtdeConnection:
         reply = self._first_message(self._channel)
         if "ready" not in reply:
             raise DeviceError(f"The controller at {self.host} cannot be controlled: {reply['error']}.")
-        different = "" if tool is None else other_tool(tool, from_ur(reply["pendant_tcp"]))
+        different = "" if tool is None else other_tool(tool, pose_from_vector(reply["pendant_tcp"]))
         if different:
             raise DeviceError(f"The controller at {self.host} has another tool: {different}.")
         self._thread = threading.Thread(target=self._read_loop, args=(self._channel,), name=f"UR {self.host}")
@@ -255,7 +255,7 @@ class RtdeConnection:
             DeviceError: As in `movable`, or the controller did not take it.
         """
         arguments = {
-            "motion": self._motion + 1, "pose": to_ur(goal), "speed": speed, "acceleration": acceleration,
+            "motion": self._motion + 1, "pose": pose_to_vector(goal), "speed": speed, "acceleration": acceleration,
             "force": guard.force, "torque": guard.torque,
         }  # fmt: skip
         try:
@@ -352,7 +352,7 @@ class RtdeConnection:
             raise OSError(message["error"])
 
     def _take_state(self, raw: Message) -> None:
-        T_b_t = from_ur(raw["pose"])
+        T_b_t = pose_from_vector(raw["pose"])
         wrench = np.array(raw["wrench"]).reshape(2, 3) @ T_b_t[:3, :3]
         joints, twist = np.array(raw["joints"]), np.array(raw["twist"])
         arm = ArmState(raw["time"], T_b_t, joints, twist, wrench.ravel(), moving=raw["moving"], safe=raw["safe"])

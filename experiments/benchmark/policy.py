@@ -1,4 +1,4 @@
-"""Sections `policy` and `environment` of the benchmark: a decision where to touch, and steps to learn one from."""
+"""Section `policy` of the benchmark: a decision where to touch."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -9,22 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmark.contests import Contest
-from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment
-from i2t.environments.tables import make_environment, tabulate
 from i2t.objects import catalogue
 from i2t.recognition import belief, outcomes
 from i2t.recognition import policy as policies
 from i2t.recognition.outcomes import LOADS_N, PredictedTouch
-from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.press import PressLimits
 from i2t.simulation.sites import RECOGNITION_LIMITS, collect_sites
-from i2t.simulation.touches import SimulationErrors, simulate_touches
 
 CHANNELS = 15
 PREDICTED_ANEW = 512  # touches that the peer's time is taken of
-ENVIRONMENT_OBJECTS = ("star", "hexagon", "cylinder", "cross")
-TABLE_STEPS, EXACT_STEPS = 512, 4  # in one call
 
 
 def policy(small: bool) -> Iterator[Contest]:
@@ -83,53 +77,3 @@ def _predict_on_mesh(count: int) -> Callable[[], Any]:
         jax.vmap(partial(outcomes.predict_contact, overtravel=PressLimits.overtravel), (None, None, None, 0, None))
     )
     return lambda: jax.block_until_ready(predict(surface, jnp.eye(4), jnp.zeros(6), sites, jnp.float32(LOADS_N)))
-
-
-def environment(small: bool) -> Iterator[Contest]:
-    """Steps of the environments of active touch, tabulated and with exact physics, next to whole simulated touches.
-
-    All are on the same prisms with random pads, many side by side. Exact means contacts at cells of 1 mm and a reading
-    that is linear in the pressure; what that changes is tested in tests/environments/test_press.py.
-    """
-    episodes, touches, placements = (2, 2, 2) if small else (256, 64, 16)
-    made, params = make_environment(ENVIRONMENT_OBJECTS, sites=16, pads=4)
-    table = tabulate(jax.random.key(1), made, params, placements)
-    tabulated, exact = _stepper(made, episodes, TABLE_STEPS), _stepper(made, episodes, EXACT_STEPS)
-    surface, pad = element(params.surfaces, 0), element(params.pads, 0)
-
-    def whole() -> None:
-        simulate_touches(
-            jax.random.key(2), [surface], pad, SimulationErrors(), touches, limits=PressLimits(),
-            sites=made.config.safety, touches_per_session=touches,
-        )  # fmt: skip
-
-    one_exact = 1 / (episodes * EXACT_STEPS)
-    yield Contest(
-        f"a tabulated step of {episodes} episodes", lambda: tabulated(table), "exact physics", lambda: exact(params),
-        our_calls=1 / (episodes * TABLE_STEPS), peer_calls=one_exact,
-    )  # fmt: skip
-    yield Contest(
-        f"a step with exact physics of {episodes} episodes", lambda: exact(params), "simulate_touches", whole,
-        our_calls=one_exact, peer_calls=1 / touches,
-    )  # fmt: skip
-
-
-def _stepper(environment: TouchEnvironment, episodes: int, steps: int) -> Callable[[EnvironmentParams], object]:
-    """Steps at random sites, compiled."""
-
-    def run(params: EnvironmentParams) -> jax.Array:
-        key_reset, key_steps = jax.random.split(jax.random.key(0))
-        _, state = jax.vmap(lambda k: environment.reset(k, params))(jax.random.split(key_reset, episodes))
-        step = jax.vmap(partial(environment.step, params=params))
-
-        def one(state: EnvironmentState, key: jax.Array) -> tuple[EnvironmentState, jax.Array]:
-            key_site, key_touch = jax.random.split(key)
-            site = jax.random.randint(key_site, (episodes,), 0, params.sites)
-            action = TouchAction(site, jnp.zeros((episodes, params.objects)))
-            obs, state, reward, _, _ = step(jax.random.split(key_touch, episodes), state, action)
-            return state, reward + obs.reading.sum(1)
-
-        return jax.lax.scan(one, state, jax.random.split(key_steps, steps))[1].sum()
-
-    compiled = jax.jit(run)
-    return lambda params: jax.block_until_ready(compiled(params))

@@ -1,0 +1,25 @@
+"""Options that experiments share: a dataclass of options inherits them. This module imports nothing large."""
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import tyro
+
+from experiments.common.tasks import TaskOptions
+from i2t.cli import Seed
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Options of an experiment that is made at once."""
+
+    seed: Seed = 0  # of everything random
+    overwrite: bool = False  # replace a finished or unfinished run in --out
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResumableOptions(RunOptions):
+    """Options of an experiment in parts, such as pads and seeds."""
+
+    resume: bool = False  # go on with an unfinished run in --out
+    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
