@@ -8,7 +8,7 @@ from experiments.calibrate.arguments import CalibrateArgs
 from experiments.common.runs import begin, write_json
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
-from experiments.fidelity.sections import print_table
+from experiments.fidelity.sections import text_of_table
 from i2t.calibration.heads import fit_head
 from i2t.calibration.recordings import SkinRecording, read_recordings
 
@@ -29,7 +29,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
             args.out / f"{target}.npz"
         )
         metrics["heads"][target] = to_numbers(tests)
-        print_table(caption(target), table(target, tests))
+        print(text_of_table(caption(target), table(target, tests)))
         kept = {name: test.kept for name, test in tests.items()}
         sentences = compare_with_baselines(target, tests) + missed_ranges(target, kept)
         print("\n".join(f"  {sentence}" for sentence in sentences))

@@ -13,7 +13,7 @@ class FidelityArgs(RunOptions):
     """Judge recordings of a skin: checks, noise, calibration curves, heads and ceilings in one report."""
 
     dataset: tuple[Path, ...]  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
-    out: Path = Path("runs/fidelity")  # folder for report.html, metrics.json and config.json
+    out: Path = Path("runs/fidelity")  # folder for report.txt, figures, metrics.json and config.json
     preset: Literal["paper", "short", "debug"] = "paper"
 
     def check(self) -> None:

@@ -18,7 +18,6 @@ class FidelityPreset:
     held_out_share: float = 0.2  # of blocks, rows or time
     try_causes: bool = True  # of a predictor that loses; else only those that show in the numbers
     heads: HeadBudget = field(default_factory=HeadBudget)
-    heads_across: HeadBudget = field(default_factory=lambda: HeadBudget(400, 1500, rows=4000))
 
 
 FIDELITY_PRESETS: dict[str, FidelityPreset] = {
@@ -29,6 +28,6 @@ FIDELITY_PRESETS: dict[str, FidelityPreset] = {
     ),
     "debug": FidelityPreset(
         counts=(20,), draws=1, try_causes=False, method_seconds=5.0, test_rows=100, forward_rows=150,
-        heads=HeadBudget(100, 200, rows=400), heads_across=HeadBudget(100, 200, rows=400),
+        heads=HeadBudget(100, 200, rows=400),
     ),
 }  # fmt: skip

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
 from typing import TypeAlias
@@ -35,7 +34,6 @@ MIN_TEST_ROWS, MIN_POOL_ROWS = 5, 5
 OWN_PRESSES = 20  # of a session, next to all of another
 LOST_R2 = 0.01  # less than this is level
 R2_DIGITS = 3  # as printed
-LOADS = ("depth", "force")
 AT_LEAST_AS_GOOD = "is at least as good as every baseline"
 COLOURS_OF_METHODS = (style.GREY, style.ORANGE, style.BLUE, style.GREEN, style.RED)
 MethodErrors: TypeAlias = dict[str, dict[int, list[np.ndarray]]]  # squared errors (n,) by method, count and draw
@@ -69,7 +67,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
             *([name, *(_interval_cell(by_count.get(n)) for n in counts)] for name, by_count in scores.items()),
         ]
         section.sentences += _compare_with_baselines(split, scores, errors[split])
-    section.figures["Calibration curves"] = _figure(section.numbers["r2"])
+    section.figures["calibration_curves"] = _figure(section.numbers["r2"])
 
 
 def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> Splits:
@@ -236,18 +234,9 @@ def _alike(known: SkinRecording, other: SkinRecording) -> tuple[PressSet, PressS
     if known.readings.shape[1] != other.readings.shape[1]:
         raise CannotTellError(f"{known.name} and {other.name} have another number of channels.")
     before, now = press_set(known), press_set(other)
-    if before.load_name == now.load_name:
-        return before, now
-    shared = next((name for name in ("force", "depth") if known.varies(name) and other.varies(name)), None)
-    if shared is None:
+    if before.load_name != now.load_name:
         raise CannotTellError(
             f"{known.name} knows {before.load_name} as its load and {other.name} {now.load_name}; what one says of the "
             "other needs one kind of load."
         )
-    return press_set(_with_load(known, shared)), press_set(_with_load(other, shared))
-
-
-def _with_load(recording: SkinRecording, load: str) -> SkinRecording:
-    """A recording that knows no other load."""
-    kept = {name: values for name, values in recording.targets.items() if name == load or name not in LOADS}
-    return replace(recording, targets=kept)
+    return before, now

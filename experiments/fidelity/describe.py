@@ -1,16 +1,14 @@
 """Description of a recording, and contradictions of a sound one."""
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
-from i2t.calibration import check_presses, segment_presses
+from i2t.calibration import check_presses
 from i2t.calibration.recordings import TARGETS, SkinRecording
 from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, metrics_of
 from i2t.unknowns.findings import AXES
 from i2t.unknowns.segmentation import MAD_TO_STD
-from i2t.viz import style
 
 # uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);
 # resolutions 1 to 3 double it each.
@@ -28,8 +26,6 @@ STILL_IN_AIR = 0.1  # of the readings' size in contact, that they may keep in ai
 EQUAL_CHANNEL_CORRELATION = 0.9999  # correlation of two channels that are one
 MIN_ALIKE_ROWS = 30
 STREAM_GAP_S = 0.5  # up to which rows follow each other
-STREAM_STEP_S = 0.1  # up to which (median) rows are a stream, in which presses are looked for
-MIN_STREAM_ROWS = 200
 
 
 def describe(recording: SkinRecording, section: Section) -> None:
@@ -48,10 +44,8 @@ def describe(recording: SkinRecording, section: Section) -> None:
         section.sentences.append(f"Rows come every {gap:.3g} s (median) over {span / 60:.1f} minutes.")
     else:
         section.sentences.append("No times are known, so that rates, creep and drift per hour are unknown.")
-    section.part(lambda: _describe_stream(recording, section))
     section.tables["what is known of the rows"] = _known(recording, numbers)
     section.sentences.append(_unit(recording, numbers))
-    section.figures["The recording"] = _overview(recording)
 
 
 def check(recording: SkinRecording, section: Section, findings: list[Finding]) -> None:
@@ -76,22 +70,6 @@ def recorded_presses(recording: SkinRecording) -> RecordedPresses:
         height=None if depth is None else -depth[:, 0],
         force=None if force is None else force[:, 0],
     )
-
-
-def _describe_stream(recording: SkinRecording, section: Section) -> None:
-    """The presses in a stream, found by its readings alone."""
-    step = np.diff(recording.time)
-    if len(step) < MIN_STREAM_ROWS or not (step > 0).all() or np.median(step) > STREAM_STEP_S:
-        return
-    presses = segment_presses(recording.time, recording.readings)
-    section.numbers["presses_in_the_stream"] = len(presses.start)
-    if len(presses.start):
-        seconds = float(np.median(presses.end_time - presses.start_time))
-        strong = float(np.median(np.linalg.norm(presses.reading, axis=1)))
-        section.sentences.append(
-            f"By its readings alone the stream holds {len(presses.start)} presses, {seconds:.2f} s long and "
-            f"{strong:.0f} uT strong (medians; i2t.calibration.segment_presses)."
-        )
 
 
 def _known(recording: SkinRecording, numbers: dict) -> list[list[str]]:
@@ -241,25 +219,3 @@ def _check_unknowns(recording: SkinRecording, found: list[str], section: Section
         section.sentences.append(f"All that follows is of the recording put right: {join(corrected)}.")
     if unknown := [finding.name for finding in findings if not finding.identifiable]:
         section.sentences.append(f"The recording cannot tell: {join(unknown)}.")
-
-
-def _overview(recording: SkinRecording) -> Figure:
-    """Places and readings of presses, in order."""
-    figure = Figure(figsize=(12, 3.4), layout="constrained")
-    place, order, load_axes = figure.subplots(1, 3)
-    length = np.linalg.norm(recording.readings, axis=1)
-    some = np.linspace(0, len(length) - 1, min(len(length), 4000)).astype(int)
-    known = some[recording.known("position")[some]]
-    place.set(title="where was pressed" if len(known) else "positions are not known")
-    if len(known):
-        dots = place.scatter(*1e3 * recording.targets["position"][known].T, c=length[known], s=6, cmap="cividis")
-        figure.colorbar(dots, ax=place, label="length of the reading (uT)")
-        place.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-    order.plot(some, recording.readings[some], lw=0.4)
-    order.set(xlabel="row", ylabel="reading (uT)", title="all channels")
-    name, load = load_of(recording)
-    load_axes.set(title="no load is known that varies" if name == "none" else "load")
-    if name != "none":
-        load_axes.plot(TARGETS[name].scale * load[some], length[some], ".", ms=2, color=style.BLUE)
-        load_axes.set(xlabel=f"{name} ({TARGETS[name].unit})", ylabel="length of the reading (uT)")
-    return figure

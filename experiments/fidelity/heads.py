@@ -1,6 +1,5 @@
 """Heads of a recording, tested in three ways on rows they never saw, with baselines and published figures."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -106,32 +105,6 @@ def test_heads(
 
 
 test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever its name
-
-
-def heads_across(recordings: Sequence[SkinRecording], budget: HeadBudget, seed: int, section: Section) -> None:
-    """Heads of each recording on the others, as a skin that was mounted again or worn would be read."""
-    rows = [["target", "fitted to", "tested on", "rows", *SCORES]]
-    numbers: dict[str, Any] = {}
-    for target in HEAD_TARGETS:
-        for known in recordings:
-            try:
-                head = fit_head(known, target, budget=budget, seed=seed)
-            except ValueError:
-                continue  # the recording's own part says why
-            for other in (one for one in recordings if one is not known):
-                try:
-                    score, _ = score_head(head, other, target_rows(other, target))
-                except ValueError as error:
-                    section.sentences.append(f"{target} of {other.name} is not predicted from {known.name}: {error}.")
-                    continue
-                numbers[f"{target}: {known.name} -> {other.name}"] = score._asdict()
-                section.sentences += missed_ranges(target, {f"from {known.name} to {other.name}": score})
-                what = f"{target} ({TARGETS[target].unit})"
-                rows.append([what, known.name, other.name, str(score.rows), *map(cell, score[1:])])
-    if len(rows) == 1:
-        raise CannotTellError(" ".join(section.sentences) or "No two recordings share a target that a head predicts.")
-    section.numbers["heads"] = numbers
-    section.tables["Heads of one session on another, as they are"] = rows
 
 
 def held_out_rows(recording: SkinRecording, share: float, seed: int) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@
 A recording is a data set of i2t (a folder or a file), a session of eFlesh as it was recorded, or a table with one row
 for each reading (docs/fidelity.md). Nothing is asked of it: a part that it cannot support says why in a sentence.
 
-Results go to --out: report.html (one file, with its pictures), metrics.json and config.json.
+Results go to --out: report.txt, calibration curves (.png), metrics.json and config.json.
 """
 
 import os
@@ -28,9 +28,11 @@ from experiments.common.runs import begin, write_json
 from experiments.fidelity import causes, curves, describe, dynamics, heads
 from experiments.fidelity.arguments import FidelityArgs
 from experiments.fidelity.config import FIDELITY_PRESETS, FidelityPreset
-from experiments.fidelity.sections import Section, say, write_page, written
+from experiments.fidelity.sections import Section, text_of, written
+from i2t import viz
 from i2t.calibration.recordings import SkinRecording, corrected_recording, is_dataset, read_recordings
 from i2t.errors import DataError
+from i2t.files import replacing
 from i2t.unknowns import Finding
 
 FOUND_BY_CONVERTER = "found in "  # so begins a note of `i2t.convert` on what a session does not contradict
@@ -45,19 +47,15 @@ def run(args: FidelityArgs) -> dict[str, Any]:
     chapters: dict[str, list[Section]] = {}
     for recording in recordings:
         print(f"\n{recording.name}: {len(recording)} readings")
-        sections = sections_of(recording, preset, args.seed)
-        chapters[recording.name] = [say(section) for section in sections]
+        chapters[recording.name] = [_printed(section) for section in sections_of(recording, preset, args.seed)]
     if len(recordings) > 1:
-        parts = {
-            "What one session says of another": partial(curves.across_sessions, recordings, preset, args.seed),
-            "Heads across sessions": partial(heads.heads_across, recordings, preset.heads_across, args.seed),
-        }
-        chapters["Across sessions"] = [say(written(title, work)) for title, work in parts.items()]
+        work = partial(curves.across_sessions, recordings, preset, args.seed)
+        chapters["Across sessions"] = [_printed(written("What one session says of another", work))]
     of_path = {path: recording.name for (path, _), recording in zip(read, recordings, strict=True)}
     for path, name in of_path.items():
         if is_dataset(path):
             work = partial(causes.cause_section, path, preset, args.seed)
-            chapters[name].append(say(written("What may keep a predictor from learning", work)))
+            chapters[name].append(_printed(written("What may keep a predictor from learning", work)))
     metrics = {
         "source": sorted({recording.source for recording in recordings}),
         "seed": args.seed,
@@ -70,9 +68,19 @@ def run(args: FidelityArgs) -> dict[str, Any]:
         },
         "seconds": round(time.perf_counter() - started, 1),
     }
-    write_page(args.out / "report.html", "Fidelity of " + ", ".join(r.name for r in recordings), chapters)
+    with replacing(args.out / "report.txt") as temporary:
+        lines = (line for name, sections in chapters.items() for line in ("", name, *map(text_of, sections)))
+        temporary.write_text("\n".join(lines), encoding="utf-8")
+    for number, sections in enumerate(chapters.values()):
+        for name, figure in ((name, figure) for section in sections for name, figure in section.figures.items()):
+            viz.save_figure(figure, args.out / f"{name}_{number}.png")
     write_json(args.out / "metrics.json", metrics)
     return metrics
+
+
+def _printed(section: Section) -> Section:
+    print(text_of(section))
+    return section
 
 
 def named_apart(recordings: list[SkinRecording]) -> list[SkinRecording]:

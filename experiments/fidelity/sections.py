@@ -1,33 +1,12 @@
-"""Parts of the report, the sentences in place of parts that a recording cannot support, and the page they make."""
+"""Parts of the report, and the sentences in place of parts that a recording cannot support."""
 
-import base64
-import html
-import io
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-
-from i2t.files import replacing
-
-HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<style>
-body {{ font: 15px/1.45 sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; color: #222; }}
-h2 {{ border-bottom: 2px solid #0072B2; padding-bottom: .2em; margin-top: 2em; }}
-table {{ border-collapse: collapse; margin: .6em 0 1.2em; }}
-caption {{ text-align: left; font-weight: bold; padding-bottom: .3em; }}
-td, th {{ border: 1px solid #ccc; padding: .2em .6em; text-align: left; font-size: 13px; }}
-img {{ max-width: 100%; }}
-.cannot, .failed {{ color: #777; }} .failed {{ color: #b00; }}
-</style></head><body>
-<h1>{title}</h1>
-"""
 
 
 class CannotTellError(ValueError):
@@ -44,7 +23,7 @@ class Section:
         sentences: what a person should know, in order.
         tables: by their captions, a header and rows of cells each.
         numbers: for metrics.json.
-        figures: by their captions.
+        figures: by the names of their files.
     """
 
     title: str
@@ -105,54 +84,16 @@ def join(names: Sequence[Any], most: int = 12) -> str:
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
-def say(section: Section) -> Section:
-    """Print a section as a person reads it, and return it."""
-    print(f"\n{section.title}" + ("" if section.status == "found" else f" ({section.status})"))
-    for sentence in section.sentences:
-        print(f"  {sentence}")
-    for caption, rows in section.tables.items():
-        print_table(caption, rows)
-    return section
+def text_of(section: Section) -> str:
+    """A section as a person reads it."""
+    lines = ["", section.title + ("" if section.status == "found" else f" ({section.status})")]
+    lines += [f"  {sentence}" for sentence in section.sentences]
+    lines += [text_of_table(caption, rows) for caption, rows in section.tables.items()]
+    return "\n".join(lines)
 
 
-def print_table(caption: str, rows: list[list[str]]) -> None:
+def text_of_table(caption: str, rows: list[list[str]]) -> str:
     """A table as a person reads it."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    print(f"  {caption}")
-    for row in rows:
-        print("    " + "  ".join(f"{value:{width}}" for value, width in zip(row, widths, strict=True)).rstrip())
-
-
-def write_page(path: Path, title: str, chapters: Mapping[str, Sequence[Section]]) -> None:
-    """Write the report as one file that needs nothing else, a chapter for each recording; it appears whole or not at
-    all.
-    """
-    parts = [HEAD.format(title=html.escape(title)), "<ul>"]
-    parts += [f'<li><a href="#r{i}">{html.escape(name)}</a></li>' for i, name in enumerate(chapters)]
-    parts.append("</ul>")
-    for i, (name, sections) in enumerate(chapters.items()):
-        parts.append(f'<h2 id="r{i}">{html.escape(name)}</h2>')
-        parts += [_page_section(section) for section in sections]
-    parts.append("</body></html>\n")
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(parts), encoding="utf-8")
-
-
-def _page_section(section: Section) -> str:
-    kind = {"cannot tell": " class=cannot", "failed": " class=failed"}.get(section.status, "")
-    parts = [f"<h3{kind}>{html.escape(section.title)}</h3>"]
-    if section.sentences:
-        parts.append(f"<ul{kind}>" + "".join(f"<li>{html.escape(s)}</li>" for s in section.sentences) + "</ul>")
-    for caption, rows in section.tables.items():
-        body = "".join(
-            "<tr>" + "".join(f"<{tag}>{html.escape(value)}</{tag}>" for value in row) + "</tr>"
-            for row, tag in zip(rows, ["th", *["td"] * len(rows)], strict=False)
-        )
-        parts.append(f"<table><caption>{html.escape(caption)}</caption>{body}</table>")
-    for caption, figure in section.figures.items():
-        png = io.BytesIO()
-        FigureCanvasAgg(figure)
-        figure.savefig(png, format="png", dpi=80)
-        source = "data:image/png;base64," + base64.b64encode(png.getvalue()).decode()
-        parts.append(f'<figure><img alt="{html.escape(caption)}" src="{source}"></figure>')
-    return "\n".join(parts)
+    cells = ("  ".join(f"{value:{width}}" for value, width in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join([f"  {caption}", *(f"    {line}".rstrip() for line in cells)])

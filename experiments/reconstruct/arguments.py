@@ -35,19 +35,14 @@ class ExplorationCondition:
     """One way to explore and to read touches."""
 
     policy: Literal["random", "uncertainty", "reduction"] = "reduction"  # of `i2t.reconstruction.exploration`
-    evidence: Literal["contact", "reading", "image"] = "reading"  # what a touch says besides where it was
-    library: bool = True  # whether shapes of the same family are known
-    view: bool = False  # whether one depth view comes first
+    reading: bool = True  # whether a touch says more than where it was
 
 
 CONDITIONS = {
     "random": ExplorationCondition("random"),
     "uncertainty": ExplorationCondition("uncertainty"),
     "reduction": ExplorationCondition("reduction"),
-    "contact pose only": ExplorationCondition(evidence="contact"),
-    "perfect tactile image": ExplorationCondition(evidence="image"),
-    "smoothness alone": ExplorationCondition(library=False),
-    "one view first": ExplorationCondition(view=True),
+    "contact pose only": ExplorationCondition(reading=False),
 }
 
 

@@ -22,7 +22,6 @@ from i2t.reconstruction.surface import (
     SurfaceEstimate,
     SurfaceModel,
     SurfaceState,
-    add_view,
     estimate_surface,
     init,
     update,
@@ -76,8 +75,6 @@ def explore(
     """Touch one object, whose errors of the lab depend on object and seed only: conditions share them."""
     session = Session(reality, number, 1000 * seed)
     episode = Episode(init(model)[0])
-    if condition.view:
-        episode.state, _ = add_view(model, episode.state, *session.view())
     config = ExplorationConfig(condition.policy, limits=AROUND_LIMITS, overtravel=EXPLORING_OVERTRAVEL_M)
     for done in range(touches + 1):
         if done in (*REPORTED, touches):
@@ -92,7 +89,7 @@ def explore(
         if site is None:
             episode.stopped = True
             break
-        episode.state, _ = update(model, episode.state, session.touch(site, condition.evidence))
+        episode.state, _ = update(model, episode.state, session.touch(site, condition.reading))
     return episode
 
 

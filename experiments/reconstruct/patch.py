@@ -8,15 +8,14 @@ Objects of the catalogue and drawn ones, from a stamp's size to a hand's, are sp
 those on which everything is chosen (validation) and those that are judged (test). Each is met at random safe sites, the
 approach tilted by 1 to 6 degrees, and pressed by the full physics: to 25 uT and on to 100 uT or 8 N, with friction, a
 slant of a degree, and the noise of real sensors (no drift). Methods: Bayes by imagination at the first stop and at both
-(`i2t.reconstruction`), and the baselines: the prior, and nearest neighbours on readings of imagined presses. All of it
-is simulated.
+(`i2t.reconstruction`), and the prior as a baseline. All of it is simulated.
 
-About five minutes on one core. Expect the press curve to beat the first stop and the neighbours.
+About five minutes on one core. Expect the press curve to beat the first stop, and that to beat the prior.
 """
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,20 +27,16 @@ from experiments.reconstruct.arguments import PATCH_PRESETS, PatchArgs
 from experiments.reconstruct.patch_scores import choose_thresholds, report_of, score_touch, text_table
 from experiments.reconstruct.patch_world import MetSurface, Trial, make_parts, press_parts
 from i2t import viz
-from i2t.progress import progress
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
-from i2t.reconstruction.press_curves import SKIN_CHANGES_UT, PressCurve
+from i2t.reconstruction.press_curves import PressCurve
 from i2t.rendering.ops import element
 from i2t.types import Array
 from i2t.viz import style
 from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 
-PRIOR, NEIGHBOURS = "prior", "nearest neighbours, press curve"
-FIRST_STOP, CURVE = "by imagination, 25 uT", "by imagination, press curve"
+PRIOR, FIRST_STOP, CURVE = "prior", "by imagination, 25 uT", "by imagination, press curve"
 RELATIVE_ERRORS, TEMPERATURES = (0.04, 0.08, 0.15), (0.25, 0.5, 1.0)  # what is chosen among
 DOFS, BLURS = (3.0, 8.0, 30.0), (0.0, 1.0, 2.0)
-NEIGHBOURS_TRIED = (8, 24, 72)
-FORCES_N = np.geomspace(0.05, 8.0, 24)  # at which imagined presses may stop
 DRAWN_PRESSES = 5
 COLUMNS = {
     "mask_iou": "mask IoU", "contact_iou": "contact IoU", "centre_mm_median": "centre mm", "centre_mm_90": "at 90 %",
@@ -50,31 +45,24 @@ COLUMNS = {
 Scores = dict[str, np.ndarray]
 
 
-class ShapeMethod(NamedTuple):
-    """A method: its weights of the library's patches at a press, by what is fitted to each pad."""
-
-    infer: Callable[[PressCurve, Any, PatchLibrary], Array]
-    fitted: Sequence[Any]
-    blur: float | Array = 0.0  # of the weighted masks (pixels)
+Infer = Callable[[PressCurve, PressModel, PatchLibrary], Array]  # weights of the library's patches at a press
 
 
 def run(args: PatchArgs) -> dict[str, Any]:
     """Run every method on the same presses; print the table, write metrics.json, config.json and a figure."""
     sizes = PATCH_PRESETS[args.preset]
     begin(args.out, args, sizes, None, args.overwrite)
-    key_parts, key_presses, key_methods = jax.random.split(jax.random.key(args.seed), 3)
+    key_parts, key_presses, _ = jax.random.split(jax.random.key(args.seed), 3)  # as many as results were made with
     parts = make_parts(key_parts, sizes)
     library = jax.tree.map(jnp.asarray, parts["train"].library)
     trials = press_parts(key_presses, parts, library, sizes.pads)
     likelihood = choose_likelihood(trials["validation"], library)
-    models = [trial.model._replace(likelihood=likelihood) for trial in trials["test"]]
+    trials = {name: [trial.with_likelihood(likelihood) for trial in some] for name, some in trials.items()}
     chosen: dict[str, Any] = {"likelihood": {name: float(value) for name, value in likelihood._asdict().items()}}
     found: dict[str, Scores] = {}
-    for name, options in list_methods(key_methods, models, len(library.patch)).items():
-        judged = {option: score_touches(method, trials["validation"], library) for option, method in options.items()}
-        best = min(judged, key=lambda option: float(np.mean(judged[option]["crps_mm"])))
-        found[name] = score_touches(options[best], trials["test"], library)
-        chosen[name] = {"option": best, **choose_thresholds(judged[best])}
+    for name, infer in METHODS.items():
+        chosen[name] = choose_thresholds(score_touches(infer, trials["validation"], library))
+        found[name] = score_touches(infer, trials["test"], library)
     objects = parts["test"].library.object
     clusters = [np.tile(objects, sizes.pads), np.repeat(np.arange(sizes.pads), len(objects))]
     report: dict[str, Any] = {
@@ -88,7 +76,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
         "methods": {name: report_of(scores, found[PRIOR], chosen[name], clusters) for name, scores in found.items()},
     }
     write_json(args.out / "metrics.json", report)
-    viz.save_figure(draw_posteriors(models[0], trials["test"][0], library), args.out / "posteriors.png")
+    viz.save_figure(draw_posteriors(trials["test"][0], library), args.out / "posteriors.png")
     print(text_table("simulated", COLUMNS, report["methods"]))
     return report
 
@@ -97,7 +85,7 @@ def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLi
     """The likelihood by which press curves of validation objects have the least CRPS, and their masks the best IoU."""
 
     def scored(likelihood: PatchLikelihood) -> Scores:
-        return score_touches(by_imagination([t.model._replace(likelihood=likelihood) for t in trials]), trials, library)
+        return score_touches(_bayes, [trial.with_likelihood(likelihood) for trial in trials], library)
 
     def best(options: list[PatchLikelihood]) -> PatchLikelihood:
         return min(options, key=lambda each: float(np.mean(scored(each)["crps_mm"])))
@@ -109,23 +97,7 @@ def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLi
     return start._replace(blur=max(masks, key=lambda blur: masks[blur]))
 
 
-def list_methods(key: Array, models: Sequence[PressModel], patches: int) -> dict[str, dict[str, ShapeMethod]]:
-    """Every method, as one or several options of which validation objects choose."""
-    _, key_presses, _ = jax.random.split(key, 3)
-    seen = []
-    for number, model in enumerate(progress(models, desc="imagined presses")):
-        keys = jax.random.split(jax.random.fold_in(key_presses, number), patches)
-        inputs = jax.vmap(features)(_imagine_all(keys, jnp.arange(patches), model))
-        seen.append((inputs, jnp.std(inputs, axis=0) + 1e-6))
-    return {
-        PRIOR: {"": ShapeMethod(_alike, models)},
-        FIRST_STOP: {"": by_imagination(models, _bayes_first)},
-        CURVE: {"": by_imagination(models)},
-        NEIGHBOURS: {str(k): ShapeMethod(_nearest, [(*own, k) for own in seen], 1.0) for k in NEIGHBOURS_TRIED},
-    }
-
-
-def _alike(press: PressCurve, fitted: Any, library: PatchLibrary) -> Array:
+def _alike(press: PressCurve, model: PressModel, library: PatchLibrary) -> Array:
     """Equal weights, whatever was read."""
     return jnp.full(len(library.patch), 1 / len(library.patch))
 
@@ -139,75 +111,25 @@ def _bayes_first(press: PressCurve, model: PressModel, library: PatchLibrary) ->
     return _bayes(jax.tree.map(lambda field: field[:1], press), model, library)
 
 
-def by_imagination(
-    models: Sequence[PressModel], infer: Callable[[PressCurve, Any, PatchLibrary], Array] = _bayes
-) -> ShapeMethod:
-    """Bayes with a forward model of each pad."""
-    return ShapeMethod(infer, models, models[0].likelihood.blur)
+METHODS: dict[str, Infer] = {PRIOR: _alike, FIRST_STOP: _bayes_first, CURVE: _bayes}
 
 
-def _nearest(press: PressCurve, seen: tuple[Array, Array, Array], library: PatchLibrary) -> Array:
-    """Equal weights for the patches of the nearest imagined presses, by their features, the spreads of these, and
-    their number.
-    """
-    inputs, scale, count = seen
-    distance = jnp.sum(((features(press)[None] - inputs) / scale[None]) ** 2, axis=-1)
-    bound = jnp.sort(distance)[jnp.minimum(count, len(distance)) - 1]
-    near = (distance <= bound).astype(jnp.float32)
-    return near / jnp.sum(near)
-
-
-def features(press: PressCurve) -> Array:
-    """Measurements of a press, as one row: readings, logarithms of forces, travels (mm)."""
-    rows = [press.reading.reshape(*press.reading.shape[:-2], -1), jnp.log(press.force + 0.05), 1e3 * press.travel]
-    return jnp.concatenate(rows, -1)
-
-
-def imagined_press(key: Array, index: Array, model: PressModel) -> PressCurve:
-    """A press of one of the library's patches with two stops, as it would be measured; its truth is left empty."""
-    key_slant, key_noise, key_force = jax.random.split(key, 3)
-    what = model.likelihood
-    slant = what.slant_std * jax.random.normal(key_slant, (2,))
-    at_loads = model.reading[:, :, index] + jnp.einsum("i,lic->lc", slant, model.sliding[:, :, :, index])
-    forces = jnp.asarray(FORCES_N, jnp.float32)
-    knots = jnp.log(model.loads)
-    per_newton = jax.vmap(lambda y: jnp.interp(jnp.log(forces), knots, y), 1, 1)(at_loads / model.loads[:, None])
-    curve = per_newton * forces[:, None]
-    change = jnp.linalg.norm(curve, axis=1)
-    travel = jnp.interp(jnp.log(forces), knots, model.travel[:, index])
-
-    def stop(limit: Array, key: Array) -> tuple[Array, Array, Array]:
-        i = jnp.where(jnp.any(change > limit), jnp.argmax(change > limit), len(forces) - 1)
-        i = jnp.maximum(i, 1)
-        step = jnp.clip((limit - change[i - 1]) / jnp.maximum(change[i] - change[i - 1], 1e-6), 0, 1)
-        read, force, travelled = (each[i - 1] + step * (each[i] - each[i - 1]) for each in (curve, forces, travel))
-        noise = jnp.sqrt(model.noise) * jax.random.normal(key, model.noise.shape)
-        return model.axes.T @ (read + noise), force, travelled
-
-    limits = jnp.asarray(SKIN_CHANGES_UT, jnp.float32)
-    reading, force, travelled = jax.vmap(stop)(limits, jax.random.split(key_noise, len(limits)))
-    force = jnp.maximum(force + what.force_std * jax.random.normal(key_force, force.shape), 0)
-    return PressCurve(reading, force, travelled, jnp.zeros((2, 0)), jnp.zeros((2, 2)))
-
-
-_imagine_all = jax.jit(jax.vmap(imagined_press, (0, 0, None)))
-
-
-def score_touches(method: ShapeMethod, trials: Sequence[Trial], library: PatchLibrary) -> Scores:
-    """Scores of the touches of all pads, one pad after the other."""
+def score_touches(infer: Infer, trials: Sequence[Trial], library: PatchLibrary) -> Scores:
+    """Scores of a method's weights at the touches of all pads, one pad after the other."""
     parts = []
-    for trial, fitted in zip(trials, method.fitted, strict=True):
+    for trial in trials:
         presses, truth = jax.tree.map(jnp.asarray, (trial.presses, trial.truth))
-        weights = _infer_all(method.infer)(presses, fitted, library)
-        score = _score_all(weights, presses.force[:, -1], truth, library=library, blur=jnp.float32(method.blur))
+        weights = _infer_all(infer)(presses, trial.model, library)
+        blur = jnp.float32(0.0 if infer is _alike else trial.model.likelihood.blur)  # of masks, in pixels
+        score = _score_all(weights, presses.force[:, -1], truth, library=library, blur=blur)
         parts.append(jax.device_get(score))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 @cache
-def _infer_all(infer: Callable[..., Array]) -> Callable[..., Array]:
+def _infer_all(infer: Infer) -> Callable[..., Array]:
     """Compile a method's estimates of all presses of one pad, one after the other."""
-    return jax.jit(lambda presses, fitted, library: jax.lax.map(lambda press: infer(press, fitted, library), presses))
+    return jax.jit(lambda presses, model, library: jax.lax.map(lambda press: infer(press, model, library), presses))
 
 
 @jax.jit
@@ -217,11 +139,11 @@ def _score_all(
     return jax.lax.map(partial(score_touch, library=library, blur=blur), (weights, force, truth))
 
 
-def draw_posteriors(model: PressModel, trial: Trial, library: PatchLibrary) -> Figure:
+def draw_posteriors(trial: Trial, library: PatchLibrary) -> Figure:
     """Of a few presses: the readings, what was met, the posterior's mean, two samples, and the mask's probability."""
     titles = ("readings (uT)", "met", "mean", "a sample", "another", "mask probability")
     count = min(DRAWN_PRESSES, len(trial.truth.patch))
-    infer = jax.jit(partial(infer_patch, model=model, library=library))
+    infer = jax.jit(partial(infer_patch, model=trial.model, library=library))
     figure = Figure(figsize=(11.5, 1.85 * count + 0.9), layout="constrained")
     axes = figure.subplots(count, len(titles), squeeze=False)
     for number, row in enumerate(axes):

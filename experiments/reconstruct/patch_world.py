@@ -12,7 +12,7 @@ from i2t.objects import Mesh, catalogue, primitives
 from i2t.objects.drawing import disk, outline, rectangle
 from i2t.progress import progress
 from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
-from i2t.reconstruction.local_shape import PatchLibrary, PressModel
+from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.reconstruction.press_curves import PressCurve, simulate_press_curve
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import prepare_surface
@@ -48,6 +48,10 @@ class Trial(NamedTuple):
     model: PressModel
     presses: PressCurve
     truth: MetSurface
+
+    def with_likelihood(self, likelihood: PatchLikelihood) -> "Trial":
+        """The same with other constants of the pad's model."""
+        return self._replace(model=self.model._replace(likelihood=likelihood))
 
 
 def make_parts(key: Array, sizes: PatchSizes) -> dict[str, Part]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import ReconstructArgs
-from experiments.reconstruct.episodes import MM_PER_M, judge, true_shape
+from experiments.reconstruct.episodes import MM_PER_M
 from experiments.reconstruct.report import shown_surface
 from experiments.reconstruct.world import split_objects
 from i2t import viz
@@ -20,7 +20,6 @@ from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.geometry import inverse
-from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.solids import Mesh, place_on_table
 from i2t.reconstruction.surface import (
     SurfaceModel,
@@ -47,7 +46,6 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     begin(args.out, args, args.sizes, None, args.overwrite)  # a data set that cannot be used leaves no folder behind
     model = prior_of(T_o_t[hit], args)
     state, _ = init(model)
-    before = estimate_surface(model, state)
     for pose, contact in zip(T_o_t, hit, strict=True):
         state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=STANDOFF))
     estimate = estimate_surface(model, state)
@@ -63,17 +61,12 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         "surface_std_mm": {"median": float(np.median(std_mm)), "p90": float(np.quantile(std_mm, 0.9))},
         "library": model.library.shape[1],
     }
-    if dataset.source == "simulated" and name in NAMES:
-        truth = true_shape(make_object(name).mesh, model.grid, args.sizes.samples)
-        result["against_the_catalogue"] = {"before": judge(before, truth), "after": judge(estimate, truth)}
     standing = place_on_table(Mesh(surface.vertices, surface.faces))
     result["frame_shift_mm"] = (MM_PER_M * (surface.vertices[0] - standing.vertices[0])).tolist()
     mesh_file = args.out / f"{args.name}.stl"
     with replacing(mesh_file) as temporary:
         trimesh.Trimesh(standing.vertices, standing.faces, process=False).export(temporary, file_type="stl")
     write_json(args.out / "metrics.json", result)
-    if reason := viz.write_surface_gltf(surface, args.out / "surface.gltf"):
-        print(reason)
     title = f"{name} from {len(hit)} touches"
     figure = viz.plot_growing_surface([surface], None, title, dataset.source == "simulated")
     viz.save_figure(figure, args.out / "surface.png")
@@ -128,12 +121,6 @@ def report(result: dict[str, Any], path: Path) -> None:
         f"{result['object']}: {result['contacts']} contacts and {result['in_air']} touches in air{simulated}; the "
         f"surface is known to {std['median']:.1f} mm (median standard deviation; a tenth worse than {std['p90']:.1f})"
     )
-    if found := result.get("against_the_catalogue"):
-        before, after = found["before"], found["after"]
-        print(
-            f"against the catalogue's mesh: Chamfer distance {after['chamfer_mm']:.2f} mm "
-            f"({before['chamfer_mm']:.2f} before the first touch), IoU {after['iou']:.2f} ({before['iou']:.2f})"
-        )
     shift = ", ".join(f"{value:+.1f}" for value in result["frame_shift_mm"])
     print(
         f"{path} is in metres and stands as a loaded mesh does; its frame lies ({shift}) mm from the one in which the "

@@ -9,9 +9,8 @@
 Unseen objects are touched by a simulated arm with a simulated skin: placement errs by 1 mm and 1 degree per axis, the
 approach tilts, readings are noisy. Before the first touch the estimate is the mean of a library of other objects
 (`i2t.reconstruction.surface`). Compared are policies (random, greatest uncertainty, expected reduction of the surface's
-error), what a touch says besides its pose (nothing, the posterior of the reading, a perfect tactile image), a prior of
-smoothness alone, and a start from one depth view. The width of the bands is chosen on validation objects; test objects
-are judged once. Everything is simulated.
+error), and touches that say nothing besides their pose. The width of the bands is chosen on validation objects; test
+objects are judged once. Everything is simulated.
 
 Ten minutes on two cores that do other work too, half of them for libraries and compilation. Expect half to two thirds
 of the start's distance to the true surface after 20 touches; four objects are too few to tell policies apart.
@@ -50,7 +49,7 @@ class Band(NamedTuple):
 class Explorer:
     """What all episodes of a run share."""
 
-    models: dict[bool, SurfaceModel]  # with the library, and of smoothness alone
+    model: SurfaceModel
     shapes: list[TrueShape]  # of the reality's objects
     reality: Reality
     sizes: ReconstructSizes
@@ -58,17 +57,13 @@ class Explorer:
 
     def explore(self, number: int, condition: ExplorationCondition) -> Episode:
         """One object under one condition."""
-        model, truth, touches = self.models[condition.library], self.shapes[number], self.sizes.touches
-        return explore(model, self.reality, number, truth, condition, touches=touches, seed=self.seed)
+        truth, touches = self.shapes[number], self.sizes.touches
+        return explore(self.model, self.reality, number, truth, condition, touches=touches, seed=self.seed)
 
-    def with_bands(self, bands: dict[bool, Band]) -> "Explorer":
+    def with_band(self, band: Band) -> "Explorer":
         """The same with wider or narrower bands."""
-        models = {
-            known: model._replace(config=replace(model.config, band_scale=scale, band_floor=floor))
-            for known, model in self.models.items()
-            for scale, floor in (bands.get(known, Band(1.0, 0.0)),)
-        }
-        return replace(self, models=models)
+        config = replace(self.model.config, band_scale=band.scale, band_floor=band.floor)
+        return replace(self, model=self.model._replace(config=config))
 
 
 def run(args: ReconstructArgs) -> dict[str, Any]:
@@ -82,15 +77,13 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     known = surface_model([item.mesh for item in split.train])
     reality = make_reality(jax.random.key(args.seed), split, sizes)
     shapes = [true_shape(item.mesh, known.grid, sizes.samples) for item in reality.objects]
-    models = {True: known, False: known._replace(library=known.library[:, :0])}
-    explorer = Explorer(models, shapes, reality, sizes, args.seed)
+    explorer = Explorer(known, shapes, reality, sizes, args.seed)
     prepared = time.monotonic() - started
 
     chosen = {name: CONDITIONS[name] for name in args.conditions or CONDITIONS}
-    libraries = {condition.library for condition in chosen.values()}
-    bands = {library: choose_band(explorer, range(len(split.validation)), library) for library in libraries}
+    band = choose_band(explorer, range(len(split.validation)))
     unseen = range(len(split.validation), len(shapes))
-    episodes = explore_all(explorer.with_bands(bands), chosen, unseen)
+    episodes = explore_all(explorer.with_band(band), chosen, unseen)
     report = {
         "source": "simulated",
         **summarize(episodes, sizes.pads),
@@ -98,7 +91,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         "preset": args.preset,
         "objects": {part: [item.name for item in getattr(split, part)] for part in ("validation", "test")},
         "library": {"shapes": len(split.train), "patches": len(reality.library.object)},
-        "band": {"library" if library else "smoothness alone": band._asdict() for library, band in bands.items()},
+        "band": band._asdict(),
         "grid_points": list(known.grid.shape),
         "grid_spacing_mm": 1e3 * known.grid.spacing,
         "seconds": {"preparing": prepared, "all": time.monotonic() - started},
@@ -112,10 +105,10 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     return report
 
 
-def choose_band(explorer: Explorer, numbers: Sequence[int], known: bool) -> Band:
+def choose_band(explorer: Explorer, numbers: Sequence[int]) -> Band:
     """The band that holds 90 % of validation objects' surfaces, after few touches and after many alike."""
-    bare = explorer.with_bands({})
-    found = [bare.explore(number, ExplorationCondition(library=known)) for number in numbers]
+    bare = explorer.with_band(Band(1.0, 0.0))
+    found = [bare.explore(number, ExplorationCondition()) for number in numbers]
     counts = sorted({count for each in found for count in each.errors if count > 0})
     parts = ([each.errors[count] for each in found if count in each.errors] for count in counts)
     errors = [SurfaceErrors(*map(np.concatenate, zip(*some, strict=True))) for some in parts]

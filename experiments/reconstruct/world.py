@@ -1,7 +1,6 @@
 """Objects that are touched, and the simulated arm and skin that touch them."""
 
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -10,15 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.reconstruct.arguments import ReconstructSizes
-from i2t.geometry import apply, inverse
 from i2t.objects.catalogue import random_object
 from i2t.objects.solids import Object
 from i2t.reconstruction.library import ContactSampling, build_library
 from i2t.reconstruction.local_shape import PatchLibrary, PressModel, infer_patch
 from i2t.reconstruction.press_models import imagine_presses
-from i2t.reconstruction.surface import TouchEvidence, contact_evidence, image_evidence, posterior_evidence
+from i2t.reconstruction.surface import TouchEvidence, contact_evidence, posterior_evidence
 from i2t.rendering.ops import element
-from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
+from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors, sample_session_errors, simulate_touch
 from i2t.skin.noise import add_sensor_noise
@@ -26,10 +24,6 @@ from i2t.skin.pad import numbered_pad
 from i2t.types import Pad, ReturnCode, Surface
 
 APPROACH_M, EXPLORING_OVERTRAVEL_M = 0.1, 10e-3  # straight way before a site, and beyond it
-IMAGE_DEPTH_M = 1e-3  # to which a perfect tactile image sees
-IMAGE_STD_M = 0.1e-3
-VIEW_WINDOW_M, VIEW_PIXELS, VIEW_DISTANCE_M, VIEW_NOISE_M = 0.14, 56, 0.3, 0.3e-3
-CAMERA_DIRECTION = (-0.5, 0.6, -0.62)  # in which the camera looks
 PATCH_SHAPES = 40  # of which the library of local surfaces is made
 PATCH_TILT_RAD = (0.0, 0.35)  # an estimated surface lies up to so far from the true one
 ERRORS = SimulationErrors()
@@ -79,7 +73,6 @@ def _touch(key: Any, surface: Surface, site: Any, session: Any, pad: Pad) -> Any
 
 
 _infer = jax.jit(infer_patch, static_argnames=("samples",))
-_see = jax.jit(partial(render_heights, window=VIEW_WINDOW_M, pixels=VIEW_PIXELS))
 
 
 @dataclass
@@ -93,12 +86,12 @@ class Session:
 
     def __post_init__(self) -> None:
         key = jax.random.fold_in(jax.random.key(self.seed), self.number)
-        key_session, self.key_touches, self.key_view = jax.random.split(key, 3)
+        key_session, self.key_touches, _ = jax.random.split(key, 3)  # one more than is used: the draws of a seed stay
         self.surface = element(self.reality.surfaces, self.number)
         self.errors = sample_session_errors(key_session, ERRORS)
 
-    def touch(self, site: np.ndarray, kind: str) -> TouchEvidence:
-        """Touch a site: where it was met, and what the reading or a perfect tactile image says besides."""
+    def touch(self, site: np.ndarray, reading: bool) -> TouchEvidence:
+        """Touch a site: where it was met, and what the reading says besides if it is asked."""
         pad = (self.number + self.seed) % len(self.reality.pads)
         key, at = jax.random.fold_in(self.key_touches, self.touches), jnp.asarray(site, jnp.float32)
         self.touches += 1
@@ -107,30 +100,8 @@ class Session:
         if int(touch.code) == ReturnCode.AIR:
             return contact_evidence(T_o_t, hit=False, swept=APPROACH_M)
         T_o_t[:3, 3] -= float(touch.depth) * T_o_t[:3, 2]  # back to first contact
-        if kind == "contact":
+        if not reading:
             return contact_evidence(T_o_t, swept=APPROACH_M)
-        if kind == "image":
-            rim = (touch.truth.wide.shape[0] - touch.patch.shape[0]) // 2
-            height = touch.truth.wide[rim:-rim, rim:-rim]
-            felt = height < IMAGE_DEPTH_M
-            std, free = np.where(felt, IMAGE_STD_M, np.inf), np.where(felt, 0.0, IMAGE_DEPTH_M)
-            return image_evidence(T_o_t, height, std, free, swept=APPROACH_M)
         model, library = self.reality.models[pad], self.reality.library
         found = _infer(touch.reading, touch.force, touch.depth, model=model, library=library)
         return posterior_evidence(T_o_t, np.asarray(found.patch), swept=APPROACH_M)
-
-    def view(self) -> tuple[np.ndarray, np.ndarray]:
-        """One depth view from above and aside, where the object is believed: points, and the camera's place."""
-        z = np.array(CAMERA_DIRECTION) / np.linalg.norm(CAMERA_DIRECTION)
-        x = np.cross([0.0, 0.0, 1.0], z)
-        x /= np.linalg.norm(x)
-        T_o_c = np.eye(4)
-        T_o_c[:3, :3] = np.stack([x, np.cross(z, x), z], -1)
-        T_o_c[:3, 3] = [0, 0, 20e-3] - VIEW_DISTANCE_M * z
-        seen = np.asarray(_see(self.surface, inverse(jnp.asarray(T_o_c, jnp.float32))))
-        row, column = np.nonzero(np.isfinite(seen))
-        place = ((np.arange(VIEW_PIXELS) + 0.5) / VIEW_PIXELS - 0.5) * VIEW_WINDOW_M
-        depth = seen[row, column] + VIEW_NOISE_M * np.asarray(jax.random.normal(self.key_view, row.shape))
-        # The object stands elsewhere than it is believed to.
-        T_placed_c = np.asarray(self.errors.T_o_placed, np.float64) @ T_o_c
-        return np.asarray(apply(T_placed_c, np.stack([place[column], place[row], depth], -1))), T_placed_c[:3, 3]

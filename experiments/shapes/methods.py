@@ -9,7 +9,7 @@ replacement, so that trainings on different numbers of presses share one compile
 """
 
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import jax
@@ -135,13 +135,29 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
 
 @dataclass(frozen=True)
 class StampClassificationBenchmark:
-    """One pad's presses and what was worked out about them."""
+    """One pad's presses and what was worked out about them.
+
+    Attributes:
+        presses: In the order of time.
+        board: The sensor board.
+        names: Of the shapes.
+        cfg: Sizes of the methods.
+        seed: Of the classifiers.
+    """
 
     presses: StampPresses
+    board: Board
     names: tuple[str, ...]
     cfg: Methods
     seed: int
-    features: StampFeatures | None  # None where the arm did not say enough to imagine a press
+
+    @cached_property
+    def features(self) -> StampFeatures | None:
+        """What presses are imagined from, where the arm said where they were and the stamps are the catalogue's."""
+        if not (self.presses.located and set(self.names) <= set(SHAPES)):
+            return None
+        where, cfg = self.presses, self.cfg
+        return StampFeatures(self.board, self.names, where.poses, where.shape, layers=cfg.layers, grid=cfg.grid)
 
     def methods(self) -> tuple[str, ...]:
         """Names of the methods that these presses allow."""
@@ -175,27 +191,6 @@ class StampClassificationBenchmark:
         kept = fit_hysteresis(first.residuals, p.before[train], p.session[train], sessions)
         readings = p.reading - kept[np.searchsorted(sessions, p.session)] * p.before
         return self.features.fit(train, readings[train]), readings
-
-
-def make_benchmark(
-    presses: StampPresses, board: Board, names: tuple[str, ...], *, cfg: Methods, seed: int
-) -> StampClassificationBenchmark:
-    """A benchmark of the presses of one pad.
-
-    Args:
-        presses: In the order of time.
-        board: The sensor board.
-        names: Of the shapes.
-        cfg: Sizes of the methods.
-        seed: Of the classifiers.
-
-    Returns:
-        The benchmark; presses are imagined only where the arm said where they were and the stamps are the catalogue's.
-    """
-    features = None
-    if presses.located and set(names) <= set(SHAPES):
-        features = StampFeatures(board, names, presses.poses, presses.shape, layers=cfg.layers, grid=cfg.grid)
-    return StampClassificationBenchmark(presses, names, cfg, seed, features)
 
 
 def rows_per_shape(presses: StampPresses, each: int, seed: int) -> np.ndarray:

@@ -34,9 +34,9 @@ from experiments.shapes.methods import (
     PAPER,
     SPLITS,
     Methods,
+    StampClassificationBenchmark,
     StampPresses,
     classify,
-    make_benchmark,
     presses_on,
     rows_per_shape,
     shapes_of,
@@ -148,7 +148,7 @@ def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int, 
     """Guesses of all methods on one pad, split by split, and their scores where it is a new skin, kept in `path`."""
     own, others = presses.pads[pad], presses.pads[:pad] + presses.pads[pad + 1 :]
     classes = len(presses.names)
-    benchmark = make_benchmark(own, presses.dataset.board, presses.names, cfg=cfg.methods, seed=seed)
+    benchmark = StampClassificationBenchmark(own, presses.dataset.board, presses.names, cfg.methods, seed)
     splits = {
         split: {method: benchmark.guesses(method, part).tolist() for method in benchmark.methods()}
         for split, part in presses.held[pad].items()

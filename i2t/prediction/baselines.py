@@ -141,40 +141,32 @@ def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
 
 
 def patch_features(patches: Float[np.ndarray, "n h w"]) -> TouchFeatures:
-    """`touch_features` of patches alone.
+    """Fit the map from patches to vectors; `with_measured` adds what was measured at their contacts.
 
     Args:
         patches: m, of the training touches.
 
     Returns:
-        Their principal components.
-    """
-    return touch_features(patches, np.zeros((len(patches), 0)))
-
-
-def touch_features(patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
-    """Fit the map from touches to vectors.
-
-    Args:
-        patches: m, of the training touches.
-        measured: What was measured at their contacts.
-
-    Returns:
-        Principal components of the patches and scales.
+        Their principal components and their scale.
     """
     flat = patches.reshape(len(patches), -1).astype(np.float64)
     mean = flat.mean(0)
     basis = np.linalg.svd(flat - mean, full_matrices=False)[2][:COMPONENTS]
     length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all patches alike
     nothing = np.zeros(0, np.float32)
-    seen = TouchFeatures(
-        _plain(mean), _plain(basis), _plain(np.asarray(length)), measured_mean=nothing, measured_std=nothing
-    )
-    return _with_measured(seen, measured)
+    return TouchFeatures(_plain(mean), _plain(basis), _plain(np.asarray(length)), nothing, nothing)
 
 
-def _with_measured(features: TouchFeatures, measured: np.ndarray) -> TouchFeatures:
-    """The same components, with scales of the measurements."""
+def with_measured(features: TouchFeatures, measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
+    """The same components, with scales of the measurements.
+
+    Args:
+        features: Of the training patches.
+        measured: What was measured at their contacts.
+
+    Returns:
+        The map from touches to vectors.
+    """
     std = measured.astype(np.float64).std(0)
     scale = _plain(np.where(std > 0, std, 1))
     return features._replace(measured_mean=_plain(measured.mean(0)), measured_std=scale)
@@ -233,32 +225,6 @@ def ridge(
     return (at - mean_x) @ np.linalg.solve(_system(x, penalty), (x - mean_x).T @ (y - mean_y)) + mean_y
 
 
-def held_out(
-    method: Regression,
-    option: float,
-    x: Float[np.ndarray, "n d"],
-    y: Float[np.ndarray, "n c"],
-    fold: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, "n c"]:
-    """Each part of cross-validation predicted from all others.
-
-    Args:
-        method: `method(x, y, at, option)` predicts.
-        option: Its number of neighbours, or penalty.
-        x: Features.
-        y: Readings.
-        fold: Part of each row.
-
-    Returns:
-        Readings, in the unit of `y`.
-    """
-    predicted = np.empty_like(y)
-    for i in np.unique(fold):
-        known, asked = fold != i, fold == i
-        predicted[asked] = method(x[known], y[known], x[asked], option)
-    return predicted
-
-
 def tuned(
     method: Regression,
     options: Sequence[float],
@@ -290,7 +256,15 @@ def _best_option(
     """The option with the least squared error on held-out parts, and these errors (n, c)."""
     if fold.max() == 0:  # nothing can be held out of a single touch
         return options[0], y - y.mean(0)
-    errors = [y - held_out(method, option, x, y, fold) for option in options]
+
+    def left_out(option: float) -> np.ndarray:
+        """Errors of each part of cross-validation, predicted from all others."""
+        error = np.empty_like(y)
+        for known, asked in ((fold != i, fold == i) for i in np.unique(fold)):
+            error[asked] = y[asked] - method(x[known], y[known], x[asked], option)
+        return error
+
+    errors = [left_out(option) for option in options]
     best = int(np.argmin([(error**2).sum() for error in errors]))
     return options[best], errors[best]
 
@@ -405,7 +379,7 @@ class Nearest(Method):
         Returns:
             Fitted.
         """
-        features = _with_measured(of_patches, measured)
+        features = with_measured(of_patches, measured)
         points = _plain(features_of(features, patches, measured))
         return self.fit_points(features, conditions, points, readings.astype(np.float64), fold_of(groups))
 

@@ -9,7 +9,7 @@ hold; a library of none leaves a prior of smoothness alone, around a ball.
 A touch says four things, all in the frame of the object:
   - what the pad swept on its way is free, and stays so exactly (carving): f >= distance to the rim of what was swept;
   - where it stopped, the lowest point of the surface in the pad's square lies on the plane of the pad;
-  - what its reading says of the surface in front of the pad (or a tactile image, or nothing): heights with their
+  - what its reading says of the surface in front of the pad, if anything: heights with their
     standard deviations, and how far beyond the plane space is known to be free;
   - a touch that met nothing sweeps its whole way, and says no more.
 The library's weights follow from how well each shape agrees (a Student's t likelihood, tempered, since a touch's
@@ -109,9 +109,6 @@ class SurfaceState(NamedTuple):
 
     log_weights: Float[np.ndarray, " k"]  # of the library's shapes, not normalised, not tempered
     touches: tuple[TouchEvidence, ...]
-    points: Float[np.ndarray, "p 3"]  # m, known points of the surface from elsewhere, such as a view
-    point_std: Float[np.ndarray, " p"]  # m
-    seen_free: Float[np.ndarray, "q 3"]  # m, points that are free, from a view
 
 
 class SurfaceInfo(NamedTuple):
@@ -190,9 +187,7 @@ def init(model: SurfaceModel) -> tuple[SurfaceState, SurfaceInfo]:
         The state, and what it holds.
     """
     shapes = model.library.shape[1]
-    none = np.zeros((0, 3))
-    state = SurfaceState(np.zeros(shapes), (), none, np.zeros(0), none)
-    return state, SurfaceInfo(np.zeros(shapes), float(shapes))
+    return SurfaceState(np.zeros(shapes), ()), SurfaceInfo(np.zeros(shapes), float(shapes))
 
 
 def update(model: SurfaceModel, state: SurfaceState, evidence: TouchEvidence) -> tuple[SurfaceState, SurfaceInfo]:
@@ -211,45 +206,6 @@ def update(model: SurfaceModel, state: SurfaceState, evidence: TouchEvidence) ->
     return after, SurfaceInfo(found, _effective(model, after))
 
 
-def add_view(
-    model: SurfaceModel,
-    state: SurfaceState,
-    points: Float[np.ndarray, "p 3"],
-    origin: Float[np.ndarray, "3"],
-    *,
-    std: float = 1e-3,
-    count: int = 120,
-) -> tuple[SurfaceState, SurfaceInfo]:
-    """Points of the surface that a depth camera sees, with the free space before them.
-
-    Args:
-        model: What was known before.
-        state: What is known now.
-        points: m, in the object's frame.
-        origin: m, of the camera.
-        std: m, of a point.
-        count: Of points that are kept, spread evenly over the view.
-
-    Returns:
-        The new state, and how well each shape of the library agrees with the view.
-    """
-    kept = np.asarray(points, np.float64)[spread_out(points, count)]
-    ray = np.asarray(origin) - kept
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    free = (kept[:, None] + ray[:, None] * np.array([4e-3, 10e-3, 20e-3])[:, None]).reshape(-1, 3)
-    scale = np.hypot(model.config.misfit, std)
-    at, ahead = _library_at(model, kept), np.minimum(_library_at(model, free), 0)
-    # A view's points are as good as a dozen touches', not as hundreds: neighbours miss in the same way.
-    found = 12 * (_student(at / scale, model.config.dof).mean(0) + _student(ahead / scale, model.config.dof).mean(0))
-    after = state._replace(
-        log_weights=state.log_weights + found,
-        points=np.concatenate([state.points, kept]),
-        point_std=np.concatenate([state.point_std, np.full(len(kept), std)]),
-        seen_free=np.concatenate([state.seen_free, free]),
-    )
-    return after, SurfaceInfo(found, _effective(model, after))
-
-
 def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: float = STANDOFF) -> TouchEvidence:
     """Evidence of a touch of which nothing is known but the pose of contact.
 
@@ -263,31 +219,6 @@ def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: flo
     """
     nothing = np.zeros((LATTICE, LATTICE))
     return TouchEvidence(np.asarray(T_o_t, np.float64), bool(hit), float(swept), nothing, nothing + np.inf, nothing)
-
-
-def image_evidence(
-    T_o_t: Float[Array, "4 4"],
-    height: Float[Array, "h w"],
-    std: Float[Array, "h w"],
-    free: Float[Array, "h w"],
-    *,
-    swept: float = STANDOFF,
-) -> TouchEvidence:
-    """Evidence of a touch with an image of the surface before the pad, over the window of a patch (row i along tool y).
-
-    Args:
-        T_o_t: Pose of the tool at first contact.
-        height: m, of the surface beyond the pad's plane.
-        std: m, of each height; inf where it is not known.
-        free: m beyond the plane that are known to be free.
-        swept: m of the straight way behind that pose.
-
-    Returns:
-        The evidence, on the lattice that an update reads.
-    """
-    place = _lattice_pixels(np.shape(height)[0])
-    image = (np.asarray(each, np.float64)[np.ix_(place, place)] for each in (height, std, free))
-    return TouchEvidence(np.asarray(T_o_t, np.float64), True, float(swept), *image)
 
 
 def posterior_evidence(
@@ -304,7 +235,7 @@ def posterior_evidence(
         Means and standard deviations of the heights; what nearly all samples leave free; nothing of heights that may
         lie beyond the patch's reach.
     """
-    place = _lattice_pixels(np.shape(patches)[-1])
+    place = ((np.arange(LATTICE) + 0.5) / LATTICE * np.shape(patches)[-1]).astype(int)
     samples = np.asarray(patches)[:, place][:, :, place].astype(np.float64)
     mean, low, high = samples.mean(0), np.quantile(samples, 0.05, 0), np.quantile(samples, 0.9, 0)
     # Errors of neighbouring heights come together, so each counts for less than its spread says.
@@ -325,7 +256,7 @@ def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
     shapes, weights = _counted(model, state)
     points, values, std = _surface_points(model, state, shapes, weights)
     free, bound = free_points(state)
-    posterior = _condition(model, shapes, weights, points=points, values=values, std=std)
+    posterior = condition_on(model, shapes, weights, points=points, values=values, std=std)
     grid, rows = coarse_grid(model, FREE_STRIDE)
     for _ in range(2 if len(free) else 0):  # where the mean breaks into free space it is held out; then once more
         mean, _ = predict(model, posterior, rows, spread=False)
@@ -335,8 +266,39 @@ def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
         points = np.concatenate([points, free[worst]])
         values = np.concatenate([values, bound[worst]])
         std = np.concatenate([std, np.full(len(worst), model.config.free_std)])
-        posterior = _condition(model, shapes, weights, points=points, values=values, std=std)
+        posterior = condition_on(model, shapes, weights, points=points, values=values, std=std)
     return posterior
+
+
+def condition_on(
+    model: SurfaceModel,
+    shapes: Int[np.ndarray, " m"],
+    weights: Float[np.ndarray, " m"],
+    *,
+    points: Float[np.ndarray, "n 3"],
+    values: Float[np.ndarray, " n"],
+    std: Float[np.ndarray, " n"],
+) -> SurfacePosterior:
+    """Regress the signed distance on its values at some points.
+
+    Args:
+        model: What was known before.
+        shapes: Those of the library that count.
+        weights: Of these shapes.
+        points: m.
+        values: m, signed distances at the points.
+        std: m, of the values.
+
+    Returns:
+        A posterior to ask with `predict`.
+    """
+    prior, deviations = _prior_at(model, shapes, weights, points)
+    cov = model.config.library_share * deviations @ deviations.T + _matern(model, points, points)
+    cov = cov.astype(np.float64) + np.diag(std**2 + 1e-9)
+    factor = cho_factor(cov, lower=True, check_finite=False) if len(points) else (np.zeros((0, 0)), True)
+    residual = cho_solve(factor, values - prior, check_finite=False) if len(points) else np.zeros(0)
+    narrow = factor[0].astype(np.float32), True
+    return SurfacePosterior(weights, shapes, points, deviations, narrow, residual.astype(np.float32))
 
 
 def predict(
@@ -445,7 +407,7 @@ def swept_distance(state: SurfaceState, points: Float[np.ndarray, "q 3"]) -> Flo
 
 
 def free_points(state: SurfaceState) -> tuple[Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
-    """Free points, and lower bounds of their signed distance, touch after touch, then the view's.
+    """Free points, and lower bounds of their signed distance, touch after touch.
 
     Args:
         state: With its touches.
@@ -456,38 +418,13 @@ def free_points(state: SurfaceState) -> tuple[Float[np.ndarray, "q 3"], Float[np
     edge = (np.arange(5) / 4 - 0.5) * 0.9 * PAD_WINDOW
     x, y, z = (each.ravel() for each in np.meshgrid(edge, edge, -np.array(SWEPT_DEPTHS_M), indexing="ij"))
     bound = np.minimum(PAD_WINDOW / 2 - np.maximum(np.abs(x), np.abs(y)), -z)
-    places, bounds = [], []
+    places, bounds = [np.zeros((0, 3))], [np.zeros(0)]
     for touch in state.touches:
         X, Y = _lattice()
         local = np.concatenate([np.stack([x, y, z], -1), np.stack([X, Y, touch.free.ravel()], -1)])
         places.append(_to_object(touch, local))
         bounds.append(np.concatenate([bound, np.zeros(X.size)]))
-    return np.concatenate([*places, state.seen_free]), np.concatenate([*bounds, np.zeros(len(state.seen_free))])
-
-
-def spread_out(points: Float[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " m"]:
-    """Points that are far from one another: each is the farthest from those before it.
-
-    Args:
-        points: To choose from.
-        count: Of points wanted.
-
-    Returns:
-        Their indices, at most `count`.
-    """
-    points = np.asarray(points, np.float64)
-    if not len(points):
-        return np.zeros(0, int)
-    chosen, far = [0], np.linalg.norm(points - points[0], axis=-1)
-    for _ in range(min(count, len(points)) - 1):
-        chosen.append(int(far.argmax()))
-        far = np.minimum(far, np.linalg.norm(points - points[chosen[-1]], axis=-1))
-    return np.array(chosen)
-
-
-def _lattice_pixels(count: int) -> np.ndarray:
-    """Pixels of an image, along one edge, that the lattice reads."""
-    return ((np.arange(LATTICE) + 0.5) / LATTICE * count).astype(int)
+    return np.concatenate(places), np.concatenate(bounds)
 
 
 def _lattice() -> tuple[np.ndarray, np.ndarray]:
@@ -509,7 +446,7 @@ def _square(touch: TouchEvidence) -> np.ndarray:
 
 
 def _felt(touch: TouchEvidence) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the surface in a touch's image, in the object's frame, and their standard deviations."""
+    """Points of the surface that a touch felt, in the object's frame, and their standard deviations."""
     x, y = _lattice()
     known = np.isfinite(touch.std.ravel())
     local = np.stack([x, y, touch.height.ravel()], -1)[known]
@@ -536,8 +473,7 @@ def _log_likelihood(model: SurfaceModel, touch: TouchEvidence) -> np.ndarray:
     config = model.config
     if not model.library.shape[1]:
         return np.zeros(0)
-    state = SurfaceState(np.zeros(0), (touch,), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
-    free, bound = free_points(state)
+    free, bound = free_points(SurfaceState(np.zeros(0), (touch,)))
     broken = np.minimum(_library_at(model, free) - bound[:, None], 0).min(0)
     total = _student(broken / config.misfit, config.dof)
     if touch.hit:
@@ -562,7 +498,7 @@ def _counted(model: SurfaceModel, state: SurfaceState) -> tuple[np.ndarray, np.n
     count = min(model.config.shapes, len(log_w))
     if count == len(log_w):
         shapes = np.arange(count)
-    elif not state.touches and not len(state.points):
+    elif not state.touches:
         shapes = np.linspace(0, len(log_w) - 1, count).astype(int)
     else:
         shapes = np.argpartition(-log_w, count)[:count]
@@ -619,30 +555,12 @@ def _whitened(posterior: SurfacePosterior, cross: np.ndarray) -> np.ndarray:
     return solve_triangular(posterior.factor[0], cross.T, lower=True, check_finite=False)
 
 
-def _condition(
-    model: SurfaceModel,
-    shapes: np.ndarray,
-    weights: np.ndarray,
-    *,
-    points: np.ndarray,
-    values: np.ndarray,
-    std: np.ndarray,
-) -> SurfacePosterior:
-    prior, deviations = _prior_at(model, shapes, weights, points)
-    cov = model.config.library_share * deviations @ deviations.T + _matern(model, points, points)
-    cov = cov.astype(np.float64) + np.diag(std**2 + 1e-9)
-    factor = cho_factor(cov, lower=True, check_finite=False) if len(points) else (np.zeros((0, 0)), True)
-    residual = cho_solve(factor, values - prior, check_finite=False) if len(points) else np.zeros(0)
-    narrow = factor[0].astype(np.float32), True
-    return SurfacePosterior(weights, shapes, points, deviations, narrow, residual.astype(np.float32))
-
-
 def _surface_points(
     model: SurfaceModel, state: SurfaceState, shapes: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points that contacts and views put on the surface or behind it, their signed distances and deviations."""
+    """Points that contacts put on the surface or behind it, their signed distances and deviations."""
     config = model.config
-    points, values, std = [state.points], [np.zeros(len(state.points))], [state.point_std]
+    points, values, std = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
     for touch in state.touches:
         if not touch.hit:
             continue
@@ -662,11 +580,9 @@ def _surface_points(
 
 
 def _worst(excess: np.ndarray, touches: int, config: SurfaceConfig) -> np.ndarray:
-    """The free points that the mean violates most: a few of each touch, and of the view."""
-    each = 25 * len(SWEPT_DEPTHS_M) + LATTICE**2
+    """The free points that the mean violates most: a few of each touch."""
     chosen: list[np.ndarray] = []
-    for start in [i * each for i in range(touches)] + [touches * each]:
-        part = excess[start : start + each] if start < touches * each else excess[start:]
-        order = np.argsort(part)[: config.free_points if start < touches * each else 4 * config.free_points]
-        chosen.append(start + order[part[order] < -config.free_tolerance])
+    for rows in np.array_split(np.arange(len(excess)), touches):
+        worst = rows[np.argsort(excess[rows])[: config.free_points]]
+        chosen.append(worst[excess[worst] < -config.free_tolerance])
     return np.concatenate(chosen)

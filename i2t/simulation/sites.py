@@ -35,7 +35,6 @@ MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the s
 MIN_FORWARD_COSINE = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
 
 
-SiteLimits = SiteLimits
 COLLECTION_LIMITS = SiteLimits()
 RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 

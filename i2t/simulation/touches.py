@@ -352,10 +352,12 @@ def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
     return jnp.eye(4).at[2, 3].set(distance)
 
 
+@partial(jax.jit, static_argnames=("errors", "limits", "sites", "n"))
 @geometry.full_precision
 def simulate_session(
     key: Key[Array, ""],
     surface: Surface,
+    presses_before: Int[Array, ""],
     T_w_o: Float[Array, "4 4"],
     pad: Pad,
     *,
@@ -363,20 +365,19 @@ def simulate_session(
     limits: PressLimits,
     sites: touch_sites.SiteLimits,
     n: int,
-    presses_before: Int[Array, ""] | int = 0,
 ) -> Touches:
-    """One session of n touches on random safe sites of one object.
+    """One session of n touches on random safe sites of one object; compiled.
 
     Args:
         key: random key.
         surface: of the object, in its frame.
+        presses_before: that the pad had in the sessions before.
         T_w_o: pose of the object as the lab believes it.
         pad: the skin.
         errors: of the lab.
         limits: when a press ends.
         sites: which sites are safe.
         n: touches.
-        presses_before: that the pad had in the sessions before.
 
     Returns:
         n touches; rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
@@ -452,7 +453,7 @@ def simulate_touches(
             presses += kept
 
     made = spread(
-        _simulate_session, calls(), shared=(jnp.eye(4), pad),
+        simulate_session, calls(), shared=(jnp.eye(4), pad),
         errors=errors, limits=limits, sites=sites, n=touches_per_session,
     )  # fmt: skip
     parts = []
@@ -478,13 +479,3 @@ def _counts(objects: Sequence[Surface], n: int | Sequence[int]) -> list[int]:
         validation.count("n, of all objects,", sum(counts))
         return counts
     return [validation.count("n", n)] * len(objects)
-
-
-@partial(jax.jit, static_argnames=("errors", "limits", "sites", "n"))
-def _simulate_session(
-    key: Array, surface: Surface, presses_before: Array, T_w_o: Array, pad: Pad, *,
-    errors: SimulationErrors, limits: PressLimits, sites: touch_sites.SiteLimits, n: int,
-) -> Touches:  # fmt: skip
-    return simulate_session(
-        key, surface, T_w_o, pad, errors=errors, limits=limits, sites=sites, n=n, presses_before=presses_before
-    )

@@ -1,10 +1,9 @@
-"""Reconstructed surfaces, coloured by how uncertain every part of them is; stills, and glTF files to turn.
+"""Reconstructed surfaces, coloured by how uncertain every part of them is.
 
 Scenes are drawn as `i2t.viz.scene` draws them, with pyvista off screen; where that cannot be, a figure says why.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,25 +59,6 @@ def plot_growing_surface(
     scale = ScalarMappable(Normalize(0, MM_PER_M * high), COLOURS_OF_STD)
     figure.colorbar(scale, ax=list(panels), label="standard deviation, mm", shrink=0.75, aspect=15)
     return figure
-
-
-def write_surface_gltf(stage: ShownSurface, path: Path | str) -> str:
-    """Write a surface with its colours as glTF, which viewers and browsers' extensions turn.
-
-    Args:
-        stage: The surface.
-        path: The file, ending in .gltf.
-
-    Returns:
-        Why nothing was written, in one sentence; empty where the file is there.
-    """
-    if reason := why_no_scene():
-        return reason
-    high = float(np.quantile(stage.std, 0.98)) if len(stage.std) else 1e-3
-    plotter = _plotter(stage, high)
-    plotter.export_gltf(str(path))
-    plotter.close()
-    return ""
 
 
 def _plotter(stage: ShownSurface, high: float) -> Any:

@@ -11,7 +11,7 @@ import pytest
 
 from experiments.shapes import __main__ as command
 from experiments.shapes import methods, pad, world
-from experiments.shapes.methods import FOLDS, make_benchmark, presses_on, split_folds
+from experiments.shapes.methods import FOLDS, StampClassificationBenchmark, presses_on, split_folds
 from experiments.shapes.run import PRESETS
 from experiments.tsne import __main__ as tsne
 from i2t import dataset as data
@@ -116,7 +116,7 @@ def test_the_hysteresis_of_a_chip_is_found():
 def test_designs_are_linear_readings_of_the_pad_itself():
     """A skin that is known exactly reads what its designs say."""
     dataset, where = pressed(), presses_on(pressed(), 0)
-    benchmark = make_benchmark(where, dataset.board, world.SHAPES, cfg=CFG.methods, seed=0)
+    benchmark = StampClassificationBenchmark(where, dataset.board, world.SHAPES, CFG.methods, 0)
     train = np.arange(40)
     skin, readings = benchmark.fitted(train)
     phi = benchmark.features.hypotheses(skin.layer)

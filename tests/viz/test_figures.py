@@ -91,7 +91,7 @@ def test_without_gl_a_picture_says_what_to_install(monkeypatch):
 
 
 @pytest.mark.full
-def test_a_scene_shows_the_object_and_the_skin_and_a_surface_grows_from_nowhere(tmp_path):
+def test_a_scene_shows_the_object_and_the_skin_and_a_surface_grows_from_nowhere():
     """Before any touch there may be no surface at all: that is drawn as nothing."""
     if scene.why_no_scene():
         pytest.skip(scene.why_no_scene())
@@ -110,8 +110,6 @@ def test_a_scene_shows_the_object_and_the_skin_and_a_surface_grows_from_nowhere(
     drawn = [np.asarray(axes.images[0].get_array()) for axes in figure.axes[:2]]
     assert (drawn[0] >= 250).all()
     assert (drawn[1] < 250).any()
-    assert viz.write_surface_gltf(stages[1], tmp_path / "ball.gltf") == ""
-    assert (tmp_path / "ball.gltf").stat().st_size > 1000
 
 
 def test_every_training_has_its_curve_however_many_there_are():
