@@ -63,7 +63,7 @@ from i2t.hardware.protocols import (
     View,
 )
 from i2t.hardware.rig import Rig
-from i2t.skin.ambient import mean_known
+from i2t.skin.boards import mean_known
 from i2t.types import Array, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {

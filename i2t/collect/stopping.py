@@ -14,7 +14,7 @@ from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import SkinOnTool, TouchLog
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import ArmState
-from i2t.skin.ambient import mean_known
+from i2t.skin.boards import mean_known
 from i2t.types import Array, Board
 
 ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted

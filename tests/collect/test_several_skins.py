@@ -9,21 +9,17 @@ from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 
 from i2t import dataset
 from i2t.collect import command, recorder
-from i2t.collect.free_poses import fitted_ambient
 from i2t.collect.recorder import Recorder, read_raw, touches_in
-from i2t.collect.settings import AmbientSettings
 from i2t.collect.touch import SkinOnTool
 from i2t.convert import commands
 from i2t.dataset import SkinChoiceError
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin, SkinInLab
-from i2t.emulators.room import RoomField
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceTimeoutError
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import implausible
-from i2t.skin.ambient import load_ambient
 from i2t.skin.boards import make_board
 from i2t.types import ReturnCode
 
@@ -153,19 +149,6 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
         list(procedure.run(lambda history: None if history else site(0), recording))
     with pytest.raises(SkinChoiceError, match="has no skin 'left' but one skin without a name; leave out --skin-name"):
         dataset.load_dataset(tmp_path / "one", skin="left")
-
-
-@pytest.mark.full
-def test_each_skin_has_an_ambient_field_of_its_own_in_the_same_poses(tmp_path):
-    procedure = two(0.0)
-    for skin in procedure.arm.lab.skins:
-        skin.scene.room = RoomField()
-    fields = fitted_ambient(procedure, AmbientSettings(poses=6, seconds=0.1), tmp_path)
-    field, right = fields[""], fields["right"]
-    np.testing.assert_allclose(right.earth, field.earth, atol=0.5)  # of one room, in the base
-    assert right.offset.shape == (4, 3)
-    kept, _ = load_ambient(tmp_path / ".ambient-right.npz", SQUARE)
-    np.testing.assert_allclose(kept.earth, right.earth)
 
 
 @pytest.fixture
