@@ -1,16 +1,17 @@
 """A simulated lab in closed form: a springy plane, a skin that changes in proportion to force, virtual time."""
 
-from typing import Any
+from io import BytesIO
 
 import numpy as np
 
 from i2t.collect.procedure import Procedure
-from i2t.collect.recorder import SessionInfo, SkinInfo
+from i2t.collect.recorder import EventLog, SessionInfo, SkinInfo
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import SpringPlane
+from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.simulation.touches import SimulationErrors
@@ -35,24 +36,16 @@ class SettableClock(VirtualClock):
         return super().wall() + self.jump
 
 
-class NullRecorder:
-    """Recorder that keeps only the tool's positions."""
+class MemoryLog(EventLog):
+    """Log of a touch that no file keeps."""
 
     def __init__(self) -> None:
-        self.positions: list[Array] = []
+        super().__init__(BytesIO(), MonotonicClock())
 
-    def begin(self, site: Site, attempt: int) -> "NullRecorder":
-        """Begin a touch."""
-        return self
-
-    def state(self, state: Any) -> None:
-        """Keep the tool's position."""
-        self.positions.append(state.T_b_t[:3, 3])
-
-    def _keep_nothing(self, *_: Any) -> None:
-        pass
-
-    save = abandon = samples = event = _keep_nothing
+    @property
+    def positions(self) -> list[Array]:
+        """Where the tool was (m, in the base), state by state."""
+        return [state.T_b_t[:3, 3] for state in self.states]
 
 
 def site(number: int) -> Site:

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from experiments.faults.closed_form import HEIGHT_M, STIFFNESS_N_M, NullRecorder, make_procedure, make_scene, site
+from experiments.faults.closed_form import HEIGHT_M, STIFFNESS_N_M, MemoryLog, make_procedure, make_scene, site
 from experiments.faults.table import NOTICED, Fault, Measure, Trial
 from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
@@ -187,7 +187,7 @@ def simulated_press(number: int) -> Trial:
     rng, no_skin = np.random.default_rng((number, 3)), np.zeros(15)
     stiffness, latency = float(np.exp(rng.uniform(np.log(1.5e3), np.log(10e3)))), float(rng.uniform(0, 0.06))
     procedure = make_procedure(make_scene(HEIGHT_M, stiffness, no_skin), latency, number)
-    recorder = NullRecorder()
+    recorder = MemoryLog()
     touched = procedure.touch(site(number), recorder)
     outside = sum(not LIMITS.contains(position, 1e-6) for position in recorder.positions)
     return {"over": stiffness * (HEIGHT_M - touched.T_w_t[2, 3]) - SETTINGS.force, "outside its box": outside}
@@ -195,7 +195,7 @@ def simulated_press(number: int) -> Trial:
 
 def press_in_the_air(number: int) -> Trial:
     """A press that meets nothing, which noise must not stop."""
-    touched = make_procedure(make_scene(height=-1.0), seed=number).touch(site(number), NullRecorder())
+    touched = make_procedure(make_scene(height=-1.0), seed=number).touch(site(number), MemoryLog())
     return {"stopped": touched.code == ReturnCode.SKIN, "presses": 1}
 
 
@@ -243,7 +243,7 @@ def _pushed(host: str) -> float:
     return STIFFNESS_N_M * max(0.0, PLANE_M - float(status(host)["pose"][2]))
 
 
-class _KillingRecorder(NullRecorder):
+class _KillingLog(MemoryLog):
     """Makes a simulated skin fall silent once it is pressed by some force."""
 
     def __init__(self, skin: Any) -> None:
@@ -253,7 +253,7 @@ class _KillingRecorder(NullRecorder):
     def state(self, state: Any) -> None:
         """Silence the skin once the arm presses."""
         super().state(state)
-        force = STIFFNESS_N_M * (HEIGHT_M - self.positions[-1][2])
+        force = STIFFNESS_N_M * (HEIGHT_M - state.T_b_t[2, 3])
         if force >= PRESSED_N and not self.force:
             self.force, self._skin.silent = force, True
 
@@ -262,7 +262,7 @@ def dying_skin(number: int) -> Trial:
     """Force that a simulated press gains after its skin fell silent."""
     latency = float(np.random.default_rng((number, 11)).uniform(0, 0.03))
     procedure = make_procedure(make_scene(gain=np.zeros(15)), latency, number)
-    recorder = _KillingRecorder(procedure.skins[0].skin)
+    recorder = _KillingLog(procedure.skins[0].skin)
     with contextlib.suppress(DeviceError):
         procedure.touch(site(number), recorder)
     ended = STIFFNESS_N_M * (HEIGHT_M - procedure.arm.state().T_b_t[2, 3])

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 import trimesh
 
-from experiments.faults.closed_form import WALL_TIME_S, NullRecorder
+from experiments.faults.closed_form import WALL_TIME_S, MemoryLog
 from experiments.faults.rig_mistakes import MISTAKES, RigMistake, right_rig
 from experiments.faults.table import Fault, Measure, Trial
 from i2t.collect.first_touch import RigContradictedError, first_touch
@@ -196,7 +196,7 @@ def press_judged(number: int) -> Trial | None:
     if site is None:
         return None
     try:
-        touched = procedure.touch(site, NullRecorder())
+        touched = procedure.touch(site, MemoryLog())
     except UnreachableError:
         return None
     except DeviceError:

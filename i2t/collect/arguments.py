@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from i2t.cli import Count, check_options, require_path, require_with
-from i2t.collect.settings import AmbientSettings, TouchSettings
+from i2t.collect.settings import TouchSettings
 from i2t.emulators.world import WorldArgs
 from i2t.hardware.ur.config import check_watch
 from i2t.simulation.site_limits import SiteLimits
@@ -139,7 +139,6 @@ class CollectArgs:
     skip_first_touch: bool = False  # leave out the looks and the slow touch that try the rig before the first touch
     settings: TouchSettings = field(default_factory=TouchSettings)  # how a touch is made
     sites: SiteLimits = field(default_factory=SiteLimits)  # what makes a site safe
-    ambient: AmbientSettings = field(default_factory=AmbientSettings)  # free poses, for the ambient field
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there (ValueError, which names the flag)."""

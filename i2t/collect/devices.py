@@ -21,7 +21,7 @@ from i2t.depth.camera import Distortion
 from i2t.emulators.world import make_scene, read_pad
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.named_devices import named_arm, named_camera, require_named
-from i2t.hardware.plugins import DeviceSetup, is_plugin, load_plugin
+from i2t.hardware.plugins import DeviceSetup, load_plugin
 from i2t.hardware.protocols import DepthCamera, GuardedArm, Skin
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
@@ -106,11 +106,7 @@ def _wanted_skins(args: CollectArgs, rig: Rig) -> list[_WantedSkin]:
 def _require_together(arm: ArmArgs, wanted: _WantedSkin) -> None:
     """Refuse a skin that is not known, or feels nothing of what this arm does."""
     skin, whose = wanted.args, wanted.option
-    if skin.kind not in SKINS.split(", ") and not is_plugin("skin", skin.kind):
-        raise ValueError(
-            f"{whose} is {skin.kind!r}; give one of {SKINS}, a name that an installed package registers, or "
-            "package.module:Class"
-        )
+    require_named("skin", skin.kind, SKINS, whose)
     if skin.kind == SIMULATED and arm.kind != SIMULATED:
         raise ValueError(
             f"{whose} is simulated, and a simulated skin feels only what a simulated arm does; make it emulated, or "

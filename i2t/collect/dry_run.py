@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from i2t.collect.arguments import ArmArgs, CollectArgs
-from i2t.collect.free_poses import plan_free_poses
 from i2t.collect.path import TouchPath
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
@@ -68,9 +67,6 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> in
     print(f"picture   the rig with object, tool and camera is drawn in {picture}: does it look like the lab?")
     for number, why in list(refused.items())[:SHOWN_REFUSALS]:
         print(f"          site {number}: {why}")
-    if args.ambient.poses:
-        heights = [pose.tilted[2, 3] for pose in plan_free_poses(path, arm.state().T_b_t, args.ambient)]
-        print(f"          {len(heights)} free poses before, {min(heights):.3f} to {max(heights):.3f} m in the base")
     print("\n".join(map(str, checks)))
     print("nothing was moved" + ("" if arm.features.source == "simulated" else "; the arm was taken and let go"))
     return 0 if all(check.good for check in checks) else 1

@@ -13,18 +13,18 @@ Frames: W world, B robot base, T tool, C camera; metres, newtons, microtesla.
 from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import EventLog
+from i2t.collect.site_plan import SiteSampler
 from i2t.collect.touch import TOOL, Site, TouchFailedError, UnreachableError
 from i2t.depth.camera import Camera, Distortion
 from i2t.errors import DeviceError
 from i2t.hardware.skin_health import press_defect
-from i2t.objects.solids import Mesh
 from i2t.simulation.depth_camera import render_view
 from i2t.types import Array
 
@@ -48,23 +48,6 @@ class RigContradictedError(DeviceError):
     """Camera, arm or skin contradict the rig."""
 
 
-@runtime_checkable
-class SitedObject(Protocol):
-    """An object where the rig has it, and its sites (`i2t.collect.site_plan.SiteSampler`)."""
-
-    placed: Mesh  # m, in W
-
-    def site(self, number: int) -> Site:
-        """A site by its number.
-
-        Args:
-            number: From 0.
-
-        Returns:
-            The site.
-        """
-
-
 class FirstTouchPlan(NamedTuple):
     """Sites to look at, of which the first is touched, and the procedure whose settings make that touch a slow one."""
 
@@ -72,7 +55,7 @@ class FirstTouchPlan(NamedTuple):
     slow: Procedure
 
 
-def plan_first_touch(procedure: Procedure, sampler: SitedObject) -> FirstTouchPlan:
+def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPlan:
     """Choose a site that points up, and others far from it; nothing moves.
 
     The touch goes as far past its site as the placement may err, wherever box and arm allow that at any site; else it
@@ -153,7 +136,7 @@ def _slowed(procedure: Procedure, site: Site, past: float) -> Procedure | None:
     return None
 
 
-def first_touch(procedure: Procedure, sampler: SitedObject, report: Callable[[str], None] = print) -> None:
+def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[str], None] = print) -> None:
     """Look at some sites and touch one slowly; the tool ends above everything.
 
     Args:
@@ -243,7 +226,7 @@ def _check_air(procedure: Procedure) -> None:
         )
 
 
-def _look(procedure: Procedure, sampler: SitedObject, site: Site) -> float:
+def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> float:
     """Share of the object's pixels that contradict the rig; raises RigContradictedError."""
     procedure.move_above(procedure.path.poses(site)[0])
     procedure.clock.sleep(procedure.settings.settle)

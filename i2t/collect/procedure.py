@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from i2t.collect.path import TouchPath
+from i2t.collect.recorder import EventLog, Recorder
 from i2t.collect.settings import TouchSettings
 from i2t.collect.stopping import StopCondition, felt, onset_distance
 from i2t.collect.touch import (
@@ -42,8 +43,6 @@ from i2t.collect.touch import (
     SkinOnTool,
     SkinTouch,
     TouchFailedError,
-    TouchLog,
-    TouchRecorder,
     TouchResult,
     UnreachableError,
 )
@@ -63,7 +62,7 @@ from i2t.hardware.protocols import (
     View,
 )
 from i2t.hardware.rig import Rig
-from i2t.skin.ambient import mean_known
+from i2t.skin.boards import mean_known
 from i2t.types import Array, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
@@ -113,7 +112,7 @@ class Procedure:
     settings: TouchSettings = field(default_factory=TouchSettings)
     clock: Clock = field(default_factory=MonotonicClock)
 
-    def run(self, choose: ChooseSite, recorder: TouchRecorder) -> Iterator[SiteOutcome]:
+    def run(self, choose: ChooseSite, recorder: Recorder) -> Iterator[SiteOutcome]:
         """Touch the chosen sites, until none is chosen.
 
         Args:
@@ -141,7 +140,7 @@ class Procedure:
             if failures >= self.settings.failures:
                 raise DeviceError(f"{failures} sites in a row could not be touched, the last because: {outcome.reason}")
 
-    def attempt(self, site: Site, recorder: TouchRecorder) -> SiteOutcome:
+    def attempt(self, site: Site, recorder: Recorder) -> SiteOutcome:
         """Touch a site, more than once if need be, and record what came of it.
 
         Args:
@@ -183,7 +182,7 @@ class Procedure:
 
     # One touch
 
-    def touch(self, site: Site, log: TouchLog, attempt: int = 0) -> TouchResult:
+    def touch(self, site: Site, log: EventLog, attempt: int = 0) -> TouchResult:
         """Make one touch.
 
         Args:
@@ -211,7 +210,7 @@ class Procedure:
             self._check_air(skins[TOOL].seen)
         return TouchResult(site, attempt, reason, skins, view, T_w_c)
 
-    def _look(self, site: Site, look: Array, log: TouchLog) -> tuple[View, Array]:
+    def _look(self, site: Site, look: Array, log: EventLog) -> tuple[View, Array]:
         """A view of the site that the rig does not contradict, and T_w_c (4, 4) where it was taken."""
         log.event("look")
         self.move_above(look)
@@ -221,7 +220,7 @@ class Procedure:
         self._check_view(self.extract_patch(view, self.camera.camera, T_w_c, site.T_w_t))
         return view, T_w_c
 
-    def prepare(self, prepare: Array, log: TouchLog) -> None:
+    def prepare(self, prepare: Array, log: EventLog) -> None:
         """Zero the wrench before a site, and go near it.
 
         Args:
@@ -245,7 +244,7 @@ class Procedure:
                 f"something was met {1e3 * (settings.prepare - met.distance):.0f} mm before the site"
             )
 
-    def press(self, log: TouchLog) -> Press:
+    def press(self, log: EventLog) -> Press:
         """Take the ambient, press until something says stop, and read the skins in contact.
 
         Args:
@@ -294,7 +293,7 @@ class Procedure:
         counters = _counted_since(on_tool.skin.counters, before)
         return SkinTouch(T_w_s, code, condition.ambient, press.readings[name], force, depth, seen, counters)
 
-    def _means(self, count: int, log: TouchLog) -> dict[str, Array]:
+    def _means(self, count: int, log: EventLog) -> dict[str, Array]:
         """(c,) uT, the mean of the next samples of each skin, by its name."""
         means = {}
         for each in self.skins:
@@ -303,7 +302,7 @@ class Procedure:
             means[each.name] = mean_known(samples.reading, axis=0)
         return means
 
-    def _rest_readings(self, log: TouchLog) -> dict[str, Array]:
+    def _rest_readings(self, log: EventLog) -> dict[str, Array]:
         """(c,) uT of each skin at rest, by its name; NaN for a chip that does not answer."""
         means = self._means(self.settings.ambient, log)
         for each in self.skins:
@@ -316,7 +315,7 @@ class Procedure:
         return means
 
     def _approach(
-        self, distance: float, speed: float, ambient: Mapping[str, Array], log: TouchLog
+        self, distance: float, speed: float, ambient: Mapping[str, Array], log: EventLog
     ) -> tuple[ApproachResult, StopCondition]:
         """Go along tool z under the skins' stop condition."""
         settings = self.settings

@@ -84,7 +84,7 @@ def _not_kept(path: Path, error: OSError) -> StorageError:
 
 
 class EventLog:
-    """The log of a touch (`i2t.collect.touch.TouchLog`), in memory and in a file.
+    """The log of a touch, in memory and in a file.
 
     Args:
         file: Open for writing, unbuffered.
@@ -103,19 +103,41 @@ class EventLog:
         self._put(RAW_FILE_HEADER)
 
     def samples(self, samples: Samples, skin: str = "") -> None:
-        """Keep and write samples, as in `TouchLog.samples`."""
+        """Keep and write samples of a skin; the same sample may come twice.
+
+        Args:
+            samples: As the skin gave them.
+            skin: Name of a further skin; empty for the one at the tool, the only one of most labs.
+
+        Raises:
+            StorageError: They could not be written.
+        """
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
         self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
         self._write([f"skin {skin}".strip(), rows.tolist()])
 
     def state(self, state: ArmState) -> None:
-        """Keep and write a state of the arm, as in `TouchLog.state`."""
+        """Keep and write a state of the arm.
+
+        Args:
+            state: As the arm gave it.
+
+        Raises:
+            StorageError: It could not be written.
+        """
         self.states.append(state)
         row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
         self._write(["arm", row.tolist()])
 
     def event(self, text: str) -> None:
-        """Keep and write what happened now, as in `TouchLog.event`."""
+        """Keep and write what happened now.
+
+        Args:
+            text: A few words.
+
+        Raises:
+            StorageError: It could not be written.
+        """
         now = self._clock.now()
         self.events.append((now, text))
         self._write(["event", [now, text]])
@@ -159,7 +181,7 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
 
 
 class Recorder:
-    """Records the touches of one session in a folder, alone (`i2t.collect.touch.TouchRecorder`).
+    """Records the touches of one session in a folder, alone.
 
     Args:
         folder: Of the touches; it is made if need be.

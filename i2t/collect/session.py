@@ -1,7 +1,7 @@
 """Session of collecting: one flow from the command line to the last touch, and reports meanwhile.
 
 The folder is resumed, the devices are made and connected, skins and camera are checked, the rig is tried by first looks
-and a slow touch, the ambient field is fitted in free poses, and then site after site is touched; a dry run ends before
+and a slow touch, and then site after site is touched; a dry run ends before
 anything moves. `i2t.collect.command` is its command line.
 """
 
@@ -21,7 +21,6 @@ from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import check_camera, dry_run, skin_checks
 from i2t.collect.first_touch import first_touch
-from i2t.collect.free_poses import contradiction, fitted_ambient
 from i2t.collect.notes import board_notes, device_notes, keep_same, resume, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
@@ -34,7 +33,6 @@ from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
 from i2t.objects.named import read_object
-from i2t.skin.ambient import AmbientField
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
@@ -100,9 +98,8 @@ def collect(
         recorder.check()
         if not args.skip_first_touch:
             first_touch(procedure, sampler)
-        fields = fitted_ambient(procedure, args.ambient, out, seed=world.seed)
         write_notes(out, notes)
-        _Session(args, procedure, sampler, recorder, fields, set(done)).run(choose, on_outcome)
+        _Session(args, procedure, sampler, recorder, set(done)).run(choose, on_outcome)
     return 0
 
 
@@ -169,15 +166,13 @@ class _Session:
         procedure: Procedure,
         sampler: SiteSampler,
         recorder: Recorder,
-        fields: Mapping[str, AmbientField],
         done: set[int],
     ) -> None:
         self.args, self.procedure, self.sampler, self.recorder = args, procedure, sampler, recorder
-        self.fields, self.done, self.tried = fields, done, set(done)
+        self.done, self.tried = done, set(done)
         self.before, self.unreachable = len(done), 0
         self.codes: Counter[ReturnCode] = Counter()
         self.begun = self.since = time.monotonic()
-        self.contradicted = False  # whether the last touch's ambient contradicted a fitted field
 
     def run(self, choose: ChooseSite | None, on_outcome: Callable[[SiteOutcome], None] | None) -> None:
         """Touch until there are enough, and say what was made however it ends."""
@@ -217,10 +212,6 @@ class _Session:
             print(f"site {number}: failed, {outcome.reason}", flush=True)
             return
         self.done.add(number)
-        changed = contradiction(self.fields, self.procedure, touch)
-        if changed and not self.contradicted:
-            print(f"{changed}; free poses now would fit it anew (--ambient.poses)")
-        self.contradicted = bool(changed)
         left = (self.args.touches - len(self.done)) * (now - self.begun) / max(1, len(self.done) - self.before)
         felt = "  ".join(
             f"{name} {ENDS[each.code]}  {np.sqrt(np.nansum(each.reading**2)):.1f} uT".strip()

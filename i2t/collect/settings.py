@@ -1,4 +1,4 @@
-"""Settings of a touch and of free poses, without NumPy, so that a command line shows them at once."""
+"""Settings of a touch, without NumPy, so that a command line shows them at once."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -54,21 +54,3 @@ class TouchSettings:
             raise ValueError(
                 f"settings.near, {self.near:g} m, lies before prepare, {self.prepare:g} m; make it smaller"
             )
-
-
-@dataclass(frozen=True)
-class AmbientSettings:
-    """Free poses before a session, for the fit of the ambient field. Raises ValueError for what makes no sense."""
-
-    poses: Annotated[int, Limits(0, 1000)] = 0  # how many; a dozen is enough, 0 takes none
-    # degrees, the farthest from pointing down; with more the flange would not stay above the skin
-    tilt: Annotated[float, Limits(10, 75)] = 45.0
-    turn: Annotated[float, Limits(0, 90)] = 90.0  # degrees, the farthest about the tool's axis, either way
-    seconds: Annotated[float, Limits(0.05, 60)] = 2.0  # that the skin is read at each
-    clearance: Annotated[float, Limits(0.02, 1)] = 0.05  # m above the height at which the tool goes across
-    spread: Annotated[float, Limits(0, 1)] = 0.1  # m, edge of the cube in which the poses are
-
-    def __post_init__(self) -> None:
-        check_options(self, group="ambient.")
-        if 0 < self.poses < 4:
-            raise ValueError(f"ambient.poses is {self.poses}; give 0 for none, or at least 4, better 12")

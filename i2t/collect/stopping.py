@@ -10,11 +10,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from i2t.collect.recorder import EventLog
 from i2t.collect.settings import TouchSettings
-from i2t.collect.touch import SkinOnTool, TouchLog
+from i2t.collect.touch import SkinOnTool
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import ArmState
-from i2t.skin.ambient import mean_known
+from i2t.skin.boards import mean_known
 from i2t.types import Array, Board
 
 ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted
@@ -30,11 +31,11 @@ class SkinStopCondition:
         on_tool: The skin, connected.
         settings: Which change is enough.
         ambient: (3 chips,) uT, the reading before contact.
-        log: That hears of every sample; None if nothing is kept.
+        log: That hears of every sample.
     """
 
     def __init__(
-        self, on_tool: SkinOnTool, settings: TouchSettings, ambient: Float[Array, " c"], log: TouchLog | None
+        self, on_tool: SkinOnTool, settings: TouchSettings, ambient: Float[Array, " c"], log: EventLog
     ) -> None:
         self.ambient = ambient
         self._on_tool, self._settings, self._log = on_tool, settings, log
@@ -84,8 +85,7 @@ class SkinStopCondition:
         if not len(fresh.number):
             skin.latest(self._settings.silence)
             return
-        if self._log is not None:
-            self._log.samples(fresh, self._on_tool.name)
+        self._log.samples(fresh, self._on_tool.name)
         self._number = int(fresh.number[-1])
         self._times.append(fresh.time)
         self._readings.append(fresh.reading)
@@ -101,7 +101,7 @@ class SkinStopCondition:
         Returns:
             Readings (n, 3 chips) uT, and how far (n,) m the skin was before that end, along its z.
         """
-        if not self._readings or not self._states:
+        if not self._readings:
             return np.zeros((0, self._on_tool.board.num_readings)), np.zeros(0)
         times, readings = np.concatenate(self._times), np.concatenate(self._readings)
         state_times = np.array([time for time, _ in self._states])
@@ -117,7 +117,7 @@ class StopCondition:
         skins: Connected.
         settings: Which change is enough.
         ambient: (3 chips,) uT of each skin before contact, by its name.
-        log: That hears of every sample and state; None if nothing is kept.
+        log: That hears of every sample and state.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class StopCondition:
         skins: Sequence[SkinOnTool],
         settings: TouchSettings,
         ambient: Mapping[str, Float[Array, " c"]],
-        log: TouchLog | None,
+        log: EventLog,
     ) -> None:
         self.of = {each.name: SkinStopCondition(each, settings, ambient[each.name], log) for each in skins}
         self.stopped_by: list[str] = []  # names of the skins that stopped it
@@ -144,8 +144,7 @@ class StopCondition:
             DeviceTimeoutError: A skin is silent.
             DeviceError: A chip has stopped answering.
         """
-        if self._log is not None:
-            self._log.state(state)
+        self._log.state(state)
         answers = {name: condition(state) for name, condition in self.of.items()}
         self.stopped_by = [name for name, answer in answers.items() if answer is not None]
         return answers[self.stopped_by[0]] if self.stopped_by else None

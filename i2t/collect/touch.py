@@ -1,18 +1,18 @@
-"""Touch of a session: its site, the skins on the tool, its outcome, its errors, and its recorder.
+"""Touch of a session: its site, the skins on the tool, its outcome, and its errors.
 
 Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError
-from i2t.hardware.protocols import ArmState, Samples, Skin, SkinCounters, StopReason, View
+from i2t.hardware.protocols import Skin, SkinCounters, StopReason, View
 from i2t.types import Array, Board, ReturnCode
 
 TOOL = ""  # name of the skin at the tool, which presses, in a touch
@@ -103,78 +103,6 @@ class SiteOutcome(NamedTuple):
     reason: str
     touch: TouchResult | None = None
     reachable: bool = True  # whether the arm may go there
-
-
-@runtime_checkable
-class TouchLog(Protocol):
-    """Log that takes measurements and events while a touch is made."""
-
-    def samples(self, samples: Samples, skin: str = "") -> None:
-        """Keep samples of a skin; the same sample may come twice.
-
-        Args:
-            samples: As the skin gave them.
-            skin: Name of a further skin; empty for the one at the tool, the only one of most labs.
-
-        Raises:
-            DeviceError: They could not be written.
-        """
-
-    def state(self, state: ArmState) -> None:
-        """Keep a state of the arm.
-
-        Args:
-            state: As the arm gave it.
-
-        Raises:
-            DeviceError: It could not be written.
-        """
-
-    def event(self, text: str) -> None:
-        """Keep what happened now.
-
-        Args:
-            text: A few words.
-
-        Raises:
-            DeviceError: It could not be written.
-        """
-
-
-@runtime_checkable
-class TouchRecorder(Protocol):
-    """Recorder of touches (`i2t.collect.recorder.Recorder`)."""
-
-    def begin(self, site: Site, attempt: int) -> TouchLog:
-        """Begin a touch.
-
-        Args:
-            site: Where.
-            attempt: How often it was tried before.
-
-        Returns:
-            The log of this attempt.
-
-        Raises:
-            DeviceError: The touch could not be recorded.
-        """
-
-    def save(self, touch: TouchResult) -> None:
-        """Keep a touch that was made; once this returns it is safe.
-
-        Args:
-            touch: The touch, with its patch and view.
-
-        Raises:
-            DeviceError: It could not be written.
-        """
-
-    def abandon(self, reason: str) -> None:
-        """Give up a touch.
-
-        Args:
-            reason: Why, as a sentence.
-        """
 
 
 class TouchFailedError(DeviceError):

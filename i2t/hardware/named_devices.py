@@ -73,21 +73,22 @@ def named_camera(
     return RealSense(address, size or own_size, distance=distance)
 
 
-def require_named(kind: DeviceKind, name: str, built_in: str) -> None:
+def require_named(kind: DeviceKind, name: str, built_in: str, option: str | None = None) -> None:
     """Refuse the name of a device that is not there.
 
     Args:
         kind: Arm, skin or camera.
         name: As on the command line.
         built_in: Names that need no other package, for the message.
+        option: What names it; by default the flag of its kind.
 
     Raises:
         ValueError: Neither i2t nor an installed package knows it.
     """
     if name not in built_in.split(", ") and not is_plugin(kind, name):
         raise ValueError(
-            f"--{kind} {name} is not known; give one of {built_in}, a name that an installed package registers, or "
-            "package.module:Class"
+            f"{option or f'--{kind}'} {name} is not known; give one of {built_in}, a name that an installed package "
+            "registers, or package.module:Class"
         )
 
 

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from i2t.errors import DeviceError
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import Samples, Skin
-from i2t.skin.ambient import mean_known
+from i2t.skin.boards import mean_known
 from i2t.types import Array
 
 HEALTH_REST_S, HEALTH_SAMPLES = 0.5, 200  # whichever of both comes first, after the least number

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from i2t import validation
 from i2t.files import read_toml
@@ -280,3 +281,19 @@ def _array(path: Path, table: Mapping[str, Any], key: str, dimensions: int) -> n
 
 def _said(array: np.ndarray) -> str:
     return " x ".join(map(str, array.shape)) + " numbers" if array.dtype.kind in "iuf" and array.ndim else "no numbers"
+
+
+def mean_known(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, "*m"]:
+    """Mean of the values that are not NaN, as those of a missing chip are.
+
+    Args:
+        values: Any numbers, some of them missing.
+        axis: Along which the mean is taken.
+
+    Returns:
+        The mean; NaN where nothing is known.
+    """
+    known = np.isfinite(values)
+    count = known.sum(axis)
+    total = np.where(known, values, 0.0).sum(axis)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -9,21 +9,17 @@ from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
 
 from i2t import dataset
 from i2t.collect import command, recorder
-from i2t.collect.free_poses import fitted_ambient
 from i2t.collect.recorder import Recorder, read_raw, touches_in
-from i2t.collect.settings import AmbientSettings
 from i2t.collect.touch import SkinOnTool
 from i2t.convert import commands
 from i2t.dataset import SkinChoiceError
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin, SkinInLab
-from i2t.emulators.room import RoomField
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceTimeoutError
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import implausible
-from i2t.skin.ambient import load_ambient
 from i2t.skin.boards import make_board
 from i2t.types import ReturnCode
 
@@ -155,19 +151,6 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
         dataset.load_dataset(tmp_path / "one", skin="left")
 
 
-@pytest.mark.full
-def test_each_skin_has_an_ambient_field_of_its_own_in_the_same_poses(tmp_path):
-    procedure = two(0.0)
-    for skin in procedure.arm.lab.skins:
-        skin.scene.room = RoomField()
-    fields = fitted_ambient(procedure, AmbientSettings(poses=6, seconds=0.1), tmp_path)
-    field, right = fields[""], fields["right"]
-    np.testing.assert_allclose(right.earth, field.earth, atol=0.5)  # of one room, in the base
-    assert right.offset.shape == (4, 3)
-    kept, _ = load_ambient(tmp_path / ".ambient-right.npz", SQUARE)
-    np.testing.assert_allclose(kept.earth, right.earth)
-
-
 @pytest.fixture
 def rig(tmp_path):
     """Writes the rig of a lab with a second skin."""
@@ -200,7 +183,7 @@ def test_a_rig_with_skins_is_read_as_it_was_written_and_one_that_cannot_be_is_re
 @pytest.mark.parametrize(("device", "flags", "said"), [
     ("simulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "skins.right.device is simulated"),
     ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, and feels nothing on this"),
-    ("nobody's", [], "skins.right.device is \"nobody's\"; give one of reskin"),
+    ("nobody's", [], "skins.right.device nobody's is not known; give one of reskin"),
 ])  # fmt: skip
 def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, said):
     path = rig(device, "/dev/ttyACM1" if device == "reskin" else "")

@@ -42,7 +42,6 @@ from i2t.objects import load_mesh, load_point_cloud, make_object
 from i2t.prediction.predictor import load_predictor
 from i2t.recognition.pad_model_files import load_pad_model
 from i2t.serialization import _digest
-from i2t.skin.ambient import load_ambient
 from i2t.skin.boards import reskin_board
 from i2t.skin.files import load_pad
 
@@ -165,7 +164,7 @@ def tower(file: h5py.File) -> None:
         group = group.create_group("a")
 
 
-# Pads, pad models, calibrations, ambient fields and heads in npz
+# Pads, pad models, calibrations and heads in npz
 
 
 def npy(values: Any) -> bytes:
@@ -318,7 +317,6 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
             ("pad", "pad"),
             ("pad_model", "pad model"),
             ("calibration", "calibration"),
-            ("ambient", "ambient field"),
             ("head", "head"),
         )
     },
@@ -402,7 +400,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "pad": load_pad,
     "pad_model": load_pad_model,
     "calibration": load_calibration,
-    "ambient": load_ambient,
     "head": load_head,
     "predictor": lambda path: load_predictor(path.parent),
     "depth": lambda path: read_depth(path, "mm"),

@@ -23,8 +23,7 @@ from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.skin_health import check_skin
-from i2t.skin.ambient import mean_known
-from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
+from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board, mean_known
 
 TABLE_RATE_HZ, LINE_RATE_HZ = 10, 1  # of tables on a terminal; of lines elsewhere
 SHOWN_SAMPLES, REST_SAMPLES = 20, 100  # that a shown value, and the rest, is the mean of
