@@ -1,7 +1,9 @@
 """Things to touch: the catalogue of primitives, stamps and hand tools, and random objects.
 
-The catalogue's meshes are read from a file of this package, which `i2t.objects.primitives` drew; what draws random
-objects needs manifold3d (`pip install "imagine2touch[shapes]"`).
+The catalogue's meshes are read from a file of this package. A primitive has the lengths that its function in
+`i2t.objects.primitives` has by default, a square is 50 mm wide; a stamp is a relief 3.5 mm high, inside a square of
+10 mm, on a square base; a tool is of a real one's size and lies along x. What draws random objects needs manifold3d
+(`pip install "imagine2touch[shapes]"`).
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Watertight solids from outlines: the small vocabulary in which primitives, stamps and hand tools are drawn.
+"""Watertight solids from outlines: the small vocabulary in which primitives are drawn.
 
 Solids are drawn in millimetres as manifold3d values (`a + b` union, `a - b` difference), whose booleans keep a mesh
 closed; `mesh_from_solid` turns one into metres. A curve of radius r is cut into so many segments that its chords stay
@@ -7,11 +7,10 @@ within `SAGITTA_MM` of it, a tenth of a usual indentation of the skin: n = pi / 
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from manifold3d import CrossSection, Manifold, OpType
+from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
 from i2t.objects.solids import Mesh, place_on_table
@@ -102,22 +101,6 @@ def rectangle(width: Real, depth: Real, centre: tuple[Real, Real] = (0.0, 0.0)) 
     return CrossSection.square((width, depth), center=True).translate(centre)
 
 
-def rounded(region: CrossSection, radius: Real) -> CrossSection:
-    """Round the corners of a region: first the outward ones, then the inward ones.
-
-    Args:
-        region: mm.
-        radius: mm.
-
-    Returns:
-        The rounded region.
-    """
-    n = segments(radius)
-    opened = region.offset(-radius, circular_segments=n).offset(radius, circular_segments=n)
-    closed = opened.offset(radius, circular_segments=n).offset(-radius, circular_segments=n)
-    return closed.simplify(SAGITTA_MM / 3)
-
-
 def prism(region: CrossSection, height: Real, base: Real = 0.0) -> Manifold:
     """Extrude a region upwards.
 
@@ -132,22 +115,6 @@ def prism(region: CrossSection, height: Real, base: Real = 0.0) -> Manifold:
     return Manifold.extrude(region, height).translate((0, 0, base))
 
 
-def turned(profile: Sequence[tuple[Real, Real]], n: int | None = None) -> Manifold:
-    """A solid of revolution about x, as from a lathe.
-
-    Args:
-        profile: (x, radius) in mm from one end to the other.
-        n: Chords of its circles; by default as many as `segments` gives.
-
-    Returns:
-        The solid.
-    """
-    ends = [(0.0, profile[0][0]), *((r, x) for x, r in profile), (0.0, profile[-1][0])]
-    closed = [p for i, p in enumerate(ends) if i == 0 or p != ends[i - 1]]
-    solid = Manifold.revolve(outline(closed), n or segments(max(r for _, r in profile)))
-    return solid.rotate((0, 90, 0))
-
-
 def ball(radius: Real, centre: Sequence[Real] = (0.0, 0.0, 0.0), scale: Sequence[Real] = (1.0, 1.0, 1.0)) -> Manifold:
     """A sphere, or an ellipsoid along the axes.
 
@@ -160,30 +127,3 @@ def ball(radius: Real, centre: Sequence[Real] = (0.0, 0.0, 0.0), scale: Sequence
         The solid.
     """
     return Manifold.sphere(radius, segments(radius)).scale(tuple(scale)).translate(tuple(centre))
-
-
-def box(size: Sequence[Real], centre: Sequence[Real] = (0.0, 0.0, 0.0)) -> Manifold:
-    """A box.
-
-    Args:
-        size: mm, along the axes.
-        centre: mm.
-
-    Returns:
-        The solid.
-    """
-    return Manifold.cube(tuple(size), True).translate(tuple(centre))
-
-
-def chain(points: Sequence[Sequence[Real]], radii: Sequence[Real]) -> Manifold:
-    """Balls, each joined to the next by the hull of the two: a bent, tapering round bar.
-
-    Args:
-        points: mm, the balls' centres.
-        radii: mm, of the balls.
-
-    Returns:
-        The solid.
-    """
-    balls = [ball(r, p) for p, r in zip(points, radii, strict=True)]
-    return Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)

@@ -1,20 +1,16 @@
-"""Primitives and stamps, drawn as watertight triangle meshes in metres, and random ones. Needs manifold3d.
+"""Primitives, drawn as watertight triangle meshes in metres, and random ones. Needs manifold3d.
 
 Primitives, each a function of sensible lengths in metres, are 50-70 mm across, so that the 20 mm skin meets faces,
-edges and corners apart; prisms differ by their outline alone, which is the paper's recognition problem. A stamp is a
-relief 3.5 mm high on a 20 mm square base of 5 mm, pointing up along +z, inside a square of 10 mm. The object frame
-rests on z = 0, z up, centred in x and y; round faces are cut finely enough for the skin
-(`i2t.objects.solids.SAGITTA_MM`).
+edges and corners apart; prisms differ by their outline alone, which is the paper's recognition problem. The object
+frame rests on z = 0, z up, centred in x and y; round faces are cut finely enough for the skin
+(`i2t.objects.drawing.SAGITTA_MM`).
 """
 
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
-from i2t.objects import tools
 from i2t.objects.drawing import (
     ball,
     disk,
@@ -43,19 +39,6 @@ def polygon(sides: int, across: float = 60e-3, height: float = 30e-3) -> Mesh:
     angles = turn + 2 * np.pi * np.arange(sides) / sides
     corners = 0.5 * across * MM_PER_M * np.stack([np.cos(angles), np.sin(angles)], -1)
     return mesh_from_solid(prism(outline(corners), height * MM_PER_M))
-
-
-def square(width: float = 50e-3, height: float = 30e-3) -> Mesh:
-    """A square prism.
-
-    Args:
-        width: m, of a side.
-        height: m.
-
-    Returns:
-        The mesh (m).
-    """
-    return mesh_from_solid(prism(rectangle(width * MM_PER_M, width * MM_PER_M), height * MM_PER_M))
 
 
 def parallelogram(width: float = 50e-3, depth: float = 40e-3, slant: float = 20e-3, height: float = 30e-3) -> Mesh:
@@ -281,7 +264,7 @@ def ridge(width: float = 60e-3, depth: float = 50e-3, height: float = 20e-3, rad
 
 
 def stamp(region: CrossSection) -> Mesh:
-    """A relief on a stamp's base.
+    """A relief on a stamp's base, pointing up.
 
     Args:
         region: mm, the outline of the relief.
@@ -291,68 +274,6 @@ def stamp(region: CrossSection) -> Mesh:
     """
     edge, height = STAMP_BASE_MM
     return mesh_from_solid(prism(rectangle(edge, edge), height) + prism(region, STAMP_RELIEF_MM + 1.0, height - 1.0))
-
-
-def _stamp_regions() -> dict[str, CrossSection]:
-    bar = 3.0  # mm, width of the strokes
-    height = 10 * 3**0.5 / 2  # mm, of the equilateral triangle of 10 mm
-    return {
-        "T": rectangle(10, bar, (0, 5 - bar / 2)) + rectangle(bar, 10),
-        "circle": disk(5.0),
-        "angle": rectangle(10, bar, (0, bar / 2 - 5)) + rectangle(bar, 10, (bar / 2 - 5, 0)),
-        "triangle": outline([(-5, -height / 2), (5, -height / 2), (0, height / 2)]),
-        "cross": rectangle(10, bar) + rectangle(bar, 10),
-    }
-
-
-_PRIMITIVES: dict[str, Callable[[], Mesh]] = {
-    "hexagon": lambda: polygon(6),
-    "parallelogram": parallelogram,
-    "star": star,
-    "square": square,
-    "flower": flower,
-    "cylinder": cylinder,
-    "triangle": lambda: polygon(3, across=64e-3),
-    "pentagon": lambda: polygon(5),
-    "octagon": lambda: polygon(8),
-    "cross": cross,
-    "dome": dome,
-    "cone": cone,
-    "pyramid": pyramid,
-    "ellipsoid": ellipsoid,
-    "torus": torus,
-    "wedge": wedge,
-    "stairs": stairs,
-    "ridge": ridge,
-}
-_STAMPS: dict[str, Callable[[], Mesh]] = {
-    f"stamp-{name}": partial(stamp, region) for name, region in _stamp_regions().items()
-}
-
-
-def draw_object(name: str) -> Mesh:
-    """Draw one object of the catalogue (`i2t.objects.make_object` reads it from the file that `write_catalogue` wrote).
-
-    Args:
-        name: One of `i2t.objects.catalogue.NAMES`.
-
-    Returns:
-        The mesh.
-    """
-    if name in tools.TOOLS:
-        return mesh_from_solid(tools.TOOLS[name]())
-    return (_PRIMITIVES | _STAMPS)[name]()
-
-
-def write_catalogue(path: Path) -> None:
-    """Draw all objects of the catalogue, and write them into a file.
-
-    Args:
-        path: Of the file, ending in .npz.
-    """
-    meshes = {name: draw_object(name) for name in (*_PRIMITIVES, *_STAMPS, *tools.TOOLS)}
-    arrays = {f"{name}/{part}": values for name, mesh in meshes.items() for part, values in mesh._asdict().items()}
-    np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
 def draw_random(seed: int) -> Object:
