@@ -183,9 +183,7 @@ class FromEflesh(Recording):
     window_mm: float = 1e3 * EFLESH_WINDOW_M  # edge of the square that a patch shows; presses outside are left out
     tip_radius_mm: float = 1e3 * TIP_RADIUS_M  # radius of the probe's spherical tip, which the recordings do not state
     z0_mm: float | None = None  # the robot's z at first contact; by default where readings begin, or the highest z
-    centre_mm: tuple[float, float] | None = None  # the robot's x and y of the skin's centre; by default the middle
     pad: str | None = None  # one name for the skin of all sessions; by default each session's own
-    board: Literal[0, 1] | None = None  # of recordings with two boards, only this one; by default both, as two pads
 
     def run(self) -> None:
         """Convert."""
@@ -193,10 +191,9 @@ class FromEflesh(Recording):
         shared = self._shared()
         from i2t.convert import eflesh
 
-        centre = None if self.centre_mm is None else (1e-3 * self.centre_mm[0], 1e-3 * self.centre_mm[1])
         zero = None if self.z0_mm is None else 1e-3 * self.z0_mm
-        own: dict[str, Any] = {"radius": 1e-3 * self.tip_radius_mm, "zero": zero, "centre": centre}
-        self._write(eflesh.convert(self.source, pad=self.pad, board=self.board, **own, **shared))
+        own: dict[str, Any] = {"radius": 1e-3 * self.tip_radius_mm, "zero": zero, "pad": self.pad}
+        self._write(eflesh.convert(self.source, **own, **shared))
 
 
 @dataclass(kw_only=True)
