@@ -4,16 +4,17 @@ python examples/data/make_data.py
 """
 
 import csv
+from itertools import pairwise
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from manifold3d import Manifold
+from manifold3d import Manifold, OpType
 
 import i2t
-from i2t.objects.drawing import chain, mesh_from_solid
+from i2t.objects.drawing import ball, mesh_from_solid
 from i2t.skin.elasticity import GRID
 from i2t.skin.pad import numbered_pad
 
@@ -25,9 +26,11 @@ TIP_RADIUS_MM, PRESSES, NOISE_UT = 4.0, 100, 1.0
 def mug() -> i2t.Mesh:
     """A mug that lies on z = 0 with its handle up: wall, rim and handle can be touched from above."""
     bends = [(24, 0, 48), (34, 0, 50), (41, 0, 42), (42, 0, 30), (39, 0, 20), (24, 0, 12)]
+    balls = [ball(4.0, bend) for bend in bends]  # the hull of each and the next is a bent round bar
+    handle = Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)
     outside = Manifold.cylinder(HEIGHT_MM, RADIUS_MM, circular_segments=SIDES)
     inside = Manifold.cylinder(HEIGHT_MM, RADIUS_MM - WALL_MM, circular_segments=SIDES).translate((0, 0, WALL_MM))
-    solid = (outside + chain(bends, [4.0] * len(bends)) - inside).simplify(0.05)
+    solid = (outside + handle - inside).simplify(0.05)
     lying = solid.rotate((0, -90, 0)).rotate((35, 0, 0))
     return mesh_from_solid(lying.translate((0, 0, -lying.bounding_box()[2])))
 

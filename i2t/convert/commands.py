@@ -1,4 +1,4 @@
-"""Entry point for data sets: other people's recordings into ours, ours into other formats, and what a data set holds.
+"""Entry point for data sets: other people's recordings into ours, ours for LeRobot, and what a data set holds.
 
 Examples:
 
@@ -8,10 +8,7 @@ Examples:
     python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0
     python -m i2t.convert stream LOG.csv DATA --indenter sphere:4.0
     python -m i2t.convert pack DATA PACKED                touches of several skins: --skin-name NAME
-    python -m i2t.convert npz DATA DATA.npz
-    python -m i2t.convert lerobot DATA LEROBOT            and back: lerobot LEROBOT DATA
-    python -m i2t.convert robomimic DATA DATA.hdf5        and back: robomimic DATA.hdf5 DATA
-    python -m i2t.convert csv DATA TABLE                  and back: csv TABLE DATA
+    python -m i2t.convert lerobot DATA LEROBOT
 
 DATA is a folder; converters write one packed file in it and refuse a folder that holds anything; --overwrite replaces
 an earlier conversion. What cannot be used is refused with one sentence on the error stream and the exit code 2; with
@@ -24,7 +21,6 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -73,6 +69,7 @@ class Writing(Reading):
 
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]  # folder or file to write
     overwrite: bool = False  # replace what an earlier conversion wrote
+    written: ClassVar[tuple[str, ...]] = (PACKED, "README.md", "index.json")  # by an earlier conversion
 
     def _require(self) -> None:
         """Refuse a missing source and a taken folder, before anything large is imported."""
@@ -90,10 +87,7 @@ class Writing(Reading):
         found = sorted(file.name for file in target.iterdir()) if target.is_dir() else []
         if not found:
             return
-        from i2t.dataset.card import CARD
-        from i2t.dataset.store import INDEX
-
-        others = [name for name in found if name not in (PACKED, INDEX, CARD)]
+        others = [name for name in found if name not in self.written]
         if others:
             raise DataError(f"{target}: holds {others[0]}, which no conversion wrote; give another folder")
         if not self.overwrite:
@@ -189,9 +183,7 @@ class FromEflesh(Recording):
     window_mm: float = 1e3 * EFLESH_WINDOW_M  # edge of the square that a patch shows; presses outside are left out
     tip_radius_mm: float = 1e3 * TIP_RADIUS_M  # radius of the probe's spherical tip, which the recordings do not state
     z0_mm: float | None = None  # the robot's z at first contact; by default where readings begin, or the highest z
-    centre_mm: tuple[float, float] | None = None  # the robot's x and y of the skin's centre; by default the middle
     pad: str | None = None  # one name for the skin of all sessions; by default each session's own
-    board: Literal[0, 1] | None = None  # of recordings with two boards, only this one; by default both, as two pads
 
     def run(self) -> None:
         """Convert."""
@@ -199,10 +191,9 @@ class FromEflesh(Recording):
         shared = self._shared()
         from i2t.convert import eflesh
 
-        centre = None if self.centre_mm is None else (1e-3 * self.centre_mm[0], 1e-3 * self.centre_mm[1])
         zero = None if self.z0_mm is None else 1e-3 * self.z0_mm
-        own: dict[str, Any] = {"radius": 1e-3 * self.tip_radius_mm, "zero": zero, "centre": centre}
-        self._write(eflesh.convert(self.source, pad=self.pad, board=self.board, **own, **shared))
+        own: dict[str, Any] = {"radius": 1e-3 * self.tip_radius_mm, "zero": zero, "pad": self.pad}
+        self._write(eflesh.convert(self.source, **own, **shared))
 
 
 @dataclass(kw_only=True)
@@ -284,80 +275,20 @@ class Pack(Writing):
 
 
 @dataclass(kw_only=True)
-class ToNpz(Writing):
-    """Write a data set as plain NumPy arrays in a file that ends in .npz, without pickles: all fields, names, board and
-    provenance.
-    """
+class ToLeRobot(Writing):
+    """Write a data set as a LeRobotDataset v3.0, in which chips that did not answer are NaN. Needs pyarrow."""
+
+    written: ClassVar[tuple[str, ...]] = ("data", "meta", "README.md")
 
     def run(self) -> None:
         """Write."""
-        self._require_free_file(".npz")
-        from i2t.convert.exchange import write_npz
-
-        dataset = self._load()
-        print(f"wrote {len(dataset)} touches to {write_npz(self.target, dataset)}")
-
-
-@dataclass(kw_only=True)
-class _Exchange(Writing):
-    """A command that writes a data set in another format, which may know chips that did not answer, and reads it
-    back.
-    """
-
-    MODULE: ClassVar[str]  # of `i2t.convert`, which has `read` and `write`
-    ENDING: ClassVar[str] = ""  # of the format's file; it is a folder where there is none
-    FOUND_BY: ClassVar[str] = ""  # file in a folder that is read back
-    NEEDS: ClassVar[tuple[str, str] | None] = None  # package, and what needs it
-
-    def run(self) -> None:
-        """Write, or read back."""
         self._require_source()
-        if self.NEEDS:
-            require_extra(*self.NEEDS)
-        back = self.source.suffix == self.ENDING if self.ENDING else (self.source / self.FOUND_BY).is_file()
-        if back:
-            self._require()
-        elif self.ENDING:
-            self._require_free_file(self.ENDING)
-        else:
-            require_writable("DST", self.target)
-        form = import_module(f"i2t.convert.{self.MODULE}")
-        if back:
-            self._write(form.read(self.source))
-            return
-        if not self.ENDING:
-            from i2t.convert.exchange import require_free_folder
+        require_extra("pyarrow", "LeRobot's format")
+        self._require()
+        from i2t.convert import lerobot
 
-            require_free_folder(self.target, form.NOTE, overwrite=self.overwrite)
         dataset = self._load()
-        print(f"wrote {len(dataset)} touches to {form.write(self.target, dataset, overwrite=self.overwrite)}")
-
-
-@dataclass(kw_only=True)
-class LeRobot(_Exchange):
-    """Write a data set as a LeRobotDataset v3.0, or read one back that was written so. Needs pyarrow."""
-
-    MODULE: ClassVar[str] = "lerobot"
-    FOUND_BY: ClassVar[str] = "meta/info.json"
-    NEEDS: ClassVar[tuple[str, str] | None] = ("pyarrow", "LeRobot's format")
-
-
-@dataclass(kw_only=True)
-class Robomimic(_Exchange):
-    """Write a data set as robomimic's HDF5, a file that ends in .hdf5, or read one back that was written so."""
-
-    MODULE: ClassVar[str] = "robomimic"
-    ENDING: ClassVar[str] = ".hdf5"
-
-
-@dataclass(kw_only=True)
-class Table(_Exchange):
-    """Write a data set as a comma-separated table with its pictures next to it, or read one back that was written so
-    (a folder with touches.csv).
-    """
-
-    MODULE: ClassVar[str] = "touch_table"
-    FOUND_BY: ClassVar[str] = "touches.csv"
+        print(f"wrote {len(dataset)} touches to {lerobot.write(self.target, dataset)}")
 
 
 COMMANDS: dict[str, Callable[..., Reading]] = {
@@ -367,10 +298,7 @@ COMMANDS: dict[str, Callable[..., Reading]] = {
     "presses": FromPresses,
     "stream": FromStream,
     "pack": Pack,
-    "npz": ToNpz,
-    "lerobot": LeRobot,
-    "robomimic": Robomimic,
-    "csv": Table,
+    "lerobot": ToLeRobot,
 }
 
 

@@ -14,7 +14,6 @@ both sides of first contact, depth counts from where readings begin; where all g
 
 import json
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -42,9 +41,7 @@ BOARD_FROM_STAGE = ((0.0, -1.0), (1.0, 0.0))  # by what the five chips read toge
 REFERENCE = "reference of "  # of the data set's meta: where a session's positions and heights count from
 ONE_HEIGHT_M = 0.1e-3  # presses whose heights differ by less go to one height
 MAX_RAW_VALUE = 1e10  # of any recorded number: Unix times are 1.7e9 s
-STROKE_PAUSE_S = (
-    0.5  # s without rows between the strokes of a `normal` or `shear` session, whose rows are 0.03 to 0.14 s apart
-)
+STROKE_PAUSE_S = 0.5  # without rows between the strokes of a `normal` or `shear` session; rows are 0.03 to 0.14 s apart
 
 
 def convert(
@@ -54,9 +51,7 @@ def convert(
     window: float = EFLESH_WINDOW_M,
     reach: float = REACH,
     zero: float | None = None,
-    centre: tuple[float, float] | None = None,
     pad: str | None = None,
-    board: int | None = None,
     as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
@@ -70,9 +65,7 @@ def convert(
         zero: m, the robot's z at first contact; by default where readings begin; where no press is above that, the
             session's highest z, so that no depth is negative; where all presses go to one height, none: depths are
             unknown.
-        centre: m, the robot's x and y of the skin's centre; by default the middle of the session's range.
         pad: one name for all pads; by default each board of each session is a pad of its own.
-        board: of recordings with two boards, only this one.
         as_stated: look for no mistake and correct none; depth counts from the session's highest z.
         skip_bad: leave out damaged rows and sessions, and note them.
 
@@ -93,12 +86,11 @@ def convert(
         "assumed: values are microtesla (their steps are the chip's); board order as AnySkin's, chips as aligned, the "
         "board turned by a quarter on the stage, as the readings of the `spatial` session show"
     )
-    options = _Options(radius, zero=zero, centre=centre, pad=pad, board=board, as_stated=as_stated)
     parts: list[PressTable] = []
     checks: list[SessionCheck] = []
     for session in sessions:
         try:
-            tables, check = _session(session, options, notes)
+            tables, check = _session(session, notes, zero=zero, pad=pad, as_stated=as_stated)
             parts, checks = [*parts, *tables], [*checks, check]
         except DataError as error:
             notes.skip(error)
@@ -128,18 +120,9 @@ def _board() -> Board:
     return turn_board(boards.eflesh_board(), np.array(BOARD_FROM_STAGE))
 
 
-class _Options(NamedTuple):
-    """Options for reading sessions, as the arguments of `convert`."""
-
-    radius: float  # m
-    zero: float | None  # m
-    centre: tuple[float, float] | None  # m
-    pad: str | None
-    board: int | None
-    as_stated: bool
-
-
-def _session(folder: Path, options: _Options, notes: ConversionLog) -> tuple[list[PressTable], SessionCheck]:
+def _session(
+    folder: Path, notes: ConversionLog, *, zero: float | None, pad: str | None, as_stated: bool
+) -> tuple[list[PressTable], SessionCheck]:
     """The presses of a session, a table for each board, and what was found out about it."""
     states = _table(folder, "states", (4, 5), notes)
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
@@ -147,33 +130,32 @@ def _session(folder: Path, options: _Options, notes: ConversionLog) -> tuple[lis
     n, name, position = len(states), folder.name, 1e-3 * states[:, 1:4]
     table = PressTable(
         position[:, :2], position[:, 2], _load(states), values[:, 1:], states[:, 0],
-        np.full(n, options.pad or name), _strokes(name, states),
+        np.full(n, pad or name), _strokes(name, states),
     )  # fmt: skip
     if values.shape[1] == 1 + EFLESH_READINGS:
-        table, check = _pressed(name, table, options, notes)
+        table, check = _pressed(name, table, notes, stated_zero=zero, as_stated=as_stated)
         return [table], check
-    table, check = _sheared(name, table, options, notes)
+    table, check = _sheared(name, table, notes, as_stated=as_stated)
     both = [
-        table._replace(readings=readings, pad=np.full(n, options.pad or f"{name}/board {i}"))
+        table._replace(readings=readings, pad=np.full(n, pad or f"{name}/board {i}"))
         for i, readings in enumerate(np.split(table.readings, 2, axis=1))
-        if options.board in (None, i)
     ]
     return both, check
 
 
-def _pressed(name: str, table: PressTable, options: _Options, notes: ConversionLog) -> tuple[PressTable, SessionCheck]:
+def _pressed(
+    name: str, table: PressTable, notes: ConversionLog, *, stated_zero: float | None, as_stated: bool
+) -> tuple[PressTable, SessionCheck]:
     """A session in which the probe presses one skin from above."""
     middle, check = _middle(table.position), SessionCheck(_board())
-    if not options.as_stated:
+    if not as_stated:
         presses = RecordedPresses(
             table.position - middle, table.readings, height=table.height, force=table.force, seconds=table.time
         )
-        check = check_session(
-            name, presses, _board(), notes, stated_zero=options.zero
-        )  # fmt: skip
+        check = check_session(name, presses, _board(), notes, stated_zero=stated_zero)
     heights = table.height * check.factor("depth_factor", "height_sign")
-    zero = _zero(name, heights, options, check, notes)
-    centre = check.factor("length_factor") * middle if options.centre is None else np.asarray(options.centre)
+    zero = _zero(name, heights, check, notes, stated=stated_zero, as_stated=as_stated)
+    centre = check.factor("length_factor") * middle
     reference = {
         "centre_m": centre.tolist(),
         "zero_m": zero if np.isfinite(zero) else None,
@@ -184,16 +166,18 @@ def _pressed(name: str, table: PressTable, options: _Options, notes: ConversionL
     return table, check._replace(meta={**check.meta, REFERENCE + name: json.dumps(reference)})
 
 
-def _zero(name: str, heights: np.ndarray, options: _Options, check: SessionCheck, notes: ConversionLog) -> float:
+def _zero(
+    name: str, heights: np.ndarray, check: SessionCheck, notes: ConversionLog, *, stated: float | None, as_stated: bool
+) -> float:
     """Height of first contact (m): as given, as found, or else as assumed; NaN where nothing can be assumed."""
     found = check.zero
-    if options.zero is not None:
-        notes.info(f"as given for {name}: first contact at the robot's z = {1e3 * options.zero:.3f} mm")
-        return options.zero
+    if stated is not None:
+        notes.info(f"as given for {name}: first contact at the robot's z = {1e3 * stated:.3f} mm")
+        return stated
     if found is not None and found.identifiable and found.estimate is not None:
         notes.info(f"depth in {name} counts from z = {1e3 * found.estimate:.3f} mm, where readings begin")
         return found.estimate
-    if np.ptp(heights) < ONE_HEIGHT_M and not options.as_stated:
+    if np.ptp(heights) < ONE_HEIGHT_M and not as_stated:
         notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm where it is known")
         return float("nan")
     top = float(heights.max())
@@ -204,12 +188,12 @@ def _zero(name: str, heights: np.ndarray, options: _Options, check: SessionCheck
     return top
 
 
-def _sheared(name: str, table: PressTable, options: _Options, notes: ConversionLog) -> tuple[PressTable, SessionCheck]:
+def _sheared(name: str, table: PressTable, notes: ConversionLog, *, as_stated: bool) -> tuple[PressTable, SessionCheck]:
     """A session in which the probe moves along two skins: the robot's z is the direction of shear, and how deep it
     presses is not recorded. Of what it does not say only the units are looked at.
     """
     check = SessionCheck(_board())
-    if not options.as_stated:
+    if not as_stated:
         found = find_units(table.position, table.readings)
         if found.wrong:
             notes.info(f"corrected in {name}: {found.sentence}")
@@ -217,8 +201,7 @@ def _sheared(name: str, table: PressTable, options: _Options, notes: ConversionL
             factors={"field_factor": found.correction.get("field_factor", 1.0)}, meta=findings_to_meta(name, [found])
         )
     table = check.apply(table)
-    centre = _middle(table.position) if options.centre is None else np.asarray(options.centre)
-    x, y = (table.position - centre).T
+    x, y = (table.position - _middle(table.position)).T
     notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
     notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
     unknown = np.full(len(x), np.nan)

@@ -12,9 +12,8 @@ samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quate
 
 Assumed, for the recordings do not say: the tool frame is the one of the recorded poses; image rows run along tool y and
 columns along tool x; forces are in the robot base's axes and act on the tool, so that the force along tool z is minus
-their component along it. Objects' poses are unknown (NaN). What contradicts that is found and put right, with a
-sentence: forces that pull, or that push only in the other axes; positions in millimetres, images in another unit,
-fields in millitesla.
+their component along it. Objects' poses are unknown (NaN). Forces that pull, and
+fields in millitesla, are found and put right, with a sentence.
 """
 
 import math
@@ -37,13 +36,8 @@ from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
-MAX_PATCH_M = 1e3  # beyond any image, in any unit
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
-MAX_ARM_REACH_M = 5.0  # of a tool's position: beyond it are millimetres
-MOST_TOUCHES = 0.9  # of the informative ones, for a recording to be read otherwise than it is documented
-MIN_INFORMATIVE_TOUCHES = 3
 MIN_PUSHES = 8  # touches with a force, for their sign to be turned
-IMAGE_UNITS = {10.0: "0.1 mm", 100.0: "0.01 mm", 0.1: "cm", 1000.0: "um"}  # how many of a unit go into a millimetre
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
 
 _TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
@@ -91,57 +85,32 @@ def convert(
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
     folders = _objects(source)
     options = _Options(
-        board,
-        order,
-        window=window,
-        reach=reach,
-        camera=camera,
-        quarter_turns=quarter_turns,
-        tool_forces=tool_forces,
+        board, order, window=window, reach=reach, camera=camera, quarter_turns=quarter_turns, tool_forces=tool_forces,
         pad=pad,
-        as_stated=as_stated,
-    )
-    parts: list[_Run] = []
+    )  # fmt: skip
+    parts: list[Dataset] = []
     for folder in folders:
         for run in _runs(folder):
             try:
                 parts.append(_convert_run(folder, run, options, notes))
             except DataError as error:
                 notes.skip(error)
-    if not sum(len(part.dataset) for part in parts):
+    if not sum(map(len, parts)):
         raise data_error(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
-    dataset = concatenate([part.dataset for part in parts])
-    if not as_stated:
-        dataset = _pushing(dataset, np.concatenate([part.other_force for part in parts]), options, notes)
-    return notes.close(dataset)
+    dataset = concatenate(parts)
+    return notes.close(dataset if as_stated else _corrected(dataset, notes))
 
 
-class _Run(NamedTuple):
-    """A run, and its forces along tool z if they were recorded in the other axes."""
-
-    dataset: Dataset
-    other_force: np.ndarray  # (n,) N
-
-
-def _pushing(dataset: Dataset, other_force: np.ndarray, options: "_Options", notes: ConversionLog) -> Dataset:
+def _corrected(dataset: Dataset, notes: ConversionLog) -> Dataset:
     """The data set with forces that push and readings in microtesla, if need be turned and scaled."""
     touches = dataset.touches
     found = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
-    force = touches.force.astype(np.float64)
-    sign = find_force_sign(force, touches.reading)
-    other = find_force_sign(other_force, touches.reading)
+    sign = find_force_sign(touches.force.astype(np.float64), touches.reading)
     enough = sign.evidence.get("presses", 0) >= MIN_PUSHES
-    if enough and not sign.identifiable and other.identifiable and not options.tool_forces:
-        notes.info(
-            "corrected: forces are taken in the tool's axes: along the base's they push in some touches and pull in "
-            "others, along the tool's they do not"
-        )
-        force, sign = other_force, other
-    if sign.wrong and enough:
-        force = -force
     for finding in (found, sign):
-        if finding is found or (enough or finding.wrong is False):
+        if finding is found or enough or finding.wrong is False:
             notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
+    force = -touches.force if sign.wrong and enough else touches.force
     touches = touches._replace(force=force, reading=found.correction.get("field_factor", 1.0) * touches.reading)
     return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [found, sign]))
 
@@ -157,31 +126,26 @@ class _Options(NamedTuple):
     quarter_turns: int
     tool_forces: bool
     pad: str
-    as_stated: bool
 
 
-def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> _Run:
+def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> Dataset:
     """One run of an object: its touches that have a reading and an image."""
     tactile = folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin"
     reading, time = samples.readings(tactile, options.order, notes)
     n = len(reading)
-    poses = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, options, notes)
+    T_w_t, approach = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, notes)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
     patch, closest = _patches(images, n, options, notes)
-    if not options.as_stated:
-        unit = _image_unit(images, closest, options.camera + poses.approach, notes)
-        closest, patch = unit * closest, np.minimum(unit * patch, options.reach).astype(np.float32)
-    forces = folder / f"{folder.name}_forces" / f"experiment_{run}"
-    along_base, along_tool, code = _forces(forces, poses.T_w_t[:, :3, 2], n, notes)
-    force, other_force = (along_tool, along_base) if options.tool_forces else (along_base, along_tool)
+    axis = np.array([0.0, 0.0, 1.0]) if options.tool_forces else T_w_t[:, :3, 2]
+    force, code = _forces(folder / f"{folder.name}_forces" / f"experiment_{run}", axis, n, notes)
     touches = Touches(
         patch=patch,
         wide=missing_context(n),
-        nearest=closest - options.camera - poses.approach,
+        nearest=closest - options.camera - approach,
         reading=reading,
         force=force,
         depth=np.full(n, np.nan),
-        T_w_t=poses.T_w_t,
+        T_w_t=T_w_t,
         T_w_o=np.full((n, 4, 4), np.nan),
         object=np.zeros(n),
         pad=np.zeros(n),
@@ -200,8 +164,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
         reach=options.reach,
         meta={"converter": "imagine2touch", **_remarks(folder, run)},
     )
-    kept = np.isfinite(reading).all(1) & np.isfinite(closest)
-    return _Run(dataset.select(kept), other_force[kept])
+    return dataset.select(np.isfinite(reading).all(1) & np.isfinite(closest))
 
 
 def _objects(source: Path) -> list[Path]:
@@ -232,19 +195,9 @@ def _remarks(folder: Path, run: str) -> dict[str, str]:
     return {f"remarks on {folder.name} {run}": words} if words else {}
 
 
-class _Poses(NamedTuple):
-    T_w_t: np.ndarray  # (n, 4, 4) at the contact
-    approach: np.ndarray  # (n,) m along tool z, from where the camera looked to the contact
-
-
-def _poses(stem: Path, n: int, options: "_Options", notes: ConversionLog) -> _Poses:
+def _poses(stem: Path, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (n, 4, 4) at the contact, and the way (n,) in m along tool z from where the camera looked to it."""
     final, prepare = (_optional(stem, name, (n, 3), notes) for name in ("final_contact", "prepare_contact"))
-    if not options.as_stated and (unit := _position_unit(final)) != 1.0:
-        notes.info(
-            f"corrected: {stem}: positions are {_distance(final):.3g} from the robot, which can be no metres: they are "
-            "read as millimetres"
-        )
-        final, prepare = unit * final, unit * prepare
     rotations = _rotations(stem, n, notes)
     T_w_t = np.full((n, 4, 4), np.nan)
     posed = np.isfinite(final).all(1) & np.isfinite(rotations).all((1, 2))
@@ -262,18 +215,7 @@ def _poses(stem: Path, n: int, options: "_Options", notes: ConversionLog) -> _Po
     approach = np.where((aside <= MAX_LOOK_OFFSET_M) & (approach >= 0), approach, np.nan)
     if np.isnan(approach).any():
         notes.info(f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches, not seen along their approach")
-    return _Poses(T_w_t, approach)
-
-
-def _distance(position: np.ndarray) -> float:
-    """Median distance of positions (n, 3) from the robot; 0 where none is known."""
-    far = np.linalg.norm(position, axis=1)
-    return float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.0
-
-
-def _position_unit(position: np.ndarray) -> float:
-    """m in the unit of positions (n, 3): a metre, or the millimetre where no arm reaches as many metres."""
-    return 1e-3 if _distance(position) > MAX_ARM_REACH_M else 1.0
+    return T_w_t, approach
 
 
 def _rotations(stem: Path, n: int, notes: ConversionLog) -> np.ndarray:
@@ -289,38 +231,17 @@ def _rotations(stem: Path, n: int, notes: ConversionLog) -> np.ndarray:
     return result
 
 
-def _forces(stem: Path, axis: np.ndarray, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force along tool z, (n,) N, from a wrench in the base's axes, with tool z as `axis`, and from one in the tool's;
-    return codes (n,).
-    """
+def _forces(stem: Path, axis: np.ndarray, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+    """Force (n,) N along tool z, which is `axis` in the axes of the wrenches; return codes (n,)."""
     wrenches = _optional(stem, "forces_torques", (n, 6), notes)
     codes = _optional(stem, "contact_returns", (n,), notes, unknown=float(ReturnCode.UNDEFINED))
     if not np.isin(codes, [int(code) for code in ReturnCode]).all():
         raise data_error(stem, "contact_returns hold a value that is no return code (-1 to 4)")
-    return -np.sum(wrenches[:, :3] * axis, axis=1), -wrenches[:, 2], codes
-
-
-def _image_unit(stem: Path, closest: np.ndarray, expected: np.ndarray, notes: ConversionLog) -> float:
-    """Factor on images in another unit than millimetres: the nearest pixel is about as far as the arm travels."""
-    ratio = (closest / expected)[np.isfinite(closest) & np.isfinite(expected)]
-    if len(ratio) < MIN_INFORMATIVE_TOUCHES:
-        return 1.0
-    median = float(np.median(ratio))
-    for many, name in IMAGE_UNITS.items():
-        if many / 2 < median < many * 2 and np.mean(np.abs(np.log(ratio / median)) < math.log(2)) > MOST_TOUCHES:
-            notes.info(
-                f"corrected: {stem}: images are in units of {name}, as their nearest pixel is {median:.3g} times as "
-                "far as the arm travels to it"
-            )
-            return 1 / many
-    return 1.0
+    return -np.sum(wrenches[:, :3] * axis, axis=1), codes
 
 
 def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
-    """Patches (n, 48, 48) m, and the depth of their nearest pixels (n,) m, NaN where the image is damaged; they are not
-    yet clipped to the reach if images may be in another unit.
-    """
-    reach = options.reach if options.as_stated else MAX_PATCH_M
+    """Patches (n, 48, 48) m, and the depth of their nearest pixels (n,) m, NaN where the image is damaged."""
     patches, closest = np.zeros((n, PATCH_PIXELS, PATCH_PIXELS), np.float32), np.full(n, np.nan)
     for k in range(n):
         try:
@@ -329,7 +250,7 @@ def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tup
             notes.skip(error)
             continue
         closest[k] = depth.min()
-        patches[k] = np.minimum(depth - closest[k], reach)
+        patches[k] = np.minimum(depth - closest[k], options.reach)
     more = stem.with_name(f"{stem.name}_{n + 1}.tif")
     if more.exists():
         raise data_error(more, f"is one image more than the {n} touches of its run")

@@ -1,152 +1,151 @@
-"""LeRobotDataset v3.0, written and read with pyarrow alone: a session is an episode, a touch one of its frames.
+"""LeRobotDataset v3.0, written with pyarrow alone: a session is an episode, a touch one of its frames.
 
 Readings are `observation.tactile` (3 values for each chip, uT), patches `observation.patch` (m), `action` is the pose
 at which the skin touched, position (m) and quaternion with its scalar last; every other field of a touch is
-`touch.FIELD`. A task is to touch one object. Touches have no common clock, and the format wants one: its frame rate of
-1/s counts touches. What holds for all touches is in meta/i2t.json, which LeRobot leaves alone.
+`touch.FIELD`, one of the truth `touch.truth_FIELD`, and `touch.row` is the touch's row in the data set. A task is to
+touch one object. Touches have no common clock, and the format wants one: its frame rate of 1/s counts touches. What
+holds for all touches is in meta/i2t.json, which LeRobot leaves alone.
 
 Format: https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
 import json
+import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from i2t import files
-from i2t.convert.exchange import (
-    POSE_NAMES,
-    columns_of,
-    dataset_of,
-    episodes_of,
-    in_order,
-    pose_vectors,
-    write_folder,
-    write_json,
-)
+from i2t._version import __version__
 from i2t.dataset import Dataset
-from i2t.dataset.sets import AXIS_NAMES
+from i2t.dataset.card import write_card
+from i2t.dataset.sets import AXIS_NAMES, INDICES
 from i2t.errors import DataError, require_extra
-from i2t.files import may_grow_to
+from i2t.skin.boards import name_of_board
 
 LEROBOT_VERSION = "v3.0"
-LEROBOT_INFO, NOTE = "meta/info.json", "meta/i2t.json"
+NOTE = "meta/i2t.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_SIZE_MB, FILE_SIZE_MB, CHUNK_FILES = 200, 100, 1000
 FPS = 1
 NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "wide": "observation.wide"}
-ROW_COLUMN = "touch.row"
 COUNTERS = ("frame_index", "episode_index", "index", "task_index")
-NEEDS_PYARROW = "LeRobot's format"
+POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # m, and a unit quaternion
 
 
-def write(target: Path, dataset: Dataset, *, overwrite: bool = False) -> Path:
-    """Write a data set as a LeRobotDataset.
+def write(target: Path, dataset: Dataset) -> Path:
+    """Write a data set as a LeRobotDataset that appears complete or not at all.
 
     Args:
-        target: Folder to make.
+        target: Folder to make; an earlier one is replaced.
         dataset: Touches.
-        overwrite: Whether an earlier export is replaced.
 
     Returns:
         The folder.
 
     Raises:
-        DataError: Something is there already, it cannot be written, or pyarrow is missing.
+        DataError: It holds other files, cannot be written, or pyarrow is missing.
     """
-    pa, pq = _pyarrow()
-    frames = _frames(dataset)
-    episodes = episodes_of(dataset)
-
-    def fill(folder: Path) -> None:
-        parts, rows_of_episodes, begun = [], [], 0
-        for episode, (_, rows) in enumerate(episodes):
-            part = {name: values[rows] for name, values in frames.items()}
-            part["frame_index"] = np.arange(len(rows))
-            part["timestamp"] = np.arange(len(rows), dtype=np.float32) / FPS
-            part["index"] = begun + np.arange(len(rows))
-            part["episode_index"] = np.full(len(rows), episode)
-            rows_of_episodes.append(_episode(dataset, part, rows))
-            begun += len(rows)
-            parts.append(part)
-        whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
-        path = folder / DATA_PATH.format(chunk_index=0, file_index=0)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.table({name: _arrow(pa, values) for name, values in whole.items()}), path)
-        _write_tasks(pa, pq, folder, dataset)
-        path = folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
-        path.parent.mkdir(parents=True)
-        pq.write_table(pa.Table.from_pylist(rows_of_episodes), path)
-        write_json(folder / "meta/stats.json", {name: _stats(values) for name, values in frames.items()})
-        write_json(folder / LEROBOT_INFO, _info(dataset, frames, len(episodes)))
-
-    return write_folder(target, dataset, NOTE, fill, overwrite=overwrite)
-
-
-def read(source: Path) -> Dataset:
-    """Read a folder that `write` wrote, or that LeRobot made of one.
-
-    Args:
-        source: The folder.
-
-    Returns:
-        The data set.
-
-    Raises:
-        DataError: It is of another program, or cannot be read, or pyarrow is missing.
-    """
-    pa, pq = _pyarrow()
-    version = files.read_json(source / LEROBOT_INFO).get("codebase_version")
-    if version != LEROBOT_VERSION:
-        raise DataError(f"{source / LEROBOT_INFO}: is of version {version}, and {LEROBOT_VERSION} is read; convert it")
-    if not (source / NOTE).is_file():
-        raise DataError(
-            f"{source}: has no {NOTE}, so it is of another program; touches need patches and the board of a skin"
-        )
-    fields = {column: field for field, column in NAMED_COLUMNS.items()}
-    parts, rows = [], []
-    for path in sorted((source / "data").glob("*/*.parquet")):
+    require_extra("pyarrow", "LeRobot's format")
+    if target.is_dir() and any(target.iterdir()) and not (target / NOTE).is_file():
+        raise DataError(f"{target}: holds files that no such export wrote; give another folder")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
         try:
-            table = _read_parquet(pq, path)
-            names = [name for name in table.column_names if name in fields or name.startswith("touch.")]
-            part = {name: _numpy(table.column(name)) for name in names}
-        except (OSError, KeyError, ValueError, TypeError, NotImplementedError, pa.ArrowException) as error:
-            reason = " ".join(str(error).split())[:100]
-            raise DataError(f"{path}: is no table that can be read ({reason}); restore it from a copy") from error
-        if ROW_COLUMN not in part:
-            raise DataError(f"{path}: has no column {ROW_COLUMN}; write it with python -m i2t.convert lerobot")
-        rows.append(part.pop(ROW_COLUMN))
-        parts.append({fields.get(name, name.removeprefix("touch.")): values for name, values in part.items()})
-    row = np.concatenate(rows) if rows else np.zeros(0, np.int64)
-    return dataset_of(in_order(parts, row, source), files.read_json(source / NOTE), source)
+            part.chmod(0o755)
+            _fill(part, dataset)
+            write_card(part, dataset, board_name=name_of_board(dataset.board))
+            if target.exists():
+                shutil.rmtree(target)
+            part.rename(target)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+    except OSError as error:
+        raise files.unwritable(target, error) from error
+    return target
 
 
-def _pyarrow() -> tuple[Any, Any]:
-    require_extra("pyarrow", NEEDS_PYARROW)
-    import pyarrow
-    import pyarrow.parquet
+def _fill(folder: Path, dataset: Dataset) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
-    return pyarrow, pyarrow.parquet
+    for name in ("data/chunk-000", "meta/episodes/chunk-000"):
+        (folder / name).mkdir(parents=True)
+    order = np.argsort(dataset.touches.session, kind="stable")
+    frames = {name: values[order] for name, values in _frames(dataset).items()}
+    _, first, episode, lengths = np.unique(
+        dataset.touches.session[order], return_index=True, return_inverse=True, return_counts=True
+    )
+    index = np.arange(len(dataset))
+    counted = frames | {"frame_index": index - first[episode], "episode_index": episode, "index": index}
+    counted["timestamp"] = counted["frame_index"].astype(np.float32) / FPS
+    parts = [slice(begin, begin + length) for begin, length in zip(first, lengths, strict=True)]
+    episodes = [_episode(dataset, {name: values[rows] for name, values in counted.items()}) for rows in parts]
+    pq.write_table(
+        pa.table({name: _arrow(pa, values) for name, values in counted.items()}),
+        folder / DATA_PATH.format(chunk_index=0, file_index=0),
+    )
+    pq.write_table(pa.Table.from_pylist(episodes), folder / "meta/episodes/chunk-000/file-000.parquet")
+    _write_tasks(pa, pq, folder, dataset)
+    texts = {"stats": {name: _stats(values) for name, values in frames.items()}, "i2t": _note(dataset)}
+    for name, values in (texts | {"info": _info(dataset, frames, len(episodes))}).items():
+        text = json.dumps(values, indent=1, allow_nan=False, ensure_ascii=False)
+        (folder / f"meta/{name}.json").write_text(text + "\n", encoding="utf-8")
 
 
 def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
-    """Columns of the touches under the names of this format, without those that count."""
-    columns = {NAMED_COLUMNS.get(name, f"touch.{name}"): values for name, values in columns_of(dataset).items()}
+    """Columns of the touches under the names of this format, without those that count; `wide` is left out where no
+    surroundings were recorded.
+    """
+    fields = {name: values for name, values in dataset.touches._asdict().items() if name != "truth"}
+    if dataset.touches.truth is not None:
+        fields |= {f"truth_{name}": values for name, values in dataset.touches.truth._asdict().items()}
+    columns = {
+        NAMED_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDICES else values
+        for name, values in fields.items()
+        if values is not None and not (name == "wide" and np.isnan(values).all())
+    }
     return {
         **columns,
-        ROW_COLUMN: np.arange(len(dataset)),
-        "action": pose_vectors(dataset.touches.T_w_t),
+        "touch.row": np.arange(len(dataset)),
+        "action": _pose_vectors(dataset.touches.T_w_t),
         "task_index": columns["touch.object"],
     }
 
 
-def _episode(dataset: Dataset, part: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
+def _pose_vectors(T: np.ndarray) -> np.ndarray:
+    """Poses as most learning code wants them, (n, 7) float32; NaN where unknown."""
+    poses = np.full((len(T), len(POSE_NAMES)), np.nan, np.float32)
+    known = np.isfinite(T).all((1, 2))
+    if known.any():
+        poses[known, :3] = T[known, :3, 3]
+        poses[known, 3:] = Rotation.from_matrix(T[known, :3, :3]).as_quat()
+    return poses
+
+
+def _note(dataset: Dataset) -> dict[str, Any]:
+    """Everything that is not of a single touch, as JSON can hold it."""
+    return {
+        "software": f"i2t {__version__}",
+        **{kind: list(getattr(dataset, kind)) for kind in ("objects", "pads", "sessions")},
+        "board": {name: np.asarray(values).tolist() for name, values in dataset.board._asdict().items()},
+        "window": float(dataset.window),
+        "reach": float(dataset.reach),
+        "source": dataset.source,
+        "meta": dict(dataset.meta),
+    }
+
+
+def _episode(dataset: Dataset, part: dict[str, np.ndarray]) -> dict[str, Any]:
     """A row of the table of episodes."""
     about: dict[str, Any] = {
         "episode_index": int(part["episode_index"][0]),
         "tasks": [_task(dataset.objects[i]) for i in np.unique(part["task_index"])],
-        "length": len(rows),
+        "length": len(part["index"]),
         "data/chunk_index": 0,
         "data/file_index": 0,
         "dataset_from_index": int(part["index"][0]),
@@ -175,9 +174,7 @@ def _write_tasks(pa: Any, pq: Any, folder: Path, dataset: Dataset) -> None:
         ],
         "pandas_version": "2.0.0",
     }
-    path = folder / "meta" / "tasks.parquet"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), path)
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), folder / "meta/tasks.parquet")
 
 
 def _info(dataset: Dataset, frames: dict[str, np.ndarray], episodes: int) -> dict[str, Any]:
@@ -230,26 +227,3 @@ def _arrow(pa: Any, values: np.ndarray) -> Any:
     for length in reversed(shape):
         array = pa.ListArray.from_arrays(np.arange(0, len(array) + 1, length, dtype=np.int32), array)
     return array
-
-
-def _numpy(column: Any) -> np.ndarray:
-    """The values of a column, which must all have one shape."""
-    array, n = column.combine_chunks(), len(column)
-    lengths = []
-    while hasattr(array, "flatten") and hasattr(array.type, "value_type"):
-        inner = array.flatten()
-        length, rest = divmod(len(inner), max(len(array), 1))
-        if rest:
-            raise ValueError("lists of several lengths")
-        lengths.append(length)
-        array = inner
-    return array.to_numpy(zero_copy_only=False).reshape(n, *lengths)
-
-
-def _read_parquet(pq: Any, path: Path) -> Any:
-    """A table, unless it says that it unpacks to more than its file can hold."""
-    file = pq.ParquetFile(path)
-    size = sum(file.metadata.row_group(i).total_byte_size for i in range(file.metadata.num_row_groups))
-    if size > may_grow_to(path.stat().st_size):
-        raise ValueError(f"{size} bytes in a file of {path.stat().st_size}")
-    return file.read()

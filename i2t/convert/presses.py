@@ -10,7 +10,7 @@ are forces.
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -81,9 +81,8 @@ def convert(
         DataError: the table or the indenter cannot be used.
     """
     notes = ConversionLog(skip_bad)
-    rows = _read(source, table or read_text_table(source), board.num_chips, notes)
+    presses, said = _read(source, table or read_text_table(source), board.num_chips, notes)
     tip = _tip(indenter, unit, notes)
-    presses = rows.presses
     checks: list[SessionCheck] = []
     if not as_stated:
         presses, checks = _corrected(presses, board, notes)
@@ -95,7 +94,7 @@ def convert(
         whose=source,
         window=window,
         reach=reach,
-        source="mixed" if len(rows.sources) > 1 else next(iter(rows.sources)),
+        source=said,
         meta={"converter": "presses", "file": source.name, "indenter": indenter}
         | {key: text for check in checks for key, text in check.meta.items()},
     )
@@ -121,15 +120,10 @@ def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[P
     return join_tables(kept), checks
 
 
-class _Rows(NamedTuple):
-    """A table's presses as they were written."""
-
-    presses: PressTable
-    sources: set[str]  # of `PRESS_SOURCES`
-
-
-def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> _Rows:
-    """The presses of a table; damaged rows are refused or left out as `notes` has it."""
+def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> tuple[PressTable, str]:
+    """The presses of a table, and whether they are real, simulated or mixed; damaged rows are refused or left out as
+    `notes` has it.
+    """
     for note in table.notes:
         notes.info(note)
     height = next((name for name in HEIGHT_COLUMNS if name in table.header and "depth_mm" not in table.header), None)
@@ -158,7 +152,6 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> _
         notes.info(f"assumed: {height} grows out of the skin, and depth counts from its highest value, {highest:g} mm")
         depth = highest - depth
     depth, kept = _positive(source, depth, [line for line, _ in rows], notes)
-    kept &= _known_sources(source, header, rows, notes)
     readings = np.column_stack([column[name] for name in values])
     if ambient:
         readings = readings - np.column_stack([column[name] for name in ambient])
@@ -171,7 +164,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> _
         raise DataError(f"{source}: holds no press; give at least one row")
     if silent := int(np.isnan(presses.readings).any(1).sum()):
         notes.info(f"in {silent} presses a chip did not answer: its values are missing")
-    return _Rows(presses, {_source(header, cells) for (_, cells), keep in zip(rows, kept, strict=True) if keep})
+    return presses, _sources(source, header, [row for row, keep in zip(rows, kept, strict=True) if keep])
 
 
 def _time(header: list[str], cells: list[str]) -> float:
@@ -182,20 +175,15 @@ def _time(header: list[str], cells: list[str]) -> float:
         return math.nan
 
 
-def _source(header: list[str], cells: list[str]) -> str:
-    return (cells[header.index("source")] if "source" in header else "").strip().lower() or "real"
-
-
-def _known_sources(
-    source: Path, header: list[str], rows: list[tuple[int, list[str]]], notes: ConversionLog
-) -> np.ndarray:
-    """Mask of rows that say whether they were real or simulated; others are damage."""
-    said = [_source(header, cells) for _, cells in rows]
-    for (line, _), word in zip(rows, said, strict=True):
+def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str:
+    """Whether rows are real, simulated or mixed."""
+    if "source" not in header:
+        return "real"
+    said = {cells[header.index("source")].strip().lower() or "real": line for line, cells in reversed(rows)}
+    for word, line in said.items():
         if word not in PRESS_SOURCES:
-            right = " or ".join(PRESS_SOURCES)
-            notes.skip_row(DataError(f"{source}: line {line} has the source {word!r}; write {right}"))
-    return np.isin(said, PRESS_SOURCES)
+            raise DataError(f"{source}: line {line} has the source {word!r}; write {' or '.join(PRESS_SOURCES)}")
+    return "mixed" if len(said) > 1 else next(iter(said))
 
 
 def _value_columns(source: Path, header: list[str], chips: int, notes: ConversionLog) -> tuple[list[str], list[str]]:

@@ -55,11 +55,11 @@ class TextTable(NamedTuple):
 
 
 class TableRows(NamedTuple):
-    """A table as it is read: what its first line says, and then one row after the other."""
+    """A table as it is read: its rows come one after the other, once."""
 
     header: list[str]
-    rows: Iterator[tuple[int, list[str]]]  # number of the line in the file, and its fields, as many as there are
-    notes: list[str]  # what is undone, a sentence each
+    rows: Iterator[tuple[int, list[str]]]
+    notes: list[str]
 
 
 def read_text_table(path: Path) -> TextTable:
@@ -74,8 +74,8 @@ def read_text_table(path: Path) -> TextTable:
     Raises:
         DataError: it cannot be read, or is no table.
     """
-    header, rows, notes = _table(path, iter(read_text(path).splitlines()))
-    return TextTable(header, list(rows), notes)
+    table = _table(path, iter(read_text(path).splitlines()))
+    return TextTable(table.header, list(table.rows), table.notes)
 
 
 def open_text_table(path: Path) -> TableRows:
@@ -85,12 +85,12 @@ def open_text_table(path: Path) -> TableRows:
         path: of the file, plain or gzip-ed.
 
     Returns:
-        Its columns, and its rows as they are asked for.
+        The table, its rows as they are asked for, once.
 
     Raises:
         DataError: it cannot be read, or is no table; of a later row when that row is asked for.
     """
-    return TableRows(*_table(path, _lines(path)))
+    return _table(path, _lines(path))
 
 
 def field_columns(
@@ -127,7 +127,7 @@ def field_columns(
 def sound_rows(
     path: Path,
     header: list[str],
-    rows: Sequence[tuple[int, list[str]]],
+    rows: Iterable[tuple[int, list[str]]],
     columns: Sequence[str],
     needed: Callable[[np.ndarray], np.ndarray],
     notes: ConversionLog,
@@ -148,20 +148,22 @@ def sound_rows(
     Raises:
         DataError: a row is damaged, and may not be left out.
     """
+    complete = []
     for number, cells in rows:
-        if len(cells) != len(header):
+        if len(cells) == len(header):
+            complete.append((number, cells))
+        else:
             notes.skip_row(DataError(f"{path}: line {number} has not {len(header)} fields; give one for each column"))
-    rows = [row for row in rows if len(row[1]) == len(header)]
     at = [header.index(name) for name in columns]
-    numbers = _numbers([[cells[i] for i in at] for _, cells in rows], len(at))
+    numbers = _numbers([[cells[i] for i in at] for _, cells in complete], len(at))
     wrong = (np.abs(numbers) >= MAX_TABLE_VALUE) & (np.array(columns) != TIME)  # Unix time is larger than all else
     wrong |= np.isinf(numbers) | (np.isnan(numbers) & needed(np.isnan(numbers)))
     for k in np.flatnonzero(wrong.any(1)):
-        (line, cells), j = rows[k], int(np.flatnonzero(wrong[k])[0])
+        (line, cells), j = complete[k], int(np.flatnonzero(wrong[k])[0])
         said = f"line {line} has {cells[at[j]]!r} in column {columns[j]}, which is no such number"
         notes.skip_row(DataError(f"{path}: {said}; correct it"))
     sound = ~wrong.any(1)
-    return [row for row, kept in zip(rows, sound, strict=True) if kept], numbers[sound]
+    return [row for row, kept in zip(complete, sound, strict=True) if kept], numbers[sound]
 
 
 def names_in(header: list[str], cells: list[str], kind: str) -> str:
@@ -217,7 +219,7 @@ def _lines(path: Path) -> Iterator[str]:
         raise data_error(path, f"cannot be read ({error.strerror or error})") from error
 
 
-def _table(path: Path, lines: Iterator[str]) -> tuple[list[str], Iterator[tuple[int, list[str]]], list[str]]:
+def _table(path: Path, lines: Iterator[str]) -> TableRows:
     """Names of the columns, the rows in our words and units, and what was undone."""
     before, comments, first = 0, 0, ""
     for first in lines:
@@ -252,7 +254,7 @@ def _table(path: Path, lines: Iterator[str]) -> tuple[list[str], Iterator[tuple[
                 cells = [*(_scaled(text, by) for text, by in zip(cells, factors, strict=False)), *beyond]
             yield number, cells
 
-    return list(header), undone(), notes
+    return TableRows(list(header), undone(), notes)
 
 
 def _parsed(path: Path, lines: Iterable[str], delimiter: str, before: int) -> Iterator[tuple[int, list[str]]]:

@@ -19,7 +19,6 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +45,9 @@ _HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
     """Write a new HDF5 file of this schema, atomically and durably; an existing file is replaced.
 
+    It is made in memory first, so that a full disk meets a plain write: the HDF5 library, which closes an open file
+    with what it could not write, takes the process down where there is no room.
+
     Args:
         path: Of the file.
         fill: Writes the contents into the open file.
@@ -57,43 +59,21 @@ def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
         DataError: The folder cannot be written; FullDiskError if the disk is full, or failed.
     """
     with replacing(path) as temporary:
-        write_hdf5(temporary, partial(_fill, fill), userblock_size=HEADER_BYTES)
-        with temporary.open("r+b") as raw:
-            raw.seek(HEADER_BYTES)
-            digest = hashlib.file_digest(raw, "sha256").hexdigest()
-            raw.seek(0)
-            raw.write(f"{SCHEMA} {SCHEMA_VERSION} sha256 {digest}\n".encode().ljust(HEADER_BYTES, b"\0"))
+        image = io.BytesIO()
+        with h5py.File(image, "w", userblock_size=HEADER_BYTES) as file:
+            file.attrs["schema"] = SCHEMA
+            file.attrs["version"] = SCHEMA_VERSION
+            fill(file)
+        content = image.getbuffer()[HEADER_BYTES:]
+        header = f"{SCHEMA} {SCHEMA_VERSION} sha256 {hashlib.sha256(content).hexdigest()}\n".encode()
+        with temporary.open("wb") as raw:
+            raw.write(header.ljust(HEADER_BYTES, b"\0"))
+            raw.write(content)
     try:
         sync_folder(path.parent)
     except OSError as error:
         raise unwritable(path, error) from error
     return path
-
-
-def write_hdf5(path: Path, fill: Callable[[h5py.File], None], **options: Any) -> None:
-    """Write an HDF5 file that is made in memory first.
-
-    A full disk then meets a plain write. The HDF5 library, which closes an open file with what it could not write,
-    takes the process down where there is no room.
-
-    Args:
-        path: Of the file.
-        fill: Writes the contents into the open file.
-        **options: Of `h5py.File`.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    image = io.BytesIO()
-    with h5py.File(image, "w", **options) as file:
-        fill(file)
-    path.write_bytes(image.getbuffer())
-
-
-def _fill(fill: Callable[[h5py.File], None], file: h5py.File) -> None:
-    file.attrs["schema"] = SCHEMA
-    file.attrs["version"] = SCHEMA_VERSION
-    fill(file)
 
 
 def sync_folder(folder: Path) -> None:
@@ -152,31 +132,15 @@ def verified(path: Path) -> Iterator[h5py.File]:
         yield file
 
 
-def inspect_file(file: h5py.File, size: int, *, objects: int = MAX_OBJECTS) -> None:
-    """Look over a file before anything of it is read: whether all is in the file itself, and how large it is.
-
-    Args:
-        file: The open file.
-        size: Of it, in bytes.
-        objects: Groups and arrays that it may have.
-
-    Raises:
-        DataError: It holds what no file of i2t does; without the file's name.
-    """
-    _Inspection(size, objects).group(file, 0)
-
-
 class _Inspection:
     """Looks over a file before anything of it is read: whether all is in the file itself, and how large it is.
 
     Args:
         size: Of the file, in bytes.
-        objects: Groups and arrays that it may have.
     """
 
-    def __init__(self, size: int, objects: int = MAX_OBJECTS) -> None:
-        self._size, self._left = size, SPARE_BYTES + MAX_H5_GROWTH * size
-        self._objects, self._most = 0, objects
+    def __init__(self, size: int) -> None:
+        self._size, self._left, self._objects = size, SPARE_BYTES + MAX_H5_GROWTH * size, 0
 
     def group(self, group: h5py.Group, level: int) -> None:
         """Raise DataError, without the file's name, for what no file of this schema holds."""
@@ -185,8 +149,8 @@ class _Inspection:
         self._attributes(group)
         for name in group:
             self._objects += 1
-            if self._objects > self._most:
-                raise DataError(f"holds more than {self._most} groups and arrays")
+            if self._objects > MAX_OBJECTS:
+                raise DataError(f"holds more than {MAX_OBJECTS} groups and arrays")
             link = group.get(name, getlink=True)
             if not isinstance(link, h5py.HardLink):
                 kind = "another file" if isinstance(link, h5py.ExternalLink) else "another place"

@@ -1,4 +1,4 @@
-"""Objects to touch: procedural solids, meshes and point clouds from files. Imports no JAX.
+"""Objects to touch: procedural solids, and meshes from files. Imports no JAX.
 
 Each name is loaded when it is first used: reading mesh files needs libraries that take seconds to import, and a command
 that only asks which objects there are need not wait for them.
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from i2t.objects.mesh_files import load_mesh as load_mesh
     from i2t.objects.mesh_files import load_object as load_object
     from i2t.objects.mesh_files import read_mesh as read_mesh
-    from i2t.objects.point_clouds import load_point_cloud as load_point_cloud
-    from i2t.objects.point_clouds import suggest_radius as suggest_radius
-    from i2t.objects.point_clouds import surface_from_points as surface_from_points
     from i2t.objects.poses import contact_pose as contact_pose
     from i2t.objects.solids import Mesh as Mesh
     from i2t.objects.solids import Object as Object
@@ -34,7 +31,6 @@ _HOMES = {
         "NAMES", "PRIMITIVES", "STAMPS", "TOOLS", "make_object", "random_object", "surrogate_unknown",
     ),
     "mesh_files": ("CleaningReport", "clean_mesh", "load_mesh", "load_object", "read_mesh"),
-    "point_clouds": ("load_point_cloud", "suggest_radius", "surface_from_points"),
     "poses": ("contact_pose",),
     "solids": ("Mesh", "Object", "place_on_table", "transform_mesh"),
 }  # fmt: skip
@@ -42,8 +38,8 @@ _HOME_OF = {name: f"i2t.objects.{module}" for module, names in _HOMES.items() fo
 
 __all__ = [
     "NAMES", "PRIMITIVES", "STAMPS", "TOOLS", "CleaningReport", "Mesh", "Object", "clean_mesh", "contact_pose",
-    "load_mesh", "load_object", "load_point_cloud", "make_object", "place_on_table", "random_object", "read_mesh",
-    "suggest_radius", "surface_from_points", "surrogate_unknown", "transform_mesh",
+    "load_mesh", "load_object", "make_object", "place_on_table", "random_object", "read_mesh",
+    "surrogate_unknown", "transform_mesh",
 ]  # fmt: skip
 
 

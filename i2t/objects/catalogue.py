@@ -1,10 +1,9 @@
 """Things to touch: the catalogue of primitives, stamps and hand tools, and random objects.
 
-The catalogue's meshes are read from a file of this package. A stamp is a relief 3.5 mm high on a 20 mm square base of
-5 mm, pointing up along +z, inside a square of 10 mm. Hand tools lie on the table, their long axis along x; their
-lengths follow common sizes: an 18 mm snap-off cutter, a slotted screwdriver of 6 x 100 mm, an open spanner for 17 and
-19 mm, a claw hammer of 280 mm, a board marker, combination pliers of 180 mm and household scissors. Random objects are
-drawn with manifold3d (`pip install "imagine2touch[shapes]"`).
+The catalogue's meshes are read from a file of this package. A primitive has the lengths that its function in
+`i2t.objects.primitives` has by default, a square is 50 mm wide; a stamp is a relief 3.5 mm high, inside a square of
+10 mm, on a square base; a tool is of a real one's size and lies along x. What draws random objects needs manifold3d
+(`pip install "imagine2touch[shapes]"`).
 """
 
 from collections.abc import Sequence

@@ -7,11 +7,10 @@ within `SAGITTA_MM` of it, a tenth of a usual indentation of the skin: n = pi / 
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from manifold3d import CrossSection, Manifold, OpType
+from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
 from i2t.objects.solids import Mesh, place_on_table
@@ -128,17 +127,3 @@ def ball(radius: Real, centre: Sequence[Real] = (0.0, 0.0, 0.0), scale: Sequence
         The solid.
     """
     return Manifold.sphere(radius, segments(radius)).scale(tuple(scale)).translate(tuple(centre))
-
-
-def chain(points: Sequence[Sequence[Real]], radii: Sequence[Real]) -> Manifold:
-    """Balls, each joined to the next by the hull of the two: a bent, tapering round bar.
-
-    Args:
-        points: mm, the balls' centres.
-        radii: mm, of the balls.
-
-    Returns:
-        The solid.
-    """
-    balls = [ball(r, p) for p, r in zip(points, radii, strict=True)]
-    return Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)

@@ -3,7 +3,7 @@
 A file says nothing reliable about its unit, so the caller does; STL, OBJ, PLY and GLB are read through trimesh.
 Cleaning merges equal vertices, drops degenerate and repeated faces, keeps the largest connected piece by area (stray
 facets of scans go) and turns faces outward. Holes are counted but left open: the renderer needs no closed surface,
-and an invented one would be touched as if it were there. Point clouds are read by `i2t.objects.point_clouds`.
+and an invented one would be touched as if it were there.
 """
 
 import io
@@ -19,11 +19,12 @@ from scipy.sparse.csgraph import connected_components
 
 from i2t import files
 from i2t.errors import DataError
-from i2t.objects.mesh_bytes import geometry_of
 from i2t.objects.solids import Mesh, Object, place_on_table, transform_mesh
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
 MAX_MESH_BYTES = 2**28  # of a file
+MAX_NODES = 1000  # of a scene in a GLB file, whose parser walks them one by one
+GLB_SCENE = 20  # bytes before the scene of a GLB file
 STRAY_AREA = 1e-3  # share of the area, up to which loose pieces are stray facets of a scan
 MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, longest side of something to touch
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a frame whose y is up
@@ -100,8 +101,9 @@ def read_mesh(
         raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
     _check_whole(path, data)
     try:
-        plain = geometry_of(path, data)
-        raw = trimesh.load_scene(io.BytesIO(plain), file_type=path.suffix[1:].lower(), process=False).to_mesh()
+        _check_scene(path, data)
+        kind = path.suffix[1:].lower()
+        raw = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True).to_mesh()
         vertices, faces = np.asarray(raw.vertices, np.float64) * scale, np.asarray(raw.faces, np.int64)
     except DataError:
         raise
@@ -112,7 +114,7 @@ def read_mesh(
         ) from error
     if not len(faces):
         raise ValueError(
-            f"{path}: holds no faces; export it again (a point cloud is read by i2t.objects.load_point_cloud)"
+            f"{path}: holds no faces; export it as a mesh (a point cloud is made one first, for instance with Open3D)"
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(f"{path}: a face refers to a vertex that is not there; export it again")
@@ -314,6 +316,16 @@ def _check_whole(path: Path, data: bytes) -> None:
         broken = False
     if broken:
         raise ValueError(f"{path}: is cut off or no {suffix[1:].upper()} file; export or copy it again")
+
+
+def _check_scene(path: Path, data: bytes) -> None:
+    """Refuse a scene of more parts than a parser reads in good time."""
+    if path.suffix.lower() != ".glb" or data[:4] != b"glTF":
+        return
+    size = int.from_bytes(data[12:16], "little")
+    parts = len(files.parse_json(data[GLB_SCENE : GLB_SCENE + size].decode(), path).get("nodes", ()))
+    if parts > MAX_NODES:
+        raise DataError(f"{path}: is a scene of {parts} parts, and at most {MAX_NODES} are read; join them to one mesh")
 
 
 def _once(faces: NDArray) -> NDArray:

@@ -1,4 +1,4 @@
-"""Primitives drawn as watertight triangle meshes in metres, and random ones. Needs manifold3d.
+"""Primitives, drawn as watertight triangle meshes in metres, and random ones. Needs manifold3d.
 
 Primitives, each a function of sensible lengths in metres, are 50-70 mm across, so that the 20 mm skin meets faces,
 edges and corners apart; prisms differ by their outline alone, which is the paper's recognition problem. The object
@@ -39,19 +39,6 @@ def polygon(sides: int, across: float = 60e-3, height: float = 30e-3) -> Mesh:
     angles = turn + 2 * np.pi * np.arange(sides) / sides
     corners = 0.5 * across * MM_PER_M * np.stack([np.cos(angles), np.sin(angles)], -1)
     return mesh_from_solid(prism(outline(corners), height * MM_PER_M))
-
-
-def square(width: float = 50e-3, height: float = 30e-3) -> Mesh:
-    """A square prism.
-
-    Args:
-        width: m, of a side.
-        height: m.
-
-    Returns:
-        The mesh (m).
-    """
-    return mesh_from_solid(prism(rectangle(width * MM_PER_M, width * MM_PER_M), height * MM_PER_M))
 
 
 def parallelogram(width: float = 50e-3, depth: float = 40e-3, slant: float = 20e-3, height: float = 30e-3) -> Mesh:
@@ -277,7 +264,7 @@ def ridge(width: float = 60e-3, depth: float = 50e-3, height: float = 20e-3, rad
 
 
 def stamp(region: CrossSection) -> Mesh:
-    """A relief on a stamp's base.
+    """A relief on a stamp's base, pointing up.
 
     Args:
         region: mm, the outline of the relief.

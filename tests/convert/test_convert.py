@@ -445,8 +445,6 @@ def test_real_shear_recordings_are_two_pads(shared_data, tmp_path, capsys):
     assert np.isnan(dataset.touches.force).all()
     assert np.isnan(dataset.touches.depth).all()
     assert "shear force" in capsys.readouterr().out
-    second = converted("eflesh", source, tmp_path / "second", "--board", 1)
-    np.testing.assert_array_equal(second.touches.reading, mine.touches.reading)
 
 
 # --- tables of presses ---------------------------------------------------------------------------------------------
@@ -533,24 +531,6 @@ def test_the_summary_for_a_program_and_for_a_person(tmp_path, capsys):
     assert all(f"{name} " in page for name in dataset.objects)
 
 
-def test_the_way_back_holds_everything_and_no_pickle(tmp_path):
-    dataset = make(4, truth=True, wide=True)
-    save_dataset(tmp_path / "set.h5", dataset)
-    assert run("npz", tmp_path / "set.h5", tmp_path / "out" / "set.npz") == 0
-    with np.load(tmp_path / "out" / "set.npz", allow_pickle=False) as arrays:
-        named = {name: values for name, values in dataset.touches._asdict().items() if name != "truth"}
-        named |= {f"truth_{name}": values for name, values in dataset.touches.truth._asdict().items()}
-        named |= {"board_chips": dataset.board.chips, "board_rotations": dataset.board.rotations}
-        for name, values in named.items():
-            np.testing.assert_array_equal(arrays[name], values)
-            assert arrays[name].dtype == values.dtype
-        for kind in ("objects", "pads", "sessions"):
-            assert tuple(arrays[kind]) == getattr(dataset, kind)
-        assert (float(arrays["window"]), float(arrays["reach"]), str(arrays["source"])) == (0.017, 0.004, "simulated")
-        assert dict(zip(arrays["meta_keys"], arrays["meta_values"], strict=True)) == dataset.meta
-    assert [file.name for file in (tmp_path / "out").iterdir()] == ["set.npz"]
-
-
 def test_nothing_is_overwritten_or_mixed_unasked(tmp_path, capsys):
     write(tmp_path / "src", "star", "1", 1, size=8)
     touches = tmp_path / "dst/touches.h5"
@@ -563,6 +543,3 @@ def test_nothing_is_overwritten_or_mixed_unasked(tmp_path, capsys):
     assert touches.read_bytes() != before  # its time of creation
     (tmp_path / "dst/mine.txt").write_text("mine")
     assert "holds mine.txt" in refused(capsys, *words, "--overwrite")
-    assert run("npz", touches, tmp_path / "set.npz") == 0
-    assert "pass --overwrite" in refused(capsys, "npz", touches, tmp_path / "set.npz")
-    assert ".npz; name the file so" in refused(capsys, "npz", touches, tmp_path / "set")

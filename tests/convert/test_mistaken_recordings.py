@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-import tifffile
 from helpers import authors_layout
 from helpers.damage import VARIANTS, Recorded, press
 from helpers.recordings import READING_NAMES, converted, write_session, write_table
@@ -14,7 +13,6 @@ from i2t import unknowns
 from i2t.types import ReturnCode
 
 N = 12
-POSES = "star/star_poses/experiment_1"
 FORCES = "star/star_forces/experiment_1_forces_torques"
 
 
@@ -22,42 +20,16 @@ def change(path, how):
     authors_layout.save(path, how(np.load(path)))
 
 
-def images_of_tenths(source):
-    for path in sorted((source / "star/star_images/depth").iterdir()):
-        tifffile.imwrite(path, (10 * tifffile.imread(path)).astype(np.uint16))
-
-
-def millimetres(source):
-    for name in ("final", "prepare"):
-        change(source / f"{POSES}_{name}_contact", lambda at: 1e3 * (at + np.array([0, 0, 0.4])))
-
-
-MISTAKES = {
-    "as if they pulled": lambda source: change(source / FORCES, np.negative),
-    "they are read as millimetres": millimetres,
-    "0.1 mm": images_of_tenths,
-}
-
-
-@pytest.mark.parametrize("sentence", [*MISTAKES, "along the tool's they do not"])
-def test_a_mistake_in_the_authors_layout_is_found_and_put_right(tmp_path, capsys, sentence):
+def test_forces_that_pull_in_the_authors_layout_are_found_and_put_right(tmp_path, capsys):
     truth = authors_layout.write(tmp_path / "src", "star", "1", N)
-    sound = converted("imagine2touch", tmp_path / "src", tmp_path / "sound").touches
+    converted("imagine2touch", tmp_path / "src", tmp_path / "sound")
     assert "corrected" not in capsys.readouterr().out
-    force = truth.force
-    if sentence in MISTAKES:
-        MISTAKES[sentence](tmp_path / "src")
-    else:  # forces in the tool's axes
-        force = truth.force + 1
-        authors_layout.save(tmp_path / "src" / FORCES, -force[:, None] * np.eye(6)[2])
+    change(tmp_path / "src" / FORCES, np.negative)
     found = converted("imagine2touch", tmp_path / "src", tmp_path / "found").touches
     said = capsys.readouterr().out
     assert "corrected" in said
-    assert sentence in said
-    np.testing.assert_allclose(found.force, force, atol=1e-5)
-    np.testing.assert_allclose(found.nearest, sound.nearest, atol=2e-6)
-    np.testing.assert_allclose(found.patch, sound.patch, atol=2e-6)
-    np.testing.assert_allclose(found.T_w_t[:, :3, 2], sound.T_w_t[:, :3, 2], atol=1e-5)
+    assert "as if they pulled" in said
+    np.testing.assert_allclose(found.force, truth.force, atol=1e-5)
 
 
 def test_a_recording_is_taken_as_stated_on_request_and_its_times_are_kept(tmp_path, capsys):
@@ -113,7 +85,7 @@ def test_presses_to_one_height_have_no_depth_and_the_robot_frame_and_times_are_k
     assert (dataset.touches.code == ReturnCode.UNDEFINED).all()
     # In float64: a float32 tells Unix time to two minutes.
     np.testing.assert_array_equal(dataset.touches.time, 1.7e9 + 4.25 * np.arange(one.sum()) + 1e-3)
-    assert "time of all touches" in " ".join((tmp_path / "dst" / "README.md").read_text().split())
+    assert f"time ({one.sum()})" in (tmp_path / "dst" / "README.md").read_text()
     assert "all presses go to one height" in capsys.readouterr().out
     reference = json.loads(dataset.meta["reference of late"])
     assert reference["zero_m"] is None

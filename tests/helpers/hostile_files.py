@@ -38,7 +38,7 @@ from i2t.errors import I2TError
 from i2t.hardware.camera_folder import read_view
 from i2t.hardware.hand_eye import CharucoBoard, estimate
 from i2t.hardware.rig import Rig
-from i2t.objects import load_mesh, load_point_cloud, make_object
+from i2t.objects import load_mesh, make_object
 from i2t.prediction.predictor import load_predictor
 from i2t.recognition.pad_model_files import load_pad_model
 from i2t.serialization import _digest
@@ -71,7 +71,7 @@ def make(path: Path, content: Content) -> Path:
     return path
 
 
-# Meshes and point clouds
+# Meshes
 
 CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], "<f4").tobytes()
 TRIANGLE = np.array([0, 1, 2], "<u4").tobytes()
@@ -104,10 +104,6 @@ def ply(corners: int, faces: int = 0, form: str = "binary_little_endian", body: 
     elements = f"element vertex {corners}\n{XYZ}"
     elements += f"element face {faces}\nproperty list uint int vertex_indices\n" if faces else ""
     return f"ply\nformat {form} 1.0\n{elements}end_header\n".encode() + body
-
-
-def pcd(points: int, values: int = 1) -> str:
-    return f"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT {values} 1 1\nPOINTS {points}\nDATA binary\n"
 
 
 # Data sets and recorded touches in HDF5
@@ -269,7 +265,6 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     },
     ("mesh", "a.obj"): {
         "an index out of range": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n",
-        "a face of five million corners": lambda _: "v 0 0 0\nv 1 0 0\nv 0 1 0\nf " + "1 2 3 " * 1_700_000 + "\n",
     },
     ("mesh", "a.stl"): {
         "four billion faces": bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50),
@@ -278,13 +273,6 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("mesh", "a.ply"): {
         "a trillion corners": ply(10**12, 1),
         "a face of two billion corners": ply(3, 1, body=CORNERS + b"\xff\xff\xff\x7f" + TRIANGLE),
-    },
-    ("cloud", "a.ply"): {
-        "a quadrillion points": ply(10**15),
-    },
-    ("cloud", "a.pcd"): {
-        "a quadrillion points": pcd(10**15),
-        "points of a billion values": pcd(1, 10**9),
     },
     ("dataset", "a.h5"): {
         "an external link": put(FORCE, h5py.ExternalLink("/etc/hostname", "/x")),
@@ -394,7 +382,6 @@ def _session(path: Path) -> None:
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "mesh": lambda path: load_mesh(path, "m"),
-    "cloud": lambda path: load_point_cloud(path, "m"),
     "dataset": load_dataset,
     "touch": read_touch,
     "pad": load_pad,

@@ -14,12 +14,13 @@ import pytest
 import trimesh
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from manifold3d import Manifold
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from i2t.geometry import contact_frame, inverse, transform
 from i2t.objects import make_object, transform_mesh
-from i2t.objects.drawing import mesh_from_solid, prism, rectangle
+from i2t.objects.drawing import mesh_from_solid
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
@@ -112,7 +113,7 @@ def test_nearest_agrees_with_clipping(name):
 
 def test_press_on_an_edge_a_corner_and_with_a_tilted_skin_on_a_flat_top():
     cube = transform_mesh(
-        mesh_from_solid(prism(rectangle(30, 30), 30, -15)), transform(np.eye(3), np.array([0, 0, -15e-3]))
+        mesh_from_solid(Manifold.cube((30, 30, 30), True)), transform(np.eye(3), np.array([0, 0, -15e-3]))
     )
     corner_up, _ = Rotation.align_vectors([[0, 0, 1]], [np.ones(3) / np.sqrt(3)])
     for turn, top in ((Rotation.from_euler("x", 45, degrees=True), np.sqrt(2)), (corner_up, np.sqrt(3))):
@@ -178,8 +179,9 @@ def test_contact_agrees_with_clipping_and_does_not_depend_on_the_world_frame(see
 
 @pytest.mark.parametrize(("height", "aside", "safe"), [(2.9, 5, True), (3.1, 5, False), (60, 5, False), (60, 12, True)])
 def test_nothing_rises_above_the_contact_plane(height, aside, safe):
+    block, pin = Manifold.cube((80, 80, 20), True), Manifold.cube((2, 2, height + 1), True)
     surface = prepare_surface(
-        mesh_from_solid(prism(rectangle(80, 80), 20, -20) + prism(rectangle(2, 2, (aside, 0)), height + 1, -1))
+        mesh_from_solid(block.translate((0, 0, -10)) + pin.translate((aside, 0, height / 2 - 0.5)))
     )
     T = frame(jnp.array([0.0, 0.0, 20e-3]), -BELOW, 0.0)
     assert bool(is_open(surface, T, SiteLimits())) is safe
@@ -259,7 +261,7 @@ def test_what_fills_up_is_no_pose_and_too_few_sites_are_said():
 
 
 def test_touch_sites_of_a_mesh_are_safe_contacts_on_its_surface():
-    solid = mesh_from_solid(prism(rectangle(60, 50), 60, -30))
+    solid = mesh_from_solid(Manifold.cube((60, 50, 60), True))
     sites = touch_sites.sample_touch_sites(solid, 12, seed=4)
     np.testing.assert_allclose(sites.points[:, 2], 0.06, atol=1e-6)  # sides look sideways and the bottom down
     np.testing.assert_allclose(sites.normals, np.broadcast_to([0, 0, 1], (12, 3)), atol=1e-6)
