@@ -86,8 +86,7 @@ def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]
     warmth = [f"  {celsius:7.1f}" if np.isfinite(celsius) else "" for celsius in shown.temperature[-1]]
     return [
         f"{counters.rate:6.1f} Hz  {counters.samples} samples  lost {counters.lost} ({100 * counters.loss:.2f} %)"
-        f" in {counters.gaps} gaps  {counters.skipped} stray bytes  {counters.empty} empty frames"
-        f"  late {counters.stalls}",
+        f" in {counters.gaps} gaps  {counters.skipped} stray bytes  {counters.empty} empty frames",
         "chip       x uT      y uT      z uT        C",
         *map("".join, zip(chips, warmth, strict=True)),
         f"change of all: {np.linalg.norm(change[np.isfinite(change)]):.1f} uT",
