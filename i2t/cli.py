@@ -268,6 +268,41 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     return end.code
 
 
+def command(
+    kind: Any,
+    work: Callable[[Any], Any],
+    *,
+    program: str,
+    description: str | None = "",
+    interrupted: str = "interrupted",
+) -> Callable[..., int]:
+    """Make the `main` of a command that reads options, checks their numbers and does its work.
+
+    Args:
+        kind: A dataclass, or a union of those of sub-commands.
+        work: Takes the options; an int that it returns is the exit code.
+        program: What a user types to run the command.
+        description: For the help, as in `read_options`.
+        interrupted: The sentence after Ctrl-C.
+
+    Returns:
+        A function that takes the words without the program's name, by default those of this process, and returns the
+        exit code.
+    """
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        """Run the command line."""
+        asked = read_options(kind, arguments, program=program, description=description or "")
+
+        def checked() -> Any:
+            check_options(asked)
+            return work(asked)
+
+        return exit_code_of(checked, interrupted)
+
+    return main
+
+
 def _sentence(error: Exception) -> str:
     """Message of an error; for the system's own errors, the file and the remedy."""
     if isinstance(error, OSError) and error.filename is None and error.errno in NO_ROOM:

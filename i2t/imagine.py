@@ -10,14 +10,13 @@ turns patch and force into readings with their standard deviations. The ready mo
 """
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from i2t.cli import Count, Limits, Seed, check_options, docstring_of, exit_code_of, read_options, require_writable
+from i2t.cli import Count, Limits, Seed, command, docstring_of, require_writable
 from i2t.models import READY_MODELS, ready_path
 from i2t.objects.named import read_object
 from i2t.windows import MAX_SKIN_FORCE_N
@@ -52,21 +51,7 @@ class ImagineArgs:
     """The picture, such as a .png file; one that is there is replaced."""
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        args: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(ImagineArgs, args, program="python -m i2t.imagine", description=docstring_of("i2t.imagine"))
-    return exit_code_of(lambda: _imagine(asked))
-
-
 def _imagine(asked: ImagineArgs) -> None:
-    check_options(asked)
     _check(asked)
     thing = _object(asked)
     from i2t import viz
@@ -123,6 +108,9 @@ def _object(asked: ImagineArgs) -> "Object":
     if asked.object in NAMES and asked.unit is not None:
         raise ValueError("--unit is of a mesh file, and an object of the catalogue needs none; leave it out")
     return read_object(asked.object, asked.unit)
+
+
+main = command(ImagineArgs, _imagine, program="python -m i2t.imagine", description=docstring_of("i2t.imagine"))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ reported is that of noise, and knows nothing of a constant error of the camera o
 
 import math
 import sys
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of, read_options, require_path
+from i2t.cli import command, require_path
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import read_view
@@ -57,19 +56,6 @@ class PlaceArgs:
     """How far off the camera may be on its tool (one sigma), which no view shows."""
     no_table: bool = False  # the view shows no table at the world's z = 0
     write: bool = False  # put the pose into the rig
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        arguments: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(PlaceArgs, arguments, program="python -m i2t.place", description=__doc__)
-    return exit_code_of(lambda: print(place(asked)))
 
 
 def place(asked: PlaceArgs) -> str:
@@ -159,6 +145,9 @@ def _spread(sigma: Array) -> str:
     """Standard deviations (6,) of a twist, for a sentence."""
     turn = math.degrees(np.linalg.norm(sigma[3:]) / TWIST_LEVER_M)
     return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {turn:.2f} degrees"
+
+
+main = command(PlaceArgs, lambda asked: print(place(asked)), program="python -m i2t.place", description=__doc__)
 
 
 if __name__ == "__main__":

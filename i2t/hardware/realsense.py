@@ -21,7 +21,7 @@ import itertools
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -29,7 +29,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from i2t.cli import Count, check_options, exit_code_of, read_options, require_path
+from i2t.cli import Count, command, require_path
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.geometry import transform
@@ -295,21 +295,7 @@ class RealSenseArgs:
     count: Count = 1  # how many views
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        arguments: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(RealSenseArgs, arguments, program="python -m i2t.hardware.realsense", description=__doc__)
-    return exit_code_of(lambda: _show(asked))
-
-
 def _show(asked: RealSenseArgs) -> None:
-    check_options(asked)
     require_path("--file", asked.file, "recording")
     with RealSense(asked.serial, asked.size, asked.rate, asked.distance, asked.file) as camera:
         print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm\n{camera.camera}")
@@ -319,6 +305,9 @@ def _show(asked: RealSenseArgs) -> None:
             middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
             at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
             print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")
+
+
+main = command(RealSenseArgs, _show, program="python -m i2t.hardware.realsense", description=__doc__)
 
 
 if __name__ == "__main__":

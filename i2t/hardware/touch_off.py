@@ -32,7 +32,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of, read_options
+from i2t.cli import command
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
@@ -233,19 +233,6 @@ class TouchOffArgs:
     write: bool = False  # put what is found into the rig
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        arguments: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(TouchOffArgs, arguments, program="python -m i2t.hardware.touch_off", description=__doc__)
-    return exit_code_of(lambda: _touch_off(asked), "stopped; the rig is as it was")
-
-
 def _touch_off(asked: TouchOffArgs) -> None:
     rig = Rig.read(asked.rig)
     with named_arm(asked.arm, asked.host, rig) as arm:
@@ -261,6 +248,15 @@ def _touch_off(asked: TouchOffArgs) -> None:
         camera = inverse(found.T_tool_skin) @ rig.T_tool_camera
         replace(rig, T_flange_tool=T, T_tool_camera=camera).write(asked.rig)
         print(f"{asked.rig}: written")
+
+
+main = command(
+    TouchOffArgs,
+    _touch_off,
+    program="python -m i2t.hardware.touch_off",
+    description=__doc__,
+    interrupted="stopped; the rig is as it was",
+)
 
 
 if __name__ == "__main__":

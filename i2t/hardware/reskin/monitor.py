@@ -11,14 +11,14 @@ import contextlib
 import csv
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from i2t.cli import Count, Positive, check_options, exit_code_of, read_options
+from i2t.cli import Count, Positive, command
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
@@ -52,19 +52,6 @@ class Options:
     """List the USB serial ports and end."""
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the tool.
-
-    Args:
-        args: Of the command line; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(Options, args, program="python -m i2t.hardware.reskin")
-    return exit_code_of(lambda: _run(asked))
-
-
 def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]:
     """The lines that are shown.
 
@@ -94,7 +81,6 @@ def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]
 
 
 def _run(asked: Options) -> None:
-    check_options(asked)
     if asked.list:
         boards = ReSkin().ports()
         print("\n".join(f"{board.port}  {board.usb}  {board.description}" for board in boards) or "none")
@@ -151,3 +137,6 @@ def _keeper(skin: ReSkin, file: Any) -> Callable[[], None]:
             kept = max([kept, *new.number.tolist()])
 
     return keep
+
+
+main = command(Options, _run, program="python -m i2t.hardware.reskin")
