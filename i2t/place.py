@@ -24,7 +24,7 @@ from i2t.cli import command, require_path
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import read_view
-from i2t.hardware.named_devices import REALSENSE, UR, ToolPose, named_camera, require_named
+from i2t.hardware.plugins import REALSENSE, UR, ToolPose, named_camera, require_named
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig

@@ -37,7 +37,7 @@ from i2t.files import file_in, read_text, replacing
 from i2t.geometry import inverse
 from i2t.hardware.camera_folder import DESCRIPTION, lens_text, read_lens
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, opencv, pixel_rays
-from i2t.hardware.named_devices import REALSENSE, ToolPose, colour_view, named_camera, require_named
+from i2t.hardware.plugins import REALSENSE, ToolPose, colour_view, named_camera, require_named
 from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig

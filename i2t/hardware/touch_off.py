@@ -36,7 +36,7 @@ from i2t.cli import command
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
-from i2t.hardware.named_devices import named_arm
+from i2t.hardware.plugins import named_arm
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
