@@ -238,25 +238,36 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
 
 
 def command(
-    kind: Callable[..., T], work: Callable[[T], Any], *, program: str, about: str = "", interrupted: str = "interrupted"
+    kind: Any,
+    work: Callable[[Any], Any],
+    *,
+    program: str,
+    description: str | None = "",
+    interrupted: str = "interrupted",
 ) -> Callable[..., int]:
-    """A command whose work needs no more than its options.
+    """Make the `main` of a command that reads options, checks their numbers and does its work.
 
     Args:
-        kind: The dataclass of its options.
+        kind: A dataclass, or a union of those of sub-commands.
         work: Takes the options; an int that it returns is the exit code.
-        program: What a user types to run it.
-        about: For the help; where it is empty the docstring of the dataclass.
+        program: What a user types to run the command.
+        description: For the help, as in `read_options`.
         interrupted: The sentence after Ctrl-C.
 
     Returns:
-        Its `main`, which takes the command line without the program's name, by default that of this process, and
-        returns the exit code.
+        A function that takes the words without the program's name, by default those of this process, and returns the
+        exit code.
     """
 
-    def main(argv: Sequence[str] | None = None) -> int:
-        asked = read_options(kind, argv, program=program, description=about)
-        return exit_code_of(lambda: work(asked), interrupted)
+    def main(arguments: Sequence[str] | None = None) -> int:
+        """Run the command line."""
+        asked = read_options(kind, arguments, program=program, description=description or "")
+
+        def checked() -> Any:
+            check_options(asked)
+            return work(asked)
+
+        return exit_code_of(checked, interrupted)
 
     return main
 

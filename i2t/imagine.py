@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from i2t.cli import Count, Limits, Seed, check_options, command, docstring_of, require_writable
+from i2t.cli import Count, Limits, Seed, command, docstring_of, require_writable
 from i2t.models import READY_MODELS, ready_path
 from i2t.objects.named import read_object
 from i2t.windows import MAX_SKIN_FORCE_N
@@ -52,7 +52,6 @@ class ImagineArgs:
 
 
 def _imagine(asked: ImagineArgs) -> None:
-    check_options(asked)
     _check(asked)
     thing = _object(asked)
     from i2t import viz
@@ -111,7 +110,8 @@ def _object(asked: ImagineArgs) -> "Object":
     return read_object(asked.object, asked.unit)
 
 
-main = command(ImagineArgs, _imagine, program="python -m i2t.imagine", about=docstring_of("i2t.imagine"))
+main = command(ImagineArgs, _imagine, program="python -m i2t.imagine", description=docstring_of("i2t.imagine"))
+
 
 if __name__ == "__main__":
     sys.exit(main())

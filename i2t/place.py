@@ -24,7 +24,7 @@ from i2t.cli import command, require_path
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import read_view
-from i2t.hardware.named_devices import REALSENSE, UR, ToolPose, named_camera, require_named
+from i2t.hardware.plugins import REALSENSE, UR, ToolPose, named_camera, require_named
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig
@@ -147,7 +147,8 @@ def _spread(sigma: Array) -> str:
     return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {turn:.2f} degrees"
 
 
-main = command(PlaceArgs, lambda asked: print(place(asked)), program="python -m i2t.place", about=__doc__)
+main = command(PlaceArgs, lambda asked: print(place(asked)), program="python -m i2t.place", description=__doc__)
+
 
 if __name__ == "__main__":
     sys.exit(main())

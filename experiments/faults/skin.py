@@ -28,7 +28,7 @@ def long_stream(number: int) -> Trial:
             read += len(fresh.number)
             newest = int(fresh.number[-1]) if len(fresh.number) else newest
         counters = device.counters
-    lost = counters.lost + counters.overflowed + (newest - start - read)
+    lost = counters.lost + (newest - start - read)
     return {"lost": lost, "samples": counters.samples - first + lost}
 
 

@@ -64,7 +64,7 @@ class SkinArgs:
 
     def check(self) -> None:
         """Refuse options that do not go together, and a board that is not there (ValueError, which names the flag)."""
-        from i2t.hardware.named_devices import require_named
+        from i2t.hardware.plugins import require_named
         from i2t.skin.boards import make_board
 
         require_named("skin", self.kind, SKINS)

@@ -20,8 +20,7 @@ from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.depth.camera import Distortion
 from i2t.emulators.world import make_scene, read_pad
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.named_devices import named_arm, named_camera, require_named
-from i2t.hardware.plugins import DeviceSetup, load_plugin
+from i2t.hardware.plugins import DeviceSetup, load_plugin, named_arm, named_camera, require_named
 from i2t.hardware.protocols import DepthCamera, GuardedArm, Skin
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board

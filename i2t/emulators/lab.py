@@ -97,7 +97,7 @@ def _board_address(process: "subprocess.Popen[str]") -> processes.Address:
     return host, int(port)
 
 
-main = command(LabArgs, _run, program="python -m i2t.emulators.lab", about=__doc__)
+main = command(LabArgs, _run, program="python -m i2t.emulators.lab", description=__doc__)
 
 if __name__ == "__main__":
     sys.exit(main())

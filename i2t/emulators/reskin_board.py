@@ -66,8 +66,6 @@ class EmulatedBoardArgs:
     empty: int = 1  # only every Nth frame holds values: the sketch reads faster than the chips measure
     skip: float = 0.0  # part of the frames that are lost as a whole
     garbage_for: float = 0.0  # s of rubbish after each opening, which resets the board
-    substitute: float = 0.0  # part of the bytes that are changed
-    drop: float = 0.0  # part of the bytes that are lost
     silent_after: float = float("inf")  # s until it falls silent
     silent_for: float = float("inf")  # s that it stays so
     unplug_after: float = float("inf")  # s until it is unplugged
@@ -127,24 +125,6 @@ class Readings:
         if self._temperature is not None:
             return reading, np.full(self.chips, self._temperature)
         return reading, TEMPERATURE_ORIGIN_C + celsius * TEMPERATURE_STEP_C
-
-
-def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
-    """The bytes of a bad line.
-
-    Args:
-        chunk: Bytes as the board sends them.
-        substitute: Probability that a byte is changed.
-        drop: Probability that it is lost then.
-        rng: Of the damage.
-
-    Returns:
-        What arrives.
-    """
-    data = np.frombuffer(chunk, np.uint8)
-    changed = rng.random(data.size) < substitute
-    data = data + np.where(changed, rng.integers(1, 256, data.size), 0).astype(np.uint8)
-    return data[rng.random(data.size) >= drop].tobytes()
 
 
 class BoardPort:
@@ -282,15 +262,15 @@ def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
 
 
 class _Line:
-    """Output line of the board, which may lose or damage samples."""
+    """Output line of the board, which may lose samples."""
 
     def __init__(self, options: EmulatedBoardArgs) -> None:
         self._options, self._count = options, -1
-        self._rng = np.random.default_rng((options.seed, 1))  # of damage
+        self._rng = np.random.default_rng((options.seed, 1))  # of rubbish
         self._faults = np.random.default_rng((options.seed, 2))  # of chips and whole frames
 
     def frame(self, reading: np.ndarray, temperature: np.ndarray, port: BoardPort) -> bytes:
-        """Bytes of a sample as it leaves the board, or as a wrong baud rate or a bad line changes it."""
+        """Bytes of a sample as it leaves the board, or as a wrong baud rate changes it."""
         options = self._options
         self._count += 1
         gone = self._faults.random(len(temperature)) < options.fail_share
@@ -301,8 +281,7 @@ class _Line:
             return b""
         if options.baud and port.baud_rate() != options.baud:
             whole = self._rng.bytes(len(whole))
-        damaged = options.substitute or options.drop
-        return corrupt(whole, options.substitute, options.drop, self._rng) if damaged else whole
+        return whole
 
     def rubbish(self) -> bytes:
         """Bytes that a board sends while it starts."""

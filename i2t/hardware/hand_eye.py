@@ -21,7 +21,7 @@ that it states means is in `i2t.hardware.hand_eye_fit`.
 import csv
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -31,13 +31,13 @@ import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import exit_code_of, read_options
+from i2t.cli import command
 from i2t.depth.camera import read_image
 from i2t.files import file_in, read_text, replacing
 from i2t.geometry import inverse
 from i2t.hardware.camera_folder import DESCRIPTION, lens_text, read_lens
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, opencv, pixel_rays
-from i2t.hardware.named_devices import REALSENSE, ToolPose, colour_view, named_camera, require_named
+from i2t.hardware.plugins import REALSENSE, ToolPose, colour_view, named_camera, require_named
 from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
@@ -278,20 +278,7 @@ HandEyeArgs = (
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        arguments: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    commands: Any = HandEyeArgs  # a union is no type to mypy
-    asked: DrawArgs | CaptureArgs | EstimateArgs = read_options(
-        commands, arguments, program="python -m i2t.hardware.hand_eye", description=__doc__
-    )
-    return exit_code_of(asked.run)
+main = command(HandEyeArgs, lambda asked: asked.run(), program="python -m i2t.hardware.hand_eye", description=__doc__)
 
 
 if __name__ == "__main__":

@@ -77,10 +77,8 @@ class SkinCounters(NamedTuple):
     gaps: int = 0  # places where frames are missing
     bytes: int = 0  # that came
     skipped: int = 0  # of those, in no frame
-    overflowed: int = 0  # samples that left the queue before `since` had asked for them
     empty: int = 0  # frames in which no chip answered; they are not delivered
     missing: int = 0  # chips that did not answer, in all samples together
-    stalls: int = 0  # times this computer read so late that the port's buffer may have overflowed
     connects: int = 0
     rate: float = 0.0  # Hz, over the last second
 

@@ -29,7 +29,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from i2t.cli import Count, check_options, command, require_path
+from i2t.cli import Count, command, require_path
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.geometry import transform
@@ -296,7 +296,6 @@ class RealSenseArgs:
 
 
 def _show(asked: RealSenseArgs) -> None:
-    check_options(asked)
     require_path("--file", asked.file, "recording")
     with RealSense(asked.serial, asked.size, asked.rate, asked.distance, asked.file) as camera:
         print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm\n{camera.camera}")
@@ -308,7 +307,8 @@ def _show(asked: RealSenseArgs) -> None:
             print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")
 
 
-main = command(RealSenseArgs, _show, program="python -m i2t.hardware.realsense", about=__doc__)
+main = command(RealSenseArgs, _show, program="python -m i2t.hardware.realsense", description=__doc__)
+
 
 if __name__ == "__main__":
     sys.exit(main())

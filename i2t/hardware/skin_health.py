@@ -1,4 +1,4 @@
-"""Health of a skin at rest: dead, frozen and saturated chips, noise, steps, temperature; and whether it feels.
+"""Health of a skin at rest: dead, frozen and saturated chips, noise, steps; and whether it feels.
 
 A pure judgement of samples that a skin sent while it touched nothing, and of the change that a light press made. Each
 defect is one sentence that names chip and axis. What makes readings a lie stops a session (`stops`); what makes them
@@ -39,7 +39,6 @@ BLOCK = 8  # samples of a block, at least; ten blocks where there are more
 FROZEN_CHANCE = 1e-6
 CONVERTER_END_UT = (4915.0, 4915.0, 7930.0)  # least range of a converter, either way
 END_SHARE, CLIPPED_SHARE = 0.98, 0.3  # of that range; of the samples that are at the greatest value
-TEMPERATURE_RANGE_C, MAX_TEMPERATURE_GAP_C = (0.0, 60.0), 10.0  # of a lab's chips; from one chip to the others
 MIN_CHIP_SHARE = 0.5  # of the chips, that must answer
 LEAST_RESPONSE_UT = 4.0  # of a reading, to a press of the least force, also of a flat; noise alone is below
 LEAST_PRESS_N = 1.5
@@ -119,7 +118,6 @@ def check_skin(samples: Samples) -> SkinHealth:
         *_axis_defects(frozen, "stands still", at_rest, "check its cable and its solder, and reset the board"),
         *_noise_defects(heard),
         *_step_defects(by_chip, heard),
-        *_temperature_defects(temperature),
     ]
     span = float(samples.time[-1] - samples.time[0])
     rate = (len(reading) - 1) / span if span > 0 else float("nan")
@@ -238,21 +236,6 @@ def _step_defects(by_chip: Array, noise: np.ndarray) -> list[SkinDefect]:
         return [SkinDefect(f"the field of most chips made a step of {most:.0f} uT: something magnetic moved", False)]
     said = "chip {}'s {} made a step of {:.0f} uT at rest; check its cable and its solder"
     return [SkinDefect(said.format(i, "xyz"[axis], jumps[i, axis]), False) for i, axis in np.argwhere(stepped)]
-
-
-def _temperature_defects(temperature: np.ndarray) -> list[SkinDefect]:
-    (low, high), known = TEMPERATURE_RANGE_C, np.isfinite(temperature)
-    middle = float(np.median(temperature[known])) if known.any() else 0.0
-    defects = []
-    for chip in np.flatnonzero(known):
-        celsius = float(temperature[chip])
-        if not low <= celsius <= high:
-            said = f"chip {chip} says {celsius:.0f} C, outside {low:g} to {high:g}; let it warm or cool"
-            defects.append(SkinDefect(said, False))
-        elif abs(celsius - middle) > MAX_TEMPERATURE_GAP_C:
-            said = f"chip {chip} says {celsius:.0f} C where the others say {middle:.0f}; is it damaged?"
-            defects.append(SkinDefect(said, False))
-    return defects
 
 
 def _chips(numbers: tuple[int, ...]) -> str:

@@ -36,7 +36,7 @@ from i2t.cli import command
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
-from i2t.hardware.named_devices import named_arm
+from i2t.hardware.plugins import named_arm
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
@@ -250,8 +250,14 @@ def _touch_off(asked: TouchOffArgs) -> None:
         print(f"{asked.rig}: written")
 
 
-PROGRAM = "python -m i2t.hardware.touch_off"
-main = command(TouchOffArgs, _touch_off, program=PROGRAM, about=__doc__, interrupted="stopped; the rig is as it was")
+main = command(
+    TouchOffArgs,
+    _touch_off,
+    program="python -m i2t.hardware.touch_off",
+    description=__doc__,
+    interrupted="stopped; the rig is as it was",
+)
+
 
 if __name__ == "__main__":
     sys.exit(main())

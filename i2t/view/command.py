@@ -1,14 +1,13 @@
 """The command line of `python -m i2t.view`."""
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import tyro
 
-from i2t.cli import Count, check_options, exit_code_of, read_options, require_with, require_writable
+from i2t.cli import Count, command, require_with, require_writable
 from i2t.files import why_no_touches
 from i2t.objects.named import require_object
 
@@ -35,21 +34,7 @@ class ViewArgs:
     """Replace files that are there."""
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        args: Without the program's name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
-    asked = read_options(ViewArgs, args, program="python -m i2t.view")
-    return exit_code_of(lambda: _write(asked))
-
-
 def _write(asked: ViewArgs) -> None:
-    check_options(asked)
     require_with("--unit", asked.unit is not None, "--mesh", asked.mesh is not None)
     if asked.mesh is not None:
         require_object(asked.mesh, asked.unit, flag="--mesh")
@@ -76,3 +61,6 @@ def _write(asked: ViewArgs) -> None:
         print(missing, file=sys.stderr)
         return
     print(f"wrote {write_recording(contents, recording)}; look at it with: rerun {recording}")
+
+
+main = command(ViewArgs, _write, program="python -m i2t.view")

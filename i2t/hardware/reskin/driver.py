@@ -32,7 +32,7 @@ RATE_HZ = 400.0  # published
 BAUD_RATES = (115200, 921600, 460800, 230400, 57600, 9600)  # tried in this order; over USB any will do
 VENDORS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}  # that run the firmware
 READ_TIMEOUT_S = 0.05
-PORT_BUFFER_BYTES = 4000  # a Linux terminal holds 4095, so that a read this long may come after an overflow
+HEARD_BYTES = 4000  # of the last that came, by which a board without frames is judged
 FIRST_BYTE_S = 3.0  # that a board may need to start after its port is opened
 FIRST_FRAME_S = 1.5  # from its first byte to its first frame
 START_UP_S = 6.0  # that a board may send rubbish after it was reset, which opening its port may do
@@ -98,9 +98,8 @@ class ReSkin(DeviceBase):
         self._chips = chips
         self._queue: deque[StreamRow] = deque(maxlen=capacity)
         self._changed = threading.Condition()  # guards what the thread and the calls share
-        self._counters = SkinCounters()  # of earlier connections, and of the computer
+        self._counters = SkinCounters()  # of earlier connections
         self._decoder = Decoder()
-        self._newest_given = -1  # newest sample that `since` has handed out
         self._arrivals: deque[tuple[float, int]] = deque()  # (time, samples by then), the last second
         self._failure: DeviceError | None = NotConnectedError(
             f"{self._name} is not connected; call connect() or use with"
@@ -202,15 +201,9 @@ class ReSkin(DeviceBase):
             DeviceError: The skin is not connected or gone, and there are none.
         """
         with self._changed:
-            mark = int(number)
-            got = self._after(mark)
+            got = self._after(int(number))
             if not got:
                 self._check()
-                return self._samples(got)
-            if mark >= 0:
-                gone = max(0, got[0].number - max(mark, self._newest_given) - 1)
-                self._counters = self._counters._replace(overflowed=self._counters.overflowed + gone)
-            self._newest_given = max(self._newest_given, got[-1].number)
             return self._samples(got)
 
     # The thread, and what it shares with the calls above.
@@ -240,8 +233,6 @@ class ReSkin(DeviceBase):
     def _process(self, chunk: bytes, now: float) -> None:
         decoder, found = frames.decode(self._decoder, chunk)
         with self._changed:
-            late = len(chunk) >= PORT_BUFFER_BYTES
-            self._counters = self._counters._replace(stalls=self._counters.stalls + late)
             self._accept(decoder, found, now)
 
     def _accept(self, decoder: Decoder, found: list[Frame], now: float) -> None:
@@ -354,7 +345,7 @@ class ReSkin(DeviceBase):
             except Exception as error:
                 raise self._lost(error) from error
             end = time.monotonic() + FIRST_FRAME_S if chunk and not heard else end
-            heard = (heard + chunk)[-PORT_BUFFER_BYTES:]
+            heard = (heard + chunk)[-HEARD_BYTES:]
             candidates, found = frames.decode_any(candidates, chunk)
             if found:
                 return candidates[0], found, heard

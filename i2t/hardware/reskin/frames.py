@@ -1,19 +1,15 @@
 """Bytes of a board to frames: pure functions on whatever part of the stream has come.
 
-`i2t.hardware.reskin.layouts` says how frames look. The binary format has no header, counter or checksum, CR LF also
-occurs within its numbers (34.513 degrees is 98 0d 0a 42), and a byte may be changed or lost. So a *candidate* is
-a stretch of the right form whose values are plausible, and a candidate is a *frame* if
+`i2t.hardware.reskin.layouts` says how frames look. The binary format has no header, counter or checksum, and CR LF also
+occurs within its numbers (34.513 degrees is 98 0d 0a 42). So a *candidate* is a stretch of the right form whose values
+are plausible, and a candidate is a *frame* if
 
-    it lies within `MAX_JUMP_UT` of the last frame in every channel, or
-    its counter goes on from the last frame's by as many frames as their bytes are apart (`framed` alone), or
-    it begins a run of `RUN_LENGTH` adjoining candidates, each of which goes on from the one before it, and which no
-    other candidate overlaps.
+    it adjoins the last frame, or has a checksum and is not the first, or
+    it begins a run of `RUN_LENGTH` adjoining candidates which no other candidate overlaps.
 
-One candidate goes on from another if it is as near, or if so many channels jump at once that it is the field: damage
-changes few. Candidates are tried from the first byte after the last frame onwards, so a changed byte costs its own
-frame, a lost byte the frame it was in, and a field that changes fast or for good nothing. What may pass unseen is a
-changed value that lies within the jump; behind a checksum, two changes that cancel. What is decided depends on the
-stream alone, not on how it was cut into chunks.
+Candidates are tried from the first byte after the last frame onwards, so a lost byte costs the frame it was in. What
+may pass unseen is a changed value that is plausible, in a format without a checksum: USB has its own. What is decided
+depends on the stream alone, not on how it was cut into chunks.
 
 A chip that fails is missing (NaN). A frame in which every chip is missing is counted as empty and not delivered.
 """
@@ -37,11 +33,8 @@ from i2t.skin import boards
 
 TEMPERATURE_RANGE_C = (-40.0, 85.0)
 FIELD_RANGE_UT = (1e-5, 50e3)  # firmware that averages sends less than a step, but nothing below; the chip's end
-MAX_JUMP_UT, MAX_WARMING_K = 100.0, 2.0  # from one frame to the next
 RUN_LENGTH = 3  # candidates in a row that are believed without a frame before them
 MIN_TEMPERATURE_SIZE = 1e-3  # degrees; the step is 1/45 and does not begin at 0, so nothing but zero lies below
-COUNT_SLACK = 3  # frames that may be lost as a whole while the counter is still believed
-MAX_DAMAGED_VALUES = 2  # of a frame: a field moves more of them at once
 
 
 class Frame(NamedTuple):
@@ -57,7 +50,6 @@ class Decoder(NamedTuple):
 
     layout: FrameLayout = FrameLayout()
     rest: bytes = b""  # not decided yet
-    last: np.ndarray | None = None  # (chips, 4) t, x, y, z of the last frame, or of the last where a chip was there
     sequence: int | None = None  # of the last frame's counter
     samples: int = 0  # frames that were delivered
     empty: int = 0  # besides, those without any chip
@@ -125,7 +117,8 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
         if end is None:
             break
         values = _values(decoder.layout, data[begin:end])
-        certain = values is not None and _is_frame(decoder, values, data, begin, end)
+        adjoins = decoder.taken > 0 and (decoder.gap == 0 or decoder.layout.checked)
+        certain = values is not None and (adjoins or _begins_run(decoder.layout, data, begin, end))
         if certain is None:
             break
         if not certain or values is None:
@@ -164,40 +157,22 @@ def known_trouble(data: bytes, chips: int) -> str:
         if not _plausible(values[None]):
             said = ", ".join(f"{value:.4g}" for value in values)
             return f"frames come, but chip {chip} reads {said} (degrees, uT), which cannot be; check its soldering"
-    return "frames come, but they jump or fit two alignments; keep the skin still while it connects"
+    return "frames come, but never three in a row, or they fit two alignments; check its cable, and connect again"
 
 
-def _is_frame(decoder: Decoder, values: FrameValues, data: bytes, begin: int, end: int) -> bool | None:
-    """Test whether a candidate is a frame; None if more bytes must come."""
-    if decoder.last is not None and not _jumps(decoder.last, values.table):
-        return True
-    return _counts_on(decoder, values) or _begins_run(decoder, values, data, begin, end)
-
-
-def _counts_on(decoder: Decoder, values: FrameValues) -> bool:
-    """Test whether the counter rose since the last frame by as many frames as there are bytes between the two. A
-    candidate of which few values are far off does not count: then changed bytes have cancelled in the checksum.
-    """
-    if decoder.last is None or values.sequence is None or decoder.sequence is None:
-        return False
-    ahead = (values.sequence - decoder.sequence - 1 - round(decoder.gap / decoder.layout.size)) % COUNTS
-    return ahead <= COUNT_SLACK and _jumps(decoder.last, values.table) > MAX_DAMAGED_VALUES
-
-
-def _begins_run(decoder: Decoder, values: FrameValues, data: bytes, begin: int, end: int) -> bool | None:
+def _begins_run(layout: FrameLayout, data: bytes, begin: int, end: int) -> bool | None:
     """Test whether a run of candidates begins here that no other overlaps; None if more bytes must come."""
-    layout, stop = decoder.layout, end
+    stop = end
     for _ in range(RUN_LENGTH - 1):
         next_begin, next_end = window(layout, data, stop)
         if next_begin != stop:
             return False
         if next_end is None:
             return None
-        after = _values(layout, data[stop:next_end])
-        if after is None or 0 < _jumps(values.table, after.table) <= MAX_DAMAGED_VALUES:
+        if _values(layout, data[stop:next_end]) is None:
             return False
-        values, stop = after, next_end
-    return layout.form != Format.BINARY or not _has_rival(layout, data, begin, stop)  # others cannot overlap
+        stop = next_end
+    return layout.checked or not _has_rival(layout, data, begin, stop)  # those with a checksum cannot overlap
 
 
 def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int) -> bool:
@@ -212,23 +187,12 @@ def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int) -> bool:
     return False
 
 
-def _jumps(before: np.ndarray, after: np.ndarray) -> int:
-    """Number of fields that jump from one frame to another, of the channels that both have; 1 where a temperature
-    does, which no field explains.
-    """
-    change = np.abs(after - before)
-    if (change[:, 0] > MAX_WARMING_K).any():  # NaN is not
-        return 1
-    return int(np.sum(change[:, 1:] > MAX_JUMP_UT))
-
-
 def _with_frame(decoder: Decoder, values: FrameValues, size: int) -> tuple[Decoder, bool]:
     """Decoder after a frame of `size` bytes, and whether it holds any chip."""
     gone = np.isnan(values.table[:, 1:]).all(1)
     empty = bool(gone.all())
-    lost = 0 if decoder.last is None else _lost(decoder, values.sequence, size)
+    lost = _lost(decoder, values.sequence, size) if decoder.taken else 0
     return decoder._replace(
-        last=values.table if decoder.last is None else np.where(np.isnan(values.table), decoder.last, values.table),
         sequence=values.sequence,
         gaps=decoder.gaps + (lost > 0),
         lost=decoder.lost + lost,

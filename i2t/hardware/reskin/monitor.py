@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from i2t.cli import Count, Positive, check_options, command
+from i2t.cli import Count, Positive, command
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
@@ -72,8 +72,7 @@ def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]
     warmth = [f"  {celsius:7.1f}" if np.isfinite(celsius) else "" for celsius in shown.temperature[-1]]
     return [
         f"{counters.rate:6.1f} Hz  {counters.samples} samples  lost {counters.lost} ({100 * counters.loss:.2f} %)"
-        f" in {counters.gaps} gaps  {counters.skipped} stray bytes  {counters.empty} empty frames"
-        f"  late {counters.stalls}",
+        f" in {counters.gaps} gaps  {counters.skipped} stray bytes  {counters.empty} empty frames",
         "chip       x uT      y uT      z uT        C",
         *map("".join, zip(chips, warmth, strict=True)),
         f"change of all: {np.linalg.norm(change[np.isfinite(change)]):.1f} uT",
@@ -81,7 +80,6 @@ def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]
 
 
 def _run(asked: Options) -> None:
-    check_options(asked)
     if asked.list:
         boards = ReSkin().ports()
         print("\n".join(f"{board.port}  {board.usb}  {board.description}" for board in boards) or "none")

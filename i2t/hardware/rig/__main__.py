@@ -33,7 +33,8 @@ def _check(asked: RigArgs) -> int:
     return int(bool(doubts))
 
 
-main = command(RigArgs, _check, program="python -m i2t.hardware.rig", about=i2t.hardware.rig.__doc__ or "")
+main = command(RigArgs, _check, program="python -m i2t.hardware.rig", description=i2t.hardware.rig.__doc__)
+
 
 if __name__ == "__main__":
     sys.exit(main())
