@@ -57,9 +57,10 @@ def require_named(kind: DeviceKind, name: str, built_in: str = "", option: str |
     """
     if name not in built_in.split(", ") and not is_plugin(kind, name):
         known = ", ".join(sorted(each.name for each in entry_points(group=GROUPS[kind]))) or "none"
+        ours = f"one of {built_in}, " if built_in else ""
         raise ValueError(
-            f"{option or f'--{kind}'} {name} is not known; give {f'one of {built_in}, ' * bool(built_in)}a name that an "
-            f"installed package registers ({known}), or package.module:Class"
+            f"{option or f'--{kind}'} {name} is not known; give {ours}a name that an installed package registers "
+            f"({known}), or package.module:Class"
         )
 
 
