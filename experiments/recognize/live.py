@@ -15,7 +15,8 @@ the run stops and says so. It ends when the most probable object is wrong with a
 after --min-touches, or after --max-touches. A touch that meets air tells something too: it speaks against the objects
 that would have been met there. With --prior-unknown 0.1, say, it may be none of the objects, which is believed as far
 as surrogates, objects like them, explain the touches better. All touches are kept in OUT/touches as a data set, under
-the name of --truth, or "unknown": they can be recognised again (--dataset) once there is a mesh of it.
+the name of --truth, or "unknown": they can be recognised again (--dataset) with a mesh of that name among --objects,
+such as unknown.stl.
 """
 
 from collections.abc import Sequence

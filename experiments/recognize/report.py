@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.common.intervals import with_interval
-from experiments.common.runs import Part, load_part, save_part, write_json
+from experiments.common.runs import Part, write_json
 from experiments.recognize import figures
 from i2t import viz
 from i2t.objects.solids import Mesh
@@ -62,32 +62,22 @@ Results = dict[str, EpisodeResults]  # of one pad and seed, by set of objects
 # --- on disk ---
 
 
-def save(path: Path, results: Results) -> None:
-    """Write all sets of a seed, at once or not at all."""
-    about = json.dumps({name: each.names for name, each in results.items()})
-    sets = {name: _to_part(each) for name, each in results.items()}
-    save_part(path, {**sets, "about": about})
-
-
-def _to_part(each: EpisodeResults) -> Part:
-    part: Part = {
-        "truth": each.truth, "pad": each.pad, "pool": each.pool,
-        "beliefs": {method: p.astype(np.float32) for method, p in each.beliefs.items()},
-    }  # fmt: skip
-    if each.episodes is not None:
-        part |= {
-            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t,
-            "observations": each.episodes.observations._asdict(),
-        }  # fmt: skip
+def to_part(results: Results) -> Part:
+    """All sets of a seed as nested dicts of arrays."""
+    part: Part = {"about": json.dumps({name: each.names for name, each in results.items()})}
+    for name, (_, truth, beliefs, episodes, pad, pool) in results.items():
+        kept = {method: p.astype(np.float32) for method, p in beliefs.items()}
+        part[name] = {"truth": truth, "beliefs": kept, "pad": pad, "pool": pool}
+        if episodes is not None:
+            part[name] |= episodes._asdict() | {"observations": episodes.observations._asdict()}
     return part
 
 
-def load(path: Path) -> Results:
-    """Read what `save` wrote."""
-    sets = load_part(path)
+def from_part(part: Part) -> Results:
+    """What `to_part` was given."""
     results = {}
-    for name, names in json.loads(str(sets["about"])).items():
-        found, episodes = sets[name], None
+    for name, names in json.loads(str(part["about"])).items():
+        found, episodes = part[name], None
         if "observations" in found:
             observations = TouchObservation(**found["observations"])
             episodes = Episodes(found["truth"], found["site"], observations, found["T_w_t"])
@@ -313,19 +303,16 @@ def print_mean_over_objects(means: dict[str, Any]) -> None:
             print(_row(method, [_cell(estimate)]) + (f"   paper: {published:.2f}" if published else ""))
 
 
-def print_calibration(summary: dict[str, Any]) -> None:
-    """Print the calibration of the fused belief: stopping, and scores after each touch."""
+def print_stopping(summary: dict[str, Any]) -> None:
+    """Print how the fused belief stops when it is sure."""
     entry = summary["sets"].get("all", next(iter(summary["sets"].values())))
-    fused = entry["methods"]["fused"]
-    for stop in fused["stopping"]:
+    for stop in entry["methods"]["fused"]["stopping"]:
         print(
             f"stop at an error of {stop['requested_error']:.0%}: error {_cell(stop['error'])}, predicted "
             f"{stop['predicted_error']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
             f"{stop['stopped']['mean']:.0%} that stopped early error {_cell(stop['stopped_error'])}, predicted "
             f"{stop['stopped_predicted_error']:.3f}"
         )
-    for name in ("calibration_error", "log_loss"):
-        print(f"{name.replace('_', ' ')} after each touch: " + " ".join(f"{x:.3f}" for x in fused[name]))
 
 
 def _row(name: str, cells: Sequence[str]) -> str:
@@ -368,5 +355,5 @@ def write_figures(parts: Sequence[Results], out: Path, simulated: bool) -> None:
         if "fused" in first.beliefs:
             p, truth = pooled(parts, name, "fused")
             counts = metrics.confusion(p[:, -1], truth)
-            figure = figures.confusion(counts, first.names, f"Confusion, {name}", simulated)
+            figure = viz.plot_confusions({"fused": counts}, first.names, f"Confusion, {name}", simulated)
             viz.save_figure(figure, out / f"confusion_{name}.png")

@@ -342,7 +342,10 @@ def episodes_from_dataset(
     kinds = [recorded.objects[i] for i in made.object[rows[:, 0]]]
     unknown = sorted(set(kinds) - set(names))
     if unknown:
-        raise DataError(f"the data set has touches of {', '.join(unknown)}, of which there is no mesh; pass --objects")
+        raise DataError(
+            f"the data set has touches of {', '.join(unknown)}, and no object to tell apart is called so; pass a mesh "
+            f"of that name among --objects, such as {unknown[0]}.stl"
+        )
     T_o_t = inverse(made.T_w_o[rows]) @ made.T_w_t[rows]
     contact = made.code[rows] != ReturnCode.AIR
     advance = np.where(contact, 0.0, overtravel).astype(np.float32)

@@ -73,7 +73,10 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
     np.testing.assert_allclose(episodes.observations.advance[0], [0, OVERTRAVEL, 0])
     np.testing.assert_array_equal(episodes.observations.contact[0], [True, False, True])
     np.testing.assert_allclose(episodes.T_w_t[0, :, 2, 3], heights, atol=1e-8)
-    for names, count, said in ((["hexagon"], 1, "of which there is no mesh"), (["square"], 4, "no session has 4")):
+    for names, count, said in (
+        (["hexagon"], 1, "no object to tell apart is called so"),
+        (["square"], 4, "no session has 4"),
+    ):
         with pytest.raises(DataError, match=said):
             episodes_from_dataset(data, names, count)
 
