@@ -1,22 +1,22 @@
 """The options of `python -m experiments.studies`, without JAX, so that its help and its refusals are there at once."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
 from experiments.common.checks import chosen_runs
-from experiments.common.tasks import TaskOptions
+from experiments.common.options import ResumableOptions
 from experiments.recognize.arguments import PresetName
-from i2t.cli import Count, Seed
+from i2t.cli import Count
 from i2t.errors import require_extra
 
 StudyName = Literal["open_set", "new_pad", "sensitivity", "mismatch"]
 
 
 @dataclass(frozen=True)
-class StudyArgs:
+class StudyArgs(ResumableOptions):
     """Study recognition by touch."""
 
     study: tyro.conf.Positional[StudyName]
@@ -25,10 +25,6 @@ class StudyArgs:
     pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
     preset: PresetName = "paper"
     episodes: Count = 20  # of each object and setting, for each pad and seed
-    seed: Seed = 0
-    resume: bool = False  # go on with an unfinished study in --out
-    overwrite: bool = False  # replace a finished or unfinished one
-    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
 
     @property
     def debug(self) -> bool:

@@ -181,7 +181,19 @@ def with_press_errors(model: PadModel, error_std: float) -> PadModel:
         The pad model with a larger inflation of its errors.
     """
     own = float(np.mean(np.asarray(model.held_out_errors, np.float64) ** 2))
-    factor = np.sqrt(1 + error_std**2 / own)
+    return inflated(model, float(np.sqrt(1 + error_std**2 / own)))
+
+
+def inflated(model: PadModel, factor: float) -> PadModel:
+    """A pad model whose errors of readings are larger.
+
+    Args:
+        model: As fitted.
+        factor: By which its errors' standard deviation grows.
+
+    Returns:
+        The pad model with a larger inflation.
+    """
     likelihood = model.likelihood
     return model._replace(likelihood=likelihood._replace(inflation=likelihood.inflation * np.float32(factor)))
 
