@@ -93,7 +93,7 @@ def test_a_true_object_that_a_press_did_not_reach_is_not_punished():
         jacobian=jnp.zeros((2, 1, 6)), indentation=jnp.ones((2, 1, 2)) * 1e-4,
         reading=jnp.ones((2, 1, 2, CHANNELS)), variance=jnp.ones((2, 1, 2)) * 1e-3,
     )  # fmt: skip
-    begun = belief.init(belief.sample_particles(np.full(6, 1e-3), 1), 2, channels=CHANNELS)
+    begun = belief.init(belief.sample_particles(np.full(6, 1e-3), 1), 2)
     touch = jax.tree.map(lambda x: x[0, 0], episodes.observations)
     assert belief.posterior(jax.jit(belief.update)(begun, touch, predicted, LIKELIHOOD))[0] > 0.95
 
