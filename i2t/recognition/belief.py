@@ -69,18 +69,6 @@ class ScaleMixture(NamedTuple):
     std: Float[np.ndarray, " s"]  # m
     share: Float[np.ndarray, " s"]  # of each; they sum to 1
 
-    @classmethod
-    def normal(cls, std: float) -> "ScaleMixture":
-        """One normal distribution.
-
-        Args:
-            std: Its standard deviation (m).
-
-        Returns:
-            A mixture of that one.
-        """
-        return cls(np.array([std]), np.ones(1))
-
 
 @in_one_line
 class Likelihood(NamedTuple):
@@ -216,7 +204,8 @@ def fit_likelihood(
     factor = np.linalg.inv(np.linalg.cholesky(covariance))
     growth, rotation = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
     number = partial(jnp.asarray, dtype=jnp.float32)
-    position = position_std if isinstance(position_std, ScaleMixture) else ScaleMixture.normal(position_std)
+    mixed = isinstance(position_std, ScaleMixture)
+    std, share = position_std if mixed else ([position_std], [1.0])
     return Likelihood(
         whiten=number(rotation.T @ factor),
         growth=number(np.maximum(growth, 0)),
@@ -224,8 +213,8 @@ def fit_likelihood(
         overtravel=number(overtravel),
         dof=number(8.0),
         inflation=number(1.0),
-        position_std=number(position.std),
-        position_share=number(position.share),
+        position_std=number(std),
+        position_share=number(share),
         indentation_error=number(INDENTATION_ERROR),
         outlier_rate=number(OUTLIER_RATE),
         tactile_weight=number(1.0),

@@ -37,16 +37,17 @@ PARTS = [
 
 @pytest.fixture(scope="module")
 def scores() -> dict:
-    return report.score_set(PARTS, "primitives")
+    return report.score_set(report.pool_set(PARTS, "primitives"))
 
 
 def test_episodes_are_alike_by_pad_and_by_pool():
-    pad, pool = report.clusters_of(PARTS, "primitives")
+    episodes = report.pool_set(PARTS, "primitives")
+    pad, pool = episodes.clusters()
     assert len(pad) == len(pool) == 18
     assert pad.tolist() == [0] * 12 + [1] * 6  # two runs with one pad are one pad
     assert len(np.unique(pool)) == 9  # but their pools are not the same
     assert (pool[:2] == pool[0]).all()
-    *_, objects = report.clusters_of(PARTS, "primitives", objects=True)
+    *_, objects = episodes.clusters(episodes.truth)
     assert objects.tolist() == [0, 1] * 9
 
 

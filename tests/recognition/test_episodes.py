@@ -140,8 +140,8 @@ def test_methods_share_the_touches_that_both_make():
 
 
 def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
-    for kind, named in EVIDENCE.items():
-        one = weigh_evidence(LIKELIHOOD, named)
+    for kind in EVIDENCE:
+        one = weigh_evidence(LIKELIHOOD, kind)
         on = [bool(x > 0) for x in (one.tactile_weight, one.spatial_weight, one.presence_weight)]
         assert on == [kind == "fused" or name in kind for name in ("readings", "position", "presence")]
 
