@@ -266,18 +266,6 @@ def middle() -> tuple[Belief, TouchObservation, PredictedTouch]:
     return now, measured(reading, 0.9, -1e-3, True), outcome
 
 
-@pytest.mark.full
-def test_places_that_are_ruled_out_change_nothing(middle):
-    now, at, outcome = middle
-    half = now._replace(log_weight=now.log_weight.at[:, COUNT // 2 :].set(-jnp.inf))
-    strange = jax.tree.map(lambda x: x.at[:, COUNT // 2 :].set(jnp.zeros_like(x[0, 0])), outcome)
-    first, other = update(half, at, outcome, LIKE), update(half, at, strange, LIKE)
-    assert float(posterior(first).sum()) == pytest.approx(1, abs=1e-5)
-    np.testing.assert_allclose(posterior(first), posterior(other), rtol=1e-5)
-    means = [belief.twist_estimate(some, PLACES)[0] for some in (first, other)]
-    np.testing.assert_allclose(*means, atol=1e-9)
-
-
 def test_weights_leave_evidence_out_which_may_be_nan(middle):
     now, at, outcome = middle
 
