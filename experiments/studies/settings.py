@@ -103,7 +103,7 @@ def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
         "placement off half as far as stated": StudyWorld(errors=_placed(errors, 0.5)),
     }
     some = DEBUG_WORLDS if lab.args.debug else tuple(worlds)
-    return {name: Setting(worlds[name], WITH_READINGS) for name in some}
+    return {name: Setting(worlds[name], WITH_READINGS, lab.pad_model, errors) for name in some}
 
 
 def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
@@ -155,8 +155,8 @@ def new_pad(lab: StudyLab, key: Array) -> dict[str, Setting]:
         models[f"{n} presses"] = with_press_errors(lab.refit(key_model, pad=fitted.pad), error_std)
     models["the pad itself"] = lab.refit(jax.random.fold_in(key, 0), pad=pad)
     world = StudyWorld(pad=pad)
-    found = {name: Setting(world, WITH_PRESENCE, model) for name, model in models.items()}
-    return found | {"": Setting(world, ("position and presence",))}
+    found = {name: Setting(world, WITH_PRESENCE, model, lab.cfg.errors) for name, model in models.items()}
+    return found | {"": Setting(world, ("position and presence",), lab.pad_model, lab.cfg.errors)}
 
 
 def press_and_fit(key: Array, pad: Pad, n: int, board: Board) -> PadFit:

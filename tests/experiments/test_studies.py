@@ -105,7 +105,7 @@ def test_sensitivity_tells_the_belief_the_errors_and_mismatch_does_not():
     assert harder.world is fitted.world
     assert harder.world.limits.skin_change == 50
     assert fitted.model.r2 == 0.1
-    assert all(each.model is each.stated is None for each in blind.values())
+    assert all(each.model is some.pad_model and each.stated is some.cfg.errors for each in blind.values())
     twice = blind["placement off twice as far as stated"].world.errors
     assert twice.placement == 2 * some.cfg.errors.placement
     assert set(settings.mismatch(lab(), jax.random.key(0))) == set(settings.DEBUG_WORLDS)
