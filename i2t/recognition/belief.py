@@ -204,8 +204,8 @@ def fit_likelihood(
     factor = np.linalg.inv(np.linalg.cholesky(covariance))
     growth, rotation = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
     number = partial(jnp.asarray, dtype=jnp.float32)
-    mixed = isinstance(position_std, ScaleMixture)
-    std, share = position_std if mixed else ([position_std], [1.0])
+    if not isinstance(position_std, ScaleMixture):
+        position_std = ScaleMixture(np.array([position_std]), np.ones(1))
     return Likelihood(
         whiten=number(rotation.T @ factor),
         growth=number(np.maximum(growth, 0)),
@@ -213,8 +213,8 @@ def fit_likelihood(
         overtravel=number(overtravel),
         dof=number(8.0),
         inflation=number(1.0),
-        position_std=number(std),
-        position_share=number(share),
+        position_std=number(position_std.std),
+        position_share=number(position_std.share),
         indentation_error=number(INDENTATION_ERROR),
         outlier_rate=number(OUTLIER_RATE),
         tactile_weight=number(1.0),
