@@ -39,6 +39,7 @@ DEBUG_WORLDS = ("matched", "Winkler foundation", "meshes 3 % larger")
 
 REFITTED_UT = (50.0, 100.0)  # at which presses stop that a pad model is fitted to, too
 AMBIENT_EVERY = (5, 20)  # touches; an episode of ten has one in its first touch at 20
+FOLLOWED_DRIFT_UT = 20.0  # of the order of the earth's field (48 uT) on one axis while the tool turns between touches
 MIN_PLACEMENT_M, MIN_PLACEMENT_RAD = 0.02e-3, np.radians(0.02)  # spread of pose particles where poses are exact
 DEBUG_ERRORS = ("default", "stop at 50 uT", "stop at 50 uT, fitted there")
 
@@ -130,6 +131,11 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
         )
         world = StudyWorld(errors=each, limits=limits.get(name))
         found[name] = Setting(world, WITH_PRESENCE, noisier(lab, each), stated)
+    for every in AMBIENT_EVERY:
+        usual = found[f"ambient every {every} touches"]
+        following = lab.pad_model.likelihood._replace(drift_std=jnp.float32(FOLLOWED_DRIFT_UT))
+        model = lab.pad_model._replace(likelihood=following)
+        found[f"ambient every {every} touches, drift followed"] = usual._replace(model=model)
     for stop in REFITTED_UT[:1] if lab.args.debug else REFITTED_UT:
         name = f"stop at {stop:.0f} uT"
         model = lab.refit(jax.random.fold_in(key, int(stop)), limits=limits[name])

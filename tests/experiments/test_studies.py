@@ -105,6 +105,7 @@ def test_sensitivity_tells_the_belief_the_errors_and_mismatch_does_not():
     assert harder.world is fitted.world
     assert harder.world.limits.skin_change == 50
     assert fitted.model.r2 == 0.1
+    assert known["ambient every 5 touches, drift followed"].model.likelihood.drift_std == settings.FOLLOWED_DRIFT_UT
     assert all(each.model is some.pad_model and each.stated is some.cfg.errors for each in blind.values())
     twice = blind["placement off twice as far as stated"].world.errors
     assert twice.placement == 2 * some.cfg.errors.placement
