@@ -5,7 +5,7 @@ Most studies are a table of settings: in each, episodes are simulated in some wo
 (`evaluate_settings`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -46,7 +46,7 @@ SHARED_BY = 5  # episodes that touch the same sites: one with each of five objec
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # a world is that very one
 class StudyWorld:
     """What is other in a simulated world than in the lab."""
 
@@ -62,8 +62,8 @@ class Setting(NamedTuple):
 
     world: StudyWorld
     kinds: Sequence[str]  # of evidence that are counted
-    model: PadModel | None = None  # the run's unless given
-    stated: SimulationErrors | None = None  # whose placement the belief is told; the lab's unless given
+    model: PadModel
+    stated: SimulationErrors  # whose placement the belief is told
 
 
 @dataclass(frozen=True)
@@ -164,43 +164,35 @@ def evaluate_settings(lab: StudyLab, settings: Callable[[StudyLab, Array], Mappi
     truth, made = lab.truth(), settings(lab, key_settings)
     plan = lab.plan(key_sites, len(truth))
     found: Part = {"truth": truth, "pool": plan.pool}
-    worlds = list({id(each.world): each.world for each in made.values()}.values())
-    played: dict[int, Episodes] = {}
-    surfaces, tables = _surfaces_of(lab, worlds), _predicted(lab, plan, made)
+    played: dict[StudyWorld, Episodes] = {}
+    surfaces = _surfaces_of(lab, dict.fromkeys(each.world for each in made.values()))
+    tables = _predicted(lab, plan, made)
     for name, (world, kinds, model, stated) in made.items():
-        if id(world) not in played:
-            played[id(world)] = lab.simulate(
-                jax.random.clone(key_episodes), plan, truth, name, surfaces=surfaces[id(world)], world=world
-            )
-        likelihood, particles = (model or lab.pad_model).likelihood, lab.particles(stated)
-        beliefs = run_belief(tables[name], played[id(world)], likelihood, particles, kinds)
+        if world not in played:
+            key = jax.random.clone(key_episodes)
+            played[world] = lab.simulate(key, plan, truth, name, surfaces=surfaces[world], world=world)
+        beliefs = run_belief(tables[name], played[world], model.likelihood, lab.particles(stated), kinds)
         found |= {f"{kind}, {name}" if name else kind: p for kind, p in beliefs.items()}
     return found
 
 
 def _predicted(lab: StudyLab, plan: TouchPlan, settings: Mapping[str, Setting]) -> dict[str, PredictedTouch]:
     """Predicted touches of each setting: contacts are predicted once for each placement that is stated."""
-    told: dict[tuple[float, float], dict[int, list[str]]] = {}
-    for name, each in settings.items():
-        errors, model = each.stated or lab.cfg.errors, each.model or lab.pad_model
-        same = told.setdefault((errors.placement, errors.placement_angle), {})
-        same.setdefault(id(model.reading_model), []).append(name)
+    placements = {name: (each.stated.placement, each.stated.placement_angle) for name, each in settings.items()}
     found: dict[str, PredictedTouch] = {}
-    for groups in told.values():
-        first = [settings[names[0]] for names in groups.values()]
-        models = [(each.model or lab.pad_model).reading_model for each in first]
-        made = lab.predict(plan.sites, lab.particles(first[0].stated), models, ", ".join(n[0] for n in groups.values()))
-        for names, table in zip(groups.values(), made, strict=True):
-            found |= dict.fromkeys(names, table)
+    for placement in dict.fromkeys(placements.values()):
+        some = {name: each for name, each in settings.items() if placements[name] == placement}
+        models = {id(each.model.reading_model): each.model.reading_model for each in some.values()}
+        particles = lab.particles(next(iter(some.values())).stated)
+        made = lab.predict(plan.sites, particles, list(models.values()), ", ".join(some))
+        tables = dict(zip(models, made, strict=True))
+        found |= {name: tables[id(each.model.reading_model)] for name, each in some.items()}
     return found
 
 
-def _surfaces_of(lab: StudyLab, worlds: Sequence[StudyWorld]) -> dict[int, list[Surface]]:
+def _surfaces_of(lab: StudyLab, worlds: Iterable[StudyWorld]) -> dict[StudyWorld, list[Surface]]:
     """Surfaces of each world, those of other meshes prepared at once: they are of one size class, and compile once."""
-    meshes = list(meshes_by_name(lab.names).values())
-    others = [world for world in worlds if world.mesh is not None]
-    if not others:
-        return {id(world): lab.surfaces for world in worlds}
-    prepared = iter(prepare_surfaces([world.mesh(mesh) for world in others for mesh in meshes if world.mesh]))
-    found = {id(world): [next(prepared) for _ in meshes] for world in others}
-    return {id(world): lab.surfaces for world in worlds} | found
+    meshes, worlds = list(meshes_by_name(lab.names).values()), list(worlds)
+    others = [world.mesh(mesh) for world in worlds if world.mesh for mesh in meshes]
+    prepared = iter(prepare_surfaces(others) if others else [])
+    return {world: [next(prepared) for _ in meshes] if world.mesh else lab.surfaces for world in worlds}

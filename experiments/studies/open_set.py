@@ -16,7 +16,7 @@ import numpy as np
 
 from experiments.common.runs import Part
 from experiments.studies.lab import StudyLab
-from experiments.studies.report import clusters_of, make_table, touches_shown
+from experiments.studies.report import clusters_of, make_table
 from i2t.objects import Mesh, catalogue
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import posteriors
@@ -123,7 +123,7 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
         rows.append([f"{share:.0%}", *rates])
     last = p_unknown[:, -1]
     error = metrics.calibration_error(np.maximum(last, 1 - last), (last > 0.5) == unknown, NUM_BINS)
-    shown = [[str(t), estimate_at(area, t - 1)] for t in touches_shown(len(area.mean), AUROC_TOUCHES)]
+    shown = [[str(t), estimate_at(area, t - 1)] for t in sorted({min(t, len(area.mean)) for t in AUROC_TOUCHES})]
     head = ["share of unknown objects", "known objects named right", "unknown objects called unknown"]
     tables = {
         "auroc": make_table(["touches", "AUROC of the unknown class [95 %]"], shown),

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
 from experiments.common.runs import Part
 from i2t.recognition import metrics
 from i2t.recognition.intervals import MIN_CLUSTERS, estimate_at
@@ -35,22 +34,6 @@ def make_table(columns: Sequence[Any], rows: Sequence[Sequence[Any]]) -> dict[st
     }
 
 
-def print_tables(tables: dict[str, dict[str, Any]]) -> None:
-    """Print the tables of a study, a row on each line."""
-    for name, table in tables.items():
-        columns = [Column(**column) for column in table["columns"]]
-        print(f"\n{name}: " + " | ".join(column.name for column in columns))
-        for row in table["rows"]:
-            print("  " + " | ".join(_cell(value, column) for value, column in zip(row, columns, strict=True)))
-
-
-def _cell(value: Any, column: Column) -> str:
-    if isinstance(value, str):
-        return value
-    limits = (value["mean"], value["low"], value["high"]) if isinstance(value, dict) else (value, None, None)
-    return with_interval(*limits, digits=max(column.decimals, 2 * column.percent), sign="+" if column.signed else "")
-
-
 def clusters_of(parts: Sequence[Part], pads: Sequence[str], *, objects: str | None = None) -> list[np.ndarray]:
     """Clusters of the pooled episodes, for their intervals: by pad, by the draw of their sites where parts tell it, and
     with `objects`, a column's name, by the object that was there. Without them intervals are for these very objects.
@@ -76,11 +59,6 @@ def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
                 "delete its folder and run it again"
             )
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def touches_shown(touches: int, shown: Sequence[int]) -> list[int]:
-    """Numbers of touches that a table shows, of those that there are."""
-    return sorted({min(t, touches) for t in shown})
 
 
 def report_settings(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:

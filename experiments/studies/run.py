@@ -12,6 +12,7 @@ docs/recognition.md. Everything is simulated. Results go to --out: metrics.json,
 pad and seed (npz), where --resume goes on.
 """
 
+import json
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -26,10 +27,11 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, write_json
 from experiments.common.tasks import parts_of_runs
 from experiments.recognize.config import PRESETS
+from experiments.reproduce.tables import study_table
 from experiments.studies import open_set, settings
 from experiments.studies.arguments import StudyArgs
 from experiments.studies.lab import StudyLab, evaluate_settings, prepare_lab
-from experiments.studies.report import print_tables, report_settings
+from experiments.studies.report import report_settings
 
 
 class Study(NamedTuple):
@@ -60,7 +62,9 @@ def run(args: StudyArgs) -> dict[str, Any]:
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
     print(f"{args.study}, simulated, {len(parts)} runs of {', '.join(result['pads'])}:")
-    print_tables(result["tables"])
+    written = json.loads((out / "metrics.json").read_text())
+    for name in result["tables"]:
+        print(f"\n{name}:\n{study_table(name)(written)}")
     return result
 
 

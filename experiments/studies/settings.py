@@ -39,6 +39,7 @@ DEBUG_WORLDS = ("matched", "Winkler foundation", "meshes 3 % larger")
 
 REFITTED_UT = (50.0, 100.0)  # at which presses stop that a pad model is fitted to, too
 AMBIENT_EVERY = (5, 20)  # touches; an episode of ten has one in its first touch at 20
+FOLLOWED_DRIFT_UT = 20.0  # of the order of the earth's field (48 uT) on one axis while the tool turns between touches
 MIN_PLACEMENT_M, MIN_PLACEMENT_RAD = 0.02e-3, np.radians(0.02)  # spread of pose particles where poses are exact
 DEBUG_ERRORS = ("default", "stop at 50 uT", "stop at 50 uT, fitted there")
 
@@ -103,7 +104,7 @@ def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
         "placement off half as far as stated": StudyWorld(errors=_placed(errors, 0.5)),
     }
     some = DEBUG_WORLDS if lab.args.debug else tuple(worlds)
-    return {name: Setting(worlds[name], WITH_READINGS) for name in some}
+    return {name: Setting(worlds[name], WITH_READINGS, lab.pad_model, errors) for name in some}
 
 
 def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
@@ -130,6 +131,11 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
         )
         world = StudyWorld(errors=each, limits=limits.get(name))
         found[name] = Setting(world, WITH_PRESENCE, noisier(lab, each), stated)
+    for every in AMBIENT_EVERY:
+        usual = found[f"ambient every {every} touches"]
+        following = lab.pad_model.likelihood._replace(drift_std=jnp.float32(FOLLOWED_DRIFT_UT))
+        model = lab.pad_model._replace(likelihood=following)
+        found[f"ambient every {every} touches, drift followed"] = usual._replace(model=model)
     for stop in REFITTED_UT[:1] if lab.args.debug else REFITTED_UT:
         name = f"stop at {stop:.0f} uT"
         model = lab.refit(jax.random.fold_in(key, int(stop)), limits=limits[name])
@@ -155,8 +161,8 @@ def new_pad(lab: StudyLab, key: Array) -> dict[str, Setting]:
         models[f"{n} presses"] = with_press_errors(lab.refit(key_model, pad=fitted.pad), error_std)
     models["the pad itself"] = lab.refit(jax.random.fold_in(key, 0), pad=pad)
     world = StudyWorld(pad=pad)
-    found = {name: Setting(world, WITH_PRESENCE, model) for name, model in models.items()}
-    return found | {"": Setting(world, ("position and presence",))}
+    found = {name: Setting(world, WITH_PRESENCE, model, lab.cfg.errors) for name, model in models.items()}
+    return found | {"": Setting(world, ("position and presence",), lab.pad_model, lab.cfg.errors)}
 
 
 def press_and_fit(key: Array, pad: Pad, n: int, board: Board) -> PadFit:

@@ -390,7 +390,7 @@ def posteriors(
             now = belief.update(now, touched[1], element(table, touched[0]), likelihood)
             return now, belief.posterior(now)
 
-        return jax.lax.scan(step, belief.init(particles, table.hit.shape[1]), at)[1]
+        return jax.lax.scan(step, belief.init(particles, table.hit.shape[1], channels=table.reading.shape[-1]), at)[1]
 
     return map_batches(episode, (site, observations), batch_size=BELIEVED_EPISODES)
 

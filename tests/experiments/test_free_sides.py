@@ -78,12 +78,3 @@ def test_what_the_parities_are_made_of_is_what_they_make():
         middles = (np.arange(CELLS) + 0.5) / CELLS - 0.5
         np.testing.assert_allclose(weights @ middles * 20e-3, grid.centres, atol=1e-8)  # lines stay lines
         assert np.linalg.norm(weights, 2) ** 2 <= 1.5 * grid.cells / CELLS
-
-
-def test_quadratic_elements_hold_parabolas():
-    edges = np.array([-2.0, -1.2, 0.0])
-    nodes = np.array([-2.0, -1.6, -1.2, -0.6, 0.0])
-    places = np.array([-1.9, -1.2, -0.3])
-    value, slope = free_sides.quadratic(edges, places)
-    np.testing.assert_allclose(value @ nodes**2, places**2)
-    np.testing.assert_allclose(slope @ nodes**2, 2 * places)

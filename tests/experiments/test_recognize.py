@@ -3,7 +3,6 @@ which share what it compiles and the pad model that it fits.
 """
 
 import json
-from dataclasses import replace
 
 import jax
 import numpy as np
@@ -22,12 +21,7 @@ from experiments.reproduce.tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
 from experiments.train import __main__ as train
 from i2t import dataset
-from i2t.objects import catalogue
-from i2t.paper import network
-from i2t.recognition import metrics, site_pool
-from i2t.recognition.paper_rules import constant_predictor, reading_scorers
 from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
-from i2t.skin.pad import numbered_pad
 from i2t.types import ReturnCode
 
 pytestmark = pytest.mark.usefixtures("pad_models_fitted_once")
@@ -105,26 +99,6 @@ def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained
     monkeypatch.setattr(paper, "play_set", None)
     assert recognize.main([*args, "--resume"]) == 0
     assert (out / "metrics.json").read_text() == before
-
-
-@pytest.mark.full
-def test_a_network_trained_on_nothing_does_not_beat_a_constant_reading(trained_run):
-    """In the paper's loop on its tools: what it says of patches at random has nothing to do with what is felt."""
-    cfg = replace(PRESETS["debug"], paper_episodes=30, touches=5)
-    found = paper.load_paper_networks(trained_run)
-    (depth,) = found.networks.values()
-    drawn = network.init(jax.random.key(3), depth.model.cfg)
-    params = jax.tree.map(lambda x: x[None], drawn)
-    untrained = replace(depth, model=replace(depth.model, params=params))
-    surfaces = site_pool.prepare_surfaces([catalogue.make_object(name).mesh for name in cfg.tools])
-    predictors = {"untrained": untrained, "constant": constant_predictor(found.mean)}
-    results = paper.play_set(
-        jax.random.key(0), "tools", cfg.tools, surfaces=surfaces, pad=numbered_pad(0), cfg=cfg, label="pad 0, debug",
-        scorers=reading_scorers(predictors, surfaces, found.std),
-    )  # fmt: skip
-    right = {name: metrics.hits(p, results.truth).mean(1) for name, p in results.beliefs.items()}
-    better = right["untrained, votes"] - right["constant, votes"]
-    assert better.mean() < 2 * better.std() / np.sqrt(len(better))
 
 
 @pytest.mark.full

@@ -22,7 +22,6 @@ from i2t.recognition.episodes import (
     episodes_from_dataset,
     weigh_evidence,
 )
-from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.site_pool import SitePool
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.press import PressLimits
@@ -79,23 +78,6 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
     ):
         with pytest.raises(DataError, match=said):
             episodes_from_dataset(data, names, count)
-
-
-@pytest.mark.full
-def test_a_true_object_that_a_press_did_not_reach_is_not_punished():
-    """A press ended in the air 3 mm above the true object, and another object reaches 3 mm further up."""
-    data = recorded(np.array([TOP + 3e-3]), [ReturnCode.AIR])
-    sites, episodes = episodes_from_dataset(data, ["square"], 1, overtravel=OVERTRAVEL)
-    site_height = float(sites.T_w_t[0, 2, 3])
-    tops = np.array([TOP, TOP + 6e-3])
-    predicted = PredictedTouch(
-        hit=jnp.ones((2, 1), bool), approach_distance=jnp.float32(site_height - tops)[:, None],
-        jacobian=jnp.zeros((2, 1, 6)), indentation=jnp.ones((2, 1, 2)) * 1e-4,
-        reading=jnp.ones((2, 1, 2, CHANNELS)), variance=jnp.ones((2, 1, 2)) * 1e-3,
-    )  # fmt: skip
-    begun = belief.init(belief.sample_particles(np.full(6, 1e-3), 1), 2)
-    touch = jax.tree.map(lambda x: x[0, 0], episodes.observations)
-    assert belief.posterior(jax.jit(belief.update)(begun, touch, predicted, LIKELIHOOD))[0] > 0.95
 
 
 class CountingSimulator(EpisodeSimulator):
