@@ -19,11 +19,11 @@ from i2t.hardware.reskin.driver import BoardInfo, ReSkin
 from i2t.hardware.reskin.layouts import Format, encode
 
 PATIENCE = 20.0  # s that a loaded machine may need for what takes a moment
-REST = Readings(0.0, 0.0, None, 0).at(0.0)[0]  # uT, of an emulated board without noise
+REST = Readings(0.0, 0.0, 0).at(0.0)[0]  # uT, of an emulated board without noise
 
 
 def stream(count: int, seed: int = 0) -> list[bytes]:
-    board = Readings(1.0, 0.0, None, seed)
+    board = Readings(1.0, 0.0, seed)
     return [encode(*board.at(0.0)) for _ in range(count)]
 
 

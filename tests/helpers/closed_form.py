@@ -10,7 +10,6 @@ from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
-from i2t.emulators.room import RoomField
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import NotConnectedError
 from i2t.hardware.protocols import CameraFeatures, View
@@ -25,7 +24,6 @@ WALL = 1.7e9  # Unix time at which a test begins
 BOARD = boards.reskin_board()
 GAIN = np.linspace(-9, 12, BOARD.num_readings)  # uT/N
 DOWN = np.diag([1.0, -1.0, -1.0])
-ROOM = RoomField(iron_moment=(0.0, 0.0, 0.0))  # iron would change a reading by 0.03 uT in a press
 QUIET = SimulationErrors.none()
 NOISY = SimulationErrors.none().__class__(**{**vars(SimulationErrors.none()), "noise": Noise(), "force": 0.1})
 
@@ -79,7 +77,7 @@ def make(
     which saves the tests' time.
     """
     clock = clock or VirtualClock(WALL)
-    lab = SimulatedLab(SpringPlane(HEIGHT, stiffness, gain, errors, board, room=ROOM), clock, seed=seed)
+    lab = SimulatedLab(SpringPlane(HEIGHT, stiffness, gain, errors, board), clock, seed=seed)
     rig = rig or replace(Rig(), limits=replace(Rig().limits, stiffness=1e3))
     arm, skin, eye = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab), Eye(clock)
     for device in (arm, skin, eye):
