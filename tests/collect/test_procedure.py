@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers import closed_form
-from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, make, site
+from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, listed, make, site
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -37,11 +37,6 @@ class Memory:
 
     def abandon(self, reason):
         self.abandoned.append(reason)
-
-
-def listed(*sites):
-    """Chooses these sites."""
-    return lambda history: sites[len(history)] if len(history) < len(sites) else None
 
 
 def pressed(*sites, **options):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.closed_form import GAIN, HEIGHT, QUIET, make, names, site
+from helpers.closed_form import GAIN, HEIGHT, QUIET, listed, make, names, site
 
 from i2t import dataset
 from i2t.collect import command, recorder
@@ -60,7 +60,7 @@ def info_of(procedure):
 def touched(folder, procedure, count=1):
     """The last of some touches."""
     with Recorder(folder, info_of(procedure), procedure.clock) as recording:
-        made = list(procedure.run(lambda history: site(len(history)) if len(history) < count else None, recording))
+        made = list(procedure.run(listed(*map(site, range(count))), recording))
     return made[-1].touch
 
 
@@ -146,7 +146,7 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
         np.testing.assert_array_equal(packed.touches.reading, sets[1].touches.reading)
     procedure = make()
     with Recorder(tmp_path / "one", names(procedure), procedure.clock) as recording:
-        list(procedure.run(lambda history: None if history else site(0), recording))
+        list(procedure.run(listed(site(0)), recording))
     with pytest.raises(SkinChoiceError, match="has no skin 'left' but one skin without a name; leave out --skin-name"):
         dataset.load_dataset(tmp_path / "one", skin="left")
 

@@ -70,6 +70,11 @@ def site(number, x=0.0, y=0.0, height=HEIGHT, turned=DOWN):
     return Site(number, pose)
 
 
+def listed(*sites):
+    """Chooses these sites, one after the other."""
+    return lambda history: sites[len(history)] if len(history) < len(sites) else None
+
+
 def make(
     stiffness=10e3, gain=GAIN, errors=QUIET, settings=None, clock=None, latency=0.03, seed=0, board=BOARD, rig=None
 ):
