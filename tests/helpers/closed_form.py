@@ -12,6 +12,7 @@ from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import NotConnectedError
+from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.hardware.rig import Rig
 from i2t.simulation.touches import SimulationErrors
@@ -28,7 +29,7 @@ QUIET = SimulationErrors.none()
 NOISY = SimulationErrors.none().__class__(**{**vars(SimulationErrors.none()), "noise": Noise(), "force": 0.1})
 
 
-class Eye:
+class Eye(DeviceBase):
     """A camera that sees the plane."""
 
     camera = Camera(16, 12, 10.0, 10.0, 7.5, 5.5)
@@ -42,13 +43,6 @@ class Eye:
 
     def close(self):
         pass
-
-    def __enter__(self):
-        self.connect()
-        return self
-
-    def __exit__(self, *error):
-        self.close()
 
     def capture(self, timeout=2.0):
         if self.trouble is not None:
