@@ -76,25 +76,25 @@ def _of_a_run(args: ReadyModelsArgs, cfg: Any) -> dict[str, Any]:
     """Save the kept predictor, fit and save the pad model; their card."""
     import jax
 
+    from experiments.recognize.pad_sources import known_pad
     from experiments.recognize.trained_run import load_trained_run
     from i2t.prediction import predictor as predictors
-    from i2t.recognition.pad_model_files import KnownPad, PadOrigin, save_pad_model
+    from i2t.recognition.pad_model_files import save_pad_model
 
     folder = finished_runs(args.trained_run)[0]
     trained = load_trained_run(jax.random.key(args.seed), folder, cfg.errors, cfg.limits)
     metrics = json.loads((folder / METRICS).read_text())
     predictors.save(args.out / "predictor", trained.predictor)
     (args.out / "predictor" / ORBAX_NOTE).unlink(missing_ok=True)
-    dataset, rows = trained.dataset, trained.rows
-    names = tuple(dataset.objects[i] for i in np.unique(dataset.touches.object[rows]))
     made_from = f"experiments.train, pad {metrics['pad']}, seed {metrics['seed']}"
-    origin = PadOrigin(dataset.pads[0], dataset.source, names, int(rows.sum()), made_from)
-    save_pad_model(args.out / "pad_model.npz", KnownPad(trained.pad_model, dataset.board, origin))
+    known = known_pad(trained.pad_model, trained.dataset, trained.rows, made_from)
+    origin = known.origin
+    save_pad_model(args.out / "pad_model.npz", known)
     return {
-        "source": dataset.source,
-        "pad": dataset.pads[0],
+        "source": origin.source,
+        "pad": origin.pad,
         "made from": made_from,
-        "trained on": list(names),
+        "trained on": list(origin.objects),
         "tested on": sorted(metrics["by_object"]),
         "touches": metrics["counts"],
         "predictor": metrics["best"],

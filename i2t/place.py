@@ -18,14 +18,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from scipy.spatial.transform import Rotation
 
 from i2t.cli import command, require_path
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import read_view
 from i2t.hardware.plugins import REALSENSE, UR, ToolPose, named_camera, require_named
-from i2t.hardware.poses import pose_from_vector
+from i2t.hardware.poses import apart, pose_from_vector
 from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig
 from i2t.objects.named import read_object, require_object
@@ -99,12 +98,10 @@ def place(asked: PlaceArgs) -> str:
     T_c_o = inverse(T_w_c) @ T_w_o
     covariance = camera_covariance(found.covariance, T_c_o, 1e-3 * position_error, math.radians(angle_error))
     noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
-    change = inverse(rig.T_world_object) @ T_w_o
-    turn = math.degrees(Rotation.from_matrix(change[:3, :3]).magnitude())
+    shift, turn = apart(rig.T_world_object, T_w_o)
     fit = np.asarray(found.residual)[np.asarray(found.weight) > 0]
     lines = [
-        f"{asked.object} is {1e3 * np.linalg.norm(change[:3, 3]):.1f} mm and {turn:.1f} degrees from what {asked.rig} "
-        "says",
+        f"{asked.object} is {1e3 * shift:.1f} mm and {math.degrees(turn):.1f} degrees from what {asked.rig} says",
         f"noise leaves {_spread(noise)}, with the camera's own place {_spread(sigma)}; {len(fit)} points fit within "
         f"{1e3 * float(np.sqrt(np.mean(fit**2))):.2f} mm RMS",
     ]

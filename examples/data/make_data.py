@@ -23,14 +23,18 @@ RADIUS_MM, WALL_MM, HEIGHT_MM, SIDES = 26.0, 3.5, 60.0, 72  # of the mug
 TIP_RADIUS_MM, PRESSES, NOISE_UT = 4.0, 100, 1.0
 
 
+def bar(bends: list[tuple[float, float, float]]) -> Manifold:
+    """A bent round bar of 8 mm: balls, each joined to the next by the hull of the two (mm)."""
+    balls = [ball(4.0, bend) for bend in bends]
+    return Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)
+
+
 def mug() -> i2t.Mesh:
     """A mug that lies on z = 0 with its handle up: wall, rim and handle can be touched from above."""
     bends = [(24, 0, 48), (34, 0, 50), (41, 0, 42), (42, 0, 30), (39, 0, 20), (24, 0, 12)]
-    balls = [ball(4.0, bend) for bend in bends]  # the hull of each and the next is a bent round bar
-    handle = Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)
     outside = Manifold.cylinder(HEIGHT_MM, RADIUS_MM, circular_segments=SIDES)
     inside = Manifold.cylinder(HEIGHT_MM, RADIUS_MM - WALL_MM, circular_segments=SIDES).translate((0, 0, WALL_MM))
-    solid = (outside + handle - inside).simplify(0.05)
+    solid = (outside + bar(bends) - inside).simplify(0.05)
     lying = solid.rotate((0, -90, 0)).rotate((35, 0, 0))
     return mesh_from_solid(lying.translate((0, 0, -lying.bounding_box()[2])))
 

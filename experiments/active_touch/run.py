@@ -15,12 +15,12 @@ from typing import Any
 
 import jax
 import numpy as np
-from matplotlib import pyplot
 from matplotlib.figure import Figure
 
 from experiments.active_touch.arguments import PRESETS, ActiveTouchArgs, ActiveTouchSizes
 from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
+from experiments.recognize import figures
 from i2t import viz
 from i2t.environments.beliefs import with_beliefs
 from i2t.environments.core import EnvironmentConfig, EnvironmentParams, TouchEnvironment
@@ -88,12 +88,8 @@ def table(curves: dict[str, Estimate]) -> str:
 
 def draw_accuracy(curves: dict[str, Estimate]) -> Figure:
     """Accuracy after each touch under each policy, and APPLE's on its own benchmark."""
-    figure, axes = pyplot.subplots(figsize=(6.4, 4.2), layout="constrained")
-    for name, each in curves.items():
-        touches = np.arange(1, len(each.mean) + 1)
-        (line,) = axes.plot(touches, each.mean, label=name)
-        axes.fill_between(touches, each.low, each.high, color=line.get_color(), alpha=0.15, linewidth=0)
+    figure = figures.accuracy(curves, "Which object is it?", simulated=True)
+    axes = figure.axes[0]
     axes.plot(list(APPLE), list(APPLE.values()), "k:", marker=".", label="APPLE, another benchmark")
-    axes.set(xlabel="touches", ylabel="accuracy", ylim=(0, 1), title="Simulated: which object is it?")
     axes.legend(fontsize=8)
     return figure

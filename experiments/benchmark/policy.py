@@ -36,9 +36,7 @@ def policy(small: bool) -> Iterator[Contest]:
         errors, jnp.full(CHANNELS, 20.0), jnp.float32(LOADS_N),
         overtravel=PressLimits.overtravel, position_std=1e-4,
     )  # fmt: skip
-    start = belief.init(
-        belief.sample_particles(outcomes.placement_std(1e-3, np.radians(1)), particles), objects, channels=CHANNELS
-    )
+    start = belief.init(belief.sample_particles(outcomes.placement_std(1e-3, np.radians(1)), particles), objects)
     now = start._replace(log_weight=start.log_weight + jnp.float32(rng.normal(size=start.log_weight.shape)))
 
     @jax.jit

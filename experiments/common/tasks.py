@@ -8,12 +8,14 @@ of the cores; what a worker prints goes to a log next to the task's file. This m
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+from experiments.common.runs import Part, load_part, save_part
 from i2t.cli import Count
 from i2t.compile_cache import use_compile_cache
 from i2t.progress import progress
@@ -67,6 +69,38 @@ def tasks_here(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None =
         yield from progress(missing, desc=bar or "", disable=bar is None)
     else:
         _make(missing, min(options.workers, len(missing)))
+
+
+def parts_of_runs(
+    make: Callable[[Path, int], Part],
+    folders: Mapping[int, Path],
+    stem: Path,
+    *,
+    seed: int,
+    options: TaskOptions,
+) -> list[Part]:
+    """Make a part of every finished run, kept at once as `stem`-i.npz.
+
+    Args:
+        make: Makes a part from a run's folder and a seed; workers get it pickled.
+        folders: Of the runs, by the numbers i that their seeds and parts count by.
+        stem: Of the parts' files.
+        seed: Of run 0.
+        options: Who makes them.
+
+    Returns:
+        The parts, as `load_part` reads them.
+    """
+    tasks = []
+    for i, folder in folders.items():
+        path = stem.with_name(f"{stem.name}-{i}.npz")
+        tasks.append(Task(path.stem, path, partial(_keep_part, make, folder, seed + i, path)))
+    run_tasks(tasks, options)
+    return [load_part(task.finished) for task in tasks]
+
+
+def _keep_part(make: Callable[[Path, int], Part], folder: Path, seed: int, path: Path) -> None:
+    save_part(path, make(folder, seed))
 
 
 def _make(tasks: Sequence[Task], workers: int) -> None:

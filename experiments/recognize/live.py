@@ -15,11 +15,11 @@ the run stops and says so. It ends when the most probable object is wrong with a
 after --min-touches, or after --max-touches. A touch that meets air tells something too: it speaks against the objects
 that would have been met there. With --prior-unknown 0.1, say, it may be none of the objects, which is believed as far
 as surrogates, objects like them, explain the touches better. All touches are kept in OUT/touches as a data set, under
-the name of --truth, or "unknown": they can be recognised again (--dataset) once there is a mesh of it.
+the name of --truth, or "unknown": they can be recognised again (--dataset) with a mesh of that name among --objects,
+such as unknown.stl.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,6 @@ from i2t.errors import DeviceError
 from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
-from i2t.recognition.pad_model import PadModel
 from i2t.recognition.pad_model_files import KnownPad, require_skin
 from i2t.recognition.policy import NUM_CANDIDATES
 from i2t.recognition.recognizer import (
@@ -55,6 +54,12 @@ from i2t.recognition.recognizer import (
 from i2t.skin import boards
 from i2t.types import Board, ReturnCode
 from i2t.viz import EpisodeRecord, write_episode_report
+
+# Settings of the recogniser that have an option of the same name.
+CHOICES = (
+    "num_sites", "num_particles", "max_touches", "min_touches", "max_error_probability", "prior_unknown",
+    "num_surrogates", "seed",
+)  # fmt: skip
 
 
 def run(args: LiveArgs) -> dict[str, Any]:
@@ -71,18 +76,21 @@ def run(args: LiveArgs) -> dict[str, Any]:
     require_skin(source.skin, [args.worn], worn_board(args, source.skin.board), f"--skin {args.skin.kind}")
     known = source.make(key_fit)
     print(pad_sources.describe(known))
-    recognizer = make_recognizer(args, cfg, key_sites, pad_model=known.model, meshes=meshes, rig=rig)
+    recognizer = ObjectRecognizer(
+        key_sites, known.model, meshes, T_w_o=np.asarray(rig.T_world_object),
+        pose_prior=np.asarray(rig.object_covariance),
+        config=RecognizerConfig(**{name: getattr(args, name) for name in CHOICES}),
+    )  # fmt: skip
     recognizer.warm_up()  # before there is an arm, whose watchdog does not wait for a compiler
     live = LiveEpisode(recognizer, key_touches)
-    code = session.collect(
-        collect_args(args, cfg, meshes, None if args.real else true_object), live.choose, live.learn
-    )  # fmt: skip
+    standing = None if args.real else true_object
+    code = session.collect(collect_args(args, meshes, standing), live.choose, live.learn)
     if live.nothing_safe and not live.infos:
         raise ValueError(live.nothing_safe)
     if code or not live.infos:
         why = live.recognizer.stop_reason(live.state)
         raise ValueError(f"no touch was made, so nothing is known{f': {why}' if why else ''}")
-    return conclude(args, live, meshes, known, None if args.real else true_object)
+    return conclude(args, live, meshes, known, standing)
 
 
 def worn_board(args: LiveArgs, expected: Board) -> Board:
@@ -96,33 +104,7 @@ def worn_board(args: LiveArgs, expected: Board) -> Board:
     return boards.make_board(name) if skin.kind in ("reskin", "emulated") else expected
 
 
-def make_recognizer(
-    args: LiveArgs, cfg: Recognition, key: jax.Array, *, pad_model: PadModel, meshes: dict[str, Mesh], rig: Rig
-) -> ObjectRecognizer:
-    """The recogniser that the command line asks for."""
-    return ObjectRecognizer(
-        key,
-        pad_model,
-        meshes,
-        T_w_o=np.asarray(rig.T_world_object),
-        pose_prior=np.asarray(rig.object_covariance),
-        config=RecognizerConfig(
-            num_sites=args.num_sites,
-            num_particles=args.num_particles,
-            max_touches=args.max_touches,
-            min_touches=args.min_touches,
-            max_error_probability=args.max_error_probability,
-            prior_unknown=args.prior_unknown,
-            num_surrogates=args.num_surrogates,
-            skin_change=cfg.limits.skin_change,
-            overtravel=cfg.limits.overtravel,
-            site_limits=cfg.site_limits,
-            seed=args.seed,
-        ),
-    )
-
-
-def collect_args(args: LiveArgs, cfg: Recognition, meshes: dict[str, Mesh], true_object: str | None) -> CollectArgs:
+def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | None) -> CollectArgs:
     """Collection whose sites the recogniser chooses, with the object if simulated."""
     sources = {path.stem: str(path) for path in args.objects}
     # A real arm only needs to know how high things may be.
@@ -139,7 +121,7 @@ def collect_args(args: LiveArgs, cfg: Recognition, meshes: dict[str, Mesh], true
         name=args.truth or "unknown",
         pad_name=args.worn,
         skip_first_touch=True,  # nobody knows what stands there, so that it would contradict any mesh
-        settings=replace(TouchSettings(), skin_change=cfg.limits.skin_change, overtravel=cfg.limits.overtravel),
+        settings=TouchSettings(skin_change=RecognizerConfig.skin_change, overtravel=RecognizerConfig.overtravel),
     )
 
 

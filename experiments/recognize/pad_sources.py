@@ -25,7 +25,7 @@ from i2t.models import ready_path
 from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import pad_model_files
-from i2t.recognition.pad_model import fit_pad_model, with_press_errors
+from i2t.recognition.pad_model import PadModel, fit_pad_model, with_press_errors
 from i2t.recognition.pad_model_files import KnownPad, PadOrigin, SkinIdentity, load_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation import touches as simulation
@@ -137,9 +137,7 @@ def _of_run(folder: Path, cfg: Recognition, errors: SimulationErrors) -> PadSour
 
     def make(key: jax.Array) -> KnownPad:
         trained = trained_run.load_trained_run(key, folder, cfg.errors, cfg.limits)
-        names = tuple(dataset.objects[i] for i in np.unique(dataset.touches.object[trained.rows]))
-        origin = PadOrigin(dataset.pads[0], dataset.source, names, int(trained.rows.sum()), str(folder))
-        return KnownPad(trained.pad_model, dataset.board, origin)
+        return known_pad(trained.pad_model, dataset, trained.rows, str(folder))
 
     return PadSource(SkinIdentity(dataset.pads[0], dataset.board, str(folder)), make, predictor)
 
@@ -152,16 +150,15 @@ def _of_touches(
     predictor: Predictor | None,
 ) -> PadSource:
     """A pad model fitted to recorded touches."""
-    dataset, names = touches.dataset, list(touches.meshes)
-    pad = dataset.pads[int(dataset.touches.pad[0])]
+    dataset, rows = touches.dataset, np.ones(len(touches.dataset), bool)
 
     def make(key: jax.Array) -> KnownPad:
-        surfaces = dict(zip(names, prepare_surfaces(list(touches.meshes.values())), strict=True))
-        rows = np.ones(len(dataset), bool)
+        surfaces = dict(zip(touches.meshes, prepare_surfaces(list(touches.meshes.values())), strict=True))
         model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=cfg.limits)
-        return KnownPad(model, dataset.board, PadOrigin(pad, dataset.source, tuple(names), len(dataset), made_from))
+        return known_pad(model, dataset, rows, made_from)
 
-    return PadSource(SkinIdentity(pad, dataset.board, made_from), make, predictor)
+    skin = SkinIdentity(dataset.pads[int(dataset.touches.pad[0])], dataset.board, made_from)
+    return PadSource(skin, make, predictor)
 
 
 def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
@@ -184,7 +181,24 @@ def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
         rows = np.isfinite(dataset.touches.depth)
         known = dict(zip(names, surfaces, strict=True))
         model = fit_pad_model(key_fit, dataset, rows, known, errors=cfg.errors, limits=cfg.limits)
-        origin = PadOrigin(about.name, "simulated", names, int(rows.sum()), made_from)
-        return KnownPad(with_press_errors(model, about.error_std), dataset.board, origin)
+        return known_pad(with_press_errors(model, about.error_std), dataset, rows, made_from)
 
     return PadSource(SkinIdentity(about.name, pad.board, made_from), make, None)
+
+
+def known_pad(model: PadModel, dataset: Dataset, rows: np.ndarray, made_from: str) -> KnownPad:
+    """A pad model with its skin, and with the rows (n,) of touches of one pad that it was fitted to.
+
+    Args:
+        model: As fitted.
+        dataset: Of the touches.
+        rows: Of them, those that it was fitted to.
+        made_from: The run, data set or file.
+
+    Returns:
+        The pad model and its origin.
+    """
+    touches = dataset.touches
+    names = tuple(dataset.objects[i] for i in np.unique(touches.object[rows]))
+    pad = dataset.pads[int(touches.pad[rows][0])]
+    return KnownPad(model, dataset.board, PadOrigin(pad, dataset.source, names, int(rows.sum()), made_from))

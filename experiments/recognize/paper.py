@@ -27,9 +27,10 @@ import jax
 import numpy as np
 
 from experiments.common.checks import pad_name
-from experiments.common.tasks import Task, TaskOptions, run_tasks
+from experiments.common.runs import Part
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
+from experiments.recognize.plans import draw_pools
 from experiments.recognize.report import CONSTANT, IMAGINE2TOUCH, RULES_GP, EpisodeResults, Results
 from experiments.recognize.trained_run import meshes_by_name, read_simulated_run
 from i2t.files import slug
@@ -47,7 +48,7 @@ from i2t.recognition.paper_rules import (
     reading_scorers,
     run_loop,
 )
-from i2t.recognition.site_pool import prepare_surfaces, sample_pools
+from i2t.recognition.site_pool import prepare_surfaces
 from i2t.types import Pad, Surface, Touches
 from i2t.windows import PATCH_PIXELS
 
@@ -57,20 +58,20 @@ PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
 class PaperNetworks(NamedTuple):
     """The paper's networks of a finished run, and what their training readings were like."""
 
-    networks: dict[str, Predictor]  # by the rows' names
-    mean: np.ndarray  # (c,) uT, of the training readings
-    std: np.ndarray  # (c,) uT
-    epochs: int  # for which they were trained; the least of them
+    networks: dict[str, Predictor]  # by the rows' names; empty where the run trained none
+    mean: np.ndarray | None = None  # (c,) uT, of the training readings
+    std: np.ndarray | None = None  # (c,) uT
+    epochs: int | None = None  # for which they were trained; the least of them
 
 
-def load_paper_networks(folder: Path) -> PaperNetworks | None:
+def load_paper_networks(folder: Path) -> PaperNetworks:
     """The paper's networks of a finished run of `experiments.train`.
 
     Args:
         folder: Of the run.
 
     Returns:
-        The networks; None where the run trained none.
+        The networks.
     """
     found: dict[str, Predictor] = {}
     epochs = []
@@ -85,45 +86,41 @@ def load_paper_networks(folder: Path) -> PaperNetworks | None:
         found[row], norm = predictor, model.normalisation
         epochs.append((predictor.metadata or {})["epochs"])
     if not found:
-        return None
+        return PaperNetworks({})
     return PaperNetworks(found, np.asarray(norm.reading.mean), np.asarray(norm.reading.std), min(epochs))
 
 
-def missing_networks(folder: Path, found: PaperNetworks | None) -> str:
-    """One sentence about the rows that are left out, or are not what the paper's were; empty where none is."""
-    missing = [name for row, name in IMAGINE2TOUCH.items() if found is None or row not in found.networks]
+def rule_predictors(folder: Path, found: PaperNetworks, kept: Predictor, mean: np.ndarray) -> dict[str, Predictor]:
+    """Predictors to which the paper's rules are applied, by the names of their rows: the paper's networks, the one that
+    the run kept, and the mean reading (c,). Says which rows are left out, or are not what the paper's were.
+    """
+    missing = [name for row, name in IMAGINE2TOUCH.items() if row not in found.networks]
     if missing:
-        return f"{folder} holds no {' and no '.join(missing)}, so these rows of Imagine2touch are left out"
-    if found is not None and found.epochs < PAPER_EPOCHS:
-        return (
+        print(f"{folder} holds no {' and no '.join(missing)}, so these rows of Imagine2touch are left out")
+    elif found.epochs is not None and found.epochs < PAPER_EPOCHS:
+        print(
             f"the networks of {folder} were trained for {found.epochs} epochs; the defaults of experiments.train are "
             f"{PAPER_EPOCHS}"
         )
-    return ""
+    method = (kept.metadata or {}).get("method", "kept predictor")
+    row = RULES_GP if isinstance(kept.model, GPModel) else f"same rules, {method}"
+    return {**found.networks, row: kept, CONSTANT: constant_predictor(mean)}
 
 
-def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int, options: TaskOptions) -> dict[str, Any]:
-    """The paper's sets on every pad, then the tables over them.
+def report(out: Path, folders: Sequence[Path], parts: Sequence[Results]) -> dict[str, Any]:
+    """Tables over the pads, and the paper's last column.
 
     Args:
         out: Folder for everything that is made.
-        cfg: Objects, numbers and errors.
-        folders: Of finished runs.
-        seed: Of the first; the next ones count on.
-        options: Who plays them.
+        folders: Of the finished runs.
+        parts: What was believed with the pad of each.
 
     Returns:
         What is written to metrics.json.
     """
-    tasks = []
-    for i, folder in enumerate(folders):
-        path = out / f"loop-{i}.npz"
-        tasks.append(Task(path.stem, path, partial(play_part, cfg, folder, seed + i, path)))
-    run_tasks(tasks, options)
-    parts = [reporting.load(task.finished) for task in tasks]
     about: dict[str, Any] = {
         "method": "the paper's loop",
-        "epochs": [network_epochs(folder) for folder in folders],
+        "epochs": [load_paper_networks(folder).epochs for folder in folders],
         "mean of the sets": reporting.mean_over_objects(parts),
     }
     result = reporting.summarise(parts, out, "simulated", **about)
@@ -132,18 +129,7 @@ def run(out: Path, cfg: Recognition, folders: Sequence[Path], seed: int, options
     return result
 
 
-def network_epochs(folder: Path) -> int | None:
-    """Number of epochs for which the paper's networks of a run were trained."""
-    found = load_paper_networks(folder)
-    return None if found is None else found.epochs
-
-
-def play_part(cfg: Recognition, folder: Path, seed: int, path: Path) -> None:
-    """The paper's sets with the pad of one run, kept in `path`."""
-    reporting.save(path, play(cfg, folder, seed))
-
-
-def play(cfg: Recognition, folder: Path, seed: int) -> Results:
+def play(cfg: Recognition, folder: Path, seed: int) -> Part:
     """The paper's sets with the pad of one run.
 
     Args:
@@ -159,15 +145,12 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
     """
     _, predictor, pad = read_simulated_run(folder)
     found = load_paper_networks(folder)
-    if found is None:
-        raise ValueError(f"{missing_networks(folder, found)}; train them: python -m experiments.train --out {folder}")
-    if said := missing_networks(folder, found):
-        print(said)
-    predictors = {
-        **found.networks,
-        **kept_predictor(predictor),
-        CONSTANT: constant_predictor(found.mean),
-    }
+    if found.mean is None or found.std is None:
+        raise ValueError(
+            f"{folder} holds no {' and no '.join(IMAGINE2TOUCH.values())}; train them: python -m experiments.train "
+            f"--out {folder}"
+        )
+    predictors = rule_predictors(folder, found, predictor, found.mean)
     results: Results = {}
     names = {"primitives": cfg.primitives, "tools": cfg.tools}
     surfaces = iter(prepare_surfaces(list(meshes_by_name(cfg.objects).values())))  # compiled for once
@@ -175,23 +158,9 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Results:
         some = [next(surfaces) for _ in objects]
         key = jax.random.fold_in(jax.random.key(seed), i)
         scorers = reading_scorers(predictors, some, found.std) | {PROPRIOCEPTION: partial(contact_distances, some)}
-        results[name] = play_set(
-            key,
-            name,
-            objects,
-            surfaces=some,
-            scorers=scorers,
-            pad=pad,
-            cfg=cfg,
-            label=f"pad {pad_name(folder)}, {folder.name}",
-        )
-    return results
-
-
-def kept_predictor(predictor: Predictor) -> dict[str, Predictor]:
-    """The best predictor on predicted pressure of a run, or the one that it kept, by its row's name."""
-    method = (predictor.metadata or {}).get("method", "kept predictor")
-    return {RULES_GP if isinstance(predictor.model, GPModel) else f"same rules, {method}": predictor}
+        label = f"pad {pad_name(folder)}, {folder.name}"
+        results[name] = play_set(key, name, objects, surfaces=some, scorers=scorers, pad=pad, cfg=cfg, label=label)
+    return reporting.to_part(results)
 
 
 def play_set(
@@ -207,11 +176,8 @@ def play_set(
 ) -> EpisodeResults:
     """Episodes of every method with one set of objects: the same objects, places, errors and pools."""
     key_sites, key_world, key_choice = jax.random.split(key, 3)
-    episodes = cfg.paper_episodes * len(objects)
-    truth, pool = np.arange(episodes) % len(objects), np.arange(episodes) // cfg.pool_episodes
-    pools = sample_pools(
-        key_sites, surfaces, objects, pools=int(pool[-1]) + 1, each=cfg.pool_sites, limits=cfg.site_limits
-    )
+    truth = np.arange(cfg.paper_episodes * len(objects)) % len(objects)
+    pools, pool = draw_pools(key_sites, objects, surfaces, len(truth), cfg)
     config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
     shared: dict[TouchNumber, Touches] = {}
     believed: dict[str, np.ndarray] = {}

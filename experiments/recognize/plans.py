@@ -10,7 +10,7 @@ import numpy as np
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t.objects import Mesh
-from i2t.recognition.site_pool import TouchPlan, plan_informative_touches, plan_random_touches, sample_pools
+from i2t.recognition.site_pool import SitePools, TouchPlan, plan_informative_touches, plan_random_touches, sample_pools
 from i2t.types import Surface
 
 
@@ -55,8 +55,15 @@ def plan_touches(
             key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits, share=objects.share
         )
     key_pools, key_sites = jax.random.split(key)
-    pool = np.arange(episodes) // cfg.pool_episodes
-    pools = sample_pools(
-        key_pools, surfaces, objects.names, pools=int(pool[-1]) + 1, each=cfg.pool_sites, limits=cfg.site_limits
-    )
+    pools, pool = draw_pools(key_pools, objects.names, surfaces, episodes, cfg)
     return plan_informative_touches(key_sites, pools, pool, cfg.touches)
+
+
+def draw_pools(
+    key: jax.Array, names: Sequence[str], surfaces: Sequence[Surface], episodes: int, cfg: Recognition
+) -> tuple[SitePools, np.ndarray]:
+    """Pools of random sites for a few episodes each, and the number (e,) of each episode's pool."""
+    pool = np.arange(episodes) // cfg.pool_episodes
+    count = int(pool[-1]) + 1
+    pools = sample_pools(key, surfaces, names, pools=count, each=cfg.pool_sites, limits=cfg.site_limits)
+    return pools, pool

@@ -94,7 +94,7 @@ def candidate_meshes(args: SimulateArgs, recorded: Dataset) -> dict[str, Mesh]:
     if missing:
         raise DataError(
             f"{args.dataset} has touches of {', '.join(missing)}, of which there is no mesh; name all objects to tell "
-            "apart, for instance --objects star mug.stl --unit mm"
+            f"apart, with a mesh of that name among them, for instance --objects star {missing[0]}.stl --unit mm"
         )
     if len(recorded.objects) < 2:
         raise DataError(

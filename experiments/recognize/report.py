@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.common.intervals import with_interval
-from experiments.common.runs import Part, load_part, save_part, write_json
+from experiments.common.runs import Part, write_json
 from experiments.recognize import figures
 from i2t import viz
 from i2t.objects.solids import Mesh
@@ -62,32 +62,22 @@ Results = dict[str, EpisodeResults]  # of one pad and seed, by set of objects
 # --- on disk ---
 
 
-def save(path: Path, results: Results) -> None:
-    """Write all sets of a seed, at once or not at all."""
-    about = json.dumps({name: each.names for name, each in results.items()})
-    sets = {name: _to_part(each) for name, each in results.items()}
-    save_part(path, {**sets, "about": about})
-
-
-def _to_part(each: EpisodeResults) -> Part:
-    part: Part = {
-        "truth": each.truth, "pad": each.pad, "pool": each.pool,
-        "beliefs": {method: p.astype(np.float32) for method, p in each.beliefs.items()},
-    }  # fmt: skip
-    if each.episodes is not None:
-        part |= {
-            "site": each.episodes.site, "T_w_t": each.episodes.T_w_t,
-            "observations": each.episodes.observations._asdict(),
-        }  # fmt: skip
+def to_part(results: Results) -> Part:
+    """All sets of a seed as nested dicts of arrays."""
+    part: Part = {"about": json.dumps({name: each.names for name, each in results.items()})}
+    for name, (_, truth, beliefs, episodes, pad, pool) in results.items():
+        kept = {method: p.astype(np.float32) for method, p in beliefs.items()}
+        part[name] = {"truth": truth, "beliefs": kept, "pad": pad, "pool": pool}
+        if episodes is not None:
+            part[name] |= episodes._asdict() | {"observations": episodes.observations._asdict()}
     return part
 
 
-def load(path: Path) -> Results:
-    """Read what `save` wrote."""
-    sets = load_part(path)
+def from_part(part: Part) -> Results:
+    """What `to_part` was given."""
     results = {}
-    for name, names in json.loads(str(sets["about"])).items():
-        found, episodes = sets[name], None
+    for name, names in json.loads(str(part["about"])).items():
+        found, episodes = part[name], None
         if "observations" in found:
             observations = TouchObservation(**found["observations"])
             episodes = Episodes(found["truth"], found["site"], observations, found["T_w_t"])
@@ -100,23 +90,31 @@ def load(path: Path) -> Results:
 # --- what episodes have in common ---
 
 
-def pooled(parts: Sequence[Results], name: str, method: str) -> tuple[np.ndarray, np.ndarray]:
-    """Beliefs (e, t, objects) and truths (e,) of a set over all pads and seeds."""
-    p = np.concatenate([part[name].beliefs[method] for part in parts])
-    return p.astype(np.float64), np.concatenate([part[name].truth for part in parts])
+class PooledEpisodes(NamedTuple):
+    """Episodes with one set of objects over all pads and seeds."""
+
+    names: tuple[str, ...]
+    truth: np.ndarray  # (e,)
+    beliefs: dict[str, np.ndarray]  # (e, t, objects) by method, float64
+    pad: np.ndarray  # (e,) names
+    pool: np.ndarray  # (e,) names
+
+    def clusters(self, *more: np.ndarray) -> list[np.ndarray]:
+        """Clusters of the episodes: by pad, by pool of sites, and by more labels (e,), such as the object that was
+        there. Without that one intervals are for these very objects.
+        """
+        return [np.unique(label, return_inverse=True)[1] for label in (self.pad, self.pool, *more)]
 
 
-def clusters_of(parts: Sequence[Results], name: str, *, objects: bool = False) -> list[np.ndarray]:
-    """Clusters of the pooled episodes of a set: by pad, by pool of sites, and with `objects` by the object that was
-    there. Without them intervals are for these very objects.
-    """
-    labels = [
-        np.concatenate([np.full(len(part[name].truth), part[name].pad) for part in parts]),
-        np.concatenate([part[name].pool for part in parts]),
-    ]
-    if objects:
-        labels.append(np.concatenate([part[name].truth for part in parts]))
-    return [np.unique(label, return_inverse=True)[1] for label in labels]
+def pool_set(parts: Sequence[Results], name: str) -> PooledEpisodes:
+    """The episodes of a set, over all pads and seeds."""
+    sets = [part[name] for part in parts]
+    truth, pool = (np.concatenate([getattr(each, field) for each in sets]) for field in ("truth", "pool"))
+    beliefs = {
+        method: np.concatenate([each.beliefs[method] for each in sets]).astype(np.float64) for method in sets[0].beliefs
+    }
+    pad = np.repeat([each.pad for each in sets], [len(each.truth) for each in sets])
+    return PooledEpisodes(sets[0].names, truth, beliefs, pad, pool)
 
 
 def pads_of(parts: Sequence[Results], pools: str = "pools of sites") -> dict[str, Any]:
@@ -140,7 +138,8 @@ def calibrate(parts: Sequence[Results]) -> tuple[list[Results], dict[str, Temper
     methods = [method for method in next(iter(parts[0].values())).beliefs if method.split(", ")[0] in EVIDENCE]
     temperatures = dict.fromkeys(methods, TEMPERATURE_SCALING)
     if "validation" in parts[0]:
-        temperatures = {method: calibrated.fit_temperature(*pooled(parts, "validation", method)) for method in methods}
+        known = pool_set(parts, "validation")
+        temperatures = {m: calibrated.fit_temperature(known.beliefs[m], known.truth) for m in methods}
     return [{name: _scaled(each, temperatures) for name, each in part.items()} for part in parts], temperatures
 
 
@@ -161,43 +160,42 @@ def summarise(
     """Scores of every set over all pads, and what else there is to say about them, written to metrics.json with figures
     next to it.
     """
-    sets = {name: score_set(parts, name) for name in parts[0]}
-    summary = {"source": source, **pads_of(parts, pools), **about, "sets": sets}
+    sets = {name: pool_set(parts, name) for name in parts[0]}
+    scores = {name: score_set(episodes) for name, episodes in sets.items()}
+    for name, entry in scores.items():
+        played = [part[name].episodes for part in parts]
+        contacts = [np.mean(episodes.observations.contact) for episodes in played if episodes is not None]
+        if contacts:
+            entry["air"] = float(1 - np.mean(contacts))
+    summary = {"source": source, **pads_of(parts, pools), **about, "sets": scores}
     write_json(out / "metrics.json", summary)
-    write_figures(parts, out, source != "real")
+    for name, episodes in sets.items():
+        write_figures(name, episodes, out, source != "real")
     return summary
 
 
-def score_set(parts: Sequence[Results], name: str) -> dict[str, Any]:
+def score_set(episodes: PooledEpisodes) -> dict[str, Any]:
     """Scores of every method on one set of objects."""
-    first = parts[0][name]
-    clusters = clusters_of(parts, name)
-    scores: dict[str, Any] = {
-        "objects": list(first.names),
-        "episodes": sum(len(part[name].truth) for part in parts),
-        "pools": int(clusters[1].max()) + 1,
-        "methods": {method: score_method(parts, name, method) for method in first.beliefs},
-        "paired": compare_methods(parts, name),
+    return {
+        "objects": list(episodes.names),
+        "episodes": len(episodes.truth),
+        "pools": len(np.unique(episodes.pool)),
+        "methods": {method: score_method(episodes, method) for method in episodes.beliefs},
+        "paired": compare_methods(episodes),
     }
-    played = [part[name].episodes for part in parts]
-    contacts = [np.mean(episodes.observations.contact) for episodes in played if episodes is not None]
-    if contacts:
-        scores["air"] = float(1 - np.mean(contacts))
-    return scores
 
 
-def score_method(parts: Sequence[Results], name: str, method: str) -> dict[str, Any]:
+def score_method(episodes: PooledEpisodes, method: str) -> dict[str, Any]:
     """All scores of a method on a set; those of deciding when sure only where beliefs are probabilities."""
-    p, truth = pooled(parts, name, method)
-    clusters = clusters_of(parts, name)
+    p, truth, clusters = episodes.beliefs[method], episodes.truth, episodes.clusters()
     confidence, hit = metrics.confidence(p), metrics.hits(p, truth)
     errors = [metrics.calibration_error(confidence[:, t], hit[:, t], NUM_BINS) for t in range(p.shape[1])]
     scores = {
         "accuracy": to_json(metrics.accuracy(p, truth, clusters=clusters)),
         "mean": to_json(metrics.mean_accuracy(p, truth, clusters=clusters)),
         # The same for other objects, of which these are a sample: wide, as there are few.
-        "last_other_objects": to_json(rate_interval(hit[:, -1], clusters_of(parts, name, objects=True))),
-        "by_object": score_objects(parts[0][name].names, hit, truth, clusters),
+        "last_other_objects": to_json(rate_interval(hit[:, -1], episodes.clusters(truth))),
+        "by_object": score_objects(episodes.names, hit, truth, clusters),
         "calibration_error": [error.error for error in errors],
         "calibration_error_by_chance": [error.chance for error in errors],
         "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
@@ -221,15 +219,13 @@ def score_objects(
     return found
 
 
-def compare_methods(parts: Sequence[Results], name: str) -> dict[str, Any]:
+def compare_methods(episodes: PooledEpisodes) -> dict[str, Any]:
     """Differences between methods on the same episodes; none of a single one."""
     found: dict[str, Any] = {}
-    if sum(len(part[name].truth) for part in parts) < 2:
-        return found
     for one, other in COMPARED:
-        if {one, other} <= set(parts[0][name].beliefs):
-            hits = [metrics.hits(*pooled(parts, name, method)) for method in (one, other)]
-            difference = metrics.compare_paired(*hits, clusters=clusters_of(parts, name))
+        if {one, other} <= set(episodes.beliefs) and len(episodes.truth) > 1:
+            hits = [metrics.hits(episodes.beliefs[method], episodes.truth) for method in (one, other)]
+            difference = metrics.compare_paired(*hits, clusters=episodes.clusters())
             found[f"{one} - {other}"] = to_json(difference)
     return found
 
@@ -238,21 +234,16 @@ def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
     """Accuracy after the last touch over all objects of several sets, each decided among those of its set: the paper's
     last column. Sets of one pad are independent but for the pad.
     """
+    sets = [pool_set(parts, name) for name in parts[0]]
+    weight = np.concatenate([np.full(len(each.truth), len(each.names) / len(each.truth)) for each in sets])
+    clusters = [np.concatenate([each.pad for each in sets]), np.concatenate([each.pool for each in sets])]
     found = {}
-    for method in next(iter(parts[0].values())).beliefs:
-        hits, weights, pads, pools = [], [], [], []
-        for name, first in parts[0].items():
-            p, truth = pooled(parts, name, method)
-            hits.append(metrics.hits(p, truth)[:, -1])
-            weights.append(np.full(len(truth), len(first.names) / len(truth)))
-            pads += [np.full(len(part[name].truth), part[name].pad) for part in parts]
-            pools += [part[name].pool for part in parts]
-        hit, weight = np.concatenate(hits), np.concatenate(weights)
+    for method in sets[0].beliefs:
+        hit = np.concatenate([metrics.hits(each.beliefs[method], each.truth)[:, -1] for each in sets])
 
-        def share(count: np.ndarray, hit: np.ndarray = hit, weight: np.ndarray = weight) -> np.ndarray:
+        def share(count: np.ndarray, hit: np.ndarray = hit) -> np.ndarray:
             return np.asarray(np.sum(count * weight * hit) / np.sum(count * weight))
 
-        clusters = [np.concatenate(pads), np.concatenate(pools)]
         found[method] = to_json(bootstrap_clusters(share, clusters, len(hit)))
     return found
 
@@ -313,19 +304,16 @@ def print_mean_over_objects(means: dict[str, Any]) -> None:
             print(_row(method, [_cell(estimate)]) + (f"   paper: {published:.2f}" if published else ""))
 
 
-def print_calibration(summary: dict[str, Any]) -> None:
-    """Print the calibration of the fused belief: stopping, and scores after each touch."""
+def print_stopping(summary: dict[str, Any]) -> None:
+    """Print how the fused belief stops when it is sure."""
     entry = summary["sets"].get("all", next(iter(summary["sets"].values())))
-    fused = entry["methods"]["fused"]
-    for stop in fused["stopping"]:
+    for stop in entry["methods"]["fused"]["stopping"]:
         print(
             f"stop at an error of {stop['requested_error']:.0%}: error {_cell(stop['error'])}, predicted "
             f"{stop['predicted_error']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
             f"{stop['stopped']['mean']:.0%} that stopped early error {_cell(stop['stopped_error'])}, predicted "
             f"{stop['stopped_predicted_error']:.3f}"
         )
-    for name in ("calibration_error", "log_loss"):
-        print(f"{name.replace('_', ' ')} after each touch: " + " ".join(f"{x:.3f}" for x in fused[name]))
 
 
 def _row(name: str, cells: Sequence[str]) -> str:
@@ -355,18 +343,15 @@ def report_hardest_episode(
     viz.write_episode_report(record, out)
 
 
-def write_figures(parts: Sequence[Results], out: Path, simulated: bool) -> None:
-    """Accuracy and confusion of every set."""
-    for name, first in parts[0].items():
-        clusters = clusters_of(parts, name)
-        shown = {
-            method: metrics.accuracy(*pooled(parts, name, method), clusters=clusters)
-            for method in first.beliefs
-            if method in EVIDENCE or method.endswith(", votes")
-        }
-        viz.save_figure(figures.accuracy(shown, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
-        if "fused" in first.beliefs:
-            p, truth = pooled(parts, name, "fused")
-            counts = metrics.confusion(p[:, -1], truth)
-            figure = figures.confusion(counts, first.names, f"Confusion, {name}", simulated)
-            viz.save_figure(figure, out / f"confusion_{name}.png")
+def write_figures(name: str, episodes: PooledEpisodes, out: Path, simulated: bool) -> None:
+    """Accuracy and confusion of a set."""
+    shown = {
+        method: metrics.accuracy(p, episodes.truth, clusters=episodes.clusters())
+        for method, p in episodes.beliefs.items()
+        if method in EVIDENCE or method.endswith(", votes")
+    }
+    viz.save_figure(figures.accuracy(shown, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
+    if "fused" in episodes.beliefs:
+        counts = {"fused": metrics.confusion(episodes.beliefs["fused"][:, -1], episodes.truth)}
+        figure = viz.plot_confusions(counts, episodes.names, f"Confusion, {name}", simulated)
+        viz.save_figure(figure, out / f"confusion_{name}.png")

@@ -34,14 +34,13 @@ import numpy as np
 
 from experiments.common.checks import chosen_runs, pad_name
 from experiments.common.presets import choose_preset
-from experiments.common.runs import begin
-from experiments.common.tasks import Task, run_tasks
+from experiments.common.runs import Part, begin
+from experiments.common.tasks import parts_of_runs
 from experiments.recognize import paper, recorded, trained_run
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.plans import ObjectSet, object_groups, plan_touches
-from experiments.recognize.report import CONSTANT
 from experiments.recognize.trained_run import TrainedRun, load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t.prediction.predictor import Predictor
@@ -49,7 +48,7 @@ from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
 from i2t.recognition.metrics import to_json
 from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
-from i2t.recognition.paper_rules import constant_predictor, paper_rules
+from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
 from i2t.types import Board, Surface
 
@@ -74,20 +73,15 @@ def run(args: SimulateArgs) -> dict[str, Any]:
         return recorded.run(args, cfg)
     folders = chosen_runs(args.trained_run, args.pads)
     begin(args.out, args, cfg, args.resume, args.overwrite)
-    if args.method == "paper":
-        return paper.run(args.out, cfg, folders, args.seed, args.tasks)
-    tasks = []
-    for i, folder in enumerate(folders):
-        path = args.out / f"episodes-{i}.npz"
-        tasks.append(Task(path.stem, path, partial(play_part, args, cfg, folder, args.seed + i, path)))
-    run_tasks(tasks, args.tasks)
+    by_paper = args.method == "paper"
+    play_run = partial(paper.play, cfg) if by_paper else partial(play, args, cfg)
+    stem = args.out / ("loop" if by_paper else "episodes")
+    made = parts_of_runs(play_run, dict(enumerate(folders)), stem, seed=args.seed, options=args.tasks)
+    parts = [reporting.from_part(part) for part in made]
+    if by_paper:
+        return paper.report(args.out, folders, parts)
     touched = data.load_dataset(folders[0] / "data.h5")
-    return report(args, [reporting.load(task.finished) for task in tasks], touched.source, touched.board)
-
-
-def play_part(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int, path: Path) -> None:
-    """All sets of one pad and seed, kept in `path`."""
-    reporting.save(path, play(args, cfg, folder, seed))
+    return report(args, parts, touched.source, touched.board)
 
 
 def configure(args: SimulateArgs) -> Recognition:
@@ -108,11 +102,11 @@ def report(args: SimulateArgs, parts: list[reporting.Results], source: str, boar
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
     reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source, board)
     reporting.print_tables(result)
-    reporting.print_calibration(result)
+    reporting.print_stopping(result)
     return result
 
 
-def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> reporting.Results:
+def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> Part:
     """All sets of one pad and seed."""
     key_fit, key_groups = jax.random.split(jax.random.key(seed))
     trained = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)
@@ -123,7 +117,9 @@ def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> repor
     )
     done: reporting.Results = {}
     particles = pose_particles(cfg.errors, cfg.num_particles, seed)
-    world = EpisodeWorld(cfg, trained, oracle, rule_predictors(folder, trained), particles, folder)
+    mean = trained.dataset.touches.reading[trained.rows].mean(0)
+    predictors = paper.rule_predictors(folder, paper.load_paper_networks(folder), trained.predictor, mean)
+    world = EpisodeWorld(cfg, trained, oracle, predictors, particles, folder)
     groups = object_groups(args.objects, args.unit, cfg)
     prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
     for i, (meshes, sets) in enumerate(groups):
@@ -131,17 +127,7 @@ def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> repor
         for j, (name, objects) in enumerate(sets.items()):
             key = jax.random.fold_in(jax.random.fold_in(key_groups, i), j)
             done[name] = play_set(key, name, objects, surfaces=[surfaces[one] for one in objects.names], world=world)
-    return done
-
-
-def rule_predictors(folder: Path, trained: TrainedRun) -> dict[str, Predictor]:
-    """Predictors to which the paper's rules are applied, by the names of their rows; says what is missing."""
-    found = paper.load_paper_networks(folder)
-    if said := paper.missing_networks(folder, found):
-        print(said)
-    networks = {} if found is None else found.networks
-    mean = trained.dataset.touches.reading[trained.rows].mean(0)
-    return {**networks, **paper.kept_predictor(trained.predictor), CONSTANT: constant_predictor(mean)}
+    return reporting.to_part(done)
 
 
 def play_set(

@@ -48,12 +48,12 @@ FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 
 @dataclass(frozen=True)
 class StudyWorld:
-    """Differences of a simulated world from the lab's."""
+    """What is other in a simulated world than in the lab."""
 
-    pad: Callable[[Pad], Pad] = lambda pad: pad
+    pad: Pad | None = None
     mesh: Callable[[Mesh], Mesh] | None = None
-    errors: Callable[[SimulationErrors], SimulationErrors] = lambda errors: errors
-    limits: Callable[[PressLimits], PressLimits] = lambda limits: limits
+    errors: SimulationErrors | None = None
+    limits: PressLimits | None = None
     law: Callable[[Pad], PressLaw] = lambda _: press_pad
 
 
@@ -118,10 +118,12 @@ class StudyLab:
         world: StudyWorld = StudyWorld(),
     ) -> Episodes:
         """Simulated episodes; surfaces, of which `truth` says which is there, and world are the lab's unless given."""
-        pad = world.pad(self.run.pad)
-        config = EpisodeConfig(
-            world.errors(self.cfg.errors), world.limits(self.cfg.limits), plan.chosen.shape[1], law=world.law(pad)
+        pad, errors, limits = (
+            world.pad or self.run.pad,
+            world.errors or self.cfg.errors,
+            world.limits or self.cfg.limits,
         )
+        config = EpisodeConfig(errors, limits, plan.chosen.shape[1], law=world.law(pad))
         return run_episodes(
             key, surfaces or self.surfaces, truth, plan.chosen,
             sites=plan.sites, pad=pad, config=config, label=label,

@@ -23,8 +23,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.checks import chosen_runs, finished_runs, pad_name
 from experiments.common.presets import choose_preset
-from experiments.common.runs import Part, begin, load_part, save_part, write_json
-from experiments.common.tasks import Task, run_tasks
+from experiments.common.runs import Part, begin, write_json
+from experiments.common.tasks import parts_of_runs
 from experiments.recognize.config import PRESETS
 from experiments.studies import open_set, settings
 from experiments.studies.arguments import StudyArgs
@@ -51,16 +51,11 @@ def run(args: StudyArgs) -> dict[str, Any]:
     """A study on every pad and seed, pooled."""
     out = args.folder
     begin(out, args, choose_preset(PRESETS, args.preset), args.resume, args.overwrite)
-    numbers = {folder: i for i, folder in enumerate(finished_runs(args.trained_run))}
-    folders = chosen_runs(args.trained_run, args.pads)
-    tasks = []
-    for folder in folders:
-        i = numbers[folder]  # among all of the study's: a pad's episodes are the same whichever others are chosen
-        path = out / f"part-{i}.npz"
-        tasks.append(Task(path.stem, path, partial(make_part, args, folder, args.seed + i, path)))
-    run_tasks(tasks, args.tasks)
-    parts = [load_part(task.finished) for task in tasks]
-    pads = [pad_name(folder) for folder in folders]
+    chosen = chosen_runs(args.trained_run, args.pads)
+    # Numbers are among all of the study's: a pad's episodes are the same whichever others are chosen.
+    folders = {i: folder for i, folder in enumerate(finished_runs(args.trained_run)) if folder in chosen}
+    parts = parts_of_runs(partial(make_part, args), folders, out / "part", seed=args.seed, options=args.tasks)
+    pads = [pad_name(folder) for folder in folders.values()]
     found = STUDIES[args.study].report(parts, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
@@ -69,6 +64,6 @@ def run(args: StudyArgs) -> dict[str, Any]:
     return result
 
 
-def make_part(args: StudyArgs, folder: Path, seed: int, path: Path) -> None:
-    """The study on one pad and seed, kept in `path`."""
-    save_part(path, STUDIES[args.study].evaluate(prepare_lab(args, folder, seed)))
+def make_part(args: StudyArgs, folder: Path, seed: int) -> Part:
+    """The study on one pad and seed."""
+    return STUDIES[args.study].evaluate(prepare_lab(args, folder, seed))

@@ -7,10 +7,9 @@ new_pad      a pad that was never recorded is pressed with a known ball, and a p
              more as the pad is off presses left out.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,16 +22,13 @@ from experiments.studies.winkler import winkler_press
 from i2t.calibration.physics import PadFit, Presses, RoundTip, fit_pad
 from i2t.geometry import from_twist
 from i2t.objects import Mesh
-from i2t.recognition.pad_model import PadModel, with_press_errors
-from i2t.simulation.press import PressLimits
+from i2t.recognition.pad_model import PadModel, inflated, with_press_errors
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import GRID
 from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import press_force, sample_pad
 from i2t.types import Board, Pad
 from i2t.windows import TWIST_LEVER_M
-
-Value = TypeVar("Value")
 
 WITH_READINGS = ("fused", "readings")
 WITH_PRESENCE = ("fused", "readings and presence")
@@ -43,7 +39,6 @@ DEBUG_WORLDS = ("matched", "Winkler foundation", "meshes 3 % larger")
 
 REFITTED_UT = (50.0, 100.0)  # at which presses stop that a pad model is fitted to, too
 AMBIENT_EVERY = (5, 20)  # touches; an episode of ten has one in its first touch at 20
-FOLLOWED_DRIFT_UT = 20.0  # of the order of the earth's field (48 uT) on one axis while the tool turns between touches
 MIN_PLACEMENT_M, MIN_PLACEMENT_RAD = 0.02e-3, np.radians(0.02)  # spread of pose particles where poses are exact
 DEBUG_ERRORS = ("default", "stop at 50 uT", "stop at 50 uT, fitted there")
 
@@ -54,20 +49,9 @@ PRESS_HALF_WIDTH_M = 8e-3
 PRESS_FORCES_N = (0.2, 1.0)
 FORCE_NOISE_N = 0.02
 
-# --- changes of a world ---
 
-
-def _always(value: Value) -> Callable[[Value], Value]:
-    """The change into one value, whatever was before."""
-    return lambda _: value
-
-
-def _placed(errors: SimulationErrors, size: float) -> SimulationErrors:
-    """Errors with another one of placement, in mm and degrees."""
-    return replace(errors, placement=size * 1e-3, placement_angle=np.radians(size))
-
-
-def _misplaced(errors: SimulationErrors, factor: float) -> SimulationErrors:
+def _placed(errors: SimulationErrors, factor: float) -> SimulationErrors:
+    """Errors of placement larger by a factor."""
     return replace(errors, placement=factor * errors.placement, placement_angle=factor * errors.placement_angle)
 
 
@@ -83,57 +67,40 @@ def _noiseless(errors: SimulationErrors) -> SimulationErrors:
     )  # fmt: skip
 
 
-def _stiffer(limits: PressLimits, factor: float) -> PressLimits:
-    return replace(limits, stiffness=factor * limits.stiffness)
-
-
 def _scaled(mesh: Mesh, factor: float) -> Mesh:
     return mesh._replace(vertices=np.asarray(mesh.vertices) * factor)
 
 
-def _shifted(mesh: Mesh, twist: np.ndarray) -> Mesh:
-    T = np.asarray(from_twist(jnp.float32(twist)), float)
+def _shifted(mesh: Mesh) -> Mesh:
+    T = np.asarray(from_twist(jnp.float32(CAMERA_BIAS)), float)
     return mesh._replace(vertices=np.asarray(mesh.vertices) @ T[:3, :3].T + T[:3, 3])
-
-
-def _remounted(pad: Pad) -> Pad:
-    board = Board(jnp.asarray(pad.board.chips) + jnp.asarray(REMOUNTED_M, jnp.float32)[None], pad.board.rotations)
-    return pad._replace(board=board)
-
-
-def _soft(pad: Pad) -> Pad:
-    return pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))
-
-
-def _worn(pad: Pad) -> Pad:
-    return pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization)
-
-
-# --- settings ---
 
 
 def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
     """Worlds of which the belief knows nothing, but for the first."""
+    errors, limits, pad = lab.cfg.errors, lab.cfg.limits, lab.run.pad
+    chips = jnp.asarray(pad.board.chips) + jnp.asarray(REMOUNTED_M, jnp.float32)[None]
+    worn = pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization)
     worlds = {
         "matched": StudyWorld(),
         "Winkler foundation": StudyWorld(law=lambda _: winkler_press),
         "free side faces": StudyWorld(law=free_sides.press_law),
-        "soft compressible layer": StudyWorld(pad=_soft),
-        "worn pad": StudyWorld(pad=_worn, errors=partial(_faulty, relaxation=0.15)),
-        "chip remembers twice as much": StudyWorld(errors=partial(_faulty, hysteresis=0.6)),
-        "ambient once, before the episode": StudyWorld(errors=partial(_faulty, ambient_every=0)),
-        "arm twice as stiff": StudyWorld(limits=partial(_stiffer, factor=2)),
-        "arm half as stiff": StudyWorld(limits=partial(_stiffer, factor=0.5)),
+        "soft compressible layer": StudyWorld(pad=pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))),
+        "worn pad": StudyWorld(pad=worn, errors=_faulty(errors, relaxation=0.15)),
+        "chip remembers twice as much": StudyWorld(errors=_faulty(errors, hysteresis=0.6)),
+        "ambient once, before the episode": StudyWorld(errors=_faulty(errors, ambient_every=0)),
+        "arm twice as stiff": StudyWorld(limits=replace(limits, stiffness=2 * limits.stiffness)),
+        "arm half as stiff": StudyWorld(limits=replace(limits, stiffness=0.5 * limits.stiffness)),
         **{
             f"meshes {abs(percent)} % {'larger' if percent > 0 else 'smaller'}": StudyWorld(
                 mesh=partial(_scaled, factor=1 + percent / 100)
             )
             for percent in MESH_PERCENT
         },
-        "skin remounted by 0.5 mm": StudyWorld(pad=_remounted),
-        "camera biased by 1 mm and degree": StudyWorld(mesh=partial(_shifted, twist=CAMERA_BIAS)),
-        "placement off twice as far as stated": StudyWorld(errors=partial(_misplaced, factor=2.0)),
-        "placement off half as far as stated": StudyWorld(errors=partial(_misplaced, factor=0.5)),
+        "skin remounted by 0.5 mm": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
+        "camera biased by 1 mm and degree": StudyWorld(mesh=_shifted),
+        "placement off twice as far as stated": StudyWorld(errors=_placed(errors, 2.0)),
+        "placement off half as far as stated": StudyWorld(errors=_placed(errors, 0.5)),
     }
     some = DEBUG_WORLDS if lab.args.debug else tuple(worlds)
     return {name: Setting(worlds[name], WITH_READINGS) for name in some}
@@ -144,8 +111,8 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
     base = lab.cfg.errors
     errors = {
         "default": base,
-        "placement 0.3 mm, 0.3 deg": _placed(base, 0.3),
-        "placement 2 mm, 2 deg": _placed(base, 2.0),
+        "placement 0.3 mm, 0.3 deg": replace(base, placement=0.3e-3, placement_angle=np.radians(0.3)),
+        "placement 2 mm, 2 deg": replace(base, placement=2e-3, placement_angle=np.radians(2.0)),
         "tilt 1 deg": replace(base, approach_angle=np.radians(1.0)),
         "noise x 3": replace(base, noise=base.noise.scaled(3.0)),
         **{f"stop at {stop:.0f} uT": base for stop in REFITTED_UT},
@@ -161,13 +128,8 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
             placement=max(each.placement, MIN_PLACEMENT_M),
             placement_angle=max(each.placement_angle, MIN_PLACEMENT_RAD),
         )
-        world = StudyWorld(errors=_always(each), limits=_always(limits.get(name, lab.cfg.limits)))
+        world = StudyWorld(errors=each, limits=limits.get(name))
         found[name] = Setting(world, WITH_PRESENCE, noisier(lab, each), stated)
-    for every in AMBIENT_EVERY:
-        usual = found[f"ambient every {every} touches"]
-        following = lab.pad_model.likelihood._replace(drift_std=jnp.float32(FOLLOWED_DRIFT_UT))
-        model = lab.pad_model._replace(likelihood=following)
-        found[f"ambient every {every} touches, drift followed"] = usual._replace(model=model)
     for stop in REFITTED_UT[:1] if lab.args.debug else REFITTED_UT:
         name = f"stop at {stop:.0f} uT"
         model = lab.refit(jax.random.fold_in(key, int(stop)), limits=limits[name])
@@ -177,11 +139,8 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
 
 def noisier(lab: StudyLab, errors: SimulationErrors) -> PadModel:
     """The run's pad model, its errors wider where the noise is more than that of the touches it was fitted to."""
-    likelihood = lab.pad_model.likelihood
     wider = max(errors.noise.xy / lab.cfg.errors.noise.xy, 1.0)
-    return lab.pad_model._replace(
-        likelihood=likelihood._replace(inflation=likelihood.inflation * jnp.float32(wider))
-    )  # fmt: skip
+    return inflated(lab.pad_model, wider)
 
 
 def new_pad(lab: StudyLab, key: Array) -> dict[str, Setting]:
@@ -195,7 +154,7 @@ def new_pad(lab: StudyLab, key: Array) -> dict[str, Setting]:
         error_std = float(jnp.sqrt(jnp.mean(fitted.leave_one_out**2)))
         models[f"{n} presses"] = with_press_errors(lab.refit(key_model, pad=fitted.pad), error_std)
     models["the pad itself"] = lab.refit(jax.random.fold_in(key, 0), pad=pad)
-    world = StudyWorld(pad=lambda _: pad)
+    world = StudyWorld(pad=pad)
     found = {name: Setting(world, WITH_PRESENCE, model) for name, model in models.items()}
     return found | {"": Setting(world, ("position and presence",))}
 

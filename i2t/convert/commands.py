@@ -93,17 +93,14 @@ class Writing(Reading):
         if not self.overwrite:
             raise DataError(f"{target}: holds a data set already; give another folder or pass --overwrite")
 
-    def _require_free_file(self, ending: str) -> None:
-        """Refuse a name without the format's ending, and to replace a file unasked."""
-        target = self.target
+    def _require_free_file(self) -> None:
+        """Refuse to replace a file unasked."""
         self._require_source()
-        require_writable("DST", target)
-        if target.suffix != ending:
-            raise DataError(f"{target}: does not end in {ending}; name the file so")
-        if target.is_dir():
-            raise DataError(f"{target}: is a folder; give a file to write")
-        if target.exists() and not self.overwrite:
-            raise DataError(f"{target}: exists already; choose another name or pass --overwrite")
+        require_writable("DST", self.target)
+        if self.target.is_dir():
+            raise DataError(f"{self.target}: is a folder; give a file to write")
+        if self.target.exists() and not self.overwrite:
+            raise DataError(f"{self.target}: exists already; choose another name or pass --overwrite")
 
     def _write(self, converted: "Dataset | Converted") -> None:
         """Write a data set with its card, and say its notes."""
@@ -205,17 +202,9 @@ class _FromTable(Recording):
     unit: Literal["m", "cm", "mm", "inch"] | None = None  # of the mesh file of mesh:FILE, which does not say it itself
 
     def _of_indenter(self, missing: str) -> dict[str, Any]:
-        """Options of the converter; an unknown kind of indenter is refused, and a mesh without its unit."""
+        """Options of the converter."""
         if self.indenter is None:
             raise DataError(f"--indenter is missing; give sphere:RADIUS in mm{missing}")
-        kind, _, value = self.indenter.partition(":")
-        said = f"--indenter {self.indenter}"
-        if kind not in ("sphere", "cylinder", "mesh") or not value:
-            raise DataError(f"{said}: is unknown; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE")
-        if kind != "mesh" and self.unit is not None:
-            raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
-        if kind == "mesh" and self.unit is None:
-            raise DataError(f"{said}: say in which unit the file is, for instance --unit mm")
         return {"indenter": self.indenter, "unit": self.unit, "board": _board(self.board), **self._shared()}
 
 
@@ -254,7 +243,7 @@ class FromStream(_FromTable):
     def _write_table(self) -> None:
         if self.indenter is not None:
             raise DataError("--indenter is of a data set; give a folder to write, or leave it out for a table")
-        self._require_free_file(".csv")
+        self._require_free_file()
         from i2t.convert import stream
 
         table = stream.table_of_presses(self.source, board=_board(self.board), skip_bad=self.skip_bad)

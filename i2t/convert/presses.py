@@ -81,8 +81,8 @@ def convert(
         DataError: the table or the indenter cannot be used.
     """
     notes = ConversionLog(skip_bad)
-    presses, said = _read(source, table or read_text_table(source), board.num_chips, notes)
     tip = _tip(indenter, unit, notes)
+    presses, said = _read(source, table or read_text_table(source), board.num_chips, notes)
     checks: list[SessionCheck] = []
     if not as_stated:
         presses, checks = _corrected(presses, board, notes)
@@ -220,34 +220,30 @@ def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: Conversi
     return depth, ~(depth < 0)
 
 
-def _radius(indenter: str, *kinds: str) -> float | None:
-    """Radius (m) of a round indenter of some kinds; None where it is another, or none."""
-    kind, _, size = indenter.partition(":")
-    try:
-        return MM * float(size) if kind in kinds else None
-    except ValueError:
-        return None
-
-
 def _tip(indenter: str, unit: str | None, notes: ConversionLog) -> Tip:
     kind, _, value = indenter.partition(":")
     if kind == "mesh" and value:
         return _mesh_tip(Path(value), unit, notes)
-    radius = _radius(indenter, "sphere", "cylinder")
-    if radius is None or not 0 < radius < 1:
+    try:
+        radius, profile = MM * float(value), {"sphere": sphere, "cylinder": cylinder}[kind]
+    except (ValueError, KeyError):
+        radius = math.nan
+    if not 0 < radius < 1:
         raise DataError(f"--indenter {indenter}: is unknown; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE")
-    return round_tip(indenter, (sphere if kind == "sphere" else cylinder)(radius))
+    if unit is not None:
+        raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
+    return round_tip(indenter, profile(radius))
 
 
 def _mesh_tip(file: Path, unit: str | None, notes: ConversionLog) -> Tip:
+    if unit is None:
+        raise DataError(f"--indenter mesh:{file}: say in which unit the file is, for instance --unit mm")
     import jax.numpy as jnp
     from jax import jit
 
     from i2t.objects import read_mesh
     from i2t.rendering import render
 
-    if unit is None:
-        raise DataError(f"--indenter mesh:{file}: say in which unit the file is, for instance --unit mm")
     try:
         (_, mesh, _), report = read_mesh(file, unit, table=False)
     except (ValueError, OSError) as error:

@@ -13,7 +13,7 @@ the next tick of 2 ms.
 Faults on demand. A fourth port, 30100, takes a line and answers one, for instance
 `echo protective | nc -q1 127.0.0.9 30100`:
 
-    protective            protective stop; the dashboard's "unlock protective stop" releases it after --unlock-delay
+    protective            protective stop; the dashboard's "unlock protective stop" releases it
     stall | resume        RTDE packets stop, connections stay open | and come again
     mute                  every port still connects, and answers nothing more
     drop-control          the connections that write registers are closed, and can be made again
@@ -117,7 +117,6 @@ class ControllerArgs:
     plane: Annotated[tuple[float, float], tyro.conf.arg(metavar="Z STIFFNESS")] = (0.0, 0.0)
     """A plane that the tool meets: its height in m, and N/m; 0 for none."""
     noise: float | None = None  # of the force sensor, N, one sigma per axis; by default 0, in a lab 0.1
-    unlock_delay: float = 5.0  # s, before a protective stop can be released
     tethered: bool = False  # end when standard input closes
 
 
@@ -145,7 +144,7 @@ def run(options: ControllerArgs, contact: Contact, noise: float) -> None:
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     robot = Robot(np.array(options.pose), contact, noise if options.noise is None else options.noise)
-    server = Server(Controller(robot, options.unlock_delay), options.host, options.tethered)
+    server = Server(Controller(robot), options.host, options.tethered)
     try:
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(server.run(lambda: print(f"emulated UR controller on {options.host}, ready", flush=True)))

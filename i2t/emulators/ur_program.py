@@ -41,14 +41,12 @@ class Controller:
 
     Args:
         robot: What moves.
-        unlock_delay: s before a protective stop can be released.
     """
 
-    def __init__(self, robot: Robot, unlock_delay: float) -> None:
-        self.robot, self.unlock_delay = robot, unlock_delay
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
         self.clock = 0.0  # s
         self.heard_clock = 0.0  # when the client was heard last
-        self.protective_clock = 0.0  # when the protective stop was made
         self.moving_clock = 0.0  # when the tool moved last
         self.runtime, self.protective, self.local = STOPPED, False, False
         self.in_ints, self.in_doubles = [0] * REGISTERS, [0.0] * REGISTERS
@@ -79,19 +77,12 @@ class Controller:
     def protective_stop(self) -> None:
         """Brake and pause the program."""
         self.robot.stop(PROTECTIVE_DECELERATION)
-        self.protective, self.protective_clock = True, self.clock
+        self.protective = True
         self.runtime = PAUSED if self.runtime == PLAYING else self.runtime
 
-    def unlock(self) -> bool:
-        """Release the protective stop; the program has to be started again.
-
-        Returns:
-            False if it is too young to be released.
-        """
-        if self.protective and self.clock - self.protective_clock < self.unlock_delay:
-            return False
+    def unlock(self) -> None:
+        """Release the protective stop; the program has to be started again."""
         self.protective, self.runtime = False, STOPPED
-        return True
 
     def write(self, values: Mapping[str, rtde_protocol.Value]) -> None:
         """Take registers from the client; a command, be it none, tells the watchdog that the client lives.

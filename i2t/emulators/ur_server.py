@@ -211,9 +211,8 @@ class Server:
                 controller.kill()
                 return "Stopped"
             case "unlock protective stop":
-                if controller.unlock():
-                    return "Protective stop releasing"
-                return "Cannot unlock protective stop until 5s after occurrence"
+                controller.unlock()
+                return "Protective stop releasing"
             case "close safety popup" | "close popup":
                 return f"closing {line.split(' ', 1)[1].lower()}"
         return f"could not understand: '{line}'"

@@ -348,4 +348,4 @@ def _home() -> Float[Array, "4 4"]:
 
 def _prior(params: EnvironmentParams) -> Belief:
     assert params.beliefs is not None
-    return beliefs.init(params.beliefs.particles, params.objects, channels=params.channels)
+    return beliefs.init(params.beliefs.particles, params.objects)

@@ -29,7 +29,6 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from i2t.cli import command
 from i2t.depth.camera import read_image
@@ -38,7 +37,7 @@ from i2t.geometry import inverse
 from i2t.hardware.camera_folder import DESCRIPTION, lens_text, read_lens
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, opencv, pixel_rays
 from i2t.hardware.plugins import REALSENSE, ToolPose, colour_view, named_camera, require_named
-from i2t.hardware.poses import pose_from_vector, pose_to_vector
+from i2t.hardware.poses import apart, pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
 from i2t.types import Array
@@ -263,8 +262,7 @@ class EstimateArgs(CharucoBoard):
             print(f"T_tool_camera =\n{T_t_c}")
         if rig is None or self.rig is None:
             return
-        change = inverse(rig.T_tool_camera) @ T_t_c
-        shift, turn = np.linalg.norm(change[:3, 3]), Rotation.from_matrix(change[:3, :3]).magnitude()
+        shift, turn = apart(rig.T_tool_camera, T_t_c)
         print(f"{1e3 * shift:.1f} mm and {math.degrees(turn):.1f} degrees from what {self.rig} says")
         if self.write:
             replace(rig, T_tool_camera=T_t_c).write(self.rig)

@@ -36,6 +36,20 @@ def pose_from_vector(vector: Sequence[Any]) -> Float[Array, "4 4"]:
     return pose
 
 
+def apart(one: Float[Array, "4 4"], other: Float[Array, "4 4"]) -> tuple[float, float]:
+    """How far two poses are from each other.
+
+    Args:
+        one: (4, 4) rigid transform, m.
+        other: (4, 4) rigid transform, m.
+
+    Returns:
+        Distance (m) and angle (rad, in [0, pi]).
+    """
+    turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3])
+    return float(np.linalg.norm(other[:3, 3] - one[:3, 3])), float(turn.magnitude())
+
+
 def shifted_along_z(pose: Float[Array, "4 4"], distance: float) -> Float[Array, "4 4"]:
     """A pose moved along its own z axis.
 

@@ -5,7 +5,7 @@ back into its flange, metres for millimetres where both are in range, a camera i
 image, an object below the table, a box that does not hold it. What only a motion tells (a TCP 20 mm off) is left to the
 first slow touch (`i2t.collect.first_touch`).
 
-Frames: W world (z up, the table at its z = 0), B robot base, F flange, T tool, C camera, O object. NumPy only.
+Frames: W world (z up, the table at its z = 0), B robot base, F flange, T tool, C camera, O object.
 """
 
 import math
@@ -18,6 +18,7 @@ from jaxtyping import Float
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse
 from i2t.hardware.limits import format_position
+from i2t.hardware.poses import apart
 from i2t.hardware.rig import Rig
 from i2t.types import Array
 from i2t.windows import PAD_WINDOW, TWIST_LEVER_M
@@ -107,9 +108,8 @@ def other_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"
     """
     if np.allclose(T_pendant, np.eye(4), atol=1e-6):
         return ""
-    apart = inverse(np.asarray(T_flange_tool, float)) @ np.asarray(T_pendant, float)
-    shift = float(np.linalg.norm(apart[:3, 3]))
-    turn = math.degrees(math.acos(float(np.clip((np.trace(apart[:3, :3]) - 1) / 2, -1, 1))))
+    shift, angle = apart(np.asarray(T_flange_tool, float), np.asarray(T_pendant, float))
+    turn = math.degrees(angle)
     if shift <= TCP_TOLERANCE_M and turn <= TCP_TOLERANCE_DEG:
         return ""
     return (

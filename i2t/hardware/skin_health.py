@@ -1,4 +1,4 @@
-"""Health of a skin at rest: dead, frozen and saturated chips, noise, steps; and whether it feels.
+"""Health of a skin at rest: dead, frozen and saturated chips, noise; and whether it feels.
 
 A pure judgement of samples that a skin sent while it touched nothing, and of the change that a light press made. Each
 defect is one sentence that names chip and axis. What makes readings a lie stops a session (`stops`); what makes them
@@ -33,9 +33,7 @@ MIN_REST_SAMPLES = 24
 READ_AT_ONCE, LISTEN_TIMEOUT_S = 8, 3.0  # so that a board of some hertz is judged too
 TYPICAL_NOISE_UT = (3.1, 3.1, 4.6)  # of one sample of a real ReSkin board at rest, x, y, z
 NOISE_FACTOR, MAX_NOISE_UT = 3.0, 15.0
-GLITCH_SHARE = 0.01  # of the largest differences, that are steps or glitches and no noise
-STEP_UT, STEP_SIGMAS = 10.0, 6.0  # of the means of two blocks, above which the field has made a step
-BLOCK = 8  # samples of a block, at least; ten blocks where there are more
+GLITCH_SHARE = 0.01  # of the largest differences, that are glitches and no noise
 FROZEN_CHANCE = 1e-6
 CONVERTER_END_UT = (4915.0, 4915.0, 7930.0)  # least range of a converter, either way
 END_SHARE, CLIPPED_SHARE = 0.98, 0.3  # of that range; of the samples that are at the greatest value
@@ -117,7 +115,6 @@ def check_skin(samples: Samples) -> SkinHealth:
         *_axis_defects(saturated, "is at the end of its range", at_rest, "take the magnet away, or lower the gain"),
         *_axis_defects(frozen, "stands still", at_rest, "check its cable and its solder, and reset the board"),
         *_noise_defects(heard),
-        *_step_defects(by_chip, heard),
     ]
     span = float(samples.time[-1] - samples.time[0])
     rate = (len(reading) - 1) / span if span > 0 else float("nan")
@@ -221,21 +218,6 @@ def _noise_defects(noise: np.ndarray) -> list[SkinDefect]:
     said = "chip {}'s {} has {:.1f} uT of noise, above {:.1f}; look for a loose cable, or a motor near it"
     loud = np.argwhere(noise > limit)  # False where it is NaN
     return [SkinDefect(said.format(i, "xyz"[axis], noise[i, axis], limit[axis]), False) for i, axis in loud]
-
-
-def _step_defects(by_chip: Array, noise: np.ndarray) -> list[SkinDefect]:
-    """Steps of the field at rest: of one chip, or of the room where most chips made one."""
-    size = max(BLOCK, len(by_chip) // 10)
-    blocks = [mean_known(by_chip[at : at + size], axis=0) for at in range(0, len(by_chip) - size + 1, size)]
-    if len(blocks) < 2:
-        return []
-    jumps = np.abs(np.diff(np.array(blocks), axis=0)).max(0)
-    stepped = jumps > np.maximum(STEP_UT, STEP_SIGMAS * noise * np.sqrt(2 / size))  # False where either is NaN
-    if stepped.any(1).sum() > max(1, len(jumps) / 2):
-        most = float(np.nanmax(jumps))
-        return [SkinDefect(f"the field of most chips made a step of {most:.0f} uT: something magnetic moved", False)]
-    said = "chip {}'s {} made a step of {:.0f} uT at rest; check its cable and its solder"
-    return [SkinDefect(said.format(i, "xyz"[axis], jumps[i, axis]), False) for i, axis in np.argwhere(stepped)]
 
 
 def _chips(numbers: tuple[int, ...]) -> str:

@@ -19,8 +19,7 @@ Two measurements are evidence:
 
 Whether a touch met anything is evidence as well (presence), and counts by a weight of its own, as the two do. A small
 share of touches may be anything (outliers). "None of these" is the sum over surrogates of unknown objects
-(`i2t.objects.catalogue`), which are objects like any other here. The sensor's bias, where it drifts, is followed by a
-Kalman filter on the residual of the readings.
+(`i2t.objects.catalogue`), which are objects like any other here.
 
 Pure functions on one episode: `init(...) -> Belief`, `update(belief, ...) -> Belief`, `posterior(belief)`. A reading
 has c = 3 * chips channels. Metres, newtons, microtesla.
@@ -70,18 +69,6 @@ class ScaleMixture(NamedTuple):
     std: Float[np.ndarray, " s"]  # m
     share: Float[np.ndarray, " s"]  # of each; they sum to 1
 
-    @classmethod
-    def normal(cls, std: float) -> "ScaleMixture":
-        """One normal distribution.
-
-        Args:
-            std: Its standard deviation (m).
-
-        Returns:
-            A mixture of that one.
-        """
-        return cls(np.array([std]), np.ones(1))
-
 
 @in_one_line
 class Likelihood(NamedTuple):
@@ -101,7 +88,6 @@ class Likelihood(NamedTuple):
     spatial_weight: Float[Array, ""]  # of the position's evidence; 0 leaves it out
     presence_weight: Float[Array, ""]  # of having met something, or nothing; 0 leaves it out
     stiffness: Float[Array, ""]  # N/m, of arm and mount
-    drift_std: Float[Array, ""]  # uT by which the bias drifts from touch to touch; 0 where it is measured at each
 
 
 @in_one_line
@@ -119,8 +105,6 @@ class Belief(NamedTuple):
     log_weight: Float[Array, "objects k"]  # log probability of object, particle and all touches so far
     mean: Float[Array, "objects k 6"]  # m, of the twist about the particle
     covariance: Float[Array, "objects k 6 6"]  # m^2
-    bias: Float[Array, " c"]  # uT, of the sensor
-    bias_variance: Float[Array, ""]  # uT^2
 
 
 class TemperatureScaling(NamedTuple):
@@ -155,7 +139,6 @@ class Evidence(NamedTuple):
     tactile: Float[Array, "..."]  # of the reading
     spatial: Float[Array, "..."]  # of the position
     presence: Float[Array, "..."]  # of meeting something, or nothing
-    reading: Float[Array, "... c"]  # uT, predicted
     mean: Float[Array, "... 6"]
     covariance: Float[Array, "... 6 6"]
 
@@ -221,7 +204,8 @@ def fit_likelihood(
     factor = np.linalg.inv(np.linalg.cholesky(covariance))
     growth, rotation = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
     number = partial(jnp.asarray, dtype=jnp.float32)
-    position = position_std if isinstance(position_std, ScaleMixture) else ScaleMixture.normal(position_std)
+    mixed = isinstance(position_std, ScaleMixture)
+    std, share = position_std if mixed else ([position_std], [1.0])
     return Likelihood(
         whiten=number(rotation.T @ factor),
         growth=number(np.maximum(growth, 0)),
@@ -229,27 +213,23 @@ def fit_likelihood(
         overtravel=number(overtravel),
         dof=number(8.0),
         inflation=number(1.0),
-        position_std=number(position.std),
-        position_share=number(position.share),
+        position_std=number(std),
+        position_share=number(share),
         indentation_error=number(INDENTATION_ERROR),
         outlier_rate=number(OUTLIER_RATE),
         tactile_weight=number(1.0),
         spatial_weight=number(1.0),
         presence_weight=number(1.0),
         stiffness=number(stiffness),
-        drift_std=number(0.0),
     )
 
 
-def init(
-    particles: Particles, objects: int, *, channels: int, prior: Float[np.ndarray, " objects"] | None = None
-) -> Belief:
+def init(particles: Particles, objects: int, *, prior: Float[np.ndarray, " objects"] | None = None) -> Belief:
     """The belief before the first touch.
 
     Args:
         particles: Poses of each object.
         objects: How many objects there may be.
-        channels: Values of a reading, three for each chip.
         prior: Probabilities of the objects; all equal by default.
 
     Returns:
@@ -261,8 +241,6 @@ def init(
         jnp.log(jnp.float32(prior))[:, None] + jnp.full(shape, np.float32(-np.log(shape[1]))),
         jnp.zeros((*shape, 6)),
         jnp.broadcast_to(particles.covariance, (*shape, 6, 6)),
-        jnp.zeros(channels),
-        jnp.zeros(()),
     )
 
 
@@ -278,13 +256,9 @@ def update(belief: Belief, observation: TouchObservation, predicted: PredictedTo
     Returns:
         The belief with that touch.
     """
-    unbiased = observation._replace(reading=observation.reading - belief.bias)
-    found = jax.vmap(jax.vmap(partial(evidence, unbiased, likelihood=likelihood)))(
-        predicted, belief.mean, belief.covariance
-    )
-    log_weight = belief.log_weight + log_likelihood(found, likelihood)
-    bias, variance = _update_bias(belief, unbiased, found.reading, log_weight, likelihood)
-    return Belief(log_weight, found.mean, found.covariance, bias, variance)
+    compare = jax.vmap(jax.vmap(partial(evidence, observation, likelihood=likelihood)))
+    found = compare(predicted, belief.mean, belief.covariance)
+    return Belief(belief.log_weight + log_likelihood(found, likelihood), found.mean, found.covariance)
 
 
 def log_likelihood(found: Evidence, likelihood: Likelihood) -> Float[Array, "..."]:
@@ -318,7 +292,7 @@ def evidence(
     """Compare one touch with its prediction for one particle.
 
     Args:
-        observation: The touch; its reading is free of the sensor's bias.
+        observation: The touch.
         predicted: The touch as predicted for the particle.
         mean: Mean (m) of the object's twist about the particle.
         covariance: Its covariance (m^2).
@@ -354,7 +328,6 @@ def evidence(
         tactile=jnp.where(observation.contact, tactile, 0.0),
         spatial=jnp.where(observation.contact, spatial, 0.0),
         presence=presence,
-        reading=reading,
         mean=new_mean,
         covariance=new_covariance,
     )
@@ -493,18 +466,3 @@ def _kalman_mixture(
         mean + expected * error * cross_covariance,
         covariance + (between - expected) * jnp.outer(cross_covariance, cross_covariance),
     )
-
-
-def _update_bias(
-    belief: Belief, observation: TouchObservation, predicted: Array, log_weight: Array, likelihood: Likelihood
-) -> tuple[Array, Array]:
-    """The sensor's bias (uT) and its variance after a touch, from the posterior mean of the `predicted` readings
-    (objects, k, c).
-    """
-    weight = jax.nn.softmax(log_weight.reshape(-1)).reshape(log_weight.shape)
-    residual = observation.reading - jnp.einsum("ok,okc->c", weight, predicted)
-    residual = jnp.where(jnp.isfinite(residual) & observation.contact, residual, 0.0)
-    noise = jnp.mean(jnp.sum(jnp.linalg.inv(likelihood.whiten) ** 2, axis=1)) * likelihood.inflation**2
-    prior = belief.bias_variance + likelihood.drift_std**2
-    gain = jnp.where(observation.contact, prior / (prior + noise), 0.0)
-    return belief.bias + gain * residual, (1 - gain) * prior

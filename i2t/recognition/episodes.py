@@ -39,22 +39,15 @@ BELIEVED_TOUCHES = 320  # predicted at a time on every object in every pose
 BELIEVED_EPISODES = 8  # whose posteriors are formed at a time
 
 
-class EvidenceWeights(NamedTuple):
-    """Weights of the kinds of evidence."""
-
-    tactile: float  # readings
-    spatial: float  # positions at which presses ended
-    presence: float  # whether anything was met
-
-
+# Weights of readings, of positions at which presses ended, and of whether anything was met.
 EVIDENCE = {
-    "readings": EvidenceWeights(1.0, 0.0, 0.0),
-    "presence": EvidenceWeights(0.0, 0.0, 1.0),
-    "position": EvidenceWeights(0.0, 1.0, 0.0),
-    "readings and position": EvidenceWeights(1.0, 1.0, 0.0),
-    "readings and presence": EvidenceWeights(1.0, 0.0, 1.0),
-    "position and presence": EvidenceWeights(0.0, 1.0, 1.0),
-    "fused": EvidenceWeights(1.0, 1.0, 1.0),
+    "readings": (1.0, 0.0, 0.0),
+    "presence": (0.0, 0.0, 1.0),
+    "position": (0.0, 1.0, 0.0),
+    "readings and position": (1.0, 1.0, 0.0),
+    "readings and presence": (1.0, 0.0, 1.0),
+    "position and presence": (0.0, 1.0, 1.0),
+    "fused": (1.0, 1.0, 1.0),
 }
 
 
@@ -133,7 +126,8 @@ class EpisodeSimulator:
         self.reading_keys = np.asarray(jax.random.key_data(jax.random.split(key_reading, len(truth))))
         self.surfaces, self.truth, self.pad, self.config = surfaces, truth, pad, config
         self.T_w_site = np.asarray(sites.T_w_t)
-        self.sessions = _sample_sessions(key_sessions, len(truth), config.errors)
+        sample = jax.vmap(partial(simulation.sample_session_errors, errors=config.errors))
+        self.sessions = sample(jax.random.split(key_sessions, len(truth)))
         self.touches: list[Touches] = []
         self.chosen: list[np.ndarray] = []
 
@@ -275,10 +269,6 @@ def run_episodes(
     return simulator.episodes()
 
 
-def _sample_sessions(key: Array, count: int, errors: SimulationErrors) -> SessionErrors:
-    return jax.vmap(lambda k: simulation.sample_session_errors(k, errors))(jax.random.split(key, count))
-
-
 @partial(jax.jit, static_argnames=("errors", "limits", "law"))
 def _touch_many(
     drawn: Array,
@@ -341,7 +331,10 @@ def episodes_from_dataset(
     kinds = [recorded.objects[i] for i in made.object[rows[:, 0]]]
     unknown = sorted(set(kinds) - set(names))
     if unknown:
-        raise DataError(f"the data set has touches of {', '.join(unknown)}, of which there is no mesh; pass --objects")
+        raise DataError(
+            f"the data set has touches of {', '.join(unknown)}, and no object to tell apart is called so; pass a mesh "
+            f"of that name among --objects, such as {unknown[0]}.stl"
+        )
     T_o_t = inverse(made.T_w_o[rows]) @ made.T_w_t[rows]
     contact = made.code[rows] != ReturnCode.AIR
     advance = np.where(contact, 0.0, overtravel).astype(np.float32)
@@ -397,7 +390,7 @@ def posteriors(
             now = belief.update(now, touched[1], element(table, touched[0]), likelihood)
             return now, belief.posterior(now)
 
-        return jax.lax.scan(step, belief.init(particles, table.hit.shape[1], channels=table.reading.shape[-1]), at)[1]
+        return jax.lax.scan(step, belief.init(particles, table.hit.shape[1]), at)[1]
 
     return map_batches(episode, (site, observations), batch_size=BELIEVED_EPISODES)
 
@@ -425,22 +418,22 @@ def run_belief(
     rows = (jnp.asarray(episodes.site), episodes.observations)
     found = {}
     for kind in kinds:
-        shared = (table, weigh_evidence(likelihood, EVIDENCE[kind]), particles)
+        shared = (table, weigh_evidence(likelihood, kind), particles)
         found[kind] = np.asarray(spread_rows(posteriors, rows, shared=shared, multiple=BELIEVED_EPISODES))
     return found
 
 
-def weigh_evidence(likelihood: Likelihood, weights: EvidenceWeights) -> Likelihood:
-    """A likelihood in which some kinds of evidence count.
+def weigh_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
+    """A likelihood in which one kind of evidence counts.
 
     Args:
         likelihood: How far measurements may be from predictions.
-        weights: Of the kinds.
+        kind: Of evidence, a name of `EVIDENCE`.
 
     Returns:
         The likelihood with these weights.
     """
-    tactile, spatial, presence = (jnp.float32(weight) for weight in weights)
+    tactile, spatial, presence = (jnp.float32(weight) for weight in EVIDENCE[kind])
     return likelihood._replace(tactile_weight=tactile, spatial_weight=spatial, presence_weight=presence)
 
 

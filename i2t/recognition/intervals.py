@@ -4,7 +4,7 @@ object that was there.
 `cluster_interval` resamples whole clusters. Its variance over several crossed factors is put together as Cameron,
 Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), each part by a bootstrap of clusters;
 few clusters are allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
-`wilson_interval` is for rates of independent trials (Wilson, JASA 22, 1927). All cover 95 % unless asked otherwise.
+`wilson_interval` is for rates of independent trials (Wilson, JASA 22, 1927). All cover 95 %.
 NumPy, because nothing here is differentiated.
 """
 
@@ -40,14 +40,13 @@ def estimate_at(estimates: Estimate, index: int) -> Estimate:
     return Estimate(estimates.mean[index], estimates.low[index], estimates.high[index])
 
 
-def wilson_interval(values: Shaped[Array, "n ..."], level: float = COVERAGE) -> Estimate:
+def wilson_interval(values: Shaped[Array, "n ..."]) -> Estimate:
     """Mean and Wilson's interval of independent values between 0 and 1.
 
     Fractions, which shared ties give, are welcome: nothing in [0, 1] varies more than a coin of the same mean.
 
     Args:
         values: (n, ...) in [0, 1].
-        level: Coverage.
 
     Returns:
         Estimates of the trailing shape; NaN where n is 0.
@@ -56,7 +55,7 @@ def wilson_interval(values: Shaped[Array, "n ..."], level: float = COVERAGE) -> 
     if not len(values):
         nothing = np.full(values.shape[1:], np.nan)
         return Estimate(nothing, nothing, nothing)
-    return _wilson(values.mean(0), len(values), level)
+    return _wilson(values.mean(0), len(values))
 
 
 def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
@@ -104,12 +103,7 @@ def rows_of(clusters: Clusters, rows: Shaped[Array, "..."]) -> Sequence[Shaped[A
 
 
 def cluster_interval(
-    values: Shaped[Array, "n ..."],
-    clusters: Clusters,
-    *,
-    level: float = COVERAGE,
-    draws: int = RESAMPLES,
-    seed: int = 0,
+    values: Shaped[Array, "n ..."], clusters: Clusters, *, draws: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
     """Mean of values of episodes, with an interval over the clusters that they come in.
 
@@ -118,7 +112,6 @@ def cluster_interval(
         clusters: One label for each episode, for each factor: its pad, its pool of sites, its object. Labels of
             different pads' pools must differ. A factor left out is taken as fixed: the interval is then for these very
             objects, say; so is one of fewer than three clusters. No factor at all means independent episodes.
-        level: Coverage.
         draws: Of each bootstrap.
         seed: Of the draws.
 
@@ -134,18 +127,12 @@ def cluster_interval(
     def weighted_mean(weight: np.ndarray) -> np.ndarray:
         return weight @ flat / weight.sum()
 
-    found = bootstrap_clusters(weighted_mean, clusters, len(values), level=level, draws=draws, seed=seed)
+    found = bootstrap_clusters(weighted_mean, clusters, len(values), draws=draws, seed=seed)
     return Estimate(*(part.reshape(values.shape[1:]) for part in found))
 
 
 def bootstrap_clusters(
-    statistic: Statistic,
-    clusters: Clusters,
-    count: int,
-    *,
-    level: float = COVERAGE,
-    draws: int = RESAMPLES,
-    seed: int = 0,
+    statistic: Statistic, clusters: Clusters, count: int, *, draws: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
     """Any statistic of weighted episodes, with an interval over the clusters that they come in.
 
@@ -153,7 +140,6 @@ def bootstrap_clusters(
         statistic: Maps weights (n,) of the episodes, all 1 for what was seen, to one number or several.
         clusters: As of `cluster_interval`.
         count: Number n of episodes.
-        level: Coverage.
         draws: Of each bootstrap.
         seed: Of the draws.
 
@@ -182,7 +168,7 @@ def bootstrap_clusters(
     fewest = min(int(factor.max()) for factor in factors)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.clip(np.where(spread > 0, variance**2 / spread, fewest), fewest, None)
-    half = stats.t.ppf((1 + level) / 2, freedom) * np.sqrt(variance)
+    half = stats.t.ppf((1 + COVERAGE) / 2, freedom) * np.sqrt(variance)
     return Estimate(*(part.reshape(shape) for part in (centre, centre - half, centre + half)))
 
 
@@ -225,14 +211,14 @@ def _within_unit(found: Estimate, values: np.ndarray, clusters: Clusters) -> Est
     factors = _factors(clusters, len(values))
     if not factors:
         return found
-    wilson = _wilson(values.mean(0), int(_cells(factors).max()) + 1, COVERAGE)
+    wilson = _wilson(values.mean(0), int(_cells(factors).max()) + 1)
     alike = np.asarray(found.high - found.low) < 1e-12
     low = np.where(alike, wilson.low, np.clip(found.low, 0, 1))
     return Estimate(found.mean, low, np.where(alike, wilson.high, np.clip(found.high, 0, 1)))
 
 
-def _wilson(mean: Shaped[Array, "..."], trials: int, level: float) -> Estimate:
-    z = stats.norm.ppf((1 + level) / 2)
+def _wilson(mean: Shaped[Array, "..."], trials: int) -> Estimate:
+    z = stats.norm.ppf((1 + COVERAGE) / 2)
     centre = (mean + z**2 / (2 * trials)) / (1 + z**2 / trials)
     half = z / (1 + z**2 / trials) * np.sqrt(mean * (1 - mean) / trials + z**2 / (4 * trials**2))
     return Estimate(mean, np.minimum(centre - half, mean), np.maximum(centre + half, mean))

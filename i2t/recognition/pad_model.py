@@ -56,13 +56,6 @@ class PadModel(NamedTuple):
     held_out_errors: Float[np.ndarray, "n c"]  # uT, measured minus predicted
 
 
-class _Mechanics(NamedTuple):
-    """Softness of the pad's layer, and errors of press ends."""
-
-    softness: float  # indentation over that of the nominal layer
-    position: ScaleMixture  # errors of where presses end, m
-
-
 class _Positions(NamedTuple):
     """Ends of left-out touches, by a registration from others."""
 
@@ -113,8 +106,9 @@ def fit_pad_model(
     depth = touches.depth[used] - load / limits.stiffness
     softness = float(np.sum(nominal[used] * depth) / np.sum(nominal[used] ** 2))
     positions = jax.tree.map(lambda *parts: np.concatenate(parts), *left_out)
-    mechanics = _Mechanics(softness, _position_errors(positions, softness, limits))
-    return _fit(pressed, readings, readings, touches.session[used], mechanics=mechanics, limits=limits)
+    position = _position_errors(positions, softness, limits)
+    sessions = touches.session[used]
+    return _fit(pressed, readings, readings, sessions, softness=softness, position=position, limits=limits)
 
 
 def fit_position_errors(
@@ -165,9 +159,16 @@ def fit_oracle_pad_model(
     """
     used = np.flatnonzero(rows)
     touches = jax.tree.map(lambda x: x[used], dataset.touches)
-    mechanics = _mechanics_of(pad_model)
-    readings, ideal = jnp.asarray(touches.reading), jnp.asarray(touches.truth.reading)
-    return _fit(_exact_contacts(touches.truth), ideal, readings, touches.session, mechanics=mechanics, limits=limits)
+    truth: Truth = touches.truth
+    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=PRESSURE_GRID.spacing)
+    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
+    likelihood = pad_model.likelihood
+    return _fit(
+        pressed, jnp.asarray(truth.reading), jnp.asarray(touches.reading), touches.session,
+        softness=float(pad_model.reading_model.softness),
+        position=ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share)),
+        limits=limits,
+    )  # fmt: skip
 
 
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:
@@ -181,7 +182,19 @@ def with_press_errors(model: PadModel, error_std: float) -> PadModel:
         The pad model with a larger inflation of its errors.
     """
     own = float(np.mean(np.asarray(model.held_out_errors, np.float64) ** 2))
-    factor = np.sqrt(1 + error_std**2 / own)
+    return inflated(model, float(np.sqrt(1 + error_std**2 / own)))
+
+
+def inflated(model: PadModel, factor: float) -> PadModel:
+    """A pad model whose errors of readings are larger.
+
+    Args:
+        model: As fitted.
+        factor: By which its errors' standard deviation grows.
+
+    Returns:
+        The pad model with a larger inflation.
+    """
     likelihood = model.likelihood
     return model._replace(likelihood=likelihood._replace(inflation=likelihood.inflation * np.float32(factor)))
 
@@ -269,36 +282,25 @@ def _press(surface: Surface, T_o_t: Array, force: Array) -> tuple[Array, Array]:
     return jax.vmap(lambda T, f: outcomes.contact_pressures(surface, T, f[None]))(T_o_t, force)
 
 
-def _exact_contacts(truth: Truth) -> ContactPressure:
-    """Pressures of simulated touches whose contacts are known exactly."""
-    exact = PressureModelConfig(
-        pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=PRESSURE_GRID.spacing
-    )  # fmt: skip
-    return predict_pressures(exact, truth.wide, truth.force, truth.indentation)
-
-
-def _mechanics_of(pad_model: PadModel) -> _Mechanics:
-    likelihood = pad_model.likelihood
-    position = ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share))
-    return _Mechanics(float(pad_model.reading_model.softness), position)
-
-
 def _fit(
     contacts: ContactPressure,
     readings: Array,
     recorded: Array,
     sessions: np.ndarray,
     *,
-    mechanics: _Mechanics,
+    softness: float,
+    position: ScaleMixture,
     limits: PressLimits,
 ) -> PadModel:
-    """Condition a process on `readings`; the errors of predicting those `recorded` come from left-out touches."""
+    """Condition a process on `readings`; the errors of predicting those `recorded` come from left-out touches. With the
+    softness of the pad's layer over the nominal one's, and errors (m) of where presses end.
+    """
     process = gp.condition(contacts, readings, sessions, seed=0)
     errors = gp.leave_one_out_errors(process) + np.asarray(recorded - readings)
-    reading_model = outcomes.linear_reading_model(process, mechanics.softness)
+    reading_model = outcomes.linear_reading_model(process, softness)
     likelihood = belief.fit_likelihood(
         errors, process.scale, reading_model.loads,
-        overtravel=limits.overtravel, position_std=mechanics.position, stiffness=limits.stiffness,
+        overtravel=limits.overtravel, position_std=position, stiffness=limits.stiffness,
     )  # fmt: skip
     around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
     r2 = float(1 - np.sum(errors**2) / np.sum(around**2))

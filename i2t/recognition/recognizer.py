@@ -209,9 +209,7 @@ class ObjectRecognizer:
         prior = np.full(known, 1 / known) if prior is None else np.asarray(prior, float) / np.sum(prior)
         share = np.full(unknown, self.config.prior_unknown / max(1, unknown))
         probability = (1 - self.config.prior_unknown) * prior
-        begun = belief.init(
-            self.particles, self._objects, channels=self.channels, prior=np.concatenate([probability, share])
-        )
+        begun = belief.init(self.particles, self._objects, prior=np.concatenate([probability, share]))
         return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability)
 
     def choose_touch(self, state: RecognizerState, *, key: Key[Array, ""] | None = None) -> ChosenSite | None:

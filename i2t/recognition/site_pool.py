@@ -348,19 +348,18 @@ def pool_informativeness(pools: SitePools) -> Float[np.ndarray, "pools objects e
     Returns:
         Probabilities of the sites of each object, if that one is the hypothesis.
     """
-    return np.asarray(_informativeness_of_pools(jnp.asarray(pools.T_w_t)))
+    return np.asarray(_informativeness(jnp.asarray(pools.T_w_t)))
 
 
 @jax.jit
-def _informativeness_of_pools(T_w_t: Array) -> Array:
-    return jax.lax.map(_informativeness, T_w_t)
-
-
 def _informativeness(T_w_t: Array) -> Array:
-    """The heuristic's probabilities (objects, each) of the sites (objects, each, 4, 4) of one pool."""
-    safe = jnp.ones(T_w_t.shape[:2], bool)
-    points, normals = T_w_t[..., :3, 3], -T_w_t[..., :3, 2]
-    return jax.vmap(lambda o: loop.site_informativeness(points, normals, safe, o))(jnp.arange(len(T_w_t)))
+    safe, hypotheses = jnp.ones(T_w_t.shape[1:3], bool), jnp.arange(T_w_t.shape[1])
+
+    def of_pool(T: Array) -> Array:
+        points, normals = T[..., :3, 3], -T[..., :3, 2]
+        return jax.vmap(lambda o: loop.site_informativeness(points, normals, safe, o))(hypotheses)
+
+    return jax.lax.map(of_pool, T_w_t)
 
 
 def _draw_sites(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from experiments.common.runs import load_part
 from experiments.gallery.arguments import FIGURE_NAMES
 from experiments.gallery.figures import FIGURES
 from experiments.gallery.story import Story
@@ -64,7 +65,7 @@ def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
             assert 0 <= low <= mean <= high <= 1
     pictures = {path.name for path in finished.glob("*.png")}
     assert pictures >= {"accuracy_all.png", "confusion_all.png", "accuracy_tools.png"}
-    played = report.load(finished / "episodes-0.npz")
+    played = report.from_part(load_part(finished / "episodes-0.npz"))
     for part in played.values():
         for p in part.beliefs.values():
             assert p.shape == (len(part.truth), 3, len(part.names))
@@ -101,7 +102,7 @@ def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained
     assert everything["mean"] == pytest.approx(np.mean(parts))  # two objects in each
     # Of a finished loop whose tables are lost, nothing is touched again.
     (out / "metrics.json").unlink()
-    monkeypatch.setattr(paper, "play", None)
+    monkeypatch.setattr(paper, "play_set", None)
     assert recognize.main([*args, "--resume"]) == 0
     assert (out / "metrics.json").read_text() == before
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.common import checks
+from experiments.common.runs import load_part, save_part
 from experiments.recognize import report
 from experiments.recognize.report import IMAGINE2TOUCH, RULES_GP, EpisodeResults
 from i2t.recognition.paper_rules import PROPRIOCEPTION
@@ -36,16 +37,17 @@ PARTS = [
 
 @pytest.fixture(scope="module")
 def scores() -> dict:
-    return report.score_set(PARTS, "primitives")
+    return report.score_set(report.pool_set(PARTS, "primitives"))
 
 
 def test_episodes_are_alike_by_pad_and_by_pool():
-    pad, pool = report.clusters_of(PARTS, "primitives")
+    episodes = report.pool_set(PARTS, "primitives")
+    pad, pool = episodes.clusters()
     assert len(pad) == len(pool) == 18
     assert pad.tolist() == [0] * 12 + [1] * 6  # two runs with one pad are one pad
     assert len(np.unique(pool)) == 9  # but their pools are not the same
     assert (pool[:2] == pool[0]).all()
-    *_, objects = report.clusters_of(PARTS, "primitives", objects=True)
+    *_, objects = episodes.clusters(episodes.truth)
     assert objects.tolist() == [0, 1] * 9
 
 
@@ -65,8 +67,8 @@ def test_intervals_are_over_pads_and_wider_than_over_independent_episodes(scores
 
 
 def test_what_is_on_disk_is_what_was_made(tmp_path):
-    report.save(tmp_path / "part.npz", PARTS[0])
-    back = report.load(tmp_path / "part.npz")["primitives"]
+    save_part(tmp_path / "part.npz", report.to_part(PARTS[0]))
+    back = report.from_part(load_part(tmp_path / "part.npz"))["primitives"]
     assert (back.names, back.pad, back.episodes) == (NAMES, "pad 0", None)
     np.testing.assert_array_equal(back.pool, PARTS[0]["primitives"].pool)
     np.testing.assert_array_equal(back.truth, PARTS[0]["primitives"].truth)

@@ -55,11 +55,10 @@ def test_few_sessions_get_no_interval(episodes, capsys):
     p = np.full((episodes, 3, 2), 0.5)
     right = np.arange(episodes) % 4 < 2  # every second one at the end
     p[:, 2] = np.where((np.eye(2)[truth] > 0) == right[:, None], 0.9, 0.1)
-    met = SimpleNamespace(observations=SimpleNamespace(contact=np.ones((episodes, 3), bool)))
     sessions = np.array([f"run {i}" for i in range(episodes)])
     beliefs = dict.fromkeys(("fused", "readings"), p)
-    parts = [{"recorded": EpisodeResults(("star", "mug"), truth, beliefs, met, "skin A", sessions)}]
-    scores = report.score_set(parts, "recorded")
+    parts = [{"recorded": EpisodeResults(("star", "mug"), truth, beliefs, None, "skin A", sessions)}]
+    scores = report.score_set(report.pool_set(parts, "recorded"))
     fused = scores["methods"]["fused"]
     assert fused["accuracy"]["mean"] == [0.5, 0.5, 0.5 if episodes == 8 else 1.0]
     assert np.isfinite(fused["mean"]["low"]) == (episodes == 8)

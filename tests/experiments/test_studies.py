@@ -15,6 +15,7 @@ from experiments.studies.run import STUDIES
 from i2t.recognition.belief import fit_likelihood
 from i2t.recognition.intervals import Estimate
 from i2t.recognition.pad_model import PadModel
+from i2t.skin.pad import nominal_pad
 
 EPISODES = 50
 RNG = np.random.default_rng(0)
@@ -87,6 +88,7 @@ def lab(preset: str = "debug") -> SimpleNamespace:
     model = PadModel(None, likelihood, np.ones(3), 0.5, np.ones((4, 3)))
     return SimpleNamespace(
         args=SimpleNamespace(debug=preset == "debug"), cfg=PRESETS["paper"], pad_model=model, seed=0,
+        run=SimpleNamespace(pad=nominal_pad()),
         refit=lambda key, **changed: model._replace(r2=0.1),
     )  # fmt: skip
 
@@ -97,17 +99,16 @@ def test_sensitivity_tells_the_belief_the_errors_and_mismatch_does_not():
     assert next(iter(known)) == "default"
     assert next(iter(blind)) == "matched"
     far = known["placement 2 mm, 2 deg"]
-    assert far.world.errors(some.cfg.errors).placement == far.stated.placement == pytest.approx(2e-3)
+    assert far.world.errors.placement == far.stated.placement == pytest.approx(2e-3)
     assert known["no errors of pose"].stated.placement == settings.MIN_PLACEMENT_M
     usual, noisy = (known[name].model.likelihood.inflation for name in ("default", "noise x 3"))
     assert noisy == pytest.approx(3 * usual)
     harder, fitted = (known[f"stop at 50 uT{end}"] for end in ("", ", fitted there"))
     assert harder.world is fitted.world
-    assert harder.world.limits(some.cfg.limits).skin_change == 50
+    assert harder.world.limits.skin_change == 50
     assert fitted.model.r2 == 0.1
-    assert known["ambient every 5 touches, drift followed"].model.likelihood.drift_std == settings.FOLLOWED_DRIFT_UT
     assert all(each.model is each.stated is None for each in blind.values())
-    twice = blind["placement off twice as far as stated"].world.errors(some.cfg.errors)
+    twice = blind["placement off twice as far as stated"].world.errors
     assert twice.placement == 2 * some.cfg.errors.placement
     assert set(settings.mismatch(lab(), jax.random.key(0))) == set(settings.DEBUG_WORLDS)
 

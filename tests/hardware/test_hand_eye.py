@@ -172,23 +172,11 @@ def taken(tmp_path_factory):
 
     path = tmp_path_factory.mktemp("hand_eye") / "views"
     assert hand_eye.capture(path, lambda: (arm(), colour_view(Taker())), lambda number: number < len(poses), BOARD) == 9
-    return path, T_c_colour, poses[0]
-
-
-def test_the_board_is_found_to_a_tenth_of_a_pixel(taken):
-    path, _, T = taken
-    with Image.open(path / "images" / "000.png") as image:
-        corners, pixels = BOARD.find(np.asarray(image))
-    assert len(corners) >= 30  # of 35
-    T_c_o = np.linalg.inv(T @ TRUE) @ LAID
-    at = corners @ T_c_o[:3, :3].T + T_c_o[:3, 3]
-    missed = at[:, :2] / at[:, 2:] * [CAMERA.fx, CAMERA.fy] + [CAMERA.cx, CAMERA.cy] - pixels
-    assert np.sqrt(np.mean(missed**2)) < 0.15
-    assert np.abs(missed.mean(0)).max() < 0.1
+    return path, T_c_colour
 
 
 def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
-    path, T_c_colour, _ = taken
+    path, T_c_colour = taken
     Rig().write(tmp_path / "lab.toml")
     # What was found is the colour camera; the rig has the depth camera.
     wanted = TRUE @ np.linalg.inv(T_c_colour)

@@ -277,24 +277,6 @@ def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
 
 
 @pytest.mark.full
-def test_chips_that_fail_and_frames_that_are_skipped_or_empty_are_counted_end_to_end():
-    def received(*switches):
-        with started("--format", "framed", *switches) as (port, _), ReSkin(port) as skin:
-            until(lambda: skin.counters.samples > 300)
-            return skin.since(-1), skin.counters
-
-    rows, counters = received("--fail", "2", "--fail-share", "0.05", "--skip", "0.1")
-    assert np.isnan(rows.reading[:, 6:9]).all()
-    assert 0 < np.isnan(rows.reading[:, :3]).all(1).mean() < 0.2
-    assert np.isfinite(rows.reading).any(1).all()
-    assert counters.missing >= len(rows.number)
-    assert 0.02 < counters.loss < 0.25
-    rows, counters = received("--empty", "3")  # a sketch that reads too early
-    assert np.isfinite(rows.reading).all()
-    assert counters.empty == pytest.approx(2 * counters.samples, abs=6)
-
-
-@pytest.mark.full
 def test_rubbish_after_a_reset_is_waited_out(monkeypatch):
     monkeypatch.setattr(driver, "BAUD_RATES", (115200, 921600))
     switches = ("--format", "framed", "--garbage-for", "1.6", "--baud", "921600")

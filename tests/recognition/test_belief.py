@@ -219,7 +219,7 @@ def after_touches(rng, places: Particles, twist: np.ndarray, touches: int):
     their slopes and how much further they ended than without a displacement, of each object.
     """
     likelihood = like(outlier_rate=1e-12, tactile_weight=0, position_std=[0.5e-3])
-    now, slopes, errors = belief.init(places, OBJECTS, channels=15), [], []
+    now, slopes, errors = belief.init(places, OBJECTS), [], []
     for _ in range(touches):
         outcome = outcomes(rng, OBJECTS)
         slopes.append(np.asarray(outcome.jacobian, np.float64))
@@ -256,7 +256,7 @@ def test_touches_are_a_linear_regression():
 def middle() -> tuple[Belief, TouchObservation, PredictedTouch]:
     """The middle of an episode."""
     rng = np.random.default_rng(8)
-    now = belief.init(PLACES, OBJECTS, channels=15)
+    now = belief.init(PLACES, OBJECTS)
     now = now._replace(
         log_weight=now.log_weight + jnp.float32(rng.normal(size=now.log_weight.shape)),
         mean=jnp.float32(rng.normal(size=now.mean.shape) * SPREAD * 0.3),
@@ -303,35 +303,6 @@ def test_weights_leave_evidence_out_which_may_be_nan(middle):
 
 
 @pytest.mark.full
-def test_the_zero_of_the_sensor_is_followed():
-    rng = np.random.default_rng(11)
-    offset, noise = rng.normal(scale=20, size=15), np.linalg.cholesky(np.cov(ERRORS.T))
-
-    def followed(drift: float, touches: int) -> Belief:
-        now = belief.init(PLACES, OBJECTS, channels=15)
-        for _ in range(touches):
-            outcome = outcomes(rng, OBJECTS)
-            true = np.asarray(outcome.reading[0, 1]) + offset + noise @ rng.normal(size=15)
-            at = measured(true, LOADS[1], expected(outcome, 1)[0], True)
-            now = update(now, at, lines(outcome, PLACES), like(drift_std=drift))
-        return now
-
-    still, now = followed(0.0, 2), followed(2.0, 40)
-    np.testing.assert_array_equal(still.bias, 0)
-    assert still.bias_variance == 0
-    assert posterior(now)[0] > 0.999
-    # The filter in closed form: its variance before a touch settles at P with drift^2 (P + R) = P^2.
-    R = float(np.mean(np.diag(COVARIANCE)))
-    P = (2.0**2 + np.sqrt(2.0**4 + 4 * 2.0**2 * R)) / 2
-    gain = P / (P + R)
-    assert float(now.bias_variance) == pytest.approx((1 - gain) * P, rel=0.02)
-    # What is left is a mean of noise, gain / (2 - gain) of its variance, and of the offset what the touches left, of
-    # which the last half had the settled gain.
-    sd = np.sqrt(gain / (2 - gain) * np.diag(np.cov(ERRORS.T)))
-    assert (np.abs(now.bias - offset) < SIGMAS * sd + np.abs(offset) * (1 - gain) ** 20).all()
-
-
-@pytest.mark.full
 def test_probabilities_are_those_of_being_right():
     """All that happens is drawn from the model, which is known to be right then."""
     kinds, few, episodes, sites, shape = 3, 16, 1500, 6, (1500, 3)
@@ -356,7 +327,7 @@ def test_probabilities_are_those_of_being_right():
         def step(now, touched):
             return belief.update(now, touched[1], jax.tree.map(lambda x: x[touched[0]], table), model), None
 
-        return belief.posterior(jax.lax.scan(step, belief.init(places, kinds, channels=15), at)[0])
+        return belief.posterior(jax.lax.scan(step, belief.init(places, kinds), at)[0])
 
     at = jnp.asarray(site), measured(reading, np.full(shape, LOADS[1]), advance, np.ones(shape, bool))
     p = np.asarray(jax.jit(lambda at: jax.lax.map(episode, at, batch_size=50))(at), np.float64)

@@ -73,7 +73,10 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
     np.testing.assert_allclose(episodes.observations.advance[0], [0, OVERTRAVEL, 0])
     np.testing.assert_array_equal(episodes.observations.contact[0], [True, False, True])
     np.testing.assert_allclose(episodes.T_w_t[0, :, 2, 3], heights, atol=1e-8)
-    for names, count, said in ((["hexagon"], 1, "of which there is no mesh"), (["square"], 4, "no session has 4")):
+    for names, count, said in (
+        (["hexagon"], 1, "no object to tell apart is called so"),
+        (["square"], 4, "no session has 4"),
+    ):
         with pytest.raises(DataError, match=said):
             episodes_from_dataset(data, names, count)
 
@@ -90,7 +93,7 @@ def test_a_true_object_that_a_press_did_not_reach_is_not_punished():
         jacobian=jnp.zeros((2, 1, 6)), indentation=jnp.ones((2, 1, 2)) * 1e-4,
         reading=jnp.ones((2, 1, 2, CHANNELS)), variance=jnp.ones((2, 1, 2)) * 1e-3,
     )  # fmt: skip
-    begun = belief.init(belief.sample_particles(np.full(6, 1e-3), 1), 2, channels=CHANNELS)
+    begun = belief.init(belief.sample_particles(np.full(6, 1e-3), 1), 2)
     touch = jax.tree.map(lambda x: x[0, 0], episodes.observations)
     assert belief.posterior(jax.jit(belief.update)(begun, touch, predicted, LIKELIHOOD))[0] > 0.95
 
@@ -137,8 +140,8 @@ def test_methods_share_the_touches_that_both_make():
 
 
 def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
-    for kind, named in EVIDENCE.items():
-        one = weigh_evidence(LIKELIHOOD, named)
+    for kind in EVIDENCE:
+        one = weigh_evidence(LIKELIHOOD, kind)
         on = [bool(x > 0) for x in (one.tactile_weight, one.spatial_weight, one.presence_weight)]
         assert on == [kind == "fused" or name in kind for name in ("readings", "position", "presence")]
 

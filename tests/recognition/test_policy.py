@@ -63,7 +63,7 @@ def information(distance: float, prior: float) -> tuple[float, float]:
 
 
 def start(prior: float = 0.5) -> Belief:
-    now = belief.init(PLACED, OBJECTS, channels=15)
+    now = belief.init(PLACED, OBJECTS)
     return now._replace(log_weight=now.log_weight + jnp.log(jnp.array([prior, 1 - prior]) * 2)[:, None])
 
 
@@ -189,7 +189,7 @@ def test_what_is_imagined_is_what_is_expected_plus_its_noise():
 
 def probable(*probability: float) -> Belief:
     """A belief of three objects."""
-    now = belief.init(PLACED, 3, channels=15)
+    now = belief.init(PLACED, 3)
     share = jnp.log(jnp.array(probability) / COUNT)[:, None]
     return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)))
 

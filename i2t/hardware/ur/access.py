@@ -117,7 +117,9 @@ def check_controller(host: str) -> None:
         if ask_dashboard(host, "is in remote control") == "false":
             raise DeviceError(f"The robot at {host} is in local mode: choose remote control on its pendant.")
         if "PROTECTIVE" in ask_dashboard(host, "safetystatus"):
-            raise DeviceError(f"The robot at {host} is in a protective stop: clear its cause, then recover().")
+            raise DeviceError(
+                f"The robot at {host} is in a protective stop: clear its cause, and release it on the pendant."
+            )
         if ask_dashboard(host, "running") == "Program running: true":
             raise DeviceError(f"A program runs on the controller at {host}, perhaps for another client: end it first.")
 
@@ -136,22 +138,6 @@ def controller_serial(host: str) -> str:
     except OSError:
         return ""
     return answer if answer.isdecimal() else ""
-
-
-def release_protective_stop(host: str) -> None:
-    """Release a protective stop, if there is one.
-
-    Args:
-        host: Address of the controller.
-
-    Raises:
-        DeviceError: The controller refuses or does not answer.
-    """
-    with _no_answer(host):
-        if "PROTECTIVE" in ask_dashboard(host, "safetystatus"):
-            answer = ask_dashboard(host, "unlock protective stop")
-            if answer != "Protective stop releasing":
-                raise DeviceError(f"The protective stop of {host} cannot be released: {answer}.")
 
 
 @contextlib.contextmanager

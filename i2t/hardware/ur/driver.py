@@ -33,17 +33,15 @@ from types import FrameType
 from typing import IO, Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from i2t.errors import DeviceError
 from i2t.hardware.limits import MotionLimits, format_position
-from i2t.hardware.poses import pose_from_vector, pose_to_vector
+from i2t.hardware.poses import apart, pose_from_vector, pose_to_vector, shifted_along_z
 from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState, StopReason
 from i2t.hardware.ur.access import (
     NO_LIBRARY,
     check_controller,
     controller_serial,
-    release_protective_stop,
     take_lock,
 )
 from i2t.hardware.ur.config import STATE_TIMEOUT_S, WATCHDOG_RATE_HZ, check_watch
@@ -161,16 +159,6 @@ class UrArm:
                 if lock is not None:
                     lock.close()
 
-    def recover(self) -> None:
-        """Release a protective stop and connect again, once a person has looked at what caused it.
-
-        Raises:
-            DeviceError: It cannot be released, or as in `connect`.
-        """
-        self.close()
-        release_protective_stop(self.host)
-        self.connect()
-
     def state(self, timeout: float | None = None) -> ArmState:
         """The newest state, as in `Arm.state`; by default it may be as old as the state timeout.
 
@@ -229,8 +217,7 @@ class UrArm:
         """Move along the tool's z axis until something says stop, as in `GuardedArm.approach`."""
         self.limits.check_approach(distance, force, torque)
         start = self.connection.running(self.connection.state_timeout).arm.T_b_t
-        goal = start.copy()
-        goal[:3, 3] += distance * goal[:3, 2]
+        goal = shifted_along_z(start, distance)
         self.limits.check(goal, speed, acceleration)
         reason: StopReason = "distance"
         answer: Any = None
@@ -302,13 +289,12 @@ class UrArm:
             force, torque = RETREAT_FACTOR * np.linalg.norm(start.wrench.reshape(2, 3), axis=1)
             guard = MotionGuard(max(guard.force, float(force)), max(guard.torque, float(torque)), False)
         connection.start_motion(goal, speed=speed, acceleration=acceleration, guard=guard, stops=stops)
-        turn = Rotation.from_matrix(goal[:3, :3] @ start.T_b_t[:3, :3].T).magnitude()
-        length = max(float(np.linalg.norm(goal[:3, 3] - position)), ROTATION_LEVER_M * turn)
+        distance, turn = apart(start.T_b_t, goal)
+        length = max(distance, ROTATION_LEVER_M * turn)
         return DURATION_FACTOR * (length / speed + speed / acceleration) + DURATION_MARGIN_S, stops
 
 
 def _check_arrived(state: ArmState, goal: Array) -> None:
-    distance = np.linalg.norm(state.T_b_t[:3, 3] - goal[:3, 3])
-    turn = Rotation.from_matrix(goal[:3, :3] @ state.T_b_t[:3, :3].T).magnitude()
+    distance, turn = apart(state.T_b_t, goal)
     if not (distance <= GOAL_TOLERANCE[0] and turn <= GOAL_TOLERANCE[1]):
         raise DeviceError(f"The motion ended {1e3 * distance:.1f} mm and {np.degrees(turn):.1f} degrees off its goal.")

@@ -207,7 +207,8 @@ class RtdeConnection:
             raise MotionStoppedError(f"The arm at {self.host} was stopped by request.")
         if not state.arm.safe:
             raise DeviceError(
-                f"The robot at {self.host} made a protective or emergency stop: clear its cause, then recover()."
+                f"The robot at {self.host} made a protective or emergency stop: clear its cause, release it on the "
+                "pendant, then connect()."
             )
         return state
 
