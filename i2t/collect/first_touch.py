@@ -278,7 +278,7 @@ def _touch(slow: Procedure, site: Site) -> str:
             f"the first slow touch met something {-1e3 * late:.0f} mm before the object should begin; {remedy}, and "
             "look what is in the way"
         )
-    change, force = press.readings[TOOL], -float(press.states[-1].wrench[2])
+    change, force = press.changes[TOOL], -float(press.states[-1].wrench[2])
     defect = press_defect(change, force)
     if defect:
         raise RigContradictedError(f"{slow.skins[0].skin.features.name}: {defect}")

@@ -31,7 +31,7 @@ import numpy as np
 from i2t.collect.path import TouchPath
 from i2t.collect.recorder import EventLog, Recorder
 from i2t.collect.settings import TouchSettings
-from i2t.collect.stopping import StopCondition, felt, onset_distance
+from i2t.collect.stopping import StopCondition, felt, onset_distance, press_samples
 from i2t.collect.touch import (
     TOOL,
     ChooseSite,
@@ -81,10 +81,11 @@ class Press(NamedTuple):
     """Press that has ended, with the tool still in contact."""
 
     result: ApproachResult
-    started: float  # s
-    stop: StopCondition  # with what the skins saw
+    log: EventLog  # that heard of everything
+    period: tuple[float, float]  # s, when it began and ended
+    ambient: dict[str, Array]  # (c,) uT of each skin before it, by its name
     states: list[ArmState]  # before and after the samples in contact
-    readings: dict[str, Array]  # (c,) uT, the change of each skin, by its name
+    changes: dict[str, Array]  # (c,) uT, of each skin in contact
     felt_by: list[str]  # names of the skins that felt it, of that at the tool where none did
 
 
@@ -263,23 +264,24 @@ class Procedure:
         started = self.clock.now()
         result, stop = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
         stopped_by = " and ".join(name or self.rig.skin for name in stop.stopped_by)
+        period = started, self.clock.now()
         which = f" {stopped_by}" if len(self.skins) > 1 and stopped_by else ""
         log.event(f"stopped by {'skin' if result.reason == 'condition' else result.reason}{which}")
         self.clock.sleep(settings.hold)
-        states, readings = [self.arm.state()], {}
-        for name, mean in self._means(settings.contact, log).items():
-            readings[name] = mean - ambient[name]
+        states = [self.arm.state()]
+        changes = {name: mean - ambient[name] for name, mean in self._means(settings.contact, log).items()}
         states.append(self.arm.state())
         for state in states:
             log.state(state)
-        felt_by = [each.name for each in self.skins if felt(readings[each.name], each.board, settings)]
-        return Press(result, started, stop, states, readings, felt_by or [TOOL])
+        felt_by = [each.name for each in self.skins if felt(changes[each.name], each.board, settings)]
+        return Press(result, log, period, ambient, states, changes, felt_by or [TOOL])
 
     def _skin_touch(
         self, on_tool: SkinOnTool, press: Press, view: View, T_w_c: Array, before: SkinCounters
     ) -> SkinTouch:
         """What a skin felt in a press; `before` are its counters before the touch."""
-        name, condition = on_tool.name, press.stop.of[on_tool.name]
+        name = on_tool.name
+        change, ambient = press.changes[name], press.ambient[name]
         T_b_s = press.states[-1].T_b_t @ on_tool.T_tool_skin
         T_w_s = self.rig.T_world_base @ T_b_s
         code = RETURN_CODES[press.result.reason] if name in press.felt_by else ReturnCode.AIR
@@ -288,10 +290,10 @@ class Procedure:
             along = on_tool.T_tool_skin[:3, 2]
             force = -float(np.mean([state.wrench[:3] @ along for state in press.states]))
         if code != ReturnCode.AIR:
-            depth = onset_distance(*condition.press(press.started, T_b_s), condition.ambient, press.readings[name])
+            depth = onset_distance(*press_samples(press.log, on_tool, press.period, T_b_s), ambient, change)
         seen = self.extract_patch(view, self.camera.camera, T_w_c, T_w_s)
         counters = _counted_since(on_tool.skin.counters, before)
-        return SkinTouch(T_w_s, code, condition.ambient, press.readings[name], force, depth, seen, counters)
+        return SkinTouch(T_w_s, code, ambient, change, force, depth, seen, counters)
 
     def _means(self, count: int, log: EventLog) -> dict[str, Array]:
         """(c,) uT, the mean of the next samples of each skin, by its name."""

@@ -24,94 +24,8 @@ AT_REST_SILENCE_S = 0.4  # that a skin may be silent while the arm still stands
 FELT_SHARE = 0.5  # of the change that stops a press, above which a skin has felt it
 
 
-class SkinStopCondition:
-    """The stop condition of one skin, asked with every state of an approach; it keeps what it saw.
-
-    Args:
-        on_tool: The skin, connected.
-        settings: Which change is enough.
-        ambient: (3 chips,) uT, the reading before contact.
-        log: That hears of every sample.
-    """
-
-    def __init__(
-        self, on_tool: SkinOnTool, settings: TouchSettings, ambient: Float[Array, " c"], log: EventLog
-    ) -> None:
-        self.ambient = ambient
-        self._on_tool, self._settings, self._log = on_tool, settings, log
-        self._number = int(on_tool.skin.latest(max(settings.silence, AT_REST_SILENCE_S)).number[-1])
-        self._last: list[Array] = []
-        self._times: list[Array] = []
-        self._readings: list[Array] = []
-        self._states: list[tuple[float, Array]] = []
-
-    def __call__(self, state: ArmState) -> float | None:
-        """Test whether the skin has changed enough.
-
-        Args:
-            state: The arm's newest.
-
-        Returns:
-            The change (uT) if it is enough, else None.
-
-        Raises:
-            DeviceTimeoutError: The skin is silent.
-            DeviceError: A chip has stopped answering.
-        """
-        self._hear(state)
-        settings = self._settings
-        if len(self._last) < settings.averaged_samples:
-            return None
-        change = mean_known(np.array(self._last), axis=0) - self.ambient
-        self._check_chips(change)
-        size, nonuniform = _size(change), _size(nonuniform_field(change, self._on_tool.board))
-        enough = size > settings.skin_change and nonuniform > settings.nonuniform_share * settings.skin_change
-        return size if enough else None
-
-    def _check_chips(self, change: Array) -> None:
-        """Raise DeviceError if a chip that answered before the press does not any more: what it feels is not known."""
-        lost = np.isfinite(self.ambient) & ~np.isfinite(change)
-        if lost.any():
-            raise DeviceError(
-                f"chip {int(np.argmax(lost)) // 3} of {self._on_tool.skin.features.name} stopped answering during an "
-                "approach; check its cable and its solder"
-            )
-
-    def _hear(self, state: ArmState) -> None:
-        """Take new samples; raises DeviceTimeoutError if the skin is silent."""
-        skin = self._on_tool.skin
-        fresh = skin.since(self._number)
-        self._states.append((state.time, (state.T_b_t @ self._on_tool.T_tool_skin)[:3, 3]))
-        if not len(fresh.number):
-            skin.latest(self._settings.silence)
-            return
-        self._log.samples(fresh, self._on_tool.name)
-        self._number = int(fresh.number[-1])
-        self._times.append(fresh.time)
-        self._readings.append(fresh.reading)
-        self._last = [*self._last, *fresh.reading][-self._settings.averaged_samples :]
-
-    def press(self, started: float, T_b_s: Float[Array, "4 4"]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
-        """Samples of a press, and where the skin was when they were taken.
-
-        Args:
-            started: s, when the press began.
-            T_b_s: (4, 4) skin in base where it ended.
-
-        Returns:
-            Readings (n, 3 chips) uT, and how far (n,) m the skin was before that end, along its z.
-        """
-        if not self._readings:
-            return np.zeros((0, self._on_tool.board.num_readings)), np.zeros(0)
-        times, readings = np.concatenate(self._times), np.concatenate(self._readings)
-        state_times = np.array([time for time, _ in self._states])
-        before = np.array([(T_b_s[:3, 3] - position) @ T_b_s[:3, 2] for _, position in self._states])
-        during = times >= started
-        return readings[during], np.interp(times[during], state_times, before)
-
-
 class StopCondition:
-    """Stops an approach as soon as one of the skins on the tool does.
+    """Stops an approach as soon as one of the skins on the tool does; asked with every state of the approach.
 
     Args:
         skins: Connected.
@@ -127,9 +41,11 @@ class StopCondition:
         ambient: Mapping[str, Float[Array, " c"]],
         log: EventLog,
     ) -> None:
-        self.of = {each.name: SkinStopCondition(each, settings, ambient[each.name], log) for each in skins}
         self.stopped_by: list[str] = []  # names of the skins that stopped it
-        self._log = log
+        self._skins, self._settings, self._ambient, self._log = skins, settings, ambient, log
+        silence = max(settings.silence, AT_REST_SILENCE_S)
+        self._numbers = {each.name: int(each.skin.latest(silence).number[-1]) for each in skins}
+        self._last: dict[str, list[Array]] = {each.name: [] for each in skins}
 
     def __call__(self, state: ArmState) -> float | None:
         """Test whether a skin has changed enough.
@@ -145,9 +61,68 @@ class StopCondition:
             DeviceError: A chip has stopped answering.
         """
         self._log.state(state)
-        answers = {name: condition(state) for name, condition in self.of.items()}
+        answers = {each.name: self._enough(each) for each in self._skins}
         self.stopped_by = [name for name, answer in answers.items() if answer is not None]
         return answers[self.stopped_by[0]] if self.stopped_by else None
+
+    def _enough(self, on_tool: SkinOnTool) -> float | None:
+        """The change (uT) of a skin if it is enough, else None."""
+        settings = self._settings
+        self._hear(on_tool)
+        last = self._last[on_tool.name]
+        if len(last) < settings.averaged_samples:
+            return None
+        change = mean_known(np.array(last), axis=0) - self._ambient[on_tool.name]
+        self._check_chips(change, on_tool)
+        size, nonuniform = _size(change), _size(nonuniform_field(change, on_tool.board))
+        enough = size > settings.skin_change and nonuniform > settings.nonuniform_share * settings.skin_change
+        return size if enough else None
+
+    def _check_chips(self, change: Array, on_tool: SkinOnTool) -> None:
+        """Raise DeviceError if a chip that answered before the press does not any more: what it feels is not known."""
+        lost = np.isfinite(self._ambient[on_tool.name]) & ~np.isfinite(change)
+        if lost.any():
+            raise DeviceError(
+                f"chip {int(np.argmax(lost)) // 3} of {on_tool.skin.features.name} stopped answering during an "
+                "approach; check its cable and its solder"
+            )
+
+    def _hear(self, on_tool: SkinOnTool) -> None:
+        """Take new samples; raises DeviceTimeoutError if the skin is silent."""
+        name, skin = on_tool.name, on_tool.skin
+        fresh = skin.since(self._numbers[name])
+        if not len(fresh.number):
+            skin.latest(self._settings.silence)
+            return
+        self._log.samples(fresh, name)
+        self._numbers[name] = int(fresh.number[-1])
+        self._last[name] = [*self._last[name], *fresh.reading][-self._settings.averaged_samples :]
+
+
+def press_samples(
+    log: EventLog, on_tool: SkinOnTool, period: tuple[float, float], T_b_s: Float[Array, "4 4"]
+) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
+    """Samples of a press, and where the skin was when they were taken.
+
+    Args:
+        log: Of the touch.
+        on_tool: The skin.
+        period: s, when the press began and ended.
+        T_b_s: (4, 4) skin in base, m, where it ended.
+
+    Returns:
+        Readings (n, 3 chips) uT, and how far (n,) m the skin was before that end, along its z.
+    """
+    begun, ended = period
+    rows = [row for _, row in sorted(log.readings[on_tool.name].items()) if begun <= row[0] <= ended]
+    states = [state for state in log.states if begun <= state.time <= ended]
+    if not rows or not states:
+        return np.zeros((0, on_tool.board.num_readings)), np.zeros(0)
+    samples = np.array(rows)
+    positions = np.array([(state.T_b_t @ on_tool.T_tool_skin)[:3, 3] for state in states])
+    before = (T_b_s[:3, 3] - positions) @ T_b_s[:3, 2]
+    readings = samples[:, 1 : 1 + on_tool.board.num_readings]
+    return readings, np.interp(samples[:, 0], [state.time for state in states], before)
 
 
 def felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -> bool:

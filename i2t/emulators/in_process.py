@@ -11,7 +11,7 @@ takes a fraction of one. On the clock of this machine it takes as long as in a l
 
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import takewhile
 from typing import Any, SupportsIndex, TypeAlias
 
@@ -101,12 +101,11 @@ class SkinInLab:
         self._steps = np.where(steps > 0, steps, 1e-6)
         self._noise: list[tuple[Array, Array]] = []
 
-    def measure(self, now: float, position: Array, rotation: Array) -> None:
+    def measure(self, now: float, rotation: Array) -> None:
         """Keep a sample, if somebody holds the skin.
 
         Args:
             now: s.
-            position: (3,) m, of the tool in the base.
             rotation: (3, 3) of the tool in the base.
         """
         if not self.recording:
@@ -114,7 +113,7 @@ class SkinInLab:
         if not self._noise:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
-        reading = self.contact_model.at_rest(position, rotation) + self.contact_model.reading + noise
+        reading = self.contact_model.at_rest(rotation) + self.contact_model.reading + noise
         self.samples.append((self.number, now, np.rint(reading / self._steps) * self._steps, celsius))
         self.number += 1
 
@@ -193,7 +192,7 @@ class SimulatedLab:
                     self.robot.step(TICK_S)
                 self.robot.wrench()
                 for skin in self.skins:
-                    skin.measure(self.time, self.robot.position, self.robot.rotation)
+                    skin.measure(self.time, self.robot.rotation)
 
 
 class _SimulatedDevice(DeviceBase):
@@ -201,20 +200,20 @@ class _SimulatedDevice(DeviceBase):
 
     def __init__(self, lab: SimulatedLab, name: str) -> None:
         self.lab, self._name = lab, name
-        self._trouble: DeviceError | None = NotConnectedError(f"{name} is not connected; call connect() or use with")
+        self._open = False
 
     def connect(self) -> None:
         """Start it."""
-        self._trouble = None
+        self._open = True
 
     def close(self) -> None:
         """Disconnect it."""
-        self._trouble = NotConnectedError(f"{self._name} was closed; connect it again")
+        self._open = False
 
     def _check(self) -> None:
         """Raise what is wrong, else move the lab on to the present."""
-        if self._trouble is not None:
-            raise type(self._trouble)(*self._trouble.args)
+        if not self._open:
+            raise NotConnectedError(f"{self._name} is not connected; call connect() or use with")
         self.lab.advance()
 
 
@@ -241,7 +240,7 @@ class SimulatedSkin(_SimulatedDevice):
     @property
     def counters(self) -> SkinCounters:
         """Counts so far; nothing is ever lost."""
-        rate = 1 / TICK_S if self._trouble is None else 0.0
+        rate = 1 / TICK_S if self._open else 0.0
         return SkinCounters(samples=self.in_lab.number, connects=self._connects, rate=rate)
 
     def connect(self) -> None:
@@ -379,17 +378,23 @@ class SimulatedArm(_SimulatedDevice):
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait, as in `GuardedArm.go`."""
-        felt = float(np.linalg.norm(self.state().wrench[:3]))
-        self.move(T_b_t, speed, acceleration)
-        while True:
-            self.lab.clock.sleep(LOOK_TICKS * TICK_S)
-            state = self.state()
+        limit = max(self.limits.trip_force, 1.1 * float(np.linalg.norm(self.state().wrench[:3])))
+        for state in self._follow(T_b_t, speed, acceleration):
             force = float(np.linalg.norm(state.wrench[:3]))
-            if not state.moving:
-                return state
-            if force > max(self.limits.trip_force, 1.1 * felt):
+            if state.moving and not force <= limit:
                 self.stop()
                 raise DeviceError(f"The arm met something on its way ({force:.1f} N) and was stopped.")
+        return state
+
+    def _follow(self, T_b_t: Array, speed: float | None, acceleration: float | None) -> Iterator[ArmState]:
+        """States of a motion, look by look; the last is that of an arm that stands."""
+        self.move(T_b_t, speed, acceleration)
+        moving = True
+        while moving:
+            self.lab.clock.sleep(LOOK_TICKS * TICK_S)
+            state = self.state()
+            moving = state.moving
+            yield state
 
     def approach(
         self,
@@ -403,20 +408,17 @@ class SimulatedArm(_SimulatedDevice):
         """Move along tool z until something says stop, as in `GuardedArm.approach`."""
         self.limits.check_approach(distance, force, torque)
         start = self.state().T_b_t
-        self.move(shifted_along_z(start, distance), speed, acceleration)
         reason: StopReason = "distance"
         answer: Any = None
         try:
-            while True:
-                self.lab.clock.sleep(LOOK_TICKS * TICK_S)
-                trigger = self.state()
+            for trigger in self._follow(shifted_along_z(start, distance), speed, acceleration):
                 if not trigger.moving:
                     break
                 answer = stop_condition(trigger) if stop_condition is not None else None
                 felt = np.linalg.norm(trigger.wrench.reshape(2, 3), axis=1)
-                if felt[0] > force:
+                if not felt[0] <= force:
                     reason = "force"
-                elif felt[1] > torque:
+                elif not felt[1] <= torque:
                     reason = "torque"
                 elif answer:
                     reason = "condition"

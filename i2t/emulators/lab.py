@@ -32,7 +32,6 @@ from i2t.skin.boards import DEFAULT_BOARD, make_board
 if TYPE_CHECKING:
     from i2t.emulators.scene import Contacts
 
-SHOWS_FIELDS = ("--field", "--ambient", "0", "0", "0")  # options of a board that is sent all that its chips feel
 started = partial(processes.started, "i2t.emulators.lab")  # with options: yields a line and its process
 
 
@@ -78,7 +77,7 @@ def _contacts(args: LabArgs, rig: Rig, stack: ExitStack) -> "Contacts":
         scene = make_scene(args.world, rig, board, number)
         scene.ahead(rig.T_base_world @ rig.T_world_object)  # compiled before anybody waits for it
         named = ("--link", str(link), "--board", board)
-        _, process = stack.enter_context(reskin_board.started(*SHOWS_FIELDS, *named))
+        _, process = stack.enter_context(reskin_board.started("--field", *named))
         T_tool_skin = rig.skins[number - 1].T_tool_skin if number else None
         return ContactModel(scene, wait=False, T_tool_skin=T_tool_skin, to=_board_address(process))
 

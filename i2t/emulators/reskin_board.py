@@ -58,9 +58,8 @@ class EmulatedBoardArgs:
     format: tyro.conf.EnumChoicesFromValues[Format] = Format.BINARY  # what firmware it has
     rate: float = 400.0  # frames a second
     noise: float = 1.0  # times that of real boards; 0 repeats one frame exactly
-    ambient: tuple[float, float, float] = AMBIENT_UT  # uT, field of the room in tool axes
     press: float = 0.0  # size of a press every 4 s, times 57 uT (norm on 5 chips)
-    field: bool = False  # take fields (3 float32 a chip, little-endian, uT) from UDP datagrams
+    field: bool = False  # take the field (3 float32 a chip, little-endian, uT) from UDP datagrams
     fail: tuple[int, ...] = ()  # chips that do not answer
     fail_share: float = 0.0  # part of the samples in which a chip does not answer, each chip by itself
     empty: int = 1  # only every Nth frame holds values: the sketch reads faster than the chips measure
@@ -81,29 +80,18 @@ class Readings:
     Args:
         noise: Times that of real boards.
         press: Size of the presses that come and go.
-        temperature: Degrees Celsius of all chips; None for some 24.6 with noise.
         seed: Of the noise.
         board: Whose chips they are; by default ReSkin's.
-        ambient: (3,) uT, field of the room in tool axes.
     """
 
-    def __init__(
-        self,
-        noise: float,
-        press: float,
-        temperature: float | None,
-        seed: int,
-        board: Board | None = None,
-        *,
-        ambient: Sequence[float] = AMBIENT_UT,
-    ) -> None:
+    def __init__(self, noise: float, press: float, seed: int, board: Board | None = None) -> None:
         board = make_board("reskin") if board is None else board
         self.chips = len(board.chips)
         self._rng = np.random.default_rng(seed)
-        self._rest = np.asarray(board.to_board(np.tile(np.array(ambient), (self.chips, 1))))
         self._press = press * np.resize(PRESS_UT, (self.chips, 3)).ravel()
-        self._noise, self._temperature = noise, temperature
-        self.field = np.zeros(3 * self.chips)  # uT, added to all else
+        self._noise = noise
+        # uT, without noise and press; it may be another one later
+        self.field = np.asarray(board.to_board(np.tile(AMBIENT_UT, (self.chips, 1))))
 
     def at(self, now: float) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " chips"]]:
         """One sample.
@@ -117,14 +105,11 @@ class Readings:
         depth = max(0.0, np.sin(2 * np.pi * now / PRESS_PERIOD_S)) ** 2
         noise = self._noise * np.tile(NOISE_UT, self.chips) * self._rng.standard_normal(3 * self.chips)
         steps = np.tile(STEPS_UT, self.chips)
-        counts = np.round((self._rest + self.field + depth * self._press + noise) / steps)
+        counts = np.round((self.field + depth * self._press + noise) / steps)
         counts = (counts + CONVERTER_COUNTS // 2) % CONVERTER_COUNTS - CONVERTER_COUNTS // 2
-        reading = counts * steps
         warmth = BOARD_TEMPERATURE_C + self._noise * TEMPERATURE_NOISE_C * self._rng.standard_normal(self.chips)
         celsius = np.round((warmth - TEMPERATURE_ORIGIN_C) / TEMPERATURE_STEP_C)
-        if self._temperature is not None:
-            return reading, np.full(self.chips, self._temperature)
-        return reading, TEMPERATURE_ORIGIN_C + celsius * TEMPERATURE_STEP_C
+        return counts * steps, TEMPERATURE_ORIGIN_C + celsius * TEMPERATURE_STEP_C
 
 
 class BoardPort:
@@ -231,7 +216,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
-    readings = Readings(options.noise, options.press, None, options.seed, board, ambient=options.ambient)
+    readings = Readings(options.noise, options.press, options.seed, board)
     line = _Line(options)
     inbox = _field_inbox() if options.field else None
     opened: float | None = None  # when the port was first opened

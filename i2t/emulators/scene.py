@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from i2t.emulators.processes import Address
-from i2t.emulators.room import RoomField, room_field
 from i2t.geometry import full_precision, inverse, so3_exp, transform
 from i2t.objects.solids import Mesh, transform_mesh
 from i2t.rendering.render import prepare_surface, render_patch
@@ -38,6 +37,7 @@ TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
 LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
 SEEN_AT_M = (0.4, 0.0)  # middle of what a camera sees of a plane, below the tool's first pose
 TABLES_SEEN = 5  # times as wide as a table
+ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # base axes: the Earth's about, in its southern half
 STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
 
 
@@ -112,7 +112,6 @@ class SpringPlane:
         gain: (3 chips,) uT/N, by which each newton changes the reading.
         errors: Of the lab.
         board: Of the skin.
-        room: Whose field the skin feels; by default that of `RoomField`.
     """
 
     def __init__(
@@ -122,11 +121,9 @@ class SpringPlane:
         gain: Array,
         errors: SimulationErrors,
         board: Board,
-        *,
-        room: RoomField | None = None,
     ) -> None:
         self.height, self.stiffness, self.gain = height, stiffness, gain
-        self.errors, self.board, self.room = errors, board, RoomField() if room is None else room
+        self.errors, self.board = errors, board
         self.rest, self.gains = np.zeros(board.num_readings), np.ones(board.num_readings)
         self.triangles = TABLES_SEEN * table_triangles(np.eye(4)) + np.array([*SEEN_AT_M, height])
         self.T_t_camera = np.eye(4)
@@ -178,7 +175,6 @@ class ObjectScene:
         errors: Of the lab.
         stiffness: N/m, of arm and mount.
         seed: The same makes the same errors.
-        room: Whose field the skin feels; by default that of `RoomField`.
     """
 
     def __init__(
@@ -189,10 +185,7 @@ class ObjectScene:
         errors: SimulationErrors,
         stiffness: float = 10e3,
         seed: int = 0,
-        *,
-        room: RoomField | None = None,
     ) -> None:
-        self.room = RoomField() if room is None else room
         self.gains = np.asarray(pad.gains, float)
         run = _draw_errors(jax.random.key(seed), errors)
         self.pad, self.errors, self.stiffness = pad, errors, stiffness
@@ -295,8 +288,8 @@ class ContactModel:
 
     def __call__(self, position: Array, turned: Array) -> Array:
         """Wrench (6,) on the tool about its own origin, at a pose of the tool, base axes."""
+        self._look(position, turned)
         at, own_turned = self._skin_pose(position, turned)
-        self._look(at, own_turned)
         along = None if self._line is None else self._line.distance_along(at, own_turned)
         wrench = np.zeros(6)
         self.reading = np.zeros(self.scene.board.num_readings)
@@ -305,21 +298,20 @@ class ContactModel:
             wrench[:3] = own_turned @ [0.0, 0.0, -force]
             wrench[3:] = own_turned @ [-force * y, force * x, 0.0] + np.cross(at - position, wrench[:3])
         if self._to and self._socket:
-            self._tell(self._socket, self._to, self.at_rest(position, turned) + self.reading)
+            self._tell(self._socket, self._to, self.at_rest(turned) + self.reading)
         return wrench
 
-    def at_rest(self, position: Array, turned: Array) -> Array:
+    def at_rest(self, turned: Array) -> Array:
         """Reading of a skin that touches nothing: its own field and the room's.
 
         Args:
-            position: (3,) m, of the tool in the base.
             turned: (3, 3) rotation of the tool in the base.
 
         Returns:
             (3 chips,) uT.
         """
-        scene, (at, own_turned) = self.scene, self._skin_pose(position, turned)
-        room = room_field(scene.room, scene.board, transform(own_turned, at))
+        scene, field = self.scene, ROOM_FIELD_UT @ turned @ self.T_tool_skin[:3, :3]
+        room = np.tile(field, (scene.board.num_chips, 1))
         return scene.rest + scene.gains * np.asarray(scene.board.to_board(room))
 
     def stands(self, position: Array, turned: Array) -> None:
@@ -329,7 +321,19 @@ class ContactModel:
             position: (3,) m, of the tool in the base.
             turned: (3, 3) rotation of the tool in the base.
         """
-        self._stands(*self._skin_pose(position, turned))
+        at, own_turned = self._skin_pose(position, turned)
+        if not self.scene.near(at):
+            return
+        along = None if self._line is None else self._line.distance_along(at, own_turned)
+        if self._line is not None and along is not None and self._line.covers(along):
+            return
+        T_b_s = transform(own_turned, at)
+        if self._beside is None:
+            self._line = self.scene.ahead(T_b_s)
+        elif self._coming is None:
+            self._coming = self._beside.submit(self.scene.ahead, T_b_s)
+        else:
+            self._times = 0  # ask again once the line before is known
 
     def _skin_pose(self, position: Array, turned: Array) -> tuple[Array, Array]:
         """Position (3,) m and rotation (3, 3) of the skin in the base, of those of the tool."""
@@ -342,28 +346,14 @@ class ContactModel:
                 sender.sendto(struct.pack(f"<{len(reading)}f", *reading), to)
                 self._sent = reading
 
-    def _look(self, at: Array, turned: Array) -> None:
+    def _look(self, position: Array, turned: Array) -> None:
         if self._coming is not None and self._coming.done():
             self._line, self._coming = self._coming.result(), None
-        same = bool((at == self._seen[0]).all()) and bool((turned == self._seen[1]).all())
+        same = bool((position == self._seen[0]).all() and (turned == self._seen[1]).all())
         self._times = self._times + 1 if same else 0
-        self._seen = at, turned
+        self._seen = position, turned
         if self._times == STANDING_QUERIES:
-            self._stands(at, turned)
-
-    def _stands(self, at: Array, turned: Array) -> None:
-        if not self.scene.near(at):
-            return
-        along = None if self._line is None else self._line.distance_along(at, turned)
-        if self._line is not None and along is not None and self._line.covers(along):
-            return
-        T_b_s = transform(np.asarray(turned), np.asarray(at))
-        if self._beside is None:
-            self._line = self.scene.ahead(T_b_s)
-        elif self._coming is None:
-            self._coming = self._beside.submit(self.scene.ahead, T_b_s)
-        else:
-            self._times = 0  # ask again once the line before is known
+            self.stands(position, turned)
 
 
 class Contacts:

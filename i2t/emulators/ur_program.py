@@ -51,7 +51,6 @@ class Controller:
         self.runtime, self.protective, self.local = STOPPED, False, False
         self.in_ints, self.in_doubles = [0] * REGISTERS, [0.0] * REGISTERS
         self.out_ints, self.out_doubles = [0] * REGISTERS, [0.0] * REGISTERS
-        self.slider_mask = 0
         self.watchdog: float | None = None  # s
         self.asynchronous, self.operation, self.changes = False, 0, 0  # motion under way, its number, state changes
         self.payload, self.tcp_offset, self.pendant_tcp = 0.0, [0.0] * 6, [0.0] * 6  # the last: a program begins with
@@ -88,6 +87,8 @@ class Controller:
     def write(self, values: Mapping[str, rtde_protocol.Value]) -> None:
         """Take registers from the client; a command, be it none, tells the watchdog that the client lives.
 
+        The speed slider is left to the pendant, as the driver leaves it.
+
         Args:
             values: By the name of the input.
         """
@@ -99,10 +100,6 @@ class Controller:
                 self.heard_clock = self.clock if index == "0" else self.heard_clock
             elif kind == "input_double_register":
                 self.in_doubles[int(index)] = float(number)
-            elif name == "speed_slider_mask":
-                self.slider_mask = int(number)
-            elif name == "speed_slider_fraction" and self.slider_mask:
-                self.robot.speed_fraction = min(1.0, max(0.0, float(number)))
 
     def step(self) -> None:
         """Advance robot, safety and program by a tick."""

@@ -61,11 +61,6 @@ class Client:
                 raise ValueError(f"an RTDE packet cannot be {size} bytes long")
             yield kind, await self.reader.readexactly(size - rtde_protocol.PACKET_HEADER.size)
 
-    async def lines(self) -> AsyncIterator[str]:
-        """Lines of text."""
-        while line := await self.reader.readline():
-            yield line.decode().strip()
-
 
 class Server:
     """All ports of a controller, and its time.
@@ -91,7 +86,8 @@ class Server:
             OSError: A port cannot be opened.
         """
         ports: dict[int, Serve] = {
-            RTDE_PORT: self._rtde, DASHBOARD_PORT: self._dashboard, SCRIPT_PORT: self._script, FAULT_PORT: self._faults,
+            RTDE_PORT: self._rtde, DASHBOARD_PORT: self._dashboard, SCRIPT_PORT: self._script,
+            FAULT_PORT: partial(self._answer_lines, self.fault),
         }  # fmt: skip
         for port, serve in ports.items():
             await asyncio.start_server(partial(self._accept, serve), self.host, port)
@@ -180,13 +176,13 @@ class Server:
     async def _dashboard(self, client: Client) -> None:
         if not self.muted:
             client.send(b"Connected: Universal Robots Dashboard Server\n")
-        async for line in client.lines():
-            if not self.muted:
-                client.send(self.dashboard(line).encode() + b"\n")
+        await self._answer_lines(lambda line: "" if self.muted else self.dashboard(line), client)
 
-    async def _faults(self, client: Client) -> None:
-        async for line in client.lines():
-            client.send(self.fault(line).encode() + b"\n")
+    async def _answer_lines(self, answer: Callable[[str], str], client: Client) -> None:
+        """Answer lines of text; an empty answer is not sent."""
+        while line := await client.reader.readline():
+            if said := answer(line.decode().strip()):
+                client.send(said.encode() + b"\n")
 
     def dashboard(self, line: str) -> str:
         """Do what a line on the dashboard port asks.

@@ -1,12 +1,15 @@
 """The procedure on a springy plane, where everything that it should measure is known in closed form."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from helpers import closed_form
-from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, make, site
+from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, listed, make, site
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from experiments.faults.closed_form import MemoryLog
 from i2t.collect.settings import TouchSettings
 from i2t.collect.stopping import StopCondition, onset_distance
 from i2t.collect.touch import MissedContactError, SkinOnTool, TouchFailedError, UnreachableError
@@ -23,31 +26,17 @@ class Memory:
     """Keeps touches in memory."""
 
     def __init__(self):
-        self.saved, self.abandoned, self.events, self.numbers = [], [], [], set()
+        self.saved, self.abandoned, self.log = [], [], MemoryLog()
 
     def begin(self, site, attempt):
-        self.events = []
-        return self
+        self.log = MemoryLog()
+        return self.log
 
     def save(self, touched):
         self.saved.append(touched)
 
     def abandon(self, reason):
         self.abandoned.append(reason)
-
-    def samples(self, samples, skin=""):
-        self.numbers.update(samples.number.tolist())
-
-    def state(self, state):
-        pass
-
-    def event(self, text):
-        self.events.append(text)
-
-
-def listed(*sites):
-    """Chooses these sites."""
-    return lambda history: sites[len(history)] if len(history) < len(sites) else None
 
 
 def pressed(*sites, **options):
@@ -84,8 +73,8 @@ def test_a_press_stops_by_the_skin_and_measures_the_spring_along_its_normal():
         np.testing.assert_allclose(touched.T_w_t[:3, :3], turned, atol=1e-9)
         view_from = [0, 0, HEIGHT] - procedure.rig.looking_distance * turned[:, 2]
         np.testing.assert_allclose(touched.T_w_c[:3, 3], view_from, atol=1e-9)
-        assert memory.events[:4] == ["look", "prepare", "ambient", "press"]
-        assert len(memory.numbers) > 400 * settings.near / settings.press  # the whole press, at 400 Hz
+        assert [text for _, text in memory.log.events[:4]] == ["look", "prepare", "ambient", "press"]
+        assert len(memory.log.readings[""]) > 400 * settings.near / settings.press  # the whole press, at 400 Hz
 
 
 @pytest.mark.parametrize(("stiffness", "press"), [
@@ -123,11 +112,11 @@ def test_what_was_not_expected_fails_and_is_tried_again():
 
 
 def test_the_camera_can_refuse_a_site():
-    procedure, memory = make(), Memory()
+    procedure = make()
     for seen, said in (({"nearest": -0.02}, "register"), ({"visible_share": 0.2}, "20 %")):
         procedure.extract_patch = lambda *view, seen=seen: closed_form.extract_patch(*view, **seen)
         with pytest.raises(TouchFailedError, match=said):
-            procedure.touch(site(0), memory)
+            procedure.touch(site(0), MemoryLog())
 
 
 def test_places_outside_the_box_cost_no_motion_and_are_no_failures_of_a_device():
@@ -190,30 +179,16 @@ def test_a_camera_that_is_unplugged_is_waited_for_and_then_a_person_is_asked():
     assert memory.abandoned == ["eye is gone"]
 
 
-class Batches:
-    """A skin that gives its samples ten at a time, one batch for each look."""
-
-    features = counters = connect = close = read = __enter__ = __exit__ = print  # never called
-
-    def __init__(self, batches):
-        self.batches, self.given = batches, 0
-
-    def _samples(self, number):
-        rows = self.batches[number]
-        count = np.arange(len(rows)) + number * len(rows)
-        return Samples(count, 2.5e-3 * count, rows, np.zeros((len(rows), rows.shape[1] // 3)))
-
-    def latest(self, timeout=0.4):
-        return self._samples(0)
-
-    def since(self, number):
-        self.given += 1
-        return self._samples(self.given - 1)
-
-
 def stops(batches, board, ambient):
-    """Whether the procedure's own stop condition stops a press on these batches of samples (looks, 10, channels)."""
-    condition = StopCondition([SkinOnTool("", Batches(batches), board)], TouchSettings(), {"": ambient}, Memory())
+    """Whether the procedure's own stop condition stops a press on samples (looks, 10, channels), a batch each look."""
+    looks = iter(range(len(batches)))
+
+    def samples(number):
+        count = np.arange(10) + 10 * number
+        return Samples(count, 2.5e-3 * count, batches[number], np.zeros((10, board.num_chips)))
+
+    skin = SimpleNamespace(latest=lambda timeout: samples(0), since=lambda number: samples(next(looks)))
+    condition = StopCondition([SkinOnTool("", skin, board)], TouchSettings(), {"": ambient}, MemoryLog())
     state = ArmState(0.0, np.eye(4), np.zeros(6), np.zeros(6), np.zeros(6), True, True)
     return any(condition(state) is not None for _ in batches)
 
@@ -274,7 +249,7 @@ def test_an_object_too_high_for_the_box_is_refused_and_nothing_moves():
         with pytest.raises(UnreachableError, match="raise the box"):
             motion()
     np.testing.assert_array_equal(procedure.arm.state().T_b_t, before)
-    assert not memory.events
+    assert not memory.log.events
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.closed_form import GAIN, HEIGHT, WALL, make, names, site
+from helpers.closed_form import GAIN, HEIGHT, WALL, listed, make, names, site
 
 from experiments.faults.closed_form import SettableClock
 from i2t import dataset
@@ -17,10 +17,6 @@ from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, w
 from i2t.errors import DataError, DeviceError
 from i2t.files import unwritable
 from i2t.types import ReturnCode
-
-
-def sites(*numbers):
-    return lambda history: site(numbers[len(history)]) if len(history) < len(numbers) else None
 
 
 @pytest.fixture
@@ -33,7 +29,7 @@ def lab(tmp_path):
 
 def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(lab):
     procedure, recording = lab
-    (outcome,) = procedure.run(sites(3), recording)
+    (outcome,) = procedure.run(listed(site(3)), recording)
     (path,) = touches_in(recording.folder)
     record, touched = dataset.read_touch(path), outcome.touch
     touches = record.touch.touches
@@ -76,7 +72,7 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab
 
     procedure.arm.approach = interrupted
     with pytest.raises(KeyboardInterrupt):
-        list(procedure.run(sites(0), recording))
+        list(procedure.run(listed(site(0)), recording))
     assert not touches_in(recording.folder)
     (raw,) = (recording.folder / recorder.INTERRUPTED).iterdir()
     entries = list(read_raw(raw))
@@ -129,7 +125,7 @@ def test_a_killed_writer_loses_nothing_that_it_acknowledged(tmp_path):
     procedure = make()
     with Recorder(tmp_path, names(procedure), procedure.clock) as recording:
         procedure.clock.sleep(1e6)
-        list(procedure.run(sites(99), recording))
+        list(procedure.run(listed(site(99)), recording))
     assert len(touches_in(tmp_path)) == len(present) + 1
 
 
@@ -142,7 +138,7 @@ def test_a_folder_that_cannot_be_used_and_a_disk_that_is_nearly_full_are_found_b
         with pytest.raises(StorageError, match="another collection"):
             Recorder(tmp_path, names(procedure), procedure.clock)
         with pytest.raises(StorageError, match="free some space"):
-            list(procedure.run(sites(0), recording))
+            list(procedure.run(listed(site(0)), recording))
     assert procedure.clock.now() < 0.1
 
 
@@ -151,7 +147,7 @@ def test_a_folder_that_cannot_be_used_and_a_disk_that_is_nearly_full_are_found_b
 )
 def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypatch, where, code, said):
     procedure, recording = lab
-    list(procedure.run(sites(0), recording))
+    list(procedure.run(listed(site(0)), recording))
     error = OSError(code, os.strerror(code))
     if where == "raw":
         write, count = recorder.EventLog._write, []
@@ -170,7 +166,7 @@ def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypat
 
         monkeypatch.setattr(recorder.dataset, "write_touch", full)
     with pytest.raises(StorageError, match=said) as ended:
-        list(procedure.run(sites(1), recording))
+        list(procedure.run(listed(site(1)), recording))
     assert "\n" not in str(ended.value)
     assert not procedure.arm.state().moving
     assert np.linalg.norm(procedure.arm.state().wrench[:3]) == 0
@@ -185,12 +181,12 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
         procedure.clock.jump = -3600.0
         return capture()
 
-    list(procedure.run(sites(0), recording))
+    list(procedure.run(listed(site(0)), recording))
     procedure.camera.capture = jumped
     with pytest.raises(StorageError, match=r"jumped by -3600\.0 s; the touch is saved"):
-        list(procedure.run(sites(1), recording))
+        list(procedure.run(listed(site(1)), recording))
     with pytest.raises(StorageError, match="behind the newest touch"):
-        list(procedure.run(sites(2), recording))
+        list(procedure.run(listed(site(2)), recording))
     first, second = touches_in(recording.folder)
     assert 5 < written_at(second) - written_at(first) < 30
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
@@ -209,7 +205,7 @@ def test_notes_survive_and_damage_is_named(tmp_path):
 def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the_order_of_time(lab):
     """The clock of a later touch is read between its check and its date: set back by 0.3 s, it would sort first."""
     procedure, recording = lab
-    (outcome,) = procedure.run(sites(0), recording)
+    (outcome,) = procedure.run(listed(site(0)), recording)
     clock = procedure.clock
     state = procedure.arm.state()
     for number in range(1, 4):
@@ -234,7 +230,7 @@ def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the
 def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(lab, monkeypatch):
     """What is acknowledged is synchronised: first the contents, then the rename, then the folder that holds it."""
     procedure, recording = lab
-    (outcome,) = procedure.run(sites(0), recording)
+    (outcome,) = procedure.run(listed(site(0)), recording)
     done, fsync, rename = [], os.fsync, os.replace
 
     def synced(descriptor):

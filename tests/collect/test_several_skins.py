@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.closed_form import GAIN, HEIGHT, QUIET, ROOM, make, names, site
+from helpers.closed_form import GAIN, HEIGHT, QUIET, listed, make, names, site
 
 from i2t import dataset
 from i2t.collect import command, recorder
@@ -39,7 +39,7 @@ def beside(out_by: float) -> np.ndarray:
 def two(out_by: float):
     """A procedure over a springy plane with a second skin of four chips on the tool."""
     procedure = make()
-    plane = SpringPlane(HEIGHT, STIFFNESS, SQUARE_GAIN, QUIET, SQUARE, room=ROOM)
+    plane = SpringPlane(HEIGHT, STIFFNESS, SQUARE_GAIN, QUIET, SQUARE)
     lab = procedure.arm.lab
     skin = SimulatedSkin(lab, lab.carry(SkinInLab(plane, beside(out_by), seed=1)))
     skin.connect()
@@ -60,7 +60,7 @@ def info_of(procedure):
 def touched(folder, procedure, count=1):
     """The last of some touches."""
     with Recorder(folder, info_of(procedure), procedure.clock) as recording:
-        made = list(procedure.run(lambda history: site(len(history)) if len(history) < count else None, recording))
+        made = list(procedure.run(listed(*map(site, range(count))), recording))
     return made[-1].touch
 
 
@@ -146,7 +146,7 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
         np.testing.assert_array_equal(packed.touches.reading, sets[1].touches.reading)
     procedure = make()
     with Recorder(tmp_path / "one", names(procedure), procedure.clock) as recording:
-        list(procedure.run(lambda history: None if history else site(0), recording))
+        list(procedure.run(listed(site(0)), recording))
     with pytest.raises(SkinChoiceError, match="has no skin 'left' but one skin without a name; leave out --skin-name"):
         dataset.load_dataset(tmp_path / "one", skin="left")
 
@@ -210,10 +210,13 @@ def test_two_simulated_skins_are_collected_packed_and_not_mixed_with_another_rig
     rig, tmp_path, capsys, monkeypatch
 ):
     path, out = rig("simulated"), tmp_path / "out"
-    words = ["--rig", str(path), "--out", str(out), "--object", "cylinder", "--skip-first-touch"]
+    words = ["--rig", str(path), "--out", str(out), "--object", "cylinder", "--skip-first-touch",
+             "--board", "grid-4x4"]  # fmt: skip
     assert command.main([*words, "--touches", "1"]) == 0
     assert "the skin right, the simulated skin: at rest 400 Hz" in capsys.readouterr().out
-    assert [len(dataset.load_dataset(out, skin=name)) for name in ("left", "right")] == [1, 1]
+    felt = [dataset.load_dataset(out, skin=name).touches.reading for name in ("left", "right")]
+    assert [reading.shape for reading in felt] == [(1, 48), (1, 12)]
+    assert max(map(np.linalg.norm, felt)) > 15
     assert commands.main(["pack", str(out), str(tmp_path / "packed")]) == 2
     assert "holds touches of 2 skins" in capsys.readouterr().err
     assert commands.main(["pack", str(out), str(tmp_path / "packed"), "--skin-name", "right"]) == 0

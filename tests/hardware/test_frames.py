@@ -22,9 +22,10 @@ SIZE, FRAMED_SIZE = 82, 64  # bytes of a frame of five chips
 
 def rest(count: int, seed: int = 0, noise: float = 1.0, temperature: float | None = None, board=None) -> tuple:
     """Readings and temperatures of a real board at rest, by its measured noise."""
-    chips = Readings(noise, 0.0, temperature, seed, board)
+    chips = Readings(noise, 0.0, seed, board)
     pairs = [chips.at(0.0) for _ in range(count)]
-    return np.array([reading for reading, _ in pairs]), np.array([celsius for _, celsius in pairs])
+    celsius = np.array([celsius for _, celsius in pairs])
+    return np.array([reading for reading, _ in pairs]), celsius if temperature is None else 0 * celsius + temperature
 
 
 def sent(readings, celsius, form: Format = Format.BINARY) -> list[bytes]:

@@ -52,7 +52,7 @@ def test_a_board_is_drawn_kept_and_judged(capsys, monkeypatch, tmp_path, noise, 
     rows = list(csv.DictReader(path.read_text().splitlines()))
     assert list(rows[0])[:5] == ["time_s", "b0x_uT", "b0y_uT", "b0z_uT", "b1x_uT"]
     assert {row["b1x_uT"] for row in rows} == {""}
-    rest = Readings(0.0, 0.0, None, 0).at(0.0)[0]
+    rest = Readings(0.0, 0.0, 0).at(0.0)[0]
     np.testing.assert_allclose(np.mean([float(row["b4z_uT"]) for row in rows]), rest[14], atol=5)
     steps = np.diff([float(row["time_s"]) for row in rows])
     assert len(rows) > 20  # of every sample one

@@ -10,9 +10,9 @@ from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
-from i2t.emulators.room import RoomField
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import NotConnectedError
+from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.hardware.rig import Rig
 from i2t.simulation.touches import SimulationErrors
@@ -25,12 +25,11 @@ WALL = 1.7e9  # Unix time at which a test begins
 BOARD = boards.reskin_board()
 GAIN = np.linspace(-9, 12, BOARD.num_readings)  # uT/N
 DOWN = np.diag([1.0, -1.0, -1.0])
-ROOM = RoomField(iron_moment=(0.0, 0.0, 0.0))  # iron would change a reading by 0.03 uT in a press
 QUIET = SimulationErrors.none()
 NOISY = SimulationErrors.none().__class__(**{**vars(SimulationErrors.none()), "noise": Noise(), "force": 0.1})
 
 
-class Eye:
+class Eye(DeviceBase):
     """A camera that sees the plane."""
 
     camera = Camera(16, 12, 10.0, 10.0, 7.5, 5.5)
@@ -44,13 +43,6 @@ class Eye:
 
     def close(self):
         pass
-
-    def __enter__(self):
-        self.connect()
-        return self
-
-    def __exit__(self, *error):
-        self.close()
 
     def capture(self, timeout=2.0):
         if self.trouble is not None:
@@ -72,6 +64,11 @@ def site(number, x=0.0, y=0.0, height=HEIGHT, turned=DOWN):
     return Site(number, pose)
 
 
+def listed(*sites):
+    """Chooses these sites, one after the other."""
+    return lambda history: sites[len(history)] if len(history) < len(sites) else None
+
+
 def make(
     stiffness=10e3, gain=GAIN, errors=QUIET, settings=None, clock=None, latency=0.03, seed=0, board=BOARD, rig=None
 ):
@@ -79,7 +76,7 @@ def make(
     which saves the tests' time.
     """
     clock = clock or VirtualClock(WALL)
-    lab = SimulatedLab(SpringPlane(HEIGHT, stiffness, gain, errors, board, room=ROOM), clock, seed=seed)
+    lab = SimulatedLab(SpringPlane(HEIGHT, stiffness, gain, errors, board), clock, seed=seed)
     rig = rig or replace(Rig(), limits=replace(Rig().limits, stiffness=1e3))
     arm, skin, eye = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab), Eye(clock)
     for device in (arm, skin, eye):
