@@ -13,7 +13,7 @@ from i2t.geometry import inverse
 from i2t.skin.boards import name_of_board
 from i2t.types import Board, ReturnCode
 
-RANDOM, INSIDE = "random presses", "those of them outside the blocks"
+RANDOM = "random presses"
 MM_PER_M = 1e3
 PULLING_SHARE = 0.8  # of loads below zero, from which on the sign is taken to be the other
 DEPTH_OF_UNKNOWN_M = 2e-3  # of every press, where neither depth nor force is known
@@ -124,7 +124,6 @@ def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, bloc
     """Rows to test on and to train on; rows that are not `usable` are neither."""
     tests = {
         RANDOM: np.flatnonzero(held & usable),
-        INSIDE: np.flatnonzero(held & ~blocks & usable),
         f"blocks of {block_mm:g} mm": np.flatnonzero(blocks & usable),
     }
     return PressSplit(tests, np.flatnonzero(~held & ~blocks & usable))

@@ -10,9 +10,8 @@
     python -m experiments.calibrate --dataset DIR --targets position force  heads: these from readings
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
-presses, and whole blocks of 6 mm; nothing is chosen by them. Random presses inside the blocks have no press near them
-that methods may learn from, so those outside are also scored alone. Every method sees the same presses, so that
-differences are paired. Intervals are over draws; as neighbouring presses are no independent tests, `i2t.calibrate` also
+presses, and whole blocks of 6 mm; nothing is chosen by them. Every method sees the same presses, so that differences
+are paired. Intervals are over draws; as neighbouring presses are no independent tests, `i2t.calibrate` also
 has intervals over 6 mm blocks of what is held out. What an earlier session is worth is for `experiments.fidelity`.
 
 --simulated tries them on skins of its own seed (`experiments.calibrate.skins`), and --prior makes prior.npz from others

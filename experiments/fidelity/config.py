@@ -11,7 +11,6 @@ class FidelityPreset:
 
     counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # presses to calibrate with
     draws: int = 5  # of them
-    method_seconds: float = 150.0  # of one method's curves, after which it gets no further draw
     test_rows: int = 1000  # on which curves are scored
     forward_rows: int = 1200  # of the model by which noise and hysteresis are separated from the press
     block_mm: float = 6.0
@@ -23,11 +22,11 @@ class FidelityPreset:
 FIDELITY_PRESETS: dict[str, FidelityPreset] = {
     "paper": FidelityPreset(),
     "short": FidelityPreset(
-        counts=(5, 20, 100), draws=4, method_seconds=30.0, forward_rows=600,
+        counts=(5, 20, 100), draws=4, forward_rows=600,
         heads=HeadBudget(400, 1200, rows=4000),
     ),
     "debug": FidelityPreset(
-        counts=(20,), draws=1, try_causes=False, method_seconds=5.0, test_rows=100, forward_rows=150,
+        counts=(20,), draws=1, try_causes=False, test_rows=100, forward_rows=150,
         heads=HeadBudget(100, 200, rows=400),
     ),
 }  # fmt: skip

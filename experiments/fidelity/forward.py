@@ -1,24 +1,21 @@
-"""Readings from places and loads without any knowledge of skins: the baselines of calibration, and the model by which
-what repeats is separated from what does not. NumPy and SciPy.
+"""Readings from places and loads without any knowledge of skins: the model by which what repeats is separated from what
+does not. NumPy and SciPy.
 """
 
-from collections.abc import Callable
 from itertools import product
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial import cKDTree
 
 from experiments.fidelity.sections import CannotTellError
 from i2t.calibration.recordings import SkinRecording
 from i2t.unknowns.smooth import left_out
 
-MEAN_READING, NEIGHBOURS_OF_PRESSES, SIMPLE_GP = "mean reading", "k nearest presses", "plain Gaussian process"
+SIMPLE_GP = "plain Gaussian process"
 # Lengths (m), widths in standard deviations of the load, and noises as a share of a channel's variance.
 GP_SETTINGS = ((8e-3, 4e-3, 2e-3, 16e-3, 32e-3), (1.0, 0.5, 2.0, 4.0), (1e-2, 1e-3, 1e-4, 1e-1))
 GP_SELECTION_ROWS = 300
-COUNTS_OF_NEIGHBOURS = (1, 2, 3, 4, 6, 8)
 SMALLEST = 1e-9
 RUNS_OF_ROWS = 20
 
@@ -37,9 +34,6 @@ class PressSet(NamedTuple):
     def coordinates(self) -> np.ndarray:
         """(n, 3) position in units of 1 m and load in its standard deviations."""
         return np.column_stack([self.position, self.load / max(self.load.std(), SMALLEST)])
-
-
-ForwardMethod: TypeAlias = Callable[[PressSet, np.ndarray, np.ndarray], np.ndarray]  # (presses, known, test) -> (n, c)
 
 
 def one_tip(recording: SkinRecording) -> None:
@@ -79,25 +73,6 @@ def press_set(recording: SkinRecording, at_least: int = 10) -> PressSet:
         raise CannotTellError("No channel ever changes.")
     row = np.flatnonzero(good)
     return PressSet(position[row], load[row], name, recording.readings[row], recording.session[row], row)
-
-
-def mean_reading(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """The mean of the known presses."""
-    return np.broadcast_to(presses.readings[known].mean(0), (len(test), presses.readings.shape[1]))
-
-
-def nearest_presses(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """k nearest in standardised position and load, k by leaving one out."""
-    x = np.column_stack([presses.position / max(presses.position.std(), SMALLEST), presses.coordinates[:, 2]])
-    y, tree = presses.readings[known], cKDTree(x[known])
-    ks = [k for k in COUNTS_OF_NEIGHBOURS if k < len(known)] or [1]
-    others = tree.query(x[known], min(ks[-1] + 1, len(known)))[1].reshape(len(known), -1)[:, 1:]
-
-    def error(k: int) -> float:
-        return float(np.sum((y - y[others[:, :k]].mean(1)) ** 2))
-
-    k = min(ks, key=error) if others.shape[1] else 1
-    return y[tree.query(x[test], k)[1].reshape(len(test), k)].mean(1)
 
 
 def simple_gp(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
@@ -151,13 +126,6 @@ def loses_beyond_chance(own: np.ndarray, other: np.ndarray) -> bool:
     """
     runs = np.array([part.sum() for part in np.array_split(own - other, min(RUNS_OF_ROWS, len(own)))])
     return bool(len(runs) > 2 and runs.mean() > 2 * runs.std(ddof=1) / np.sqrt(len(runs)))
-
-
-BASELINE_METHODS: dict[str, ForwardMethod] = {
-    MEAN_READING: mean_reading,
-    NEIGHBOURS_OF_PRESSES: nearest_presses,
-    SIMPLE_GP: simple_gp,
-}
 
 
 def _covariance(settings: tuple[float, ...], x: np.ndarray) -> np.ndarray:

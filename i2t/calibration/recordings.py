@@ -16,10 +16,10 @@ is left out, what was not measured is NaN, and each such thing is said in a note
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -33,7 +33,7 @@ from i2t.errors import DataError
 from i2t.files import TABLE_SUFFIXES
 from i2t.geometry import inverse
 from i2t.types import Board, ReturnCode
-from i2t.unknowns import Finding, lag_rows, turn_board
+from i2t.unknowns import Finding, correction_of, lag_rows, turn_board
 
 CHIP_AXES = ("x", "y", "z")
 VALUES_PER_CHIP = 3
@@ -41,11 +41,6 @@ MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
 TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
 AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
 STREAM_GAP_S = 0.5  # rows farther apart are no stream
-# Factors in the correction of a finding that a target is multiplied by.
-CORRECTIONS = {
-    "position": ("length_factor",), "depth": ("depth_factor", "height_sign"), "force": ("force_factor", "force_sign"),
-    "shear": ("force_factor",),
-}  # fmt: skip
 MIN_CHANGE = {"position": 0.2e-3, "depth": 0.1e-3, "force": 0.05, "shear": 0.05}  # m, m, N, N: less is no range
 
 
@@ -266,7 +261,7 @@ def is_stream(recording: SkinRecording) -> bool:
     return bool(np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S)
 
 
-def corrected_recording(recording: SkinRecording, findings: Iterable[Finding]) -> SkinRecording:
+def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -> SkinRecording:
     """Apply the corrections of findings: units, signs, a lag, the board's turn.
 
     A height zero stays where it is. Depths that are turned and fall below zero count from the least of them.
@@ -278,33 +273,25 @@ def corrected_recording(recording: SkinRecording, findings: Iterable[Finding]) -
     Returns:
         The recording put right; with a lag it has fewer rows.
     """
-    for finding in findings:
-        if finding.correction:
-            recording = _corrected(recording, finding.correction)
-    return recording
-
-
-def _corrected(recording: SkinRecording, todo: Mapping[str, Any]) -> SkinRecording:
-    targets, field = dict(recording.targets), todo.get("field_factor", 1.0)
-    for name, parts in CORRECTIONS.items():
-        if name in targets:
-            targets[name] = targets[name] * np.prod([todo.get(part, 1.0) for part in parts])
-    if "height_sign" in todo and "depth" in targets:
+    if not any(finding.correction for finding in findings):
+        return recording
+    todo = correction_of(findings)
+    factors = {"position": todo.length, "depth": todo.height, "force": todo.force, "shear": abs(todo.force)}
+    targets = {name: factors.get(name, 1.0) * values for name, values in recording.targets.items()}
+    if todo.height < 0 and "depth" in targets:
         targets["depth"] = targets["depth"] - min(np.nanmin(targets["depth"]), 0.0)
-    board, baseline = recording.board, recording.baseline
-    if "board_from_stage" in todo and board is not None:
-        board = turn_board(board, np.asarray(todo["board_from_stage"], np.float64))
+    board, baseline, turn = recording.board, recording.baseline, todo.board_from_stage
     recording = replace(
         recording,
         targets=targets,
-        readings=field * recording.readings,
-        baseline=None if baseline is None else field * baseline,
-        board=board,
+        readings=todo.field * recording.readings,
+        baseline=None if baseline is None else todo.field * baseline,
+        board=board if board is None or turn is None else turn_board(board, turn),
     )
-    if lag := int(todo.get("label_lag_rows", 0)):
+    if todo.lag:
         # The lag counts rows whose position is known, as the estimate did.
         recording = recording.rows(recording.known("position"))
-        label_rows, reading_rows = lag_rows(len(recording), lag)
+        label_rows, reading_rows = lag_rows(len(recording), todo.lag)
         labels = {name: values[label_rows] for name, values in recording.targets.items()}
         recording = replace(recording.rows(reading_rows), targets=labels)
     return recording

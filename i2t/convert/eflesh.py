@@ -153,9 +153,9 @@ def _pressed(
             table.position - middle, table.readings, height=table.height, force=table.force, seconds=table.time
         )
         check = check_session(name, presses, _board(), notes, stated_zero=stated_zero)
-    heights = table.height * check.factor("depth_factor", "height_sign")
+    heights = table.height * check.correction.height
     zero = _zero(name, heights, check, notes, stated=stated_zero, as_stated=as_stated)
-    centre = check.factor("length_factor") * middle
+    centre = check.correction.length * middle
     reference = {
         "centre_m": centre.tolist(),
         "zero_m": zero if np.isfinite(zero) else None,
@@ -197,9 +197,7 @@ def _sheared(name: str, table: PressTable, notes: ConversionLog, *, as_stated: b
         found = find_units(table.position, table.readings)
         if found.wrong:
             notes.info(f"corrected in {name}: {found.sentence}")
-        check = check._replace(
-            factors={"field_factor": found.correction.get("field_factor", 1.0)}, meta=findings_to_meta(name, [found])
-        )
+        check = SessionCheck(_board(), (found,), findings_to_meta(name, [found]))
     table = check.apply(table)
     x, y = (table.position - _middle(table.position)).T
     notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")

@@ -18,7 +18,17 @@ from i2t.convert.common import ConversionLog
 from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
 from i2t.types import Board, ReturnCode, Touches
-from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, find, findings_to_meta, lag_rows
+from i2t.unknowns import (
+    Correction,
+    Finding,
+    RecordedPresses,
+    corrected_presses,
+    correction_of,
+    estimate_unknowns,
+    find,
+    findings_to_meta,
+    lag_rows,
+)
 from i2t.unknowns.chip_field import turn_board
 from i2t.unknowns.heights import HEIGHT_ZERO
 from i2t.windows import PATCH_PIXELS
@@ -71,8 +81,6 @@ class SessionCheck(NamedTuple):
 
     board: Board
     findings: tuple[Finding, ...] = ()
-    factors: Mapping[str, float] = MappingProxyType({})  # on lengths, fields, forces, signs ...
-    lag: int = 0  # rows
     meta: Mapping[str, str] = MappingProxyType({})
 
     @property
@@ -80,16 +88,10 @@ class SessionCheck(NamedTuple):
         """Finding on the height of first contact."""
         return find(self.findings, HEIGHT_ZERO)
 
-    def factor(self, *names: str) -> float:
-        """Product of corrections.
-
-        Args:
-            *names: Such as "length"; a correction that was not found is 1.
-
-        Returns:
-            The factor.
-        """
-        return float(np.prod([self.factors.get(name, 1.0) for name in names]))
+    @property
+    def correction(self) -> Correction:
+        """What to do to the session's columns."""
+        return correction_of(self.findings)
 
     def apply(self, table: PressTable) -> PressTable:
         """Put right what the session contradicts; the height of first contact is left to the caller.
@@ -100,13 +102,10 @@ class SessionCheck(NamedTuple):
         Returns:
             Its rows whose labels and readings belong together.
         """
-        readings = table.readings * self.factor("field_factor")
-        label_rows, reading_rows = lag_rows(len(readings), self.lag)
-        return table.rows(label_rows)._replace(
-            position=table.position[label_rows] * self.factor("length_factor"),
-            height=table.height[label_rows] * self.factor("depth_factor", "height_sign"),
-            force=table.force[label_rows] * self.factor("force_factor", "force_sign"),
-            readings=readings[reading_rows],
+        columns = RecordedPresses(table.position, table.readings, height=table.height, force=table.force)
+        right = corrected_presses(columns, self.findings)
+        return table.rows(lag_rows(len(table.readings), self.correction.lag)[0])._replace(
+            position=right.position, readings=right.readings, height=right.height, force=right.force
         )
 
 
@@ -133,15 +132,9 @@ def check_session(
     findings = estimate_unknowns(presses, board, stated_zero=stated_zero)
     for finding in sorted(findings, key=lambda one: not one.wrong):
         notes.info(f"{'corrected' if finding.wrong else 'found'} in {name}: {finding.sentence}")
-    todo = {key: value for finding in findings for key, value in finding.correction.items()}
-    if "board_from_stage" in todo:
-        board = turn_board(board, np.asarray(todo["board_from_stage"], np.float64))
+    turn = correction_of(findings).board_from_stage
     return SessionCheck(
-        board,
-        tuple(findings),
-        {key: float(value) for key, value in todo.items() if key.endswith(("_factor", "_sign"))},
-        lag=int(todo.get("label_lag_rows", 0)),
-        meta=findings_to_meta(name, findings),
+        board if turn is None else turn_board(board, turn), tuple(findings), findings_to_meta(name, findings)
     )
 
 

@@ -111,7 +111,7 @@ def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[P
         check = check_session(session, recorded, board, notes, stated_zero=0.0)
         checks.append(check)
         part = check.apply(part)
-        found, turned = check.zero, check.factor("height_sign") < 0
+        found, turned = check.zero, check.correction.height < 0
         if turned or (found is not None and found.wrong):
             identified = found is not None and found.identifiable and found.estimate is not None
             zero = found.estimate if found is not None and identified else float(part.height.max())

@@ -15,9 +15,11 @@ only, so that converters can use it.
 from i2t.unknowns.chip_field import find_board, turn_board
 from i2t.unknowns.estimate import estimate_labels, estimate_unknowns
 from i2t.unknowns.findings import (
+    Correction,
     Finding,
     RecordedPresses,
     corrected_presses,
+    correction_of,
     find,
     findings_from_meta,
     findings_to_meta,
@@ -28,9 +30,11 @@ from i2t.unknowns.heights import find_approaches, find_height_zero
 from i2t.unknowns.labels import find_force_sign, find_height_axis, find_lag, find_units
 
 __all__ = [
+    "Correction",
     "Finding",
     "RecordedPresses",
     "corrected_presses",
+    "correction_of",
     "estimate_labels",
     "estimate_unknowns",
     "find",

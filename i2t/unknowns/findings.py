@@ -87,6 +87,38 @@ def find(findings: Iterable[Finding], name: str) -> Finding | None:
 # --- corrections ---
 
 
+class Correction(NamedTuple):
+    """What to multiply the columns of a recording by, and how to move its labels and turn its board."""
+
+    length: float = 1.0
+    field: float = 1.0
+    height: float = 1.0
+    force: float = 1.0
+    lag: int = 0  # rows, as `lag_rows` takes them
+    board_from_stage: Float[np.ndarray, "2 2"] | None = None
+
+
+def correction_of(findings: Iterable[Finding]) -> Correction:
+    """The corrections of findings together.
+
+    Args:
+        findings: About one recording.
+
+    Returns:
+        What to do to it.
+    """
+    todo = {name: value for finding in findings for name, value in finding.correction.items()}
+    turn = todo.get("board_from_stage")
+    return Correction(
+        length=todo.get("length_factor", 1.0),
+        field=todo.get("field_factor", 1.0),
+        height=todo.get("depth_factor", 1.0) * todo.get("height_sign", 1.0),
+        force=todo.get("force_factor", 1.0) * todo.get("force_sign", 1.0),
+        lag=int(todo.get("label_lag_rows", 0)),
+        board_from_stage=None if turn is None else np.asarray(turn, np.float64),
+    )
+
+
 def corrected_presses(presses: RecordedPresses, findings: Iterable[Finding]) -> RecordedPresses:
     """A recording with what was found put right: units, signs and lag.
 
@@ -99,21 +131,15 @@ def corrected_presses(presses: RecordedPresses, findings: Iterable[Finding]) -> 
     Returns:
         The presses; with a lag, fewer.
     """
-    for finding in findings:
-        todo = finding.correction
-        factors = {name: todo.get(f"{name}_factor", 1.0) * todo.get(f"{name}_sign", 1.0) for name in _FACTORS}
-        presses = presses._replace(
-            position=presses.position * factors["length"],
-            readings=presses.readings * todo.get("field_factor", 1.0),
-            height=None if presses.height is None else presses.height * factors["depth"] * factors["height"],
-            force=None if presses.force is None else presses.force * factors["force"],
-        )
-        label_rows, reading_rows = lag_rows(len(presses.readings), int(todo.get("label_lag_rows", 0)))
-        presses = presses.rows(label_rows)._replace(readings=presses.readings[reading_rows])
-    return presses
-
-
-_FACTORS = ("length", "depth", "height", "force")
+    todo = correction_of(findings)
+    label_rows, reading_rows = lag_rows(len(presses.readings), todo.lag)
+    labels = presses.rows(label_rows)
+    return labels._replace(
+        position=labels.position * todo.length,
+        readings=presses.readings[reading_rows] * todo.field,
+        height=None if labels.height is None else labels.height * todo.height,
+        force=None if labels.force is None else labels.force * todo.force,
+    )
 
 
 def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
