@@ -24,14 +24,13 @@ from i2t import serialization, validation
 from i2t.calibration import population_gp
 from i2t.calibration.candidates import board_candidates
 from i2t.calibration.checks import AXES_PER_CHIP
-from i2t.calibration.left_out import Conditioned, grouped, ungrouped
+from i2t.calibration.left_out import Conditioned
 from i2t.calibration.population_gp import PopulationGP, PressTable
 from i2t.calibration.structured_gp import StructuredGPHyperparameters, fit_structured
 from i2t.models import ready_path
 from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibrated skin"
-STRUCTURED_FILE_KIND = "i2t calibration"  # of earlier versions, with hyperparameters given
 MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
@@ -50,27 +49,6 @@ class CalibrationRecord(NamedTuple):
     gp: PopulationGP
     interval_scaling: Array  # (c,)
     previous: PopulationGP | None = None
-
-
-class _StoredPresses(NamedTuple):
-    position: Array  # (n, 2) m
-    load: Array  # (n,) m or N
-
-
-class _StoredGP(NamedTuple):
-    hyperparameters: StructuredGPHyperparameters
-    presses: _StoredPresses
-    chip_positions: Array | None  # (chips, 2) m
-    cholesky: Array  # (groups, n, n)
-    weights: Array  # (n, c)
-    previous_session: Array | None = None  # with one it is refused
-
-
-class _StructuredRecord(NamedTuple):
-    """What is read of a file of `STRUCTURED_FILE_KIND`."""
-
-    gp: _StoredGP
-    interval_scaling: Array  # (c,)
 
 
 @dataclass(frozen=True, repr=False)
@@ -250,27 +228,9 @@ def load_calibration(path: Path | str) -> Calibration:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
     path = ready_path(path, "calibration.npz")
-    if serialization.file_kind(path) == STRUCTURED_FILE_KIND:
-        structured, about = serialization.load(path, STRUCTURED_FILE_KIND, _StructuredRecord)
-        with serialization.fitting(path):
-            return _structured_calibration(path, structured, about)
     record, about = serialization.load(path, FILE_KIND, CalibrationRecord)
     with serialization.fitting(path):
         return _calibration(path, record, about)
-
-
-def _structured_calibration(path: Path | str, record: _StructuredRecord, about: dict[str, Any]) -> Calibration:
-    """A calibration from the factors of its covariance and their weights, which say the readings, if they fit."""
-    gp = record.gp
-    cholesky, weights = np.asarray(gp.cholesky, np.float64), np.asarray(gp.weights, np.float64)
-    (n, channels), groups = weights.shape, len(cholesky)
-    if cholesky.shape[1:] != (n, n) or groups not in (1, channels / AXES_PER_CHIP) or about.get("load") not in MAX_LOAD:
-        raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
-    readings = ungrouped(cholesky @ (cholesky.swapaxes(1, 2) @ grouped(weights, groups)))
-    position, load = (np.asarray(part, np.float64) for part in gp.presses)
-    fitted = fit_structured(gp.hyperparameters, PressTable(position, load[:, None]), readings, gp.chip_positions)
-    boards = () if gp.chip_positions is None else (GIVEN_BOARD,)
-    return Calibration(fitted, record.interval_scaling, about["load"], about["about"], boards=boards)
 
 
 def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:

@@ -21,7 +21,7 @@ of cosines along an edge, `k` the number of weights.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -73,23 +73,6 @@ class Presses(NamedTuple):
 
     position: Float[Array, "n 2"]  # m, tool frame
     load: Float[Array, " n"]  # depth in m, or normal force in N
-
-
-@runtime_checkable
-class Tip(Protocol):
-    """Any tip whose surface over the skin is known."""
-
-    def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Distance of the tip's surface behind its lowest point over each cell.
-
-        Args:
-            position: (2,) m, of the tip's axis on the skin.
-            grid: Cells of the pad.
-
-        Returns:
-            (n, n) m, row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -278,7 +261,7 @@ def cosine_prior_factor(patch_length: Float[Array, ""], window: float) -> Float[
 def design_matrix(
     layer: LayerParameters,
     board: Board,
-    tip: Tip,
+    tip: RoundTip,
     position: Float[Array, "2"],
     load: Float[Array, ""],
     *,
@@ -331,7 +314,7 @@ def design_matrix(
 
 @partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
 def design_matrices(
-    layer: LayerParameters, board: Board, tip: Tip, presses: Presses, *, by_force: bool, grid: Grid = GRID
+    layer: LayerParameters, board: Board, tip: RoundTip, presses: Presses, *, by_force: bool, grid: Grid = GRID
 ) -> Float[Array, "n c 3 m m"]:
     """`design_matrix` of many presses.
 
@@ -434,7 +417,7 @@ def fit_pad(
     presses: Presses,
     readings: Float[Array, "n c"],
     *,
-    tip: Tip,
+    tip: RoundTip,
     board: Board,
     by_force: bool,
     grid: Grid = GRID,
@@ -491,7 +474,7 @@ class _LayerPresses(NamedTuple):
 
     presses: Presses
     readings: Array  # (n, c) uT
-    tip: Tip
+    tip: RoundTip
     board: Board
     by_force: bool
     grid: Grid
@@ -563,7 +546,7 @@ def _design_derivatives(
     prior: LayerPrior,
     board: Board,
     *,
-    tip: Tip,
+    tip: RoundTip,
     presses: Presses,
     by_force: bool,
     grid: Grid,

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from i2t.convert.common import read_text
-from i2t.convert.eflesh import EFLESH_READINGS, NEWTONS_PER_GRAM, SAME_ROW, STROKE_PAUSE_S
+from i2t.convert.eflesh import EFLESH_READINGS, SAME_ROW, load_of_states, rows_together, stroke_numbers, table_path
 from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.dataset import Dataset, load_dataset
 from i2t.dataset.sets import times_of
@@ -420,7 +420,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
             f"{folder}: has {states.shape[1]} columns of states and {values.shape[1]} of values; give time, x, y, z "
             "and time with three values for each chip"
         )
-    rows, partner = _together(states[:, 0], values[:, 0])
+    rows, partner = rows_together(states[:, 0], values[:, 0])
     if not len(rows):
         raise DataError(f"{folder}: no state was recorded within {1e3 * SAME_ROW:g} ms of a sensor row")
     notes = (
@@ -430,9 +430,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
     readings, place = values[:, 1:], 1e-3 * states[:, 1:4]
     sheared = readings.shape[1] > EFLESH_READINGS
     middle = (np.nanmin(place, 0) + np.nanmax(place, 0)) / 2
-    load = np.full(len(states), np.nan)
-    if states.shape[1] > 4:
-        load = np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
+    load = load_of_states(states)
     targets = {"position": place[:, :2] - middle[:2]}
     if sheared:
         notes += ["assumed: the stroke (robot z) shears along tool x, and the load is the shear force"]
@@ -441,7 +439,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
     else:
         notes += [f"assumed: depth counts from the highest z, {1e3 * np.nanmax(place[:, 2]):.3f} mm"]
         targets |= {"depth": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
-    session = _strokes(states[:, 0], place[:, 2]) if states.shape[1] > 4 else np.zeros(len(states), int)
+    session = stroke_numbers(states[:, 0], place[:, 2]) if states.shape[1] > 4 else np.zeros(len(states), int)
     recording = SkinRecording(
         folder.name, readings, targets, session, states[:, 0], notes=tuple(notes), baseline=_baseline(folder, values)
     )
@@ -502,9 +500,7 @@ def _numbers(cells: list[str], count: int) -> list[float]:
 
 def _loose_table(folder: Path, name: str) -> np.ndarray:
     """One table of a session without its damage: rows in the order of time, unreadable cells as NaN."""
-    path = next((file for file in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if file.is_file()), None)
-    if path is None:
-        raise DataError(f"{folder}: {name}.csv or {name}.csv.gz is missing")
+    path = table_path(folder, name)
     lines = [line for line in _lines(path) if line]
     if not lines:
         raise DataError(f"{path}: holds no row; restore it from the source")
@@ -517,29 +513,13 @@ def _loose_table(folder: Path, name: str) -> np.ndarray:
     return table[np.argsort(table[:, 0], kind="stable")]
 
 
-def _together(states: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sensor rows that have a state at their time, and these states."""
-    after = np.clip(np.searchsorted(states, values), 0, len(states) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(states[before] - values) < np.abs(states[after] - values), before, after)
-    rows = np.flatnonzero(np.abs(states[nearest] - values) <= SAME_ROW)
-    return rows, nearest[rows]
-
-
 def _baseline(folder: Path, values: np.ndarray) -> np.ndarray | None:
     """Values subtracted from each row, from the raw values in the same folder; None without."""
     try:
         raw = _loose_table(folder, "sensor")
     except DataError:
         return None
-    rows, partner = _together(raw[:, 0], values[:, 0])
+    rows, partner = rows_together(raw[:, 0], values[:, 0])
     if len(rows) != len(values) or raw.shape[1] != values.shape[1]:
         return None
     return raw[partner, 1:] - values[:, 1:]
-
-
-def _strokes(time: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Number of the stroke, down and up, that a row belongs to: strokes begin at the top, after a pause."""
-    at_top = z > np.nanmax(z) - 0.1 * (np.nanmax(z) - np.nanmin(z))
-    begins = np.concatenate([[False], (np.diff(time) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
-    return np.cumsum(begins)

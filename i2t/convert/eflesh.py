@@ -16,6 +16,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from i2t.convert import EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.convert.common import ConversionLog, Converted, data_error, read_numbers
@@ -129,7 +130,7 @@ def _session(
     states, values = _matched(folder, states, values, notes)
     n, name, position = len(states), folder.name, 1e-3 * states[:, 1:4]
     table = PressTable(
-        position[:, :2], position[:, 2], _load(states), values[:, 1:], states[:, 0],
+        position[:, :2], position[:, 2], load_of_states(states), values[:, 1:], states[:, 0],
         np.full(n, pad or name), _strokes(name, states),
     )  # fmt: skip
     if values.shape[1] == 1 + EFLESH_READINGS:
@@ -212,18 +213,76 @@ def _middle(values: np.ndarray) -> np.ndarray:
     return (values.min(0) + values.max(0)) / 2
 
 
-def _load(states: np.ndarray) -> np.ndarray:
-    """(n,) N, NaN where it was not read."""
-    if states.shape[1] != 5:
+def rows_together(
+    states: Float[np.ndarray, " n"], values: Float[np.ndarray, " m"]
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+    """Sensor rows that have a state at their time.
+
+    Args:
+        states: s, increasing.
+        values: s, of the sensor's rows.
+
+    Returns:
+        These rows, and the states that are theirs.
+    """
+    after = np.clip(np.searchsorted(states, values), 0, len(states) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(states[before] - values) < np.abs(states[after] - values), before, after)
+    rows = np.flatnonzero(np.abs(states[nearest] - values) <= SAME_ROW)
+    return rows, nearest[rows]
+
+
+def stroke_numbers(time: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """The stroke, down and up, that each row belongs to: strokes begin at the top, after a pause.
+
+    Args:
+        time: s.
+        z: Height of the probe, in any unit; NaN where it is not known.
+
+    Returns:
+        Numbers from 0.
+    """
+    at_top = z > np.nanmax(z) - 0.1 * (np.nanmax(z) - np.nanmin(z))
+    begins = np.concatenate([[False], (np.diff(time) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
+    return np.cumsum(begins)
+
+
+def load_of_states(states: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, " n"]:
+    """What the scale read.
+
+    Args:
+        states: As recorded, the load (grams, -1 where it was not read) in the fifth column if there is one.
+
+    Returns:
+        N; NaN where it was not read.
+    """
+    if states.shape[1] < 5:
         return np.full(len(states), np.nan)
     return np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
 
 
-def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionLog) -> np.ndarray:
-    """One table of a session, its times increasing; rows that are not finite are damage."""
+def table_path(folder: Path, name: str) -> Path:
+    """The file of a session's table, plain or gzip-ed.
+
+    Args:
+        folder: Of the session.
+        name: Of the table.
+
+    Returns:
+        The file.
+
+    Raises:
+        DataError: There is none.
+    """
     path = next((p for p in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if p.is_file()), None)
     if path is None:
         raise data_error(folder, f"{name}.csv or {name}.csv.gz is missing")
+    return path
+
+
+def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionLog) -> np.ndarray:
+    """One table of a session, its times increasing; rows that are not finite are damage."""
+    path = table_path(folder, name)
     table = read_numbers(path, columns)
     finite = (np.abs(table) < MAX_RAW_VALUE).all(1)
     if not finite.all():
@@ -242,21 +301,17 @@ def _matched(
     """The rows of both tables that belong together by time."""
     if not len(states) or not len(values):
         raise data_error(folder, "has no rows")
-    after = np.clip(np.searchsorted(states[:, 0], values[:, 0]), 1, len(states) - 1) if len(states) > 1 else 0
-    before = np.maximum(np.asarray(after) - 1, 0)
-    closer = np.abs(states[before, 0] - values[:, 0]) < np.abs(states[after, 0] - values[:, 0])
-    nearest = np.where(closer, before, after)
-    same = np.abs(states[nearest, 0] - values[:, 0]) <= SAME_ROW
-    if not same.any():
+    rows, partner = rows_together(states[:, 0], values[:, 0])
+    if not len(rows):
         raise DataError(
             f"{folder}: no state was recorded within {1e3 * SAME_ROW:g} ms of a sensor row; check both tables"
         )
-    if len(states) != len(values) or not same.all():
-        lost = max(len(states), len(values)) - int(same.sum())
+    if not len(states) == len(values) == len(rows):
+        lost = max(len(states), len(values)) - len(rows)
         notes.skip(
             DataError(f"{folder}: {lost} rows have no partner at their time; restore both tables from the source")
         )
-    return states[nearest[same]], values[same]
+    return states[partner], values[rows]
 
 
 def _strokes(name: str, states: np.ndarray) -> np.ndarray:
@@ -265,7 +320,4 @@ def _strokes(name: str, states: np.ndarray) -> np.ndarray:
     """
     if states.shape[1] == 4:
         return np.full(len(states), name)
-    z = states[:, 3]
-    at_top = z > z.max() - 0.1 * np.ptp(z)
-    begins = np.concatenate([[False], (np.diff(states[:, 0]) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
-    return np.array([f"{name}/stroke {number:02d}" for number in 1 + np.cumsum(begins)])
+    return np.array([f"{name}/stroke {1 + number:02d}" for number in stroke_numbers(states[:, 0], states[:, 3])])

@@ -1,13 +1,11 @@
 """What a user holds: a calibration from arrays, on disk and back, any board, and what is refused."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
 from i2t import serialization
 from i2t.calibration import FORCE_HYPERPARAMETERS, Calibration, calibrate, load_calibration
-from i2t.calibration.model import FILE_KIND, STRUCTURED_FILE_KIND, CalibrationRecord
+from i2t.calibration.model import FILE_KIND, CalibrationRecord
 from i2t.errors import SerializationError
 from i2t.skin import boards
 from i2t.skin.files import load_pad
@@ -83,58 +81,14 @@ def test_what_cannot_be_is_refused(calibration, unknown, call, word):
         call(calibration, unknown)
 
 
-class StoredGP(NamedTuple):
-    """What earlier versions kept of a process with hyperparameters given."""
-
-    hyperparameters: NamedTuple
-    presses: NamedTuple
-    chip_positions: np.ndarray
-    cholesky: np.ndarray
-    weights: np.ndarray
-    previous_session: np.ndarray | None = None
-
-
-class StoredPresses(NamedTuple):
-    position: np.ndarray
-    load: np.ndarray
-
-
-class Stored(NamedTuple):
-    gp: StoredGP
-    interval_scaling: np.ndarray
-
-
-def earlier(structured: Calibration) -> Stored:
-    """Any factors of a covariance say the readings that they are of."""
-    factors = np.linalg.cholesky(np.array([np.eye(30) + np.cov(rng.normal(size=(30, 60))) for _ in range(5)]))
-    weights = [np.linalg.solve(L @ L.T, READINGS[:, 3 * i : 3 * i + 3]) for i, L in enumerate(factors)]
-    chips = np.asarray(BOARD.chips[:, :2])
-    presses = StoredPresses(POSITIONS, FORCE)
-    return Stored(
-        StoredGP(FORCE_HYPERPARAMETERS, presses, chips, factors, np.hstack(weights)), structured.interval_scaling
-    )
-
-
-def test_a_file_of_an_earlier_structured_process_predicts_as_one_of_today(structured, tmp_path):
-    serialization.save(tmp_path / "old.npz", STRUCTURED_FILE_KIND, earlier(structured), {"load": "force", "about": {}})
-    assert_same_predictions(structured, load_calibration(tmp_path / "old.npz"), POSITIONS, FORCE)
-
-
-def test_files_that_cannot_be_understood_any_more_say_how_to_make_them_again(calibration, structured, tmp_path):
-    """Those of terms for the temperature, on an earlier session's mean, or of members that name no board."""
+def test_files_that_cannot_be_understood_any_more_say_how_to_make_them_again(calibration, tmp_path):
+    """Those of terms for the temperature, or of members that name no board."""
     path = tmp_path / "old.npz"
     terms = {"load": "depth", "boards": list(calibration.boards), "about": {"linear_terms": ["temperature"]}}
     record = CalibrationRecord(calibration.gp, calibration.interval_scaling)
     no_board = record._replace(gp=record.gp._replace(components=record.gp.components._replace(board=None)))
-    of_structured = earlier(structured)
-    on_mean = of_structured._replace(gp=of_structured.gp._replace(previous_session=of_structured.gp.presses))
-    misfit = of_structured._replace(gp=of_structured.gp._replace(weights=READINGS[:4]))
-    force = {"load": "force", "about": {}}
-    for kind, form, about in (
-        (FILE_KIND, record, terms), (FILE_KIND, no_board, terms), (STRUCTURED_FILE_KIND, on_mean, force),
-        (STRUCTURED_FILE_KIND, misfit, force),
-    ):  # fmt: skip
-        serialization.save(path, kind, form, about)
+    for form in (record, no_board):
+        serialization.save(path, FILE_KIND, form, terms)
         with pytest.raises(SerializationError, match=r"calibrate again|make it again"):
             load_calibration(path)
 
