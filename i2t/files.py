@@ -81,6 +81,27 @@ def replacing(path: Path) -> Iterator[Path]:
         raise unwritable(path, error) from error
 
 
+def open_regular(path: str | Path) -> BinaryIO:
+    """Open a regular file for reading. A pipe would be waited for, and a device may never end.
+
+    Args:
+        path: Of the file.
+
+    Returns:
+        The open file.
+
+    Raises:
+        DataError: It is a folder, a pipe or a device.
+        OSError: It is missing, or cannot be read.
+    """
+    # A pipe without a writer would keep whoever opens it waiting.
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise DataError(f"{path}: is no file of its own but a folder, a pipe or a device; name the file itself")
+    return os.fdopen(descriptor, "rb")
+
+
 def why_no_touches(path: Path) -> str:
     """Message for a file that is named as a data set and is none.
 
@@ -90,7 +111,7 @@ def why_no_touches(path: Path) -> str:
     Returns:
         The sentence; "" where the file begins as those of touches do.
     """
-    with _regular(path) as file:
+    with open_regular(path) as file:
         if file.read(len(MARK_OF_TOUCHES)) == MARK_OF_TOUCHES:
             return ""
     if path.suffix.lower() in MESH_SUFFIXES:
@@ -114,7 +135,7 @@ def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:
         DataError: It is no regular file (a folder, a pipe, a device), or larger.
         OSError: It is missing, or cannot be read.
     """
-    with _regular(path) as file:
+    with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > most:
             raise DataError(f"{path}: has {_size(size)} where at most {_size(most)} are read; name another file")
@@ -135,7 +156,7 @@ def read_lines(path: str | Path) -> Iterator[str]:
             unpacks to more than numbers ever do.
         OSError: It is missing, or cannot be read.
     """
-    with _regular(path) as raw:
+    with open_regular(path) as raw:
         zipped = Path(path).suffix == ".gz"
         most = may_grow_to(os.fstat(raw.fileno()).st_size) if zipped else math.inf
         text = gzip.GzipFile(fileobj=raw) if zipped else raw
@@ -156,17 +177,6 @@ def read_lines(path: str | Path) -> Iterator[str]:
             raise DataError(f"{path}: line {number} is no text in UTF-8; restore it from the source") from error
         except (gzip.BadGzipFile, EOFError, zlib.error) as error:
             raise DataError(f"{path}: cannot be unpacked ({error}); restore it from the source") from error
-
-
-def _regular(path: str | Path) -> BinaryIO:
-    """A regular file, open for reading; any other kind of this name is refused."""
-    # A pipe without a writer would keep whoever opens it waiting.
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    file = os.fdopen(descriptor, "rb")
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        file.close()
-        raise DataError(f"{path}: is no file of its own but a folder, a pipe or a device; name the file itself")
-    return file
 
 
 def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:

@@ -26,7 +26,7 @@ import h5py
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.files import SPARE_BYTES, replacing, unwritable
+from i2t.files import SPARE_BYTES, open_regular, replacing, unwritable
 
 SCHEMA = "i2t-touches"
 SCHEMA_VERSION = 2  # sessions, which version 1 called runs
@@ -90,12 +90,6 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _require_file(path: Path) -> None:
-    """Refuse a pipe, which would be waited for, and a device, which may never end."""
-    if path.exists() and not path.is_file():
-        raise DataError(f"{path}: is no file of its own but a folder, a pipe or a device; name the file itself")
-
-
 @contextmanager
 def verified(path: Path) -> Iterator[h5py.File]:
     """Open a file of this schema for reading, after proving that no byte of it changed.
@@ -109,9 +103,8 @@ def verified(path: Path) -> Iterator[h5py.File]:
     Raises:
         DataError: It cannot be read, or has changed.
     """
-    _require_file(path)
     try:
-        with path.open("rb") as raw:
+        with open_regular(path) as raw:
             expected = _header(path, raw.read(HEADER_BYTES))
             if hashlib.file_digest(raw, "sha256").hexdigest() != expected:
                 raise DataError(

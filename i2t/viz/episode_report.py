@@ -21,7 +21,7 @@ from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.scene import draw_object, touch_colours
-from i2t.viz.skins import ARROW_MM, draw_reading, draw_skin
+from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
 from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, Picture, save_figure, titled
 from i2t.windows import PATCH_WINDOW, REACH
 
@@ -104,7 +104,7 @@ def plot_episode(record: EpisodeRecord) -> Picture:
     touches = np.unique(np.linspace(0, len(record.p) - 1, MAX_ROWS).round().astype(int)).tolist()
     candidates = _shown_candidates(record.p, record.truth)
     depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
-    scale = float(np.percentile(np.linalg.norm(record.readings.reshape(-1, 3), axis=-1), 95)) or 1.0
+    scale = common_scale(record.readings)
     colours = touch_colours(len(record.p))
 
     widths = [2.2, 1.15] + [1.0] * len(candidates) + [1.0, 0.75]
@@ -135,11 +135,7 @@ def plot_episode(record: EpisodeRecord) -> Picture:
     bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.5, aspect=40, pad=0.01)
     bar.set_label("predicted depth behind the nearest point (mm)", fontsize=8)
     bar.ax.tick_params(labelsize=8)
-    figure.suptitle(
-        f"{record.headline}\n"
-        f"measured: arrows in the skin's plane, {ARROW_MM:g} mm = {scale:.0f} µT; discs normal field, filled outwards",
-        fontsize=10,
-    )
+    figure.suptitle(f"{record.headline}\nmeasured: {explained(record.board, scale)}", fontsize=10)
     return figure
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
-from i2t.viz.skins import draw_reading, draw_skin, explained
+from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
 from i2t.viz.style import BLUE, COLOURS, GREEN, GREY, ORANGE, RED, Picture, titled
 from i2t.windows import PATCH_WINDOW, REACH
 
@@ -45,8 +45,7 @@ def plot_predicted_touches(
     n = len(patches)
     figure = Picture(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
     axes = figure.subplots(2, n, squeeze=False)
-    measured = np.asarray(next(iter(sets.values())))
-    scale = float(np.percentile(np.linalg.norm(measured.reshape(-1, 3), axis=-1), 95)) or 1.0
+    scale = common_scale(next(iter(sets.values())))
     for i in range(n):
         image = draw_patch(axes[0, i], patches[i], window, reach)
         axes[0, i].set_title(labels[i], fontsize=9)
