@@ -64,7 +64,7 @@ def fit_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: 
         Fitted.
     """
     rows = np.flatnonzero(split.train)
-    train = ContactPressure(pressure.pressure[rows], pressure.load[rows])
+    train = jax.tree.map(lambda leaf: leaf[rows], pressure)
     return gp.condition(train, readings[rows], split.groups[rows], seed=seed)
 
 
