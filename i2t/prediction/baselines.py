@@ -103,7 +103,7 @@ class NearestPatches(OnFeatures):
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `TouchModel.predict_batch`."""
-        x, points, k = self._features(touches), np.asarray(self.points, np.float64), int(self.neighbours)
+        x, points, k = self._features(touches), np.asarray(self.points, np.float64), float(self.neighbours)
         mean = nearest_neighbours(points, np.asarray(self.readings, np.float64), x, k)
         return self._reading(mean, _grown(self.growth, _mean_square_distance(points, x, k)))
 
@@ -261,15 +261,12 @@ def _fit_nearest(
 ) -> NearestPatches:
     x = np.asarray(points, np.float64)
 
-    def mean(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
-        return nearest_neighbours(x, y, at, int(k))
-
-    k, error = _best_option(mean, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
+    k, error = _best_option(nearest_neighbours, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
     spread = _floored(np.sqrt((error**2).mean(0)))
     away = np.empty(len(x))
     for i in np.unique(fold):
         known = fold != i if (fold != i).any() else fold == i
-        away[fold == i] = _mean_square_distance(x[known], x[fold == i], int(k))
+        away[fold == i] = _mean_square_distance(x[known], x[fold == i], k)
     growth = nnls(np.c_[np.ones(len(x)), away], ((error / spread) ** 2).mean(1))[0]
     return NearestPatches(features, spread, conditions, points, _plain(readings), _plain(np.asarray(k)), _plain(growth))
 
@@ -296,7 +293,7 @@ def _leverage(inverse: np.ndarray, from_centre: np.ndarray) -> np.ndarray:
     return np.einsum("nd,de,ne->n", from_centre, inverse, from_centre)
 
 
-def _mean_square_distance(points: np.ndarray, at: np.ndarray, k: int) -> np.ndarray:
+def _mean_square_distance(points: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
     near, square = near_rows(points, at, k)
     return (near * square).sum(1) / near.sum(1)
 

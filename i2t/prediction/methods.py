@@ -29,7 +29,6 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_disk
 from i2t.training import TrainConfig
-from i2t.types import Touches
 
 METHODS: Mapping[str, str] = {  # names of the command line; the first of equal ones is kept
     "mean": "i2t.prediction.baselines:Mean",
@@ -105,7 +104,11 @@ class TrainingTouches:
             from_disk(arrays, json.loads(json.dumps(about)))
         except (LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"a {type(model).__name__} could not be loaded again: {error}") from error
-        force, depth = median_conditions(self.dataset.touches, split.train)
+        pressed = self.dataset.touches
+        force, depth = (
+            _median(pressed.force[split.train], ALIKE_FORCE_N),
+            _median(pressed.depth[split.train], USUAL_DEPTH_M),
+        )
         return Predictor(model, self.dataset.window, self.dataset.reach, force, depth)
 
 
@@ -195,19 +198,6 @@ def views_of(dataset: Dataset) -> np.ndarray:
     return dataset.touches.patch if np.isnan(wide[:, centre, centre]).any() else wide
 
 
-def median_conditions(touches: Touches, rows: np.ndarray) -> tuple[float, float]:
-    """Median force and depth, in place of values that a user does not measure.
-
-    Args:
-        touches: n touches.
-        rows: (n,) mask of those that count.
-
-    Returns:
-        Median force (N) and depth (m); 1 N and 0.3 mm where they were not measured.
-    """
-
-    def median(values: np.ndarray, default: float) -> float:
-        known = values[np.isfinite(values)]
-        return float(np.median(known)) if len(known) else default
-
-    return median(touches.force[rows], ALIKE_FORCE_N), median(touches.depth[rows], USUAL_DEPTH_M)
+def _median(values: np.ndarray, default: float) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else default

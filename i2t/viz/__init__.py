@@ -19,7 +19,7 @@ _MODULES = {
     "scene": ("object_image", "object_plotter", "plot_object", "why_no_scene"),
     "skins": ("draw_reading", "draw_skin", "plot_press", "plot_readings", "plot_skin_map"),
     "surfaces": ("ShownSurface", "plot_growing_surface"),
-    "training": ("plot_channel_errors", "plot_predicted_touches", "plot_predictions", "plot_training_curves"),
+    "training": ("plot_predicted_touches", "plot_predictions", "plot_training_curves"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = sorted(_MODULE_OF)
