@@ -10,7 +10,7 @@ residuals of a session on the readings before.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import jax
@@ -108,6 +108,10 @@ class StampFeatures:
     _pressed: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
     _hypotheses: dict[int, np.ndarray] = field(default_factory=dict)
 
+    @cached_property
+    def _drawn(self) -> Stamp:
+        return stamps(self.names)
+
     def pressed(self, layer: int, rows: np.ndarray) -> Float[np.ndarray, "n c k"]:
         """Features of what was pressed, on a layer of `LAYERS`."""
         missing = [row for row in rows if (layer, row) not in self._pressed]
@@ -127,11 +131,11 @@ class StampFeatures:
         return self._hypotheses[layer]
 
     def _features(self, layer: int, which: np.ndarray, poses: StampPoses) -> np.ndarray:
-        parameters, drawn, parts = layer_of(*LAYERS[layer]), stamps(self.names), []
+        parameters, parts = layer_of(*LAYERS[layer]), []
         for start in range(0, len(which), CHUNK_PRESSES):  # of one size, and so compiled once
             rows = np.minimum(np.arange(start, start + CHUNK_PRESSES), len(which) - 1)
             some = StampPoses(*(jnp.float32(leaf[rows]) for leaf in poses))
-            made = stamp_features(parameters, self.board, drawn, jnp.int32(which[rows]), some, grid=self.grid)
+            made = stamp_features(parameters, self.board, self._drawn, jnp.int32(which[rows]), some, grid=self.grid)
             parts.append(np.asarray(made))
         return np.concatenate(parts)[: len(which)]
 
