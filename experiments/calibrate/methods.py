@@ -24,12 +24,9 @@ def mean(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.nd
 
 def neighbours(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
     """k nearest presses in position and load, k by cross-validation."""
-
-    def nearest(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
-        return nearest_neighbours(x, y, at, int(k))
-
     x, at = recording.features(rows), recording.features(test)
-    return tuned(nearest, (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), x, recording.readings[rows], np.arange(len(rows)), at=at)
+    counts, each = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), np.arange(len(rows))
+    return tuned(nearest_neighbours, counts, x, recording.readings[rows], each, at=at)
 
 
 def plain(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:

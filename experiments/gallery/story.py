@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import i2t
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.trained_run import TrainedRun, load_trained_run, meshes_by_name
-from i2t.prediction.predictor import Reading
+from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import touch_simulator
 from i2t.types import ReturnCode, Touches
@@ -48,8 +48,10 @@ class Story:
     def imagined(self) -> Reading:
         """The predictor's readings of the unseen touches, not checked again: a wrench sensor's noise may pull."""
         touches = self.unseen
-        given = {"force": touches.force, "nearest": touches.nearest, "depth": touches.depth, "wide": touches.wide}
-        return self.run.predictor.predict_views(touches.patch, **given)
+        pitch = self.run.predictor.window / touches.patch.shape[1]
+        return self.run.predictor.predict_batch(
+            TouchBatch(touches.patch, touches.wide, pitch, touches.force, touches.nearest, touches.depth)
+        )
 
     @cached_property
     def ranked(self) -> np.ndarray:

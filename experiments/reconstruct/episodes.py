@@ -6,10 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from experiments.reconstruct.arguments import ExplorationCondition
-from experiments.reconstruct.world import EXPLORING_OVERTRAVEL_M, Reality, Session
 from i2t.objects.solids import Mesh
-from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
 from i2t.reconstruction.signed_distances import (
     VoxelGrid,
     extract_mesh,
@@ -20,11 +17,7 @@ from i2t.reconstruction.signed_distances import (
 from i2t.reconstruction.surface import (
     Z_90,
     SurfaceEstimate,
-    SurfaceModel,
     SurfaceState,
-    estimate_surface,
-    init,
-    update,
 )
 
 REPORTED = (0, 1, 5, 10, 20)  # touches after which surfaces are judged
@@ -61,36 +54,11 @@ class Episode:
     estimates: dict[int, SurfaceEstimate] = field(default_factory=dict)
     stopped: bool = False  # because no site was safe
 
-
-def explore(
-    model: SurfaceModel,
-    reality: Reality,
-    number: int,
-    truth: TrueShape,
-    condition: ExplorationCondition,
-    *,
-    touches: int,
-    seed: int,
-) -> Episode:
-    """Touch one object, whose errors of the lab depend on object and seed only: conditions share them."""
-    session = Session(reality, number, 1000 * seed)
-    episode = Episode(init(model)[0])
-    config = ExplorationConfig(condition.policy, limits=AROUND_LIMITS, overtravel=EXPLORING_OVERTRAVEL_M)
-    for done in range(touches + 1):
-        if done in (*REPORTED, touches):
-            estimate = estimate_surface(model, episode.state)
-            errors = surface_errors(estimate, truth)
-            episode.estimates[done], episode.scores[done] = estimate, judge(estimate, truth)
-            episode.errors[done] = SurfaceErrors(*(part[::ERROR_STRIDE] for part in errors))
-        if done == touches:
-            break
-        step = int(np.random.SeedSequence([seed, 0, number, done]).generate_state(1)[0])
-        site = choose_touch(model, episode.state, config=config, seed=step).T_o_t
-        if site is None:
-            episode.stopped = True
-            break
-        episode.state, _ = update(model, episode.state, session.touch(site, condition.reading))
-    return episode
+    def judge(self, done: int, estimate: SurfaceEstimate, truth: TrueShape) -> None:
+        """Note what is known after so many touches, and how near that is."""
+        errors = surface_errors(estimate, truth)
+        self.estimates[done], self.scores[done] = estimate, judge(estimate, truth, errors)
+        self.errors[done] = SurfaceErrors(*(part[::ERROR_STRIDE] for part in errors))
 
 
 def true_shape(mesh: Mesh, grid: VoxelGrid, samples: int) -> TrueShape:
@@ -103,12 +71,12 @@ def true_shape(mesh: Mesh, grid: VoxelGrid, samples: int) -> TrueShape:
     return shape._replace(floor_mm=MM_PER_M * 0.5 * (there.mean() + back.mean()))
 
 
-def judge(estimate: SurfaceEstimate, truth: TrueShape) -> dict[str, float]:
+def judge(estimate: SurfaceEstimate, truth: TrueShape, errors: SurfaceErrors) -> dict[str, float]:
     """All scores of one reconstruction."""
     there, back = _distances(estimate.mesh, truth)
     within = F_SCORE_SHARE * truth.diagonal
     precision, recall = (there < within).mean(), (back < within).mean()
-    found, errors = estimate.distance < 0, surface_errors(estimate, truth)
+    found = estimate.distance < 0
     return {
         "chamfer_mm": MM_PER_M * 0.5 * float(there.mean() + back.mean()),
         "iou": float((found & truth.inside).sum() / max((found | truth.inside).sum(), 1)),

@@ -27,12 +27,13 @@ import numpy as np
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct import recorded
 from experiments.reconstruct.arguments import CONDITIONS, ExplorationCondition, ReconstructArgs, ReconstructSizes
-from experiments.reconstruct.episodes import Episode, SurfaceErrors, TrueShape, explore, true_shape
+from experiments.reconstruct.episodes import REPORTED, Episode, SurfaceErrors, TrueShape, true_shape
 from experiments.reconstruct.report import Episodes, draw_errors, draw_growing, summarize, table
-from experiments.reconstruct.world import Reality, make_reality, split_objects
+from experiments.reconstruct.world import EXPLORING_OVERTRAVEL_M, Reality, Session, make_reality, split_objects
 from i2t import viz
 from i2t.progress import progress
-from i2t.reconstruction.surface import Z_90, SurfaceModel, surface_model
+from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
+from i2t.reconstruction.surface import Z_90, SurfaceModel, estimate_surface, init, surface_model, update
 
 BAND = 0.9  # that a band should hold of the surface
 BAND_FLOORS_M = tuple(np.arange(9) * 0.25e-3)  # what is chosen among
@@ -56,9 +57,23 @@ class Explorer:
     seed: int
 
     def explore(self, number: int, condition: ExplorationCondition) -> Episode:
-        """One object under one condition."""
-        truth, touches = self.shapes[number], self.sizes.touches
-        return explore(self.model, self.reality, number, truth, condition, touches=touches, seed=self.seed)
+        """Touch one object, whose errors of the lab depend on object and seed only: conditions share them."""
+        model, truth, touches = self.model, self.shapes[number], self.sizes.touches
+        session = Session(self.reality, number, 1000 * self.seed)
+        episode = Episode(init(model)[0])
+        config = ExplorationConfig(condition.policy, limits=AROUND_LIMITS, overtravel=EXPLORING_OVERTRAVEL_M)
+        for done in range(touches + 1):
+            if done in (*REPORTED, touches):
+                episode.judge(done, estimate_surface(model, episode.state), truth)
+            if done == touches:
+                break
+            step = int(np.random.SeedSequence([self.seed, 0, number, done]).generate_state(1)[0])
+            site = choose_touch(model, episode.state, config=config, seed=step).T_o_t
+            if site is None:
+                episode.stopped = True
+                break
+            episode.state, _ = update(model, episode.state, session.touch(site, condition.reading))
+        return episode
 
     def with_band(self, band: Band) -> "Explorer":
         """The same with wider or narrower bands."""

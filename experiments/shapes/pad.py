@@ -9,8 +9,8 @@ residuals of a session on the readings before.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import jax
@@ -95,40 +95,39 @@ def stamp_features(
     return map_batches(one, (which, *poses), batch_size=physics.DESIGN_BATCH)
 
 
+@dataclass(frozen=True)
 class StampFeatures:
     """Features of one skin's presses, each worked out when it is first asked for and kept."""
 
-    def __init__(
-        self,
-        board: Board,
-        names: Sequence[str],
-        poses: StampPoses,
-        shape: Int[np.ndarray, " n"],
-        *,
-        layers: int,
-        grid: Grid = GRID,
-    ) -> None:
-        self.board, self.drawn, self.classes, self.grid = board, stamps(names), len(names), grid
-        self.layers = range(layers)
-        self.poses, self.shape = poses, shape
-        self._pressed: dict[tuple[int, int], np.ndarray] = {}
-        self._hypotheses: dict[int, np.ndarray] = {}
+    board: Board
+    names: Sequence[str]  # of the stamps
+    poses: StampPoses
+    shape: Int[np.ndarray, " n"]  # in `names`
+    layers: int  # how many of `LAYERS` are tried
+    grid: Grid = GRID
+    _pressed: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+    _hypotheses: dict[int, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def _drawn(self) -> Stamp:
+        return stamps(self.names)
 
     def pressed(self, layer: int, rows: np.ndarray) -> Float[np.ndarray, "n c k"]:
         """Features of what was pressed, on a layer of `LAYERS`."""
         missing = [row for row in rows if (layer, row) not in self._pressed]
         if missing:
             made = self._features(layer, self.shape[missing], StampPoses(*(leaf[missing] for leaf in self.poses)))
-            self._pressed |= {(layer, row): features for row, features in zip(missing, made, strict=True)}
+            self._pressed.update({(layer, row): features for row, features in zip(missing, made, strict=True)})
         return np.stack([self._pressed[layer, row] for row in rows])
 
     def hypotheses(self, layer: int) -> Float[np.ndarray, "n classes c k"]:
         """Features of every stamp in turn at every pose."""
         if layer not in self._hypotheses:
             n = len(self.poses.force)
-            each = StampPoses(*(np.repeat(leaf, self.classes, axis=0) for leaf in self.poses))
-            made = self._features(layer, np.tile(np.arange(self.classes), n), each)
-            self._hypotheses[layer] = made.reshape(n, self.classes, *made.shape[1:])
+            classes = len(self.names)
+            each = StampPoses(*(np.repeat(leaf, classes, axis=0) for leaf in self.poses))
+            made = self._features(layer, np.tile(np.arange(classes), n), each)
+            self._hypotheses[layer] = made.reshape(n, classes, *made.shape[1:])
         return self._hypotheses[layer]
 
     def _features(self, layer: int, which: np.ndarray, poses: StampPoses) -> np.ndarray:
@@ -136,7 +135,7 @@ class StampFeatures:
         for start in range(0, len(which), CHUNK_PRESSES):  # of one size, and so compiled once
             rows = np.minimum(np.arange(start, start + CHUNK_PRESSES), len(which) - 1)
             some = StampPoses(*(jnp.float32(leaf[rows]) for leaf in poses))
-            made = stamp_features(parameters, self.board, self.drawn, jnp.int32(which[rows]), some, grid=self.grid)
+            made = stamp_features(parameters, self.board, self._drawn, jnp.int32(which[rows]), some, grid=self.grid)
             parts.append(np.asarray(made))
         return np.concatenate(parts)[: len(which)]
 
@@ -147,7 +146,7 @@ class StampFeatures:
         some = np.argsort(_PRIORITY[rows % len(_PRIORITY)], kind="stable")[
             :LAYER_PRESSES
         ]  # mostly the same in all folds
-        scores = [_best_regression(self.pressed(layer, rows[some]), readings[some])[1] for layer in self.layers]
+        scores = [_best_regression(self.pressed(layer, rows[some]), readings[some])[1] for layer in range(self.layers)]
         best = int(np.argmax(scores))
         features = self.hypotheses(best)[rows, self.shape[rows]]
         solved, _ = _best_regression(features, readings)

@@ -16,7 +16,8 @@ from i2t import viz
 from i2t.dataset import Dataset, Split
 from i2t.files import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
-from i2t.prediction.predictor import Predictor, save
+from i2t.prediction.predictor import Predictor, coverage, save
+from i2t.prediction.touch_model import Reading
 
 COLUMNS = (("R²", 22), ("RMSE µT", 10), ("/ sigma", 9), ("cosine", 8))  # of tables of scores, and their widths
 ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not
@@ -58,7 +59,7 @@ def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict
             metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
             metadata |= {"epochs": len(curve)} if (curve := (predictor.metadata or {}).get("curve")) else {}
             save(out / "checkpoint" / folder, replace(predictor, metadata=metadata))
-    figures(out, prepared, evaluation, metrics, noise)
+    figures(out, prepared, evaluation, metrics)
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(out / "metrics.json", metrics)
 
@@ -88,7 +89,7 @@ def scored(
     values: dict[str, Any] = score(truth, mean, noise)._asdict()
     values["r2_interval"] = grouped_interval(lambda rows: score(truth[rows], mean[rows]).r2, groups)
     if std is not None:
-        values["coverage_90"] = float(np.mean(np.abs(truth - mean) < 1.645 * std))
+        values["coverage_90"] = coverage(truth, Reading(mean, std))
     return values
 
 
@@ -104,24 +105,14 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
     }
 
 
-def figures(
-    out: Path, prepared: Prepared, evaluation: Evaluation, metrics: dict[str, Any], noise: np.ndarray | None
-) -> None:
+def figures(out: Path, prepared: Prepared, evaluation: Evaluation, metrics: dict[str, Any]) -> None:
     """All pictures of one run, in the folder `out`."""
     dataset, split = prepared.touches.dataset, prepared.split
-    predicted, best = evaluation.predicted, evaluation.choice.best
-    simulated, truth = dataset.source != "real", dataset.touches.reading[split.test]
-    _touches(out, dataset, split, predicted[best])
+    simulated = dataset.source != "real"
+    _touches(out, dataset, split, evaluation.predicted[evaluation.choice.best])
     if curves := curves_of(evaluation.predictors):
         figure = viz.plot_training_curves(curves, "Training", "squared error (standardised)", simulated)
         viz.save_figure(figure, out / "training.png")
-    errors = {
-        name: np.sqrt(((predicted[name] - truth) ** 2).mean(0))
-        for name in ("mean reading", "k nearest patches", "paper's network, depth", best)
-        if name in predicted
-    }
-    figure = viz.plot_channel_errors(errors, noise, "Error per chip and axis on the test touches", simulated)
-    viz.save_figure(figure, out / "error_per_axis.png")
     intervals = {name: (values["r2"], *values["r2_interval"]) for name, values in metrics["methods"].items()}
     xlabel = "R² (95 % interval over groups)"
     figure = viz.plot_intervals(intervals, "Explained variance on the test touches", xlabel, simulated)
@@ -153,49 +144,40 @@ def _touches(out: Path, dataset: Dataset, split: Split, predicted: np.ndarray) -
 def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Means over seeds with Student's t intervals, pad by pad."""
     pads = sorted({part["pad"] or 0 for part in parts})
-    names = list(parts[0]["methods"])
+    of_pad = {str(pad): [part for part in parts if (part["pad"] or 0) == pad] for pad in pads}
     numbers = [field for field in Score._fields if not field.endswith("_axis")]
     summary: dict[str, Any] = {
         "source": parts[0]["source"],
         "seeds": sorted({part["seed"] for part in parts}),
-        "pads": {},
+        "pads": {pad: _estimates([part["methods"] for part in some], numbers) for pad, some in of_pad.items()},
     }
-    for pad in pads:
-        of_pad = [part for part in parts if (part["pad"] or 0) == pad]
-        summary["pads"][str(pad)] = {
-            name: {field: student_interval([part["methods"][name][field] for part in of_pad]) for field in numbers}
-            for name in names
-        }
+    over, which, unit = summary["pads"][str(pads[0])], f"pad {pads[0]}", "seeds"
     if len(pads) > 1:  # the mean over pads, each of which counts once
-        summary["over_pads"] = {
-            name: {
-                field: student_interval([float(of_pad[name][field].mean) for of_pad in summary["pads"].values()])
-                for field in numbers
-            }
-            for name in names
-        }
-        summary["by_object"] = {
-            name: {
-                method: student_interval([part["by_object"][name][method] for part in parts])
-                for method in parts[0]["by_object"][name]
-            }
-            for name in parts[0]["by_object"]
-        }
-    summary["best"] = {str(pad): [part["best"] for part in parts if (part["pad"] or 0) == pad] for pad in pads}
+        means = [
+            {name: {field: float(found.mean) for field, found in row.items()} for name, row in methods.items()}
+            for methods in summary["pads"].values()
+        ]
+        summary["over_pads"] = over = _estimates(means, numbers)
+        summary["by_object"] = _estimates([part["by_object"] for part in parts])
+        which, unit = f"{len(pads)} pads", "pads"
+    summary["best"] = {pad: [part["best"] for part in some] for pad, some in of_pad.items()}
     write_json(out / "metrics.json", summary)
-    over, which, unit = (
-        (summary["over_pads"], f"{len(pads)} pads", "pads")
-        if len(pads) > 1
-        else (summary["pads"][str(pads[0])], f"pad {pads[0]}", "seeds")
-    )
     figure = viz.plot_intervals(
-        {name: tuple(over[name]["r2"]) for name in names},
+        {name: tuple(row["r2"]) for name, row in over.items()},
         f"Explained variance, {which}",
         f"R² (95 % interval over {unit})",
         parts[0]["source"] != "real",
     )
     viz.save_figure(figure, out / "scores.png")
     return summary
+
+
+def _estimates(tables: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> dict[str, Any]:
+    """Tables of one form as one, each cell with its mean and interval over them; all columns unless some are named."""
+    return {
+        name: {column: student_interval([table[name][column] for table in tables]) for column in columns or row}
+        for name, row in tables[0].items()
+    }
 
 
 def print_table(result: dict[str, Any]) -> None:

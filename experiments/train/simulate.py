@@ -13,7 +13,6 @@ from i2t import dataset as data
 from i2t.dataset import Dataset, Split
 from i2t.objects import catalogue
 from i2t.prediction import gp
-from i2t.prediction.gp import ContactPressure
 from i2t.prediction.gp_method import fit_gp
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.progress import progress
@@ -62,4 +61,4 @@ def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split,
     pressure = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
     fitted = fit_gp(pressure, dataset.touches.reading, split, seed)
     rows = np.flatnonzero(split.test)
-    return np.asarray(gp.predict(fitted, ContactPressure(pressure.pressure[rows], pressure.load[rows]))[0])
+    return np.asarray(gp.predict(fitted, jax.tree.map(lambda leaf: leaf[rows], pressure))[0])

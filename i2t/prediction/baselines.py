@@ -103,7 +103,7 @@ class NearestPatches(OnFeatures):
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `TouchModel.predict_batch`."""
-        x, points, k = self._features(touches), np.asarray(self.points, np.float64), int(self.neighbours)
+        x, points, k = self._features(touches), np.asarray(self.points, np.float64), float(self.neighbours)
         mean = nearest_neighbours(points, np.asarray(self.readings, np.float64), x, k)
         return self._reading(mean, _grown(self.growth, _mean_square_distance(points, x, k)))
 
@@ -140,36 +140,23 @@ def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
     return MeanReading(_plain(plain.mean(0)), _floored(plain.std(0)))
 
 
-def patch_features(patches: Float[np.ndarray, "n h w"]) -> TouchFeatures:
-    """Fit the map from patches to vectors; `with_measured` adds what was measured at their contacts.
+def touch_features(patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
+    """Fit the map from touches to vectors.
 
     Args:
         patches: m, of the training touches.
+        measured: What was measured at their contacts.
 
     Returns:
-        Their principal components and their scale.
+        Principal components of the patches, and the scales of both.
     """
     flat = patches.reshape(len(patches), -1).astype(np.float64)
     mean = flat.mean(0)
     basis = np.linalg.svd(flat - mean, full_matrices=False)[2][:COMPONENTS]
     length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all patches alike
-    nothing = np.zeros(0, np.float32)
-    return TouchFeatures(_plain(mean), _plain(basis), _plain(np.asarray(length)), nothing, nothing)
-
-
-def with_measured(features: TouchFeatures, measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
-    """The same components, with scales of the measurements.
-
-    Args:
-        features: Of the training patches.
-        measured: What was measured at their contacts.
-
-    Returns:
-        The map from touches to vectors.
-    """
     std = measured.astype(np.float64).std(0)
-    scale = _plain(np.where(std > 0, std, 1))
-    return features._replace(measured_mean=_plain(measured.mean(0)), measured_std=scale)
+    scale = np.where(std > 0, std, 1)
+    return TouchFeatures(*map(_plain, (mean, basis, np.asarray(length), measured.mean(0), scale)))
 
 
 def features_of(
@@ -274,15 +261,12 @@ def _fit_nearest(
 ) -> NearestPatches:
     x = np.asarray(points, np.float64)
 
-    def mean(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
-        return nearest_neighbours(x, y, at, int(k))
-
-    k, error = _best_option(mean, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
+    k, error = _best_option(nearest_neighbours, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
     spread = _floored(np.sqrt((error**2).mean(0)))
     away = np.empty(len(x))
     for i in np.unique(fold):
         known = fold != i if (fold != i).any() else fold == i
-        away[fold == i] = _mean_square_distance(x[known], x[fold == i], int(k))
+        away[fold == i] = _mean_square_distance(x[known], x[fold == i], k)
     growth = nnls(np.c_[np.ones(len(x)), away], ((error / spread) ** 2).mean(1))[0]
     return NearestPatches(features, spread, conditions, points, _plain(readings), _plain(np.asarray(k)), _plain(growth))
 
@@ -309,7 +293,7 @@ def _leverage(inverse: np.ndarray, from_centre: np.ndarray) -> np.ndarray:
     return np.einsum("nd,de,ne->n", from_centre, inverse, from_centre)
 
 
-def _mean_square_distance(points: np.ndarray, at: np.ndarray, k: int) -> np.ndarray:
+def _mean_square_distance(points: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
     near, square = near_rows(points, at, k)
     return (near * square).sum(1) / near.sum(1)
 
@@ -352,14 +336,12 @@ class Nearest(Method):
         if self.measured and not conditions:
             return None
         rows, seen = split.train, touches.dataset.touches
-        of_patches = touches.once("patch features", rows, lambda: patch_features(seen.patch[rows]))
         measured = stacked(seen, conditions)[rows]
-        model = self.model(of_patches, conditions, seen.patch[rows], measured, seen.reading[rows], split.groups[rows])
+        model = self.model(conditions, seen.patch[rows], measured, seen.reading[rows], split.groups[rows])
         return touches.predictor(model, split)
 
     def model(
         self,
-        of_patches: TouchFeatures,
         conditions: tuple[str, ...],
         patches: Float[np.ndarray, "n h w"],
         measured: Float[np.ndarray, "n m"],
@@ -369,7 +351,6 @@ class Nearest(Method):
         """The model of n training touches.
 
         Args:
-            of_patches: What turns their patches into vectors.
             conditions: Names of what was measured.
             patches: m.
             measured: What was measured at contact.
@@ -379,7 +360,7 @@ class Nearest(Method):
         Returns:
             Fitted.
         """
-        features = with_measured(of_patches, measured)
+        features = touch_features(patches, measured)
         points = _plain(features_of(features, patches, measured))
         return self.fit_points(features, conditions, points, readings.astype(np.float64), fold_of(groups))
 

@@ -47,7 +47,8 @@ class GaussianProcess(Method):
         """Fit, as in `Method.fit`; it needs predicted pressures."""
         if touches.pressure is None or touches.pressure_model is None:
             return None
-        fitted = fit_gp(touches.pressure, touches.dataset.touches.reading, split, seed_of(key))
+        seed = int(jax.random.key_data(key)[-1])  # of `jax.random.key(seed)`, the seed
+        fitted = fit_gp(touches.pressure, touches.dataset.touches.reading, split, seed)
         return touches.predictor(GPModel(fitted, touches.pressure_model), split)
 
 
@@ -64,20 +65,8 @@ def fit_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: 
         Fitted.
     """
     rows = np.flatnonzero(split.train)
-    train = ContactPressure(pressure.pressure[rows], pressure.load[rows])
+    train = jax.tree.map(lambda leaf: leaf[rows], pressure)
     return gp.condition(train, readings[rows], split.groups[rows], seed=seed)
-
-
-def seed_of(key: Key[Array, ""]) -> int:
-    """A seed for NumPy: of `jax.random.key(seed)`, the seed.
-
-    Args:
-        key: Random key.
-
-    Returns:
-        32 bits of it.
-    """
-    return int(jax.random.key_data(key)[-1])
 
 
 @jax.jit

@@ -14,10 +14,10 @@ it if it is the best on validation touches. `METHODS` are those that come with i
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Array, Key
@@ -29,7 +29,6 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_disk
 from i2t.training import TrainConfig
-from i2t.types import Touches
 
 METHODS: Mapping[str, str] = {  # names of the command line; the first of equal ones is kept
     "mean": "i2t.prediction.baselines:Mean",
@@ -44,7 +43,6 @@ METHODS: Mapping[str, str] = {  # names of the command line; the first of equal 
 }
 ALIKE_FORCE_N = 1.0  # where nothing says how hard touches were pressed
 USUAL_DEPTH_M = 0.3e-3  # past first contact, likewise
-Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,6 @@ class TrainingTouches:
         pressure: Contact pressures of all touches, likewise.
         paper: Sizes and loss of the paper's network.
         training: How networks are trained.
-        shared: What methods compute once for all (`once`).
     """
 
     dataset: Dataset
@@ -67,24 +64,6 @@ class TrainingTouches:
     pressure: ContactPressure | None = None
     paper: PaperOptions = field(default_factory=PaperOptions)
     training: TrainConfig = field(default_factory=TrainConfig)
-    shared: dict[tuple[str, bytes], Any] = field(default_factory=dict, repr=False)
-
-    def once(self, name: str, rows: np.ndarray, make: Callable[[], Made]) -> Made:
-        """Value that methods share, made by the first that asks.
-
-        Args:
-            name: Of what is made.
-            rows: (n,) mask of the touches that it is made of.
-            make: Makes it.
-
-        Returns:
-            What was made.
-        """
-        key = name, rows.tobytes()
-        if key not in self.shared:
-            self.shared[key] = make()
-        made: Made = self.shared[key]
-        return made
 
     def batch(self, rows: np.ndarray) -> TouchBatch:
         """Touches as predictors take them.
@@ -95,18 +74,17 @@ class TrainingTouches:
         Returns:
             What is known of them beside their readings.
         """
-        touches, which = self.dataset.touches, np.flatnonzero(rows)
-        pressure = self.pressure
+        touches = self.dataset.touches
         return TouchBatch(
-            patch=touches.patch[rows],
-            view=views_of(self.dataset)[rows],
-            pitch=self.dataset.window / touches.patch.shape[1],
-            force=touches.force[rows],
-            nearest=touches.nearest[rows],
-            depth=touches.depth[rows],
-            pressure=None if pressure is None else ContactPressure(pressure.pressure[which], pressure.load[which]),
+            touches.patch,
+            views_of(self.dataset),
+            self.dataset.window / touches.patch.shape[1],
+            force=touches.force,
+            nearest=touches.nearest,
+            depth=touches.depth,
+            pressure=self.pressure,
             pressure_model=self.pressure_model,
-        )
+        ).rows(np.flatnonzero(rows))
 
     def predictor(self, model: TouchModel, split: Split) -> Predictor:
         """Predictor around a fitted model.
@@ -126,7 +104,11 @@ class TrainingTouches:
             from_disk(arrays, json.loads(json.dumps(about)))
         except (LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"a {type(model).__name__} could not be loaded again: {error}") from error
-        force, depth = median_conditions(self.dataset.touches, split.train)
+        pressed = self.dataset.touches
+        force, depth = (
+            _median(pressed.force[split.train], ALIKE_FORCE_N),
+            _median(pressed.depth[split.train], USUAL_DEPTH_M),
+        )
         return Predictor(model, self.dataset.window, self.dataset.reach, force, depth)
 
 
@@ -216,19 +198,6 @@ def views_of(dataset: Dataset) -> np.ndarray:
     return dataset.touches.patch if np.isnan(wide[:, centre, centre]).any() else wide
 
 
-def median_conditions(touches: Touches, rows: np.ndarray) -> tuple[float, float]:
-    """Median force and depth, in place of values that a user does not measure.
-
-    Args:
-        touches: n touches.
-        rows: (n,) mask of those that count.
-
-    Returns:
-        Median force (N) and depth (m); 1 N and 0.3 mm where they were not measured.
-    """
-
-    def median(values: np.ndarray, default: float) -> float:
-        known = values[np.isfinite(values)]
-        return float(np.median(known)) if len(known) else default
-
-    return median(touches.force[rows], ALIKE_FORCE_N), median(touches.depth[rows], USUAL_DEPTH_M)
+def _median(values: np.ndarray, default: float) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else default

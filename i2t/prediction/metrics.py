@@ -124,14 +124,14 @@ def student_interval(values: Sequence[int | float] | np.ndarray, level: float = 
     return Estimate(mean, mean - half, mean + half)
 
 
-def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int) -> np.ndarray:
+def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int | float) -> np.ndarray:
     """Mean reading of the k nearest training touches, and of those as near as the k-th.
 
     Args:
         x: (n, d) features of the training touches.
         y: (n, 3 chips) their readings.
         at: (m, d) features of the touches to predict.
-        k: Neighbours; all where there are fewer.
+        k: Neighbours, a whole number; all where there are fewer.
 
     Returns:
         (m, 3 chips), in the unit of `y`.
@@ -140,18 +140,19 @@ def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int) -> 
     return near @ y / near.sum(1, keepdims=True)
 
 
-def near_rows(x: np.ndarray, at: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+def near_rows(x: np.ndarray, at: np.ndarray, k: int | float) -> tuple[np.ndarray, np.ndarray]:
     """Find the k nearest training touches, and all equally near ones, so that rounding chooses none of them.
 
     Args:
         x: (n, d) features of the training touches.
         at: (m, d) features of the touches to predict.
-        k: Neighbours; all where there are fewer.
+        k: Neighbours, a whole number; all where there are fewer.
 
     Returns:
         (m, n) bool, and the squared distances (m, n).
     """
     square = (at**2).sum(1)[:, None] + (x**2).sum(1) - 2 * at @ x.T
-    farthest = np.partition(square, min(k, len(x)) - 1, axis=1)[:, [min(k, len(x)) - 1]]
+    last = min(int(k), len(x)) - 1
+    farthest = np.partition(square, last, axis=1)[:, [last]]
     rounding = EQUALLY_NEAR * ((at**2).sum(1)[:, None] + (x**2).sum(1).max())
     return square <= farthest + rounding, np.maximum(square, 0)

@@ -213,7 +213,7 @@ def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
     Raises:
         ValueError: There are no touches, shapes do not fit the network, or values are not finite.
     """
-    touches, conditions = len(batch.target), conditions_of(cfg)
+    touches = len(batch.target)
     if touches == 0:
         raise ValueError(f"The {name} set holds no touches; choose other objects or another split.")
     if batch.inputs.image.shape != (touches, cfg.pixels, cfg.pixels):
@@ -221,13 +221,8 @@ def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
             f"The {name} set's images have shape {batch.inputs.image.shape}; {touches} touches of model.pixels = "
             f"{cfg.pixels} are expected."
         )
-    if batch.inputs.conditions.shape != (touches, len(conditions)):
-        raise ValueError(
-            f"The {name} set's conditions have shape {batch.inputs.conditions.shape}; {touches} touches of "
-            f"model.conditions = {conditions} are expected."
-        )
     bad = [("image", batch.inputs.image, (1, 2)), ("reading", batch.target, (1,))]
-    bad += [(f"condition {c!r}", batch.inputs.conditions[:, i], ()) for i, c in enumerate(conditions)]
+    bad += [(f"condition {c!r}", batch.inputs.conditions[:, i], ()) for i, c in enumerate(conditions_of(cfg))]
     for label, values, axes in bad:
         wrong = ~np.isfinite(np.asarray(values)).all(axis=axes)
         if wrong.any():

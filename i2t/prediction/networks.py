@@ -1,9 +1,10 @@
 """The paper's network and others as methods: fitted to patches, or to predicted contact pressure."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -75,31 +76,23 @@ class PressureNetwork(PatchNetwork):
         return self._readings(np.asarray(touches.pressures(self.pressure).pressure), touches)
 
 
+Made: TypeAlias = Callable[[Params, PaperConfig, Normalisation], PatchNetwork]
+
+
 class NetworkMethod(Method):
     """A network, trained to the best epoch on the validation touches."""
 
     @abstractmethod
-    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray] | None:
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made] | None:
         """Configure the network.
 
         Args:
             touches: All touches.
 
         Returns:
-            The configuration and what it sees of all touches (n, p, p); None where they lack that.
+            The configuration, what it sees of all touches (n, p, p), and what makes the model of parameters,
+            configuration and normalisation; None where touches lack what it sees.
         """
-
-    def model(self, trained: PatchNetwork, touches: TrainingTouches) -> PatchNetwork:
-        """Make the model.
-
-        Args:
-            trained: The network.
-            touches: All touches.
-
-        Returns:
-            The model.
-        """
-        return trained
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
         """Fit, as in `Method.fit`.
@@ -110,7 +103,7 @@ class NetworkMethod(Method):
         found = self.network(touches)
         if found is None:
             return None
-        cfg, images = found
+        cfg, images, made = found
         how, learner, n = touches.training, model.learner(cfg), int(split.train.sum())
         train, validation = (
             _batch(cfg, images, touches.dataset.touches, rows) for rows in (split.train, split.validation)
@@ -128,8 +121,7 @@ class NetworkMethod(Method):
             if len(history) % EPOCHS_BETWEEN_CHECKS == 0 or len(history) == how.epochs:
                 _check_finite(state, how)
         norm = _with_residual(state.best_params, cfg, norm, validation)
-        fitted = self.model(PatchNetwork(state.best_params, cfg, norm), touches)
-        return replace(touches.predictor(fitted, split), metadata={"curve": history})
+        return replace(touches.predictor(made(state.best_params, cfg, norm), split), metadata={"curve": history})
 
 
 class PaperDepth(NetworkMethod):
@@ -138,11 +130,11 @@ class PaperDepth(NetworkMethod):
     title = "paper's network, depth"
     input: ClassVar[ImageKind] = "depth"
 
-    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray]:
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made]:
         """Configure the network, as in `NetworkMethod.network`."""
         seen, reach = touches.dataset.touches, touches.dataset.reach
         sizes = {"pixels": seen.patch.shape[1], "readings": seen.reading.shape[-1]}
-        return PaperConfig(**asdict(touches.paper), input=self.input, reach=reach, **sizes), seen.patch
+        return PaperConfig(**asdict(touches.paper), input=self.input, reach=reach, **sizes), seen.patch, PatchNetwork
 
 
 class PaperMask(PaperDepth):
@@ -160,19 +152,15 @@ class OnPressure(NetworkMethod):
         input="pressure", bottleneck=30, auxiliary=False, heteroscedastic=True, members=5, conditions=("force", "depth")
     )
 
-    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray] | None:
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made] | None:
         """Configure the network, as in `NetworkMethod.network`; it needs predicted pressures."""
         if touches.pressure is None or touches.pressure_model is None:
             return None
         images = np.asarray(touches.pressure.pressure)
         sizes = {"pixels": images.shape[1], "readings": touches.dataset.touches.reading.shape[-1]}
         known = tuple(name for name in self.cfg.conditions if name in touches.measured)
-        return replace(self.cfg, conditions=known, **sizes), images
-
-    def model(self, trained: PatchNetwork, touches: TrainingTouches) -> PatchNetwork:
-        """Make the model, as in `NetworkMethod.model`."""
-        assert touches.pressure_model is not None
-        return PressureNetwork(trained.params, trained.cfg, trained.normalisation, touches.pressure_model)
+        made = partial(PressureNetwork, pressure=touches.pressure_model)
+        return replace(self.cfg, conditions=known, **sizes), images, made
 
 
 _start = jax.jit(training.init, static_argnums=(1, 2, 3))

@@ -130,57 +130,20 @@ class Predictor:
                 surface, a force that pulls or breaks the skin.
         """
         patches = user_input.checked_patches(patch, self.reach)
-        n = len(patches)
-        values = {
-            "force": user_input.checked_column("force", force, n, self.default_force),
-            "nearest": user_input.checked_column("nearest", nearest, n, None),
-            "depth": user_input.checked_column("depth", depth, n, self.default_depth),
-        }
-        sign = -1.0 if self.default_force < 0 else 1.0
-        user_input.check_press(**values, usual_force=self.default_force, force_sign=sign)
-        views = None if wide is None else user_input.checked_wide(wide, patches, self.reach)
-        if valid is None or np.asarray(valid).all():
-            reading = self._predict_classes(patches, views, values)
-        else:
-            reading = self._predict_unseen(patches, views, values, valid)
-        return Reading(reading.mean[0], reading.std[0]) if np.ndim(patch) == 2 else reading
-
-    def predict_views(
-        self,
-        patch: np.ndarray,
-        *,
-        force: np.ndarray,
-        nearest: np.ndarray,
-        depth: np.ndarray | None = None,
-        wide: np.ndarray | None = None,
-    ) -> Reading:
-        """Readings of views that i2t rendered, which are not checked again: for experiments.
-
-        Args:
-            patch: (n, p, p) m.
-            force: (n,) N along tool z.
-            nearest: (n,) m.
-            depth: (n,) m, past first contact; left out, the median of the training touches is taken.
-            wide: (n, w, w) m, the patches with their surroundings; left out, the patches.
-
-        Returns:
-            Mean and standard deviation, (n, 3 chips) uT.
-
-        Raises:
-            ValueError: Patches or conditions do not fit the model.
-        """
-        patches = np.asarray(patch, np.float32)
-        travel = np.full(len(patches), self.default_depth, np.float32) if depth is None else depth
-        return self.predict_batch(
-            TouchBatch(
-                patches,
-                patches if wide is None else np.asarray(wide, np.float32),
-                self.window / patches.shape[1],
-                force=np.asarray(force, np.float32),
-                nearest=np.asarray(nearest, np.float32),
-                depth=np.asarray(travel, np.float32),
-            )
+        touches = TouchBatch(
+            patches,
+            patches if wide is None else user_input.checked_wide(wide, patches, self.reach),
+            self.window / patches.shape[1],
+            force=user_input.checked_column("force", force, len(patches), self.default_force),
+            nearest=user_input.checked_column("nearest", nearest, len(patches), None),
+            depth=user_input.checked_column("depth", depth, len(patches), self.default_depth),
         )
+        user_input.check_press(touches.force, touches.nearest, touches.depth, usual_force=self.default_force)
+        if valid is None or np.asarray(valid).all():
+            reading = self._predict_classes(touches)
+        else:
+            reading = self._predict_unseen(touches, valid)
+        return _first(reading) if np.ndim(patch) == 2 else reading
 
     def predict_touch(
         self,
@@ -214,7 +177,7 @@ class Predictor:
         """
         seen = self.render_touches(mesh, T_o_t, unit)
         reading = self.predict(seen.patch, force=force, nearest=seen.nearest, wide=seen.view)
-        return Reading(reading.mean[0], reading.std[0]) if np.ndim(T_o_t) == 2 else reading
+        return _first(reading) if np.ndim(T_o_t) == 2 else reading
 
     def render_touches(
         self, mesh: Any, T_o_t: Float[Array, "*batch 4 4"] | np.ndarray, unit: str | None = None
@@ -243,24 +206,19 @@ class Predictor:
             force=unknown, nearest=views.patch.nearest, depth=unknown,
         )  # fmt: skip
 
-    def _predict_classes(self, patches: np.ndarray, views: np.ndarray | None, values: dict[str, np.ndarray]) -> Reading:
+    def _predict_classes(self, touches: TouchBatch) -> Reading:
         """Readings of touches in batches of few sizes, so that a new number of touches compiles nothing."""
-        parts = []
-        for rows, wanted in user_input.size_classes(len(patches)):
-            chosen = {name: column[rows] for name, column in values.items()}
-            part = self.predict_views(patches[rows], wide=None if views is None else views[rows], **chosen)
-            parts.append(Reading(part.mean[:wanted], part.std[:wanted]))
-        return Reading(*(np.concatenate([part[i] for part in parts]) for i in range(2)))
+        n = len(touches.patch)
+        parts = [self.predict_batch(touches.rows(rows)) for rows in user_input.size_classes(n)]
+        return Reading(*(np.concatenate(column)[:n] for column in zip(*parts, strict=True)))
 
-    def _predict_unseen(
-        self, patches: np.ndarray, views: np.ndarray | None, values: dict[str, np.ndarray], valid: Any
-    ) -> Reading:
+    def _predict_unseen(self, touches: TouchBatch, valid: Any) -> Reading:
         """Readings of touches with unseen pixels: between those of nothing there and of the surface continued, and as
         uncertain as these differ.
         """
         empty, continued = (
-            self._predict_classes(filled, None if views is None else user_input.in_middle(views, filled), values)
-            for filled in user_input.fill_unseen(patches, valid, self.reach)
+            self._predict_classes(touches._replace(patch=filled, view=user_input.in_middle(touches.view, filled)))
+            for filled in user_input.fill_unseen(touches.patch, valid, self.reach)
         )
         half = (empty.mean - continued.mean) / 2
         variance = np.maximum(empty.std, continued.std) ** 2 + half**2
@@ -426,6 +384,10 @@ def _with_values(arrays: dict[str, Any]) -> dict[str, Any]:
     """Leave out arrays that hold no value, which orbax refuses."""
     kept = {name: jax.tree.map(lambda leaf: leaf if leaf.size else None, tree) for name, tree in arrays.items()}
     return {name: tree for name, tree in kept.items() if jax.tree.leaves(tree)}
+
+
+def _first(reading: Reading) -> Reading:
+    return Reading(reading.mean[0], reading.std[0])
 
 
 @partial(jax.jit, static_argnums=(2, 3))

@@ -155,7 +155,7 @@ def predict_pressures(
         Pressures and loads, n on axis 0.
     """
     columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or nominal_pad()
-    parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows, _ in user_input.size_classes(len(views))]
+    parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows in user_input.size_classes(len(views))]
     return jax.tree.map(lambda *found: jnp.concatenate(found)[: len(views)], *parts)  # only the last part is filled up
 
 

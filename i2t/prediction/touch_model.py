@@ -26,6 +26,7 @@ from dataclasses import asdict, fields, is_dataclass, replace
 from importlib import import_module
 from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -64,6 +65,18 @@ class TouchBatch(NamedTuple):
     depth: np.ndarray  # (n,) m, travel past first contact
     pressure: ContactPressure | None = None  # where it was predicted before
     pressure_model: PressureModelConfig | None = None  # by which it was
+
+    def rows(self, which: np.ndarray) -> "TouchBatch":
+        """Some of the touches.
+
+        Args:
+            which: (n,) mask, or numbers of touches.
+
+        Returns:
+            Those.
+        """
+        names = ("patch", "view", "force", "nearest", "depth", "pressure")
+        return self._replace(**{name: jax.tree.map(lambda leaf: leaf[which], getattr(self, name)) for name in names})
 
     def pressures(self, cfg: PressureModelConfig) -> ContactPressure:
         """The contact pressures, predicted where they were not before, or otherwise.

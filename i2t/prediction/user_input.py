@@ -8,7 +8,7 @@ if nothing were there and as if the surface went on, so that a prediction can sa
 import math
 import warnings
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,21 +34,14 @@ PIXEL_TOLERANCE_M = 1e-6  # m, of single precision
 CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
 
 
-class Rows(NamedTuple):
-    """Some of n touches, filled up with repeated ones to a size class."""
-
-    touches: np.ndarray  # indices, as many as the class has
-    wanted: int  # of them, the first; the others repeat the last
-
-
-def size_classes(n: int) -> Iterator[Rows]:
+def size_classes(n: int) -> Iterator[np.ndarray]:
     """Share n touches out to batches of few sizes.
 
     Args:
         n: Number of touches, at least 1.
 
     Yields:
-        Rows whose first `wanted` together are 0 to n - 1.
+        Numbers of touches, as many as a class has: 0 to n - 1, of which the last batch repeats the last.
     """
     start = 0
     while start < n:
@@ -56,8 +49,7 @@ def size_classes(n: int) -> Iterator[Rows]:
         size = next(size for size in CLASSES if size <= left)
         if size == 1 and left > 1:
             size = CLASSES[-2]
-        index = np.minimum(np.arange(start, start + size), n - 1)
-        yield Rows(index, min(size, left))
+        yield np.minimum(np.arange(start, start + size), n - 1)
         start += size
 
 
@@ -74,10 +66,9 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
     Raises:
         ValueError: Shape or values are no depth patch's.
     """
-    image = validation.numbers("patch", patch, "metres behind the nearest point").astype(np.float32)
-    patches = image[None] if image.ndim == 2 else image
+    patches = _many("patch", patch, "metres behind the nearest point")
     if patches.ndim != 3 or patches.shape[1] != patches.shape[2] or not patches.size:
-        raise ValueError(f"patch has shape {image.shape}; give (n, n) or (touches, n, n)")
+        raise ValueError(f"patch has shape {np.shape(patch)}; give (n, n) or (touches, n, n)")
     if not np.isfinite(patches).all():
         raise ValueError(
             "patch holds NaN or infinity; pixels without a surface are `reach`, and valid= says which were not seen"
@@ -123,8 +114,7 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
         ValueError: Shape or values do not fit the patches.
     """
     n, pixels = patches.shape[:2]
-    views = validation.numbers("wide", wide, "metres behind the patch's nearest point").astype(np.float32)
-    views = views[None] if views.ndim == 2 else views
+    views = _many("wide", wide, "metres behind the patch's nearest point")
     if views.ndim != 3 or len(views) != n or views.shape[1] != views.shape[2] or views.shape[1] < pixels:
         raise ValueError(
             f"wide has shape {np.shape(wide)}; give ({n}, w, w) with w at least the {pixels} pixels of a patch"
@@ -178,7 +168,6 @@ def check_press(
     depth: Float[np.ndarray, " n"],
     *,
     usual_force: float,
-    force_sign: float,
 ) -> None:
     """Refuse presses that no skin makes, and warn of those beyond what a model was trained on.
 
@@ -186,15 +175,14 @@ def check_press(
         force: N, along tool z.
         nearest: m, signed distance of the nearest point; NaN where it was left out.
         depth: m, past first contact.
-        usual_force: N, the median of the training touches.
-        force_sign: -1 where the recording counts a pressing force negative.
+        usual_force: N, the median of the training touches; negative where the recording counts a pressing force so.
 
     Raises:
         ValueError: A force pulls or breaks a skin, or a length is none in metres.
     """
-    pressing = force_sign * force
+    pressing = -force if usual_force < 0 else force
     if pressing.min() < 0:
-        sign = "" if force_sign > 0 else ", which this model's recording counts negative"
+        sign = ", which this model's recording counts negative" if usual_force < 0 else ""
         raise ValueError(f"force is {force[pressing.argmin()]:g} N; a skin is pressed{sign}, not pulled")
     if pressing.max() > MAX_SKIN_FORCE_N:
         raise ValueError(f"force is {pressing.max():g} N; a skin bears at most {MAX_SKIN_FORCE_N:g} N")
@@ -269,10 +257,9 @@ def checked_poses(T_o_t: Any) -> Float[np.ndarray, "n 4 4"]:
     Raises:
         ValueError: They are no rigid transforms.
     """
-    matrix = validation.numbers("T_o_t", T_o_t, "a (4, 4) transform, or (n, 4, 4)").astype(np.float32)
-    poses = matrix[None] if matrix.ndim == 2 else matrix
+    poses = _many("T_o_t", T_o_t, "a (4, 4) transform, or (n, 4, 4)")
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses) or not np.isfinite(poses).all():
-        raise ValueError(f"T_o_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {matrix.shape}")
+        raise ValueError(f"T_o_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {np.shape(T_o_t)}")
     if not all(bool(is_rigid(pose)) for pose in poses):
         raise ValueError("T_o_t is no rigid transform: its rotation is scaled, mirrored or bent; make it orthonormal")
     return poses
@@ -366,6 +353,12 @@ def _starts_inside(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float)
     alternate = len(leaves) % 2 == 0 and not leaves[::2].any() and leaves[1::2].all()
     ahead = leaves[height > -STANDOFF]
     return bool(alternate and len(ahead) and ahead[0])
+
+
+def _many(name: str, values: Any, hint: str) -> np.ndarray:
+    """Images or transforms of one touch or of many, touches on axis 0."""
+    array = validation.numbers(name, values, hint).astype(np.float32)
+    return array[None] if array.ndim == 2 else array
 
 
 def _which(touches: Bool[np.ndarray, " n"]) -> str:

@@ -26,6 +26,7 @@ from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
+from i2t.prediction.touch_model import TouchBatch
 from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
@@ -106,12 +107,9 @@ def reading_distances(
         for i, surface in enumerate(surfaces):
             wide, seen = jax.device_get(_views(surface, jnp.asarray(touches.T_w_t[full], jnp.float32)))
             for name, predictor in ready.items():
-                reading = predictor.predict_views(
-                    centre(wide, PATCH_PIXELS),
-                    force=force[full],
-                    nearest=np.zeros(VIEWS, np.float32),
-                    wide=wide,
-                ).mean
+                pitch, depth = predictor.window / PATCH_PIXELS, np.full(VIEWS, predictor.default_depth, np.float32)
+                pressed = TouchBatch(centre(wide, PATCH_PIXELS), wide, pitch, force[full], 0 * depth, depth)
+                reading = predictor.predict_batch(pressed).mean
                 predicted[name][rows, i] = np.where(seen[:, None], reading, 0.0)[: len(rows)]
     measured, std = jnp.float32(touches.reading), jnp.float32(reading_std)
     return {name: np.asarray(rules.distances(measured, jnp.asarray(p), std)) for name, p in predicted.items()}

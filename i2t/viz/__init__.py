@@ -18,7 +18,7 @@ _MODULES = {
     "rates": ("plot_confusions", "plot_intervals", "plot_rates"),
     "scene": ("ShownSurface", "draw_object", "plot_growing_surface", "plot_object"),
     "skins": ("draw_reading", "draw_skin", "plot_press", "plot_readings", "plot_skin_map"),
-    "training": ("plot_channel_errors", "plot_predicted_touches", "plot_predictions", "plot_training_curves"),
+    "training": ("plot_predicted_touches", "plot_predictions", "plot_training_curves"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = sorted(_MODULE_OF)

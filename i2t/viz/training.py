@@ -1,4 +1,4 @@
-"""Figures of training and calibration: touches measured and predicted, errors per channel, curves over epochs."""
+"""Figures of training and calibration: touches and values, measured and predicted, and curves over epochs."""
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
@@ -10,7 +10,7 @@ from jaxtyping import Float, Shaped
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
-from i2t.viz.style import BLUE, COLOURS, GREEN, GREY, ORANGE, RED, Picture, titled
+from i2t.viz.style import BLUE, COLOURS, GREY, Picture, titled
 from i2t.windows import PATCH_WINDOW, REACH
 
 NORMAL_QUANTILE_90 = 1.645  # standard deviations each way that contain nine in ten
@@ -85,35 +85,6 @@ def plot_training_curves(
             axes.fill_between(x, values.min(0), values.max(0), color=colour, alpha=0.2, lw=0)
     axes.set(xlabel="epoch", ylabel=ylabel, yscale="log", title=titled(title, simulated))
     axes.legend(fontsize=8)
-    return figure
-
-
-def plot_channel_errors(
-    errors: Mapping[str, Shaped[Array, " c"]], noise: Shaped[Array, " c"] | None, title: str, simulated: bool
-) -> Picture:
-    """Bars of the error of every chip and axis, one group of bars per channel.
-
-    Args:
-        errors: By method, RMSE in uT of each channel.
-        noise: uT, standard deviation of the sensor's noise, drawn as the floor where known.
-        title: What is shown.
-        simulated: Whether it was simulated.
-
-    Returns:
-        The figure.
-    """
-    channels = len(next(iter(errors.values())))
-    figure = Picture(figsize=(max(9.0, 0.4 * channels), 3.4), layout="constrained")
-    axes = figure.subplots()
-    x, width = np.arange(channels), 0.8 / len(errors)
-    for i, ((name, values), colour) in enumerate(zip(errors.items(), cycle((GREY, GREEN, BLUE, ORANGE, RED)))):
-        axes.bar(x + (i - (len(errors) - 1) / 2) * width, values, width, label=name, color=colour)
-    if noise is not None:
-        edges, floor = np.r_[x - 0.5, channels - 0.5], np.r_[noise, noise[-1]]
-        axes.step(edges, floor, where="post", color="black", lw=1, label="sensor noise (1 sigma)")
-    axes.set_xticks(x, [f"{chip}{axis}" for chip in range(channels // 3) for axis in "xyz"])
-    axes.set(xlabel="chip and axis", ylabel="RMSE (µT)", title=titled(title, simulated))
-    axes.legend(fontsize=8, ncols=2)
     return figure
 
 

@@ -59,7 +59,7 @@ def test_the_run_leaves_what_it_promises(trained_run):
     assert config["versions"]["jax"]
     assert config["experiment"]["simulation"]["touches"] == 60
     pictures = {path.name for path in trained_run.glob("*.png")}
-    assert pictures >= {"scores.png", "training.png", "error_per_axis.png", "touches_typical.png", "touches_worst.png"}
+    assert pictures >= {"scores.png", "training.png", "touches_typical.png", "touches_worst.png"}
 
 
 @pytest.mark.full
@@ -228,7 +228,6 @@ def test_whatever_is_wrong_with_a_load_the_run_ends_with_a_predictor_and_says_so
     assert reading.mean.shape == (12,)
     assert np.isfinite(reading.mean).all()
     assert (reading.std > 0).all()
-    assert (tmp_path / "run" / "error_per_axis.png").exists()
 
 
 def test_a_table_is_printed_where_a_score_is_missing(capsys):

@@ -94,7 +94,7 @@ def test_options_are_chosen_between_groups():
 
     def method(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: float) -> np.ndarray:
         asked.append(k)
-        return nearest_neighbours(x, y, at, int(k))
+        return nearest_neighbours(x, y, at, k)
 
     for groups, best in ((np.tile(np.arange(50), 2), 32), (np.repeat([0, 1], 50), 1)):  # copies together, and apart
         tuned(method, (1.0, 32.0), x, y, groups, at=x[:3])

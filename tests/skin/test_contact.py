@@ -1,21 +1,17 @@
 """The elastic layer against independent solvers, closed forms and the equations it claims to solve."""
 
-import warnings
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ContactMechanics import PeriodicFFTElasticHalfSpace
+from ContactMechanics.Systems import NonSmoothContactSystem
+from SurfaceTopography import Topography
 
 from i2t.skin import contact, elasticity
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # it says at import that it runs without MPI
-    from ContactMechanics import PeriodicFFTElasticHalfSpace
-    from ContactMechanics.Systems import NonSmoothContactSystem
-    from SurfaceTopography import Topography
+from tests.helpers.round_tips import round_tip
 
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 PAD = nominal_pad()
@@ -25,11 +21,6 @@ solve = jax.jit(contact.solve, static_argnames=STATIC)
 solve_force = jax.jit(contact.solve_force, static_argnames=STATIC)
 
 
-def _sphere(x: float, y: float, radius: float) -> np.ndarray:
-    square = radius**2 - (X - x) ** 2 - (Y - y) ** 2
-    return np.where(square > 0, radius - np.sqrt(np.maximum(square, 0)), np.inf)
-
-
 def _bar(x: float, y: float, half_width: float, half_height: float) -> np.ndarray:
     return (abs(X - x) < half_width) & (abs(Y - y) < half_height)
 
@@ -37,7 +28,7 @@ def _bar(x: float, y: float, half_width: float, half_height: float) -> np.ndarra
 T = np.where(_bar(0, 0, 1e-3, 5e-3) | _bar(0, 4e-3, 5e-3, 1e-3), 0, 3.5e-3)
 CORNER = [np.cos(angle) * (X - 1.2e-3) + np.sin(angle) * (Y + 2.1e-3) for angle in (0.4, 2.5, 4.6)]  # of three faces
 SHAPES = {
-    "sphere": (_sphere(0.3e-3, -1.1e-3, 8e-3), 0.6e-3),
+    "sphere": (round_tip(X, Y, (0.3e-3, -1.1e-3), 8e-3), 0.6e-3),
     "flat punch": (np.where(X**2 + Y**2 < 4e-3**2, 0, np.inf), 0.2e-3),
     "stamp": (T, 0.2e-3),
     "tilted stamp": (T + 0.03 * (X + 5e-3), 0.3e-3),
@@ -278,7 +269,7 @@ def test_a_skin_held_at_its_edge_sinks_away_from_the_object(give):
 
 def test_interior_follows_the_indenter():
     """Under a solved contact the surface has moved by minus the indentation at the deepest point (to 1e-7 m)."""
-    height = jnp.asarray(_sphere(0.25e-3, 0.25e-3, 8e-3), jnp.float32)
+    height = jnp.asarray(round_tip(X, Y, (0.25e-3, 0.25e-3), 8e-3), jnp.float32)
     found = solve(PAD, height, 0.6e-3)
     displacement, _ = elasticity.interior(PAD, elasticity.load(PAD, found.pressure), 0.0)
     np.testing.assert_allclose(displacement[2, 20, 20], -0.6e-3, atol=1e-7)

@@ -1,9 +1,10 @@
 """Dipoles and layers of magnets against magpylib, and the reading under refinement."""
 
-import warnings
+from functools import partial
 
 import jax
 import jax.numpy as jnp
+import magpylib
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,10 +13,7 @@ from i2t.skin import contact, elasticity
 from i2t.skin import dipoles as field
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.pad import nominal_pad, sample_pad
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")
-    import magpylib
+from tests.helpers.round_tips import round_tip
 
 PAD = nominal_pad()
 response, pressed = jax.jit(field.response), jax.jit(field.pressed_field)
@@ -122,14 +120,6 @@ def _change(pads, heights, forces, coarse, fine) -> float:
     return np.sqrt(np.sum((rough - exact) ** 2) / np.sum(exact**2))
 
 
-def _tip(x0, y0, radius=2.3e-3):
-    def height(x, y):
-        square = radius**2 - (x - x0) ** 2 - (y - y0) ** 2
-        return np.where(square > 0, radius - np.sqrt(np.maximum(square, 0)), np.inf)
-
-    return height
-
-
 def _disc(x, y):
     return np.where((x - 0.5e-3) ** 2 + (y + 1e-3) ** 2 < 3e-3**2, 0, 3.5e-3)
 
@@ -150,7 +140,7 @@ def test_reading_has_converged(pads):
     """Cells halved and nodes doubled change the reading of a small tip at 0.8 N by less than 2 %. Outlines are cut by
     cells, so stamps need the fine grid to come within 2 % of one twice as fine.
     """
-    tips = [_tip(x, y) for x, y in np.random.default_rng(3).uniform(-7e-3, 7e-3, (5, 2))]
+    tips = [partial(round_tip, at=at) for at in np.random.default_rng(3).uniform(-7e-3, 7e-3, (5, 2))]
     coarse, fine = (GRID, field.CELL_NODES), (FINE_GRID, 2 * field.CELL_NODES)
     assert _change(pads, tips, np.full(5, 0.8, np.float32), coarse, fine) < 0.02
     two, coarse, fine = jax.tree.map(lambda leaf: leaf[:2], pads), (FINE_GRID, 5), (Grid(160, 256), 5)

@@ -5,22 +5,17 @@ grids of rectangles. Boundary conditions: the base is bonded (u = 0); the top ca
 far away and let nothing through (u across them is 0).
 """
 
-import warnings
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+import skfem
 from scipy.sparse import bmat
 from scipy.sparse.linalg import splu
+from skfem.helpers import ddot, div, sym_grad
 
 from i2t.skin import elasticity
 from i2t.skin.elasticity import FINE_GRID, Grid
 from i2t.skin.pad import nominal_pad
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")
-    import skfem
-    from skfem.helpers import ddot, div, sym_grad
 
 PAD = nominal_pad()
 THICKNESS, YOUNG, NU = (float(value) for value in (PAD.thickness, PAD.young, PAD.poisson))

@@ -1,9 +1,8 @@
 """Cylinder magnets against magpylib's closed form, a dipole far away, and the invariances of a set of magnets."""
 
-import warnings
-
 import jax
 import jax.numpy as jnp
+import magpylib
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,10 +11,6 @@ from i2t.skin import magnets
 from i2t.skin.boards import eflesh_board
 from i2t.skin.dipoles import dipole_field
 from i2t.skin.magnets import Magnets
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")
-    import magpylib
 
 STRENGTH = 1e6  # A/m, about that of sintered neodymium
 SIZES = [(1.5e-3, 1e-3), (1.5e-3, 6e-3), (4.75e-3, 1.6e-3)]  # radius and height of common disc and rod magnets

@@ -13,6 +13,7 @@ from i2t.skin.dipoles import rest_field
 from i2t.skin.noise import add_sensor_noise
 from i2t.types import Pad
 from i2t.windows import PAD_WINDOW
+from tests.helpers.round_tips import round_tip
 
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 press = jax.jit(pads.press)
@@ -21,9 +22,8 @@ PADS = 100
 sample = jax.jit(jax.vmap(pads.sample_pad))
 
 
-def _tip(x: float, y: float, radius: float = 2.3e-3) -> np.ndarray:
-    square = radius**2 - (X - x) ** 2 - (Y - y) ** 2
-    return np.where(square > 0, radius - np.sqrt(np.maximum(square, 0)), np.inf).astype(np.float32)
+def _tip(x: float, y: float) -> np.ndarray:
+    return round_tip(X, Y, (x, y)).astype(np.float32)
 
 
 def _covers(values: np.ndarray, *real: float) -> bool:
