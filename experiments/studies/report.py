@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
 from experiments.common.runs import Part
 from i2t.recognition import metrics
 from i2t.recognition.intervals import MIN_CLUSTERS, estimate_at
@@ -33,22 +32,6 @@ def make_table(columns: Sequence[Any], rows: Sequence[Sequence[Any]]) -> dict[st
         "columns": [column._asdict() for column in described],
         "rows": [[cell if isinstance(cell, str) else to_json(cell) for cell in row] for row in rows],
     }
-
-
-def print_tables(tables: dict[str, dict[str, Any]]) -> None:
-    """Print the tables of a study, a row on each line."""
-    for name, table in tables.items():
-        columns = [Column(**column) for column in table["columns"]]
-        print(f"\n{name}: " + " | ".join(column.name for column in columns))
-        for row in table["rows"]:
-            print("  " + " | ".join(_cell(value, column) for value, column in zip(row, columns, strict=True)))
-
-
-def _cell(value: Any, column: Column) -> str:
-    if isinstance(value, str):
-        return value
-    limits = (value["mean"], value["low"], value["high"]) if isinstance(value, dict) else (value, None, None)
-    return with_interval(*limits, digits=max(column.decimals, 2 * column.percent), sign="+" if column.signed else "")
 
 
 def clusters_of(parts: Sequence[Part], pads: Sequence[str], *, objects: str | None = None) -> list[np.ndarray]:

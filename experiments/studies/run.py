@@ -26,10 +26,11 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, load_part, save_part, write_json
 from experiments.common.tasks import Task, run_tasks
 from experiments.recognize.config import PRESETS
+from experiments.reproduce.tables import study_table
 from experiments.studies import open_set, settings
 from experiments.studies.arguments import StudyArgs
 from experiments.studies.lab import StudyLab, evaluate_settings, prepare_lab
-from experiments.studies.report import print_tables, report_settings
+from experiments.studies.report import report_settings
 
 
 class Study(NamedTuple):
@@ -65,7 +66,8 @@ def run(args: StudyArgs) -> dict[str, Any]:
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
     print(f"{args.study}, simulated, {len(parts)} runs of {', '.join(result['pads'])}:")
-    print_tables(result["tables"])
+    for name in result["tables"]:
+        print(f"\n{name}:\n{study_table(name)(result)}")
     return result
 
 
