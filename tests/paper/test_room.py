@@ -1,4 +1,4 @@
-"""The paper's room: what it is built on, and how small it is."""
+"""The paper's room: what it is built on."""
 
 import ast
 import subprocess
@@ -31,15 +31,3 @@ def test_importing_it_loads_nothing_of_hardware_or_recordings():
     others = {name.split(".")[1] for name in loaded if name.startswith("i2t.")}
     assert not others & {"hardware", "collect", "calibration", "convert", "prediction", "recognition"}
     assert "i2t.paper.network" in loaded
-
-
-def test_it_stays_small():
-    """At most 400 lines of code, without docstrings, comments and blank lines."""
-    lines = 0
-    for path in ROOM.glob("*.py"):
-        tree = ast.parse(path.read_text())
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node) is not None:
-                node.body = node.body[1:] or [ast.Pass()]
-        lines += len([line for line in ast.unparse(tree).splitlines() if line.strip()])
-    assert lines <= 400
