@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from experiments.active_touch.arguments import PRESETS, ActiveTouchArgs, ActiveTouchSizes
 from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
+from experiments.common.tables import markdown
 from experiments.recognize import figures
 from i2t import viz
 from i2t.environments.beliefs import with_beliefs
@@ -78,12 +79,12 @@ def table(curves: dict[str, Estimate]) -> str:
     """Accuracy after some touches, with 95 % intervals over pads."""
     touches = len(next(iter(curves.values())).mean)
     shown = [n for n in TABLE_TOUCHES if n <= touches]
-    lines = ["| policy | " + " | ".join(f"{n}" for n in shown) + " |", "| --- |" + " --- |" * len(shown)]
-    for name, each in curves.items():
-        cells = [with_interval(*(part[n - 1] for part in each), digits=2) for n in shown]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    published = [f"{APPLE[n]:.2f}" if n in APPLE else "" for n in shown]
-    return "\n".join([*lines, "| APPLE, another benchmark | " + " | ".join(published) + " |"])
+    rows = [
+        [name, *(with_interval(*(part[n - 1] for part in each), digits=2) for n in shown)]
+        for name, each in curves.items()
+    ]
+    published = ["APPLE, another benchmark", *(f"{APPLE[n]:.2f}" if n in APPLE else "" for n in shown)]
+    return markdown(["policy", *map(str, shown)], [*rows, published])
 
 
 def draw_accuracy(curves: dict[str, Estimate]) -> Figure:

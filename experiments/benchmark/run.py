@@ -21,6 +21,7 @@ from experiments.benchmark.rendering import rendering
 from experiments.benchmark.skin import skin
 from experiments.benchmark.training import training
 from experiments.common.runs import write_json
+from experiments.common.tables import text_table
 
 SECTIONS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # contests; True makes them small
     "training": training,
@@ -49,9 +50,8 @@ def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
 
 def table(rows: list[BenchmarkRow]) -> str:
     """The rows as text, one comparison a line."""
-    lines = [("section", "work", "ours", "peer", "", "ratio")]
+    lines = []
     for row in rows:
         ours, peer = (f"{value:.3g} {row.unit}" for value in (row.ours, row.peer))
         lines.append((row.section, row.work, ours, peer, row.peer_name, f"{row.ratio:.2f}"))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return text_table(("section", "work", "ours", "peer", "", "ratio"), lines)

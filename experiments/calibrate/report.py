@@ -10,13 +10,13 @@ from experiments.calibrate.evaluate import INTERVAL
 from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN
 from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
+from experiments.common.tables import text_table
 from i2t.calibration import DataWarnings, check_presses
 from i2t.viz import style
 
 COLOURS = {
     MEAN: style.PINK, NEIGHBOURS: style.GREY, PLAIN: style.ORANGE, CALIBRATED: style.RED,
 }  # fmt: skip
-LABEL_WIDTH = 40
 
 
 def figure(metrics: dict[str, Any]) -> Figure:
@@ -48,22 +48,25 @@ def _draw(axes: Any, by_method: dict[str, Any]) -> None:
     axes.legend(fontsize=7, loc="lower right")
 
 
-def table_row(label: str, by_count: dict[int, dict[str, float]]) -> str:
-    """A label, and mean and interval at each number of presses."""
-    cells = (f"{n}: {with_interval(*(v[end] for end in INTERVAL))}" for n, v in by_count.items())
-    return f"{label:{LABEL_WIDTH}}" + "  ".join(cells)
+def count_table(curves: dict[str, dict[int, dict[str, float]]]) -> str:
+    """Mean and interval of each curve at each number of presses."""
+    counts = list(next(iter(curves.values())))
+    rows = (
+        [label, *(with_interval(*(by_count[n][end] for end in INTERVAL)) for n in counts)]
+        for label, by_count in curves.items()
+    )
+    return text_table(["presses", *map(str, counts)], rows)
 
 
 def print_tables(metrics: dict[str, Any]) -> None:
     """The tables a person reads."""
     for name, methods in metrics["r2"].items():
         print(f"\n{metrics['source']}, held out: {metrics['held_out'][name]} ({name}); mean R2 [95 %] over draws")
-        for method, by_count in methods.items():
-            print(table_row(method, by_count))
+        print(count_table(methods))
     for name, found in metrics.get("calibrate_over_blocks", {}).items():
         print(f"\nheld out: {name}; {CALIBRATED} and its gain, 95 % over {found['blocks']} blocks of positions")
-        for what, by_count in {CALIBRATED: found["r2"], **found["differences"]}.items():
-            print(table_row(what.removeprefix(CALIBRATED + " "), by_count))
+        gains = {what.removeprefix(CALIBRATED + " "): by_count for what, by_count in found["differences"].items()}
+        print(count_table({CALIBRATED: found["r2"], **gains}))
 
 
 def write(out: Path, metrics: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ from experiments.calibrate.arguments import CalibrateArgs
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.evaluate import Curves, append, explained, gains, predict_all, summarise
 from experiments.calibrate.methods import CALIBRATED
-from experiments.calibrate.report import table_row
+from experiments.calibrate.report import count_table
 from experiments.calibrate.skins import PressedSkinOfKind, simulate_skins
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
@@ -101,6 +101,4 @@ def _report(metrics: dict[str, Any]) -> None:
     """Print the tables."""
     for name, case in metrics["cases"].items():
         print(f"\n{name} (simulated), mean R2 of {metrics['skins_of_each_kind']} skins [95 %]")
-        for method, by_count in (case["r2"] | case["differences"]).items():
-            print(table_row(method, by_count))
-        print(table_row("readings in its 90 % range", case["inside_90"]))
+        print(count_table(case["r2"] | case["differences"] | {"readings in its 90 % range": case["inside_90"]}))

@@ -6,9 +6,9 @@ from typing import Any
 
 from experiments.calibrate.arguments import CalibrateArgs
 from experiments.common.runs import begin, write_json
+from experiments.common.tables import text_table
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
-from experiments.fidelity.sections import text_of_table
 from i2t.calibration.heads import fit_head
 from i2t.calibration.recordings import SkinRecording, read_recordings
 
@@ -29,7 +29,8 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
             args.out / f"{target}.npz"
         )
         metrics["heads"][target] = to_numbers(tests)
-        print(text_of_table(caption(target), table(target, tests)))
+        head, *rows = table(target, tests)
+        print(f"  {caption(target)}\n{text_table(head, rows, '    ')}")
         kept = {name: test.kept for name, test in tests.items()}
         sentences = compare_with_baselines(target, tests) + missed_ranges(target, kept)
         print("\n".join(f"  {sentence}" for sentence in sentences))

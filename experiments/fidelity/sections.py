@@ -8,6 +8,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from experiments.common.tables import text_table
+
 
 class CannotTellError(ValueError):
     """A recording does not say enough for a part of the report; the message is the sentence that says why."""
@@ -88,12 +90,6 @@ def text_of(section: Section) -> str:
     """A section as a person reads it."""
     lines = ["", section.title + ("" if section.status == "found" else f" ({section.status})")]
     lines += [f"  {sentence}" for sentence in section.sentences]
-    lines += [text_of_table(caption, rows) for caption, rows in section.tables.items()]
+    for caption, (head, *rows) in section.tables.items():
+        lines += [f"  {caption}", text_table(head, rows, "    ")]
     return "\n".join(lines)
-
-
-def text_of_table(caption: str, rows: list[list[str]]) -> str:
-    """A table as a person reads it."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    cells = ("  ".join(f"{value:{width}}" for value, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join([f"  {caption}", *(f"    {line}".rstrip() for line in cells)])

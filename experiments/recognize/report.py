@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.common.intervals import with_interval
 from experiments.common.runs import Part, write_json
+from experiments.common.tables import text_table
 from experiments.recognize import figures
 from i2t import viz
 from i2t.objects.solids import Mesh
@@ -261,17 +262,16 @@ def print_tables(summary: dict[str, Any]) -> None:
             f"\n{name} ({summary['source']}): {', '.join(entry['objects'])}; {entry['episodes']} episodes, "
             f"{entry['pools']} {summary['pools']}, {len(summary['pads'])} pads{air}; intervals {summary['intervals']}"
         )
-        print(_row("", [*(f"after {t}" for t in columns), "mean of all"]) + f"{'ECE':>7}{'NLL':>7}")
+        rows = []
         for method, values in entry["methods"].items():
             if method.endswith(UNPRINTED):
                 continue
             published, accuracy = published_accuracy(name, method), values["accuracy"]
             cells = [_cell({part: limits[t - 1] for part, limits in accuracy.items()}) for t in columns]
-            print(
-                _row(method, [*cells, _cell(values["mean"])])
-                + f"{np.mean(values['calibration_error']):7.3f}{np.mean(values['log_loss']):7.3f}"
-                + (f"   paper: {published:.2f}" if published else "")
-            )
+            means = [f"{np.mean(values[score]):.3f}" for score in ("calibration_error", "log_loss")]
+            rows.append([method, *cells, _cell(values["mean"]), *means, _paper(published)])
+        head = ["method", *(f"after {t}" for t in columns), "mean of all", "ECE", "NLL", ""]
+        print(text_table(head, rows))
         print_objects(entry, touches)
         for pair, values in entry["paired"].items():
             print(f"  {pair}: after {touches} {_cell(values['last'], '+')}, mean {_cell(values['mean'], '+')}")
@@ -289,19 +289,23 @@ def published_accuracy(name: str, method: str) -> float | None:
 
 def print_objects(entry: dict[str, Any], touches: int) -> None:
     """Print the rate at which each object is recognised."""
-    print(_row(f"  after {touches}, by the object that was there", entry["objects"]))
-    for method, values in entry["methods"].items():
-        if method.endswith(SHOWN_BY_OBJECT):
-            print(_row(f"  {method}", [_cell(values["by_object"][name]["last"]) for name in entry["objects"]]))
+    rows = (
+        [method, *(_cell(values["by_object"][name]["last"]) for name in entry["objects"])]
+        for method, values in entry["methods"].items()
+        if method.endswith(SHOWN_BY_OBJECT)
+    )
+    print(text_table([f"after {touches}, by the object that was there", *entry["objects"]], rows, "  "))
 
 
 def print_mean_over_objects(means: dict[str, Any]) -> None:
     """The paper's last column."""
-    print("\nall objects, each decided among those of its set, after the last touch:")
-    for method, estimate in means.items():
-        if not method.endswith(UNPRINTED):
-            published = published_accuracy("mean", method)
-            print(_row(method, [_cell(estimate)]) + (f"   paper: {published:.2f}" if published else ""))
+    rows = (
+        [method, _cell(estimate), _paper(published_accuracy("mean", method))]
+        for method, estimate in means.items()
+        if not method.endswith(UNPRINTED)
+    )
+    print("\nall objects, each decided among those of its set:")
+    print(text_table(["method", "after the last touch", ""], rows))
 
 
 def print_stopping(summary: dict[str, Any]) -> None:
@@ -316,8 +320,8 @@ def print_stopping(summary: dict[str, Any]) -> None:
         )
 
 
-def _row(name: str, cells: Sequence[str]) -> str:
-    return f"{name:48}" + "".join(f"{cell:>22}" for cell in cells)
+def _paper(published: float | None) -> str:
+    return f"paper: {published:.2f}" if published else ""
 
 
 def _cell(estimate: dict[str, Any], sign: str = "") -> str:

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import PATCH_PRESETS, PatchArgs
-from experiments.reconstruct.patch_scores import choose_thresholds, report_of, score_touch, text_table
+from experiments.reconstruct.patch_scores import choose_thresholds, report_of, score_table, score_touch
 from experiments.reconstruct.patch_world import MetSurface, Trial, make_parts, press_parts
 from i2t import viz
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
@@ -77,7 +77,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
     }
     write_json(args.out / "metrics.json", report)
     viz.save_figure(draw_posteriors(trials["test"][0], library), args.out / "posteriors.png")
-    print(text_table("simulated", COLUMNS, report["methods"]))
+    print(score_table("simulated", COLUMNS, report["methods"]))
     return report
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.common.tables import text_table
 from experiments.reconstruct.patch_world import MetSurface
 from i2t.recognition.intervals import bootstrap_clusters, cluster_interval
 from i2t.reconstruction.local_shape import PatchLibrary, summarize
@@ -102,14 +103,13 @@ def weighted_quantile(values: np.ndarray, level: float, weight: np.ndarray) -> n
     return np.asarray(values[order][min(np.searchsorted(total, level * total[-1]), len(values) - 1)])
 
 
-def text_table(head: str, columns: Mapping[str, str], methods: Mapping[str, Mapping[str, Any]]) -> str:
+def score_table(head: str, columns: Mapping[str, str], methods: Mapping[str, Mapping[str, Any]]) -> str:
     """The main numbers of all methods as text; `columns` are titles by the names of scores."""
-    width = max(map(len, (head, *methods)))
-    lines = [f"{head:{width}}" + "".join(f"{title:>15}" for title in columns.values())]
-    for name, found in methods.items():
-        cells = [f"{found[column][0]:15.3f}" if column in found else f"{'-':>15}" for column in columns]
-        lines.append(f"{name:{width}}" + "".join(cells))
-    return "\n".join(lines)
+    rows = (
+        [name, *(f"{found[column][0]:.3f}" if column in found else "-" for column in columns)]
+        for name, found in methods.items()
+    )
+    return text_table([head, *columns.values()], rows)
 
 
 def numbers(estimate: Any) -> list[float]:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
 from experiments.reconstruct.episodes import SCORES, Episode
 from i2t import viz
 from i2t.objects.solids import Object
@@ -52,23 +51,6 @@ def _after(found: dict[int, Episode], count: int, pads: int) -> dict[str, list[f
     means = {name: mean_interval(value, clusters) for name, value in values.items()}
     means["ratio"] = bootstrap_clusters(ratio, clusters, len(numbers))
     return {name: [float(found.mean), float(found.low), float(found.high)] for name, found in means.items()}
-
-
-def table(report: dict[str, Any]) -> str:
-    """The scores in Markdown."""
-    counts = sorted({int(count) for found in report["conditions"].values() for count in found["after"]} - {0})
-    heads = " | ".join(f"{count} touch{'es' if count > 1 else ''}" for count in counts)
-    lines = [
-        f"| condition | start, mm | {heads} | IoU | F-score | in the 90 % band | band, mm |",
-        "| --- " * (len(counts) + 6) + "|",
-    ]
-    for name, found in report["conditions"].items():
-        after = found["after"]
-        ratios = [with_interval(*after[str(c)]["ratio"], digits=2) if str(c) in after else "" for c in counts]
-        last = after[max(after, key=int)]
-        ends = [f"{last[score][0]:.2f}" for score in ("iou", "f_score", "coverage")] + [f"{last['band_mm'][0]:.1f}"]
-        lines.append(f"| {name} | {after['0']['chamfer_mm'][0]:.2f} | {' | '.join(ratios)} | {' | '.join(ends)} |")
-    return "\n".join([*lines, f"\ngrid floor: {report['grid_floor_mm']:.2f} mm"])
 
 
 def draw_errors(report: dict[str, Any]) -> Picture:

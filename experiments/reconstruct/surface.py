@@ -28,8 +28,9 @@ from experiments.common.runs import begin, write_json
 from experiments.reconstruct import recorded
 from experiments.reconstruct.arguments import CONDITIONS, ExplorationCondition, ReconstructArgs, ReconstructSizes
 from experiments.reconstruct.episodes import REPORTED, Episode, SurfaceErrors, TrueShape, true_shape
-from experiments.reconstruct.report import Episodes, draw_errors, draw_growing, summarize, table
+from experiments.reconstruct.report import Episodes, draw_errors, draw_growing, summarize
 from experiments.reconstruct.world import EXPLORING_OVERTRAVEL_M, Reality, Session, make_reality, split_objects
+from experiments.reproduce.tables import reconstructions
 from i2t import viz
 from i2t.progress import progress
 from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
@@ -116,7 +117,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     viz.save_figure(draw_errors(report), args.out / "errors.png")
     shown = episodes.get("reduction", next(iter(episodes.values())))[unseen[0]]
     viz.save_figure(draw_growing(shown, reality.objects[unseen[0]]), args.out / "growing.png")
-    print(table(report))
+    print(f"{reconstructions(report)}\n\ngrid floor: {report['grid_floor_mm']:.2f} mm")
     return report
 
 

@@ -27,7 +27,7 @@ from scipy.spatial import KDTree
 import i2t
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import TIP_PRESETS, TipArgs, TipSizes
-from experiments.reconstruct.patch_scores import MM, numbers, text_table, weighted_quantile
+from experiments.reconstruct.patch_scores import MM, numbers, score_table, weighted_quantile
 from i2t import viz
 from i2t.calibration.heads import fit_head
 from i2t.calibration.recordings import SkinRecording, read_recordings
@@ -127,7 +127,7 @@ def run(args: TipArgs) -> dict[str, Any]:
         "position_mm_median": "median mm", "position_mm_90": "90 % mm", "within_1mm": "within 1 mm",
         f"{kind}_error": f"{kind} {'mm' if kind == 'depth' else 'N'}", "coverage_90": "cover 90 %", "bits": "bits",
     }  # fmt: skip
-    print(text_table(f"{recording.name} ({recording.source})", columns, report["methods"]))
+    print(score_table(f"{recording.name} ({recording.source})", columns, report["methods"]))
     return report
 
 

@@ -6,10 +6,12 @@ in docs/results, and NAME one of its tables below. Most are rows over the entrie
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any
+
+from experiments.common.tables import markdown
 
 Measured = dict[str, Any]
 Table = Callable[[Measured], str]
@@ -95,17 +97,6 @@ def _rounded(node: Any) -> Any:
 
 
 # --- pieces ---
-
-
-def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table.
-
-    Args:
-        head: Names of the columns.
-        rows: Cells.
-    """
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def number(value: float | None, decimals: int = 3) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
+from experiments.common.tables import text_table
 from experiments.train.evaluation import Evaluation
 from experiments.train.prepare import Prepared
 from i2t import viz
@@ -19,7 +20,7 @@ from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score,
 from i2t.prediction.predictor import Predictor, coverage, save
 from i2t.prediction.touch_model import Reading
 
-COLUMNS = (("R²", 22), ("RMSE µT", 10), ("/ sigma", 9), ("cosine", 8))  # of tables of scores, and their widths
+COLUMNS = ("method", "R²", "RMSE µT", "/ sigma", "cosine")
 ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not
 
 
@@ -194,13 +195,13 @@ def print_table(result: dict[str, Any]) -> None:
     enough = result["groups"] >= MIN_CLUSTERS
     over = f"{'95 % interval' if enough else 'too few for an interval'}: {result['groups']} groups"
     print(f"\ntest touches{kind}; {over}; kept as predictor: {result['best']}")
-    rows = {}
+    rows = []
     for name, values in result["methods"].items():
         numbers = [_number(values.get(field)) for field in ("rmse", "rmse_sigma", "cosine")]
         axes = " / ".join(_number(value) for value in values["r2_axis"])
         r2 = with_interval(values["r2"], *values["r2_interval"])
-        rows[name] = [r2, *numbers, axes, _number(values.get("coverage_90"))]
-    _print_rows("", (*COLUMNS, ("R² x / y / z", 22), ("in 90 %", 9)), rows)
+        rows.append([name, r2, *numbers, axes, _number(values.get("coverage_90"))])
+    print(text_table((*COLUMNS, "R² x / y / z", "in 90 %"), rows))
     _print_choice(result)
     _print_objects(result["by_object"])
     print(f"{result['seconds']:.0f} s")
@@ -232,29 +233,20 @@ def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:
 
 def _print_methods(title: str, methods: dict[str, Any]) -> None:
     """Estimates of every method."""
-    print(f"\n{title}")
-    rows = {
-        name: [with_interval(*values["r2"]), *(_number(values[field][0]) for field in ("rmse", "rmse_sigma", "cosine"))]
-        for name, values in methods.items()
-    }
-    _print_rows("", COLUMNS, rows)
+    rows = []
+    for name, values in methods.items():
+        numbers = [_number(values[field][0]) for field in ("rmse", "rmse_sigma", "cosine")]
+        rows.append([name, with_interval(*values["r2"]), *numbers])
+    print(f"\n{title}\n{text_table(COLUMNS, rows)}")
 
 
 def _print_objects(scores: dict[str, dict[str, float]]) -> None:
     """R² of every method on the touches of each object, where there are several."""
     if len(scores) < 2:
         return
-    print()
     methods = next(iter(scores.values()))
-    rows = {method: [_number(row.get(method)) for row in scores.values()] for method in methods}
-    _print_rows("R² by object", [(name[:12], 13) for name in scores], rows)
-
-
-def _print_rows(title: str, columns: Sequence[tuple[str, int]], rows: Mapping[str, Sequence[str]]) -> None:
-    """A table: the columns' names with their widths, and the cells of each row by its name."""
-    names, widths = zip(*columns, strict=True)
-    for name, cells in ((title, names), *rows.items()):
-        print(f"{name:48}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
+    rows = ([method, *(_number(row.get(method)) for row in scores.values())] for method in methods)
+    print(f"\n{text_table(['R² by object', *scores], rows)}")
 
 
 def _number(value: float | None) -> str:

@@ -57,14 +57,11 @@ def _stream(n=240, strokes=6, channels=15):
 
 HOSTILE = {
     "as it is": SKIN,
-    "one height": replace(SKIN, targets=_targets(depth=np.full((90, 1), 2e-3))),
     "forces that pull": replace(SKIN, targets=_targets(depth=None, force=-1e3 * SKIN.targets["depth"])),
     "nothing but readings": replace(SKIN, targets={}),
-    "two boards, no position": replace(presses_of_a_skin(90, channels=30), targets=_targets(position=None)),
     "one press": SKIN.rows(slice(1)),
     "a dead channel": replace(SKIN, readings=SKIN.readings * (np.arange(15) != 4)),
     "a dead board": replace(SKIN, readings=np.zeros_like(SKIN.readings)),
-    "the same press again and again": SKIN.rows(np.zeros(60, int)),
     "enormous values, each row a session": replace(
         SKIN, readings=1e7 * SKIN.readings + 1e15 * np.eye(90, 15), session=np.arange(90)
     ),

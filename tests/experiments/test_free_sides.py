@@ -63,18 +63,3 @@ def test_a_press_near_a_side_is_softer_and_its_mirror_image_the_same(table):
     for mirrored, x, y in ((first[:, ::-1], -8.5e-3, 1e-3), (first[::-1], 8.5e-3, -1e-3), (first.T, 1e-3, 8.5e-3)):
         other = pressed(law, ball(x, y)).pressure
         np.testing.assert_allclose(other, mirrored, atol=2e-3 * float(jnp.max(first)))
-
-
-def test_what_the_parities_are_made_of_is_what_they_make():
-    rng = np.random.default_rng(0)
-    q = (CELLS // 2) ** 2
-    law = FreeSides(SideTable(np.tile(np.eye(q), (4, 1, 1)), np.zeros((4, 5, 6, q, q))))
-    values = rng.normal(size=(CELLS, CELLS)).astype(np.float32)
-    whole = law._whole(law._parities(jnp.asarray(values))[:, None], np.ones(1), np.ones(1))[0]
-    np.testing.assert_allclose(whole, values, atol=1e-6)
-    for grid in (GRID, FINE_GRID):
-        weights = free_sides._weights(grid, CELLS)
-        np.testing.assert_allclose(weights.sum(1), 1, atol=1e-5)
-        middles = (np.arange(CELLS) + 0.5) / CELLS - 0.5
-        np.testing.assert_allclose(weights @ middles * 20e-3, grid.centres, atol=1e-8)  # lines stay lines
-        assert np.linalg.norm(weights, 2) ** 2 <= 1.5 * grid.cells / CELLS

@@ -1,6 +1,7 @@
 """Tables of recognition: by what episodes are alike, each object by itself, the paper's rows and no others."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -86,7 +87,7 @@ def test_only_the_papers_methods_stand_beside_its_figures(scores, capsys):
     assert "2 pads" in lines[1]
     assert "9 pools of sites" in lines[1]
     assert "for these pads and these objects" in lines[1]
-    published = {line[:48].strip(): line.rpartition("paper: ")[2] for line in lines if "paper: " in line}
+    published = {re.split("  +", line)[0]: line.rpartition("paper: ")[2] for line in lines if "paper: " in line}
     assert published == {f"{MASK}, votes": "0.50", f"{PROPRIOCEPTION}, votes": "0.23"}
     assert not [line for line in lines if "I2T" in line]
 

@@ -10,9 +10,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from experiments.common.tables import markdown
 from experiments.reproduce import __main__ as reproduce
 from experiments.reproduce.steps import STEPS
-from experiments.reproduce.tables import TABLES, estimate, markdown, shortened, write_tables
+from experiments.reproduce.tables import TABLES, estimate, shortened, write_tables
 
 
 def test_every_step_is_a_command_that_takes_these_arguments():

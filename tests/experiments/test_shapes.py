@@ -88,19 +88,6 @@ def test_folds_hold_out_what_they_say():
     assert split_folds(lost, "location", 0) is None
 
 
-@pytest.mark.full
-def test_a_classifier_learns_what_can_be_told_and_no_more():
-    rng = np.random.default_rng(0)
-    y = np.arange(200) % 4
-    x = 8 * np.eye(4, 6)[y] + rng.normal(size=(200, 6))
-    cfg = methods.Classifier((32, 10), 400)
-    log_p = methods.classify(cfg, x[:150], y[:150], x[150:], classes=4, seed=0)
-    np.testing.assert_allclose(np.exp(log_p).sum(1), 1, rtol=1e-5)
-    assert (log_p.argmax(1) == y[150:]).mean() > 0.9  # means are 11 standard deviations apart
-    lost = methods.classify(cfg, rng.normal(size=(150, 6)), y[:150], x[150:], classes=4, seed=0)
-    assert (lost.argmax(1) == y[150:]).mean() < 0.7  # chance is 0.25 of 50
-
-
 def test_the_hysteresis_of_a_chip_is_found():
     rng = np.random.default_rng(1)
     before, runs = 50 * rng.normal(size=(200, 15)), np.arange(200) // 100

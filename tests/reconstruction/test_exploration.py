@@ -4,14 +4,13 @@ from functools import partial
 
 import numpy as np
 import pytest
+from helpers.balls import ball_model, from_above
 
 from i2t.reconstruction import exploration
 from i2t.reconstruction.exploration import AROUND_LIMITS, POLICY_NAMES, ExplorationConfig, choose_touch
 from i2t.reconstruction.signed_distances import grid_around
 from i2t.reconstruction.surface import (
-    SurfaceConfig,
     SurfaceEstimate,
-    SurfaceModel,
     condition_on,
     contact_evidence,
     estimate_surface,
@@ -26,19 +25,7 @@ LOW, HIGH = np.array([-32e-3, -32e-3, 0.0]), np.array([32e-3, 32e-3, 60e-3])
 GRID = grid_around(LOW, HIGH, across=16, margin=4e-3)
 RADII = np.linspace(20e-3, 30e-3, 6)
 CENTRE = np.array([0, 0, 30e-3])
-
-
-def _balls(**changes):
-    """A model whose library are balls around a point above the table."""
-    points = GRID.points()
-    library = (np.linalg.norm(points - CENTRE, axis=-1)[:, None] - RADII).astype(np.float16)
-    return SurfaceModel(GRID, points, library, SurfaceConfig(**changes))
-
-
-def _from_above(z):
-    T = np.diag([1.0, -1.0, -1.0, 1.0])
-    T[2, 3] = z
-    return T
+_balls = partial(ball_model, GRID, RADII, CENTRE)
 
 
 def _config(**changes):
@@ -49,7 +36,7 @@ def _config(**changes):
 def touched():
     """The model, what is known after a touch from above, and the surface by that."""
     model = _balls()
-    state, _ = update(model, init(model)[0], contact_evidence(_from_above(55e-3)))
+    state, _ = update(model, init(model)[0], contact_evidence(from_above(55e-3)))
     return model, state, estimate_surface(model, state)
 
 
@@ -84,14 +71,14 @@ def test_a_site_below_an_overhang_or_whose_overtravel_meets_the_table_is_not_saf
     block = np.maximum(np.abs(x) - 25e-3, np.abs(z - 20e-3) - 15e-3)
     slot = np.maximum(-x, np.abs(z - 20e-3) - 5e-3)  # open to the side: its floor looks at its ceiling
     estimate = SurfaceEstimate(GRID, np.maximum(block, -slot).astype(np.float32), np.ones(len(block), np.float32))
-    on_floor, on_top = _from_above(15e-3), _from_above(35e-3)
+    on_floor, on_top = from_above(15e-3), from_above(35e-3)
     on_floor[0, 3] = on_top[0, 3] = 15e-3
     safe = exploration.safe_sites(estimate, np.stack([on_floor, on_top]), config=_config(limits=AROUND_LIMITS))
     assert safe.tolist() == [False, True]
     empty = estimate._replace(distance=np.ones_like(estimate.distance))
     for overtravel, allowed in ((2e-3, True), (10e-3, False)):
         config = _config(limits=SiteLimits(), overtravel=overtravel)
-        assert exploration.safe_sites(empty, _from_above(5e-3)[None], config=config).tolist() == [allowed]
+        assert exploration.safe_sites(empty, from_above(5e-3)[None], config=config).tolist() == [allowed]
 
 
 def test_uncertainty_goes_where_it_is_greatest(touched):

@@ -1,20 +1,21 @@
 """A surface from touches: distances against closed forms, carving that is exact, a regression as in the textbooks."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import trimesh
+from helpers.balls import ball_model, from_above
 
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
     extract_mesh,
     grid_around,
     interpolate,
-    sample_surface,
     signed_distance_grid,
 )
 from i2t.reconstruction.surface import (
     SurfaceConfig,
-    SurfaceModel,
     condition_on,
     contact_evidence,
     estimate_surface,
@@ -32,6 +33,7 @@ from i2t.windows import PAD_WINDOW
 HALF = np.full(3, 40e-3)
 GRID = grid_around(-HALF, HALF, across=14, margin=4e-3)
 RADII = np.linspace(15e-3, 35e-3, 9)
+_balls = partial(ball_model, GRID, RADII, np.zeros(3))
 
 
 def _ball(radius, centre=(0.0, 0.0, 0.0), subdivisions=2):
@@ -39,23 +41,9 @@ def _ball(radius, centre=(0.0, 0.0, 0.0), subdivisions=2):
     return Mesh(ball.vertices + centre, ball.faces)
 
 
-def _balls(**changes):
-    """A model whose library are balls around the origin."""
-    points = GRID.points()
-    library = (np.linalg.norm(points, axis=-1)[:, None] - RADII).astype(np.float16)
-    return SurfaceModel(GRID, points, library, SurfaceConfig(**changes))
-
-
 def _smooth(**changes):
     model = _balls(**changes)
     return model._replace(library=model.library[:, :0])
-
-
-def _from_above(z, x=0.0, y=0.0):
-    """A pad that looks straight down, its plane at a height."""
-    T = np.diag([1.0, -1.0, -1.0, 1.0])
-    T[:3, 3] = [x, y, z]
-    return T
 
 
 def test_the_signed_distance_of_a_ball_is_its_closed_form_and_its_mesh_has_its_volume():
@@ -86,7 +74,7 @@ def test_a_turned_shape_of_the_library_is_that_of_the_turned_mesh():
 def test_what_a_pad_swept_is_free_and_nothing_else_is_carved():
     model = _balls()
     state, _ = init(model)
-    state, _ = update(model, state, contact_evidence(_from_above(0.0), hit=False, swept=0.1))  # down to the middle
+    state, _ = update(model, state, contact_evidence(from_above(0.0), hit=False, swept=0.1))  # down to the middle
     estimate = estimate_surface(model, state)
     x, y, z = model.points.T
     swept = (np.abs(x) < PAD_WINDOW / 2) & (np.abs(y) < PAD_WINDOW / 2) & (z > 0)
@@ -100,7 +88,7 @@ def test_a_contact_chooses_among_known_shapes_and_narrows_the_band():
     model = _balls()
     state, before = init(model)
     first = estimate_surface(model, state)
-    state, info = update(model, state, contact_evidence(_from_above(32.5e-3), swept=0.1))
+    state, info = update(model, state, contact_evidence(from_above(32.5e-3), swept=0.1))
     assert RADII[info.log_likelihood.argmax()] == 32.5e-3
     assert info.effective_shapes < before.effective_shapes
     for axis in np.eye(3)[:2]:
@@ -155,7 +143,7 @@ def test_a_floor_is_what_no_touch_takes_away():
         state, _ = init(model)
         height = np.zeros((5, 5))
         for x in np.linspace(-8e-3, 8e-3, 12):
-            touch = contact_evidence(_from_above(20e-3, x))._replace(height=height, std=height + 0.1e-3)
+            touch = contact_evidence(from_above(20e-3, x))._replace(height=height, std=height + 0.1e-3)
             state, _ = update(model, state, touch)
         return predict(model, regress(model, state), top)[1][0]
 
@@ -168,7 +156,7 @@ def test_heights_that_a_touch_felt_are_points_of_the_surface():
     model = _balls()
     y, x = np.meshgrid(*2 * [((np.arange(5) + 0.5) / 5 - 0.5) * 17e-3], indexing="ij")
     height = 25e-3 - np.sqrt(25e-3**2 - x**2 - y**2)
-    evidence = contact_evidence(_from_above(25e-3))._replace(height=height, std=np.full((5, 5), 0.1e-3))
+    evidence = contact_evidence(from_above(25e-3))._replace(height=height, std=np.full((5, 5), 0.1e-3))
     state, info = update(model, init(model)[0], evidence)
     assert RADII[info.log_likelihood.argmax()] == 25e-3
     cap = np.array([[4e-3, 4e-3, np.sqrt(25e-3**2 - 2 * 4e-3**2)]])
@@ -183,10 +171,3 @@ def test_a_posterior_of_patches_knows_nothing_where_its_samples_reach_no_surface
     assert np.isinf(found.std[:, 3:]).all()
     np.testing.assert_allclose(found.height[:, :3], 1e-3)
     assert (found.free <= 1e-3).all()
-
-
-def test_samples_of_a_surface_are_spread_out():
-    points, faces = sample_surface(_ball(30e-3), 500)
-    assert np.linalg.norm(points, axis=-1).min() > 28e-3
-    assert len(np.unique(faces)) > 200  # of 320 of nearly one size
-    assert np.abs(points.mean(0)).max() < 2e-3

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from i2t.geometry import so3_exp, transform
 from i2t.objects.catalogue import make_object
 from i2t.rendering.bvh import DENSE_CLUSTER_FACES, layout_clusters
-from i2t.rendering.render import prepare_surface, render_heights, render_patch, stack_surfaces
+from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Surface
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
@@ -95,22 +95,6 @@ def test_against_central_differences_by_pose_and_corners():
     # Moving the tool ahead brings all of the surface nearer and changes no shape: exact, whatever is seen.
     np.testing.assert_allclose(slope[..., 5, -1], -1, rtol=1e-9)
     np.testing.assert_allclose(slope[..., 5, :-1], 0, atol=1e-9)
-
-
-def test_by_the_affine_map():
-    """On a plane z = a x + b y + c the heights under a map are known, and so are their derivatives."""
-    along = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) * 0.05
-    a, b, c = 0.3, -0.2, 4e-3
-    corners = np.concatenate([along, (along @ [a, b] + c)[:, None]], 1)
-    plane = prepare_surface(SimpleNamespace(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]])))
-    slope = jax.jit(jax.jacfwd(partial(render_heights, plane)))(jnp.eye(4))
-    x, y = np.meshgrid(*[((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW] * 2)
-    z = a * x + b * y + c
-    # A point p moves by dA p; the height over a fixed pixel then changes by its z minus the slopes times its x and y.
-    point = np.stack([x, y, z, np.ones_like(x)], -1)
-    for row, weight in enumerate((-a, -b, 1.0)):
-        np.testing.assert_allclose(slope[:, :, row], weight * point, rtol=0, atol=1e-5)  # 50 roundings of values < 1
-    np.testing.assert_array_equal(slope[:, :, 3], 0)
 
 
 def soup(*triangles) -> SimpleNamespace:

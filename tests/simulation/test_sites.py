@@ -187,13 +187,6 @@ def test_nothing_rises_above_the_contact_plane(height, aside, safe):
     assert bool(is_open(surface, T, SiteLimits())) is safe
 
 
-def test_only_what_looks_up_is_upward():
-    for angle in (0.0, 1.0, 1.3, 1.32, 2.0, np.pi):  # cos 1.3 = 0.267, cos 1.32 = 0.248
-        T = frame(jnp.zeros(3), jnp.array([np.sin(angle), 0.0, np.cos(angle)], jnp.float32), 0.7)
-        for limits, least in ((SiteLimits(), 0.25), (touch_sites.RECOGNITION_LIMITS, 0.5)):
-            assert bool(touch_sites.is_upward(T, limits)) is bool(np.cos(angle) > least)
-
-
 @settings(deadline=None, max_examples=60)
 @given(SEEDS)
 def test_flange_and_mount_above_the_table(seed):
@@ -227,19 +220,6 @@ def test_sites_pass_an_independent_check():
         x, y = np.meshgrid([-37.5e-3, 37.5e-3], [-37.5e-3, 37.5e-3])
         for z in (-30e-3, -100e-3):
             assert (T[2, 3] + R[2, 0] * x + R[2, 1] * y + R[2, 2] * z >= 1e-3 - DELTA).all()
-
-
-@pytest.mark.full
-def test_sites_are_uniform_in_place_and_spin():
-    # Every point of a wide flat top is safe, and nothing else looks up.
-    sites = sites_of(jax.random.key(5), prepare_surface(make_object("square").mesh), 1000, SiteLimits(), 2)
-    assert sites.safe.all()
-    T = np.asarray(sites.T_w_t)
-    np.testing.assert_allclose(T[:, 2, 3], 30e-3, atol=DELTA)
-    np.testing.assert_allclose(T[:, 2, 2], -1, atol=1e-6)
-    spin = np.arctan2(T[:, 1, 0], T[:, 0, 0])
-    for values, low, width in ((T[:, 0, 3], -25e-3, 50e-3), (T[:, 1, 3], -25e-3, 50e-3), (spin, -np.pi, 2 * np.pi)):
-        assert stats.kstest(values, stats.uniform(low, width).cdf).pvalue > RARE
 
 
 def test_what_fills_up_is_no_pose_and_too_few_sites_are_said():
