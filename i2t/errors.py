@@ -73,6 +73,7 @@ EXTRAS = {  # by the name under which each is imported
     "nbconvert": Extra("Jupyter", "notebooks"),
     "ipykernel": Extra("Jupyter", "notebooks"),
     "pyarrow": Extra("pyarrow", "lerobot"),
+    "pyvista": Extra("pyvista", "notebooks"),
     "rerun": Extra("rerun-sdk", "view"),
     "torch": Extra("torch", "bench"),
     "skfem": Extra("scikit-fem", "test"),

@@ -40,8 +40,7 @@ def overview(story: Story) -> Figure:
     figure.suptitle(titled("i2t: imagine a touch before making it", True), fontsize=13)
     parts = figure.subplots(1, 4, width_ratios=(1.15, 1, 1, 1.1))
     mesh = record.meshes[record.truth]
-    T_o_t = inverse(touches.T_w_o[row]) @ touches.T_w_t[row]
-    viz.draw_object(parts[0], mesh.vertices, mesh.faces, T_o_t[None])
+    _draw_scene(parts[0], mesh, inverse(touches.T_w_o[row]) @ touches.T_w_t[row])
     parts[0].set_title(f"1  an object never touched: {HIDDEN_OBJECT}", fontsize=10)
     image = viz.draw_patch(parts[1], touches.patch[row])
     figure.colorbar(image, ax=parts[1], label="mm behind the nearest point", shrink=0.8)
@@ -59,8 +58,7 @@ def objects(story: Story) -> Figure:
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     figure.suptitle("Some objects of the catalogue (i2t.make_object)")
     for axes, name in zip(figure.subplots(2, 3).flat, SHOWN, strict=True):
-        mesh = i2t.make_object(name).mesh
-        viz.draw_object(axes, mesh.vertices, mesh.faces, np.zeros((0, 4, 4)))
+        _draw_scene(axes, i2t.make_object(name).mesh, None)
         axes.set_title(name)
     return figure
 
@@ -150,6 +148,17 @@ def _press_ball(
     """A ball pressed into a pad, at a place (m) off its centre."""
     squared = (GRID.centres[None, :] - x) ** 2 + (GRID.centres[:, None] - y) ** 2
     return i2t.press(pad or i2t.nominal_pad(), squared / (2 * TIP_RADIUS_M), depth)
+
+
+def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray | None) -> None:
+    """An object in three dimensions, with the skin where it touches, or why it cannot be drawn."""
+    axes.set_axis_off()
+    poses = np.zeros((0, 4, 4)) if T_o_t is None else T_o_t[None]
+    picture = viz.object_image(mesh.vertices, mesh.faces, poses)
+    if picture is None:
+        axes.text(0.5, 0.5, viz.why_no_scene(), ha="center", va="center", wrap=True, fontsize=8)
+    else:
+        axes.imshow(picture)
 
 
 def _outline(axes: Axes, mask: np.ndarray) -> None:

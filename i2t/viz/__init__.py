@@ -16,8 +16,9 @@ _MODULES = {
     "style": ("save_figure",),
     "patches": ("draw_map", "draw_patch", "plot_patches"),
     "rates": ("plot_confusions", "plot_intervals", "plot_rates"),
-    "scene": ("ShownSurface", "draw_object", "plot_growing_surface", "plot_object"),
+    "scene": ("object_image", "object_plotter", "plot_object", "why_no_scene"),
     "skins": ("draw_reading", "draw_skin", "plot_press", "plot_readings", "plot_skin_map"),
+    "surfaces": ("ShownSurface", "plot_growing_surface"),
     "training": ("plot_predicted_touches", "plot_predictions", "plot_training_curves"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

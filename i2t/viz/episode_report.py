@@ -4,14 +4,17 @@ shown there, and what was believed after each touch.
     record = EpisodeRecord(meshes, names, T_w_t, readings, board, p, truth, simulated=True)
     paths = write_episode_report(record, Path("runs/episode"))
 
-writes `story.png`, a page with the object and its touches, and a row per touch.
+writes `story.png`, a page with a row per touch and, where the machine can draw in three dimensions off screen, the
+object with its touches, which needs pyvista (`pip install "imagine2touch[notebooks]"`).
 """
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
@@ -20,7 +23,7 @@ from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
-from i2t.viz.scene import draw_object, touch_colours
+from i2t.viz.scene import object_image, why_no_scene
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
 from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, Picture, save_figure, titled
 from i2t.windows import PATCH_WINDOW, REACH
@@ -58,7 +61,8 @@ class EpisodeRecord(NamedTuple):
 
 
 def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
-    """Write the report of an episode.
+    """Write the report of an episode. Where no scene can be drawn, the reason is printed to stderr, and the page comes
+    without it.
 
     Args:
         record: The episode.
@@ -70,7 +74,12 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
     Raises:
         ValueError: Poses, readings, beliefs, meshes and names do not fit together.
     """
-    return [save_figure(plot_episode(record), out / "story.png")]
+    record = _checked(record)
+    mesh = record.meshes[record.drawn]
+    picture = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
+    if picture is None:
+        print(why_no_scene(), file=sys.stderr)
+    return [save_figure(plot_episode(record, picture), out / "story.png")]
 
 
 def _checked(record: EpisodeRecord) -> EpisodeRecord:
@@ -84,48 +93,47 @@ def _checked(record: EpisodeRecord) -> EpisodeRecord:
     return record._replace(T_w_t=T_w_t, readings=readings, p=p)
 
 
-def plot_episode(record: EpisodeRecord) -> Picture:
-    """The object with its touches, and a row per touch: the reading, the patches of the candidates there, the
-    belief after it.
+def plot_episode(record: EpisodeRecord, scene: Array | None = None) -> Picture:
+    """A row per touch: the reading, the patches of the candidates there, the belief after it.
 
     Of many touches `MAX_ROWS` are shown, evenly spaced with the first and the last; of many candidates the true one and
     the most believed.
 
     Args:
         record: The episode.
+        scene: Picture (rows, columns, 3) of the object with its touches, drawn to the left.
 
     Returns:
         The figure.
-
-    Raises:
-        ValueError: Poses, readings, beliefs, meshes and names do not fit together.
     """
-    record = _checked(record)
     touches = np.unique(np.linspace(0, len(record.p) - 1, MAX_ROWS).round().astype(int)).tolist()
     candidates = _shown_candidates(record.p, record.truth)
     depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
     scale = common_scale(record.readings)
-    colours = touch_colours(len(record.p))
+    colours = _touch_colours(len(record.p))
 
-    widths = [2.2, 1.15] + [1.0] * len(candidates) + [1.0, 0.75]
+    widths = [2.2] * (scene is not None) + [1.15] + [1.0] * len(candidates) + [1.0, 0.75]
     figure = Picture(figsize=(1.55 * sum(widths) + 0.6, 1.55 * len(touches) + 1.3), layout="constrained")
     grid = figure.add_gridspec(len(touches), len(widths), width_ratios=widths)
-    body = record.meshes[record.drawn]
-    draw_object(figure.add_subplot(grid[:, 0]), body.vertices, body.faces, record.T_w_t, numbers=True)
+    if scene is not None:
+        left = figure.add_subplot(grid[:, 0])
+        left.imshow(scene)
+        left.set_axis_off()
+    first = len(widths) - len(candidates) - 3
     panels: list[Axes] = []
     for row, touch in enumerate(touches):
         top = row == 0
-        measured = figure.add_subplot(grid[row, 1])
+        measured = figure.add_subplot(grid[row, first])
         _draw_measured(measured, record, touch, scale, colours[touch])
         for i, candidate in enumerate(candidates):
-            panel = figure.add_subplot(grid[row, 2 + i])
+            panel = figure.add_subplot(grid[row, first + 1 + i])
             image = _draw_candidate(panel, depth[row, i], float(nearest[row, i]))
             if top:
                 true = candidate == record.truth
                 label = record.names[candidate] + (" (true)" if true else "")
                 panel.set_title(label, fontsize=8.5, fontweight="bold" if true else "normal")
             panels.append(panel)
-        bars = figure.add_subplot(grid[row, -2:])
+        bars = figure.add_subplot(grid[row, first + 1 + len(candidates) : first + 3 + len(candidates)])
         _draw_belief(bars, record.p[touch], record.names, candidates, record.truth)
         if top:
             measured.set_title("measured", fontsize=8.5)
@@ -199,3 +207,8 @@ def _draw_belief(axes: Axes, p: np.ndarray, names: Sequence[str], shown: Sequenc
     axes.invert_yaxis()
     axes.set(xlim=(0, 1), xticks=[0, 0.5, 1])
     axes.tick_params(axis="x", labelsize=7.5)
+
+
+def _touch_colours(touches: int) -> np.ndarray:
+    """One colour (touches, 3) for each, dark to light."""
+    return colormaps["viridis"](np.linspace(0.0, 0.9, touches))[:, :3]

@@ -1,113 +1,93 @@
-"""Objects in three dimensions: the skin where it touched, and how uncertain each part of a reconstructed surface is.
+"""Scenes in three dimensions: objects with their touches.
 
-They are seen from above and the side, without perspective, as the library's own renderer sees them: a depth image,
-shaded by its slope. So neither a display nor another package is needed.
+Scenes need pyvista (`pip install "imagine2touch[notebooks]"`) and a machine that can draw off screen. That is tried out
+first in a process of its own, because without EGL or OSMesa VTK ends with a segmentation fault.
 """
 
-import math
-from collections.abc import Sequence
-from typing import NamedTuple
+import subprocess
+import sys
+from functools import cache
+from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, to_rgb
-from scipy.spatial import cKDTree
 
-from i2t.objects.solids import Mesh
-from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import Array
-from i2t.viz.style import GREEN, MM_PER_M, Picture, titled
+from i2t.viz.style import MM_PER_M, Picture, titled
 from i2t.windows import PAD_WINDOW
 
-PIXELS = 512
-SKIN_LIFT_M = 0.5e-3  # by which the skin's square is drawn off the surface
-SKIN_RIM_M = 0.8e-3
-SKIN_OPACITY = 0.55
-NUMBER_DISTANCE_M = 9e-3  # of a touch's number behind the skin, where a person stands
-BODY_COLOUR = "#d9d9d9"
-COLOURS_OF_STD = "plasma"
-RIGHT, AWAY = np.array([1.0, -0.6, 0]) / math.sqrt(1.36), np.array([0.6, 1.0, -1.0]) / math.sqrt(2.36)
-VIEW = np.stack([RIGHT, np.cross(RIGHT, AWAY), AWAY], 1)  # the picture's axes in the object's: right, up, away
-LIGHT = np.array([-0.3, 0.5, -0.8]) / math.sqrt(0.98)  # towards it, in the picture's axes
+SKIN_LIFT_MM = 0.5  # by which the skin's square is drawn off the surface
+NUMBER_DISTANCE_MM = 9.0  # of a touch's number behind the skin, where a person stands
+VIEW_DIRECTION = (-0.6, -1.0, 1.0)
+WHITE = 250  # and above
+PROBE = "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(64, 64)); p.add_mesh(pv.Cube()); p.show()"
+PROBE_TIMEOUT_S = 120
+NO_PYVISTA = 'There is no 3-D picture, because pyvista is missing: pip install "imagine2touch[notebooks]".'
+NO_GL = (
+    "There is no 3-D picture, because this machine cannot draw off screen: install the system package libegl1 "
+    "(apt-get install libegl1) or libosmesa6."
+)
 
 
-class ShownSurface(NamedTuple):
-    """One stage of a surface."""
-
-    label: str
-    vertices: Float[Array, "v 3"]  # m
-    faces: Int[Array, "f 3"]
-    std: Float[Array, " v"]  # m, of the surface at each vertex
-    T_o_t: Float[Array, "n 4 4"]  # touches made so far
-
-
-class _Skin(NamedTuple):
-    """The skin's square in the picture's axes, in units of the picture's edge."""
-
-    centre: np.ndarray  # (3,)
-    axes: np.ndarray  # (3, 3), the tool's as columns
-    half: float
-    rim: float
-    colour: np.ndarray  # (3,)
+@cache
+def why_no_scene() -> str:
+    """Reason why no scene can be drawn here, in one sentence; empty where it can. Another process tries, once."""
+    if find_spec("pyvista") is None:
+        return NO_PYVISTA
+    try:
+        tried = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=PROBE_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        return NO_GL
+    return "" if tried.returncode == 0 else NO_GL
 
 
-def touch_colours(touches: int) -> Float[np.ndarray, "touches 3"]:
-    """One colour for each touch, from dark to light.
+def object_plotter(
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], T_o_t: Float[Array, "n 4 4"], numbers: bool = True
+) -> Any:
+    """A pyvista plotter with an object and the skin's square at each of its touches, ready to `show()`.
 
     Args:
-        touches: How many.
-
-    Returns:
-        Red, green and blue from 0 to 1.
-    """
-    return colormaps["viridis"](np.linspace(0.0, 0.9, touches))[:, :3]
-
-
-def draw_object(
-    axes: Axes,
-    vertices: Float[Array, "v 3"],
-    faces: Int[Array, "f 3"],
-    T_o_t: Float[Array, "n 4 4"],
-    *,
-    numbers: bool = False,
-    colours: Float[Array, "v 3"] | None = None,
-) -> None:
-    """Draw an object with the skin's square at each of its touches; nothing where it has no faces.
-
-    Args:
-        axes: Where to draw.
         vertices: m, of the object.
         faces: Vertex numbers.
-        T_o_t: Tool poses in the object's frame; there may be none.
+        T_o_t: Tool poses in the object's frame.
         numbers: Whether touches carry their numbers.
-        colours: Of the vertices; skins are then outlines. Without them the object is grey.
+
+    Returns:
+        The plotter.
+
+    Raises:
+        RuntimeError: No scene can be drawn here.
     """
-    axes.set_axis_off()
-    if not len(faces):
-        return
-    T_v_t = np.array(T_o_t, np.float64).reshape(-1, 4, 4)
-    T_v_t[:, :3] = VIEW.T @ T_v_t[:, :3]
-    ends = T_v_t[:, :3, 3] - NUMBER_DISTANCE_M * T_v_t[:, :3, 2]
-    corners = np.asarray(vertices, np.float64) @ VIEW
-    rim = PAD_WINDOW / math.sqrt(2)
-    everything = np.concatenate([corners, ends, T_v_t[:, :3, 3] - rim, T_v_t[:, :3, 3] + rim])
-    low, high = everything.min(0), everything.max(0)
-    origin, edge = np.append((low + high)[:2] / 2, low[2]), float((high - low)[:2].max())
-    corners = (corners - origin) / edge
-    z = _depth_image(corners, np.asarray(faces))
-    picture = _shaded(z, corners, np.tile(to_rgb(BODY_COLOUR), (len(corners), 1)) if colours is None else colours)
-    shades = touch_colours(len(T_v_t)) if colours is None else [np.array(to_rgb(GREEN))] * len(T_v_t)
-    for T, colour in zip(T_v_t, shades, strict=True):
-        centre = (T[:3, 3] - SKIN_LIFT_M * T[:3, 2] - origin) / edge
-        skin = _Skin(centre, T[:3, :3], PAD_WINDOW / 2 / edge, max(SKIN_RIM_M / edge, 2 / PIXELS), colour)
-        _paint_skin(picture, z, skin, SKIN_OPACITY if colours is None else 0.0)
-    axes.imshow(np.clip(picture, 0, 1), origin="lower", extent=(-0.5, 0.5, -0.5, 0.5))
-    axes.set(xlim=(np.array([low, high]) - origin)[:, 0] / edge, ylim=(np.array([low, high]) - origin)[:, 1] / edge)
-    if numbers:
-        _draw_numbers(axes, (T_v_t[:, :2, 3] - origin[:2]) / edge, (ends - origin)[:, :2] / edge)
+    pv = _pyvista()
+    T_o_t = np.asarray(T_o_t, np.float64)
+    body = body_of(pv, vertices, faces)
+    with pv.vtk_verbosity("error"):  # VTK warns of the missing display before it goes on without
+        plotter: Any = pv.Plotter(off_screen=True, window_size=[900, 700], lighting="three lights")
+        plotter.add_mesh(body, color="#d9d9d9", split_sharp_edges=True, smooth_shading=True)
+        edges = body.extract_feature_edges(30, boundary_edges=True, manifold_edges=False, non_manifold_edges=False)
+        if edges.n_points:
+            plotter.add_mesh(edges, color="#555555", line_width=1.5)
+        colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(T_o_t)))[:, :3]
+        for i, (T, colour) in enumerate(zip(T_o_t, colours, strict=True)):
+            _add_touch(pv, plotter, T, colour, str(i + 1) if numbers else "")
+        set_view(plotter)
+    return plotter
+
+
+def _add_touch(pv: Any, plotter: Any, T_o_t: np.ndarray, colour: np.ndarray, number: str) -> None:
+    """The skin's square of one touch, and a pin with its number."""
+    square = skin_square(pv, T_o_t, SKIN_LIFT_MM)
+    plotter.add_mesh(square, color=colour, opacity=0.55, lighting=False)
+    plotter.add_mesh(square.extract_feature_edges(), color=colour, line_width=3)
+    if number:
+        end = T_o_t[:3, 3] * MM_PER_M - NUMBER_DISTANCE_MM * T_o_t[:3, 2]
+        plotter.add_mesh(pv.Line(T_o_t[:3, 3] * MM_PER_M, end), color="black", line_width=2)
+        plotter.add_point_labels(
+            [end], [number], font_size=20, bold=True, shape_color="white", shape_opacity=0.8, always_visible=True,
+            show_points=False,
+        )  # fmt: skip
 
 
 def plot_object(
@@ -119,7 +99,7 @@ def plot_object(
     *,
     numbers: bool = True,
 ) -> Picture:
-    """A picture of an object with its touches.
+    """A still picture of an object with its touches; where none can be drawn the figure says why.
 
     Args:
         vertices: m, of the object.
@@ -133,81 +113,95 @@ def plot_object(
         The figure.
     """
     figure = Picture(figsize=(6.5, 5.4), layout="constrained")
-    draw_object(figure.subplots(), vertices, faces, T_o_t, numbers=numbers)
+    axes = figure.subplots()
+    axes.set_axis_off()
+    picture = object_image(vertices, faces, T_o_t, numbers=numbers)
+    if picture is None:
+        axes.text(0.5, 0.5, why_no_scene(), ha="center", va="center", wrap=True, transform=axes.transAxes)
+    else:
+        axes.imshow(picture)
     figure.suptitle(f"{titled(title, simulated)}\nsquares: the skin, 20 mm wide, where it touched", fontsize=11)
     return figure
 
 
-def plot_growing_surface(
-    stages: Sequence[ShownSurface], truth: tuple[Array, Array] | None, title: str, simulated: bool
-) -> Picture:
-    """Stages of a surface side by side, coloured by its standard deviation, with the touches, and the truth at the end.
+def object_image(
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], T_o_t: Float[Array, "n 4 4"], *, numbers: bool = False
+) -> Array | None:
+    """The pixels of `plot_object`, without margins, to be drawn next to something else.
 
     Args:
-        stages: In the order in which they were made.
-        truth: Vertices (m) and faces of the true object; None where it is not known.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        vertices: m, of the object.
+        faces: Vertex numbers.
+        T_o_t: Tool poses in the object's frame; there may be none.
+        numbers: Whether touches carry their numbers.
 
     Returns:
-        The figure.
+        Colours (rows, columns, 3) of 8 bits; None where no scene can be drawn.
     """
-    high = max((float(np.quantile(stage.std, 0.98)) for stage in stages if len(stage.std)), default=1e-3)
-    figure = Picture(figsize=(2.5 * (len(stages) + (truth is not None)), 2.9), layout="constrained")
-    figure.suptitle(titled(title, simulated), fontsize=11)
-    panels = figure.subplots(1, len(stages) + (truth is not None), squeeze=False)[0]
-    for axes, stage in zip(panels, stages, strict=False):
-        colours = colormaps[COLOURS_OF_STD](np.clip(np.asarray(stage.std) / high, 0, 1))[:, :3]
-        draw_object(axes, stage.vertices, stage.faces, stage.T_o_t, colours=colours)
-        axes.set_title(stage.label, fontsize=10)
-    if truth is not None:
-        draw_object(panels[-1], *truth, np.zeros((0, 4, 4)))
-        panels[-1].set_title("truth", fontsize=10)
-    scale = ScalarMappable(Normalize(0, MM_PER_M * high), COLOURS_OF_STD)
-    figure.colorbar(scale, ax=list(panels), label="standard deviation, mm", shrink=0.75, aspect=15)
-    return figure
+    return None if why_no_scene() else image_of(object_plotter(vertices, faces, T_o_t, numbers))
 
 
-def _draw_numbers(axes: Axes, starts: np.ndarray, ends: np.ndarray) -> None:
-    box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8}
-    for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
-        axes.plot(*np.array([start, end]).T, color="black", lw=1)
-        axes.text(*end, str(i + 1), fontsize=8, fontweight="bold", ha="center", va="center", bbox=box)
+def image_of(plotter: Any) -> Array:
+    """The picture of a plotter without its white margins; the plotter is closed.
+
+    Args:
+        plotter: Of pyvista.
+
+    Returns:
+        Colours (rows, columns, 3) of 8 bits; all of it where nothing is drawn.
+    """
+    picture = np.asarray(plotter.screenshot(return_img=True))
+    plotter.close()
+    rows, columns = np.nonzero((picture < WHITE).any(-1))
+    return picture[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] if len(rows) else picture
 
 
-def _pixels() -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels' centres lie: to the right, and upwards."""
-    line = (np.arange(PIXELS) + 0.5) / PIXELS - 0.5
-    x, y = np.meshgrid(line, line)
-    return x, y
+def body_of(pv: Any, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Any:
+    """A mesh in millimetres as pyvista has them.
+
+    Args:
+        pv: pyvista.
+        vertices: m.
+        faces: Vertex numbers.
+
+    Returns:
+        The mesh.
+    """
+    corners = np.column_stack([np.full(len(faces), 3), faces]).ravel()
+    return pv.PolyData(np.asarray(vertices, np.float64) * MM_PER_M, corners)
 
 
-def _depth_image(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Depth of the nearest surface (rows, columns), in units of the picture's edge; +inf where there is none."""
-    seen = render_patch(prepare_surface(Mesh(corners, faces)), np.eye(4), window=1.0, pixels=PIXELS, reach=math.inf)
-    return np.asarray(seen.depth, np.float64) + float(seen.nearest)
+def skin_square(pv: Any, T_o_t: Float[Array, "4 4"], lift_mm: float = 0.0) -> Any:
+    """The skin's square at a touch.
+
+    Args:
+        pv: pyvista.
+        T_o_t: Of the tool.
+        lift_mm: By which it is drawn off the surface.
+
+    Returns:
+        The square, in millimetres.
+    """
+    half = PAD_WINDOW * MM_PER_M / 2
+    corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
+    corners[:, 2] = -lift_mm
+    return pv.PolyData(corners @ T_o_t[:3, :3].T + T_o_t[:3, 3] * MM_PER_M, [4, 3, 2, 1, 0])
 
 
-def _shaded(z: np.ndarray, corners: np.ndarray, colours: Array) -> np.ndarray:
-    """Colours of the vertices nearest to what the pixels show, shaded; white where they show nothing."""
-    hit = np.isfinite(z)
-    picture = np.ones((*z.shape, 3))
-    down, right = np.gradient(np.where(hit, z, z[hit].max(initial=0) + 1), 1 / PIXELS)
-    normal = np.stack([right, down, -np.ones_like(z)], -1)
-    light = np.clip(normal @ LIGHT / np.linalg.norm(normal, axis=-1), 0, 1)
-    x, y = _pixels()
-    _, nearest = cKDTree(corners).query(np.stack([x, y, z], -1)[hit])
-    picture[hit] = np.asarray(colours)[nearest] * (0.3 + 0.75 * light[hit])[:, None]
-    return picture
+def set_view(plotter: Any) -> None:
+    """Look at a scene from above and the side, without perspective.
+
+    Args:
+        plotter: Of pyvista.
+    """
+    plotter.enable_parallel_projection()
+    plotter.view_vector(VIEW_DIRECTION, viewup=(0, 0, 1))
 
 
-def _paint_skin(picture: np.ndarray, z: np.ndarray, skin: _Skin, opacity: float) -> None:
-    """Paint the part of a square that nothing hides, its rim opaque."""
-    x, y = _pixels()
-    right, up, away = skin.axes[:, 2]
-    if abs(away) < 1e-6:  # seen from its edge
-        return
-    depth = skin.centre[2] - (right * (x - skin.centre[0]) + up * (y - skin.centre[1])) / away
-    own = np.abs((np.stack([x, y, depth], -1) - skin.centre) @ skin.axes[:, :2]).max(-1)
-    share = np.where(own > skin.half - skin.rim, 1.0, opacity) * ((own <= skin.half) & (depth < z))
-    picture += share[..., None] * (skin.colour - picture)
+def _pyvista() -> Any:
+    """pyvista, or RuntimeError where no scene can be drawn."""
+    if why_no_scene():
+        raise RuntimeError(why_no_scene())
+    import pyvista
+
+    return pyvista

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from i2t import viz
 from i2t.objects import catalogue
 from i2t.skin.boards import grid_board, reskin_board
+from i2t.viz import episode_report, scene
 from i2t.windows import REACH
 
 NAMES = ("square", "hexagon")  # prisms 30 mm high: +-25 mm wide, and of circumradius 30 mm with flat sides at +-y
@@ -41,7 +42,7 @@ def texts(figure: Figure) -> list[str]:
 def test_a_page_shows_what_was_touched_and_believed(meshes):
     """The patch of each candidate where it was touched, and what was there and believed."""
     page = viz.plot_episode(record(meshes))
-    patches = [axes for axes in page.axes[1:] if axes.images and axes.get_label() != "<colorbar>"]
+    patches = [axes for axes in page.axes if axes.images and axes.get_label() != "<colorbar>"]
     depth = np.array([axes.images[0].get_array() for axes in patches]).reshape(3, 2, 48, 48)
     np.testing.assert_allclose(depth[0], 0, atol=1e-4)  # mm, flat tops
     x = ((np.arange(48) + 0.5) / 48 - 0.5) * 17 + 26  # mm, tool x is world x
@@ -66,11 +67,34 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
     assert not any("(true)" in text for text in shown)
 
 
-def test_a_page_shows_the_touched_object_and_is_written_whole(meshes, tmp_path):
-    page = viz.plot_episode(record(meshes))
-    assert {"1", "2", "3"} <= {text.get_text() for text in page.axes[0].texts}
-    (written,) = viz.write_episode_report(record(meshes), tmp_path / "a")
-    assert written == tmp_path / "a" / "story.png"
-    assert written.stat().st_size > 20_000
+def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
+    scene.why_no_scene.cache_clear()
+    with monkeypatch.context() as broken:
+        broken.setattr(scene, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+        assert "libegl1" in scene.why_no_scene()
+        scene.why_no_scene.cache_clear()
+        broken.setattr(scene, "find_spec", lambda name: None)
+        assert "pip install" in scene.why_no_scene()
+    scene.why_no_scene.cache_clear()
+
+
+def test_without_a_scene_the_page_is_written_all_the_same(meshes, tmp_path, monkeypatch, capsys):
+    for module in (episode_report, scene):
+        monkeypatch.setattr(module, "why_no_scene", lambda: scene.NO_GL)
+    written = viz.write_episode_report(record(meshes), tmp_path / "a")
+    assert written == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
+    assert capsys.readouterr().err == scene.NO_GL + "\n"
     with pytest.raises(ValueError, match="same touches"):
         viz.write_episode_report(record(meshes, readings=np.ones((2, 15))), tmp_path)
+
+
+@pytest.mark.full
+def test_a_scene_shows_the_object_and_its_touches(meshes, tmp_path):
+    if scene.why_no_scene():
+        pytest.skip(scene.why_no_scene())
+    picture = viz.object_image(meshes[0].vertices, meshes[0].faces, poses(), numbers=True)
+    assert len(np.unique(picture.reshape(-1, 3)[::7], axis=0)) > 50  # shaded faces and coloured squares
+    page = viz.plot_episode(record(meshes), picture)
+    assert any(axes.images and axes.images[0].get_array().shape == picture.shape for axes in page.axes)
+    (written,) = viz.write_episode_report(record(meshes), tmp_path)
+    assert written.stat().st_size > 20_000
