@@ -21,7 +21,7 @@ of cosines along an edge, `k` the number of weights.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -73,6 +73,22 @@ class Presses(NamedTuple):
 
     position: Float[Array, "n 2"]  # m, tool frame
     load: Float[Array, " n"]  # depth in m, or normal force in N
+
+
+class Tip(Protocol):
+    """Any tip whose surface over the skin is known."""
+
+    def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """Distance of the tip's surface behind its lowest point over each cell.
+
+        Args:
+            position: (2,) m, of the tip's axis on the skin.
+            grid: Cells of the pad.
+
+        Returns:
+            (n, n) m, row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
+        """
+        ...
 
 
 @dataclass(frozen=True)
@@ -261,7 +277,7 @@ def cosine_prior_factor(patch_length: Float[Array, ""], window: float) -> Float[
 def design_matrix(
     layer: LayerParameters,
     board: Board,
-    tip: RoundTip,
+    tip: Tip,
     position: Float[Array, "2"],
     load: Float[Array, ""],
     *,
@@ -314,7 +330,7 @@ def design_matrix(
 
 @partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
 def design_matrices(
-    layer: LayerParameters, board: Board, tip: RoundTip, presses: Presses, *, by_force: bool, grid: Grid = GRID
+    layer: LayerParameters, board: Board, tip: Tip, presses: Presses, *, by_force: bool, grid: Grid = GRID
 ) -> Float[Array, "n c 3 m m"]:
     """`design_matrix` of many presses.
 

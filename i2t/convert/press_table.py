@@ -104,6 +104,8 @@ class SessionCheck(NamedTuple):
         """
         columns = RecordedPresses(table.position, table.readings, height=table.height, force=table.force)
         right = corrected_presses(columns, self.findings)
+        assert right.height is not None
+        assert right.force is not None
         return table.rows(lag_rows(len(table.readings), self.correction.lag)[0])._replace(
             position=right.position, readings=right.readings, height=right.height, force=right.force
         )
