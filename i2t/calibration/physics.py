@@ -21,7 +21,7 @@ of cosines along an edge, `k` the number of weights.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -75,6 +75,7 @@ class Presses(NamedTuple):
     load: Float[Array, " n"]  # depth in m, or normal force in N
 
 
+@runtime_checkable
 class Tip(Protocol):
     """Any tip whose surface over the skin is known."""
 

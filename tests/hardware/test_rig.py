@@ -119,7 +119,7 @@ def test_files_that_are_none(tmp_path, capsys):
     file.write_bytes(b"\xff\xfe\x00")
     for path, error, why in (
         (tmp_path / "nowhere.toml", FileNotFoundError, "no such file; write one to start from with python -m"),
-        (tmp_path, ValueError, "cannot be read"),
+        (tmp_path, ValueError, "is no file of its own but a folder"),
         (file, ValueError, "UTF-8"),
     ):
         with pytest.raises(error, match=why):
