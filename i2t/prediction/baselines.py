@@ -124,6 +124,7 @@ class RidgeOnPatches(OnFeatures):
         return self._reading(mean, 1 + _leverage(np.asarray(self.inverse, np.float64), from_centre))
 
 
+Components: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # mean patch, components, their typical length
 Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray]  # x, y, at, option
 
 
@@ -140,23 +141,34 @@ def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
     return MeanReading(_plain(plain.mean(0)), _floored(plain.std(0)))
 
 
-def touch_features(patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
-    """Fit the map from touches to vectors.
+def patch_components(patches: Float[np.ndarray, "n h w"]) -> Components:
+    """Principal components of patches, which take seconds and are the same whatever was measured.
 
     Args:
         patches: m, of the training touches.
-        measured: What was measured at their contacts.
 
     Returns:
-        Principal components of the patches, and the scales of both.
+        Mean patch, components, and their typical length.
     """
     flat = patches.reshape(len(patches), -1).astype(np.float64)
     mean = flat.mean(0)
     basis = np.linalg.svd(flat - mean, full_matrices=False)[2][:COMPONENTS]
     length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all patches alike
+    return _plain(mean), _plain(basis), _plain(np.asarray(length))
+
+
+def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
+    """The map from touches to vectors.
+
+    Args:
+        components: Of the training touches' patches (`patch_components`).
+        measured: What was measured at their contacts.
+
+    Returns:
+        The components, and the scales of what was measured.
+    """
     std = measured.astype(np.float64).std(0)
-    scale = np.where(std > 0, std, 1)
-    return TouchFeatures(*map(_plain, (mean, basis, np.asarray(length), measured.mean(0), scale)))
+    return TouchFeatures(*components, _plain(measured.mean(0)), _plain(np.where(std > 0, std, 1)))
 
 
 def features_of(
@@ -337,11 +349,13 @@ class Nearest(Method):
             return None
         rows, seen = split.train, touches.dataset.touches
         measured = stacked(seen, conditions)[rows]
-        model = self.model(conditions, seen.patch[rows], measured, seen.reading[rows], split.groups[rows])
+        components = touches.once("patch components", rows, lambda: patch_components(seen.patch[rows]))
+        model = self.model(components, conditions, seen.patch[rows], measured, seen.reading[rows], split.groups[rows])
         return touches.predictor(model, split)
 
     def model(
         self,
+        components: Components,
         conditions: tuple[str, ...],
         patches: Float[np.ndarray, "n h w"],
         measured: Float[np.ndarray, "n m"],
@@ -351,6 +365,7 @@ class Nearest(Method):
         """The model of n training touches.
 
         Args:
+            components: Of the patches.
             conditions: Names of what was measured.
             patches: m.
             measured: What was measured at contact.
@@ -360,7 +375,7 @@ class Nearest(Method):
         Returns:
             Fitted.
         """
-        features = touch_features(patches, measured)
+        features = touch_features(components, measured)
         points = _plain(features_of(features, patches, measured))
         return self.fit_points(features, conditions, points, readings.astype(np.float64), fold_of(groups))
 

@@ -14,10 +14,10 @@ it if it is the best on validation touches. `METHODS` are those that come with i
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Array, Key
@@ -44,6 +44,8 @@ METHODS: Mapping[str, str] = {  # names of the command line; the first of equal 
 ALIKE_FORCE_N = 1.0  # where nothing says how hard touches were pressed
 USUAL_DEPTH_M = 0.3e-3  # past first contact, likewise
 
+Made = TypeVar("Made")
+
 
 @dataclass(frozen=True)
 class TrainingTouches:
@@ -56,6 +58,7 @@ class TrainingTouches:
         pressure: Contact pressures of all touches, likewise.
         paper: Sizes and loss of the paper's network.
         training: How networks are trained.
+        shared: What methods compute once for all (`once`).
     """
 
     dataset: Dataset
@@ -64,6 +67,24 @@ class TrainingTouches:
     pressure: ContactPressure | None = None
     paper: PaperOptions = field(default_factory=PaperOptions)
     training: TrainConfig = field(default_factory=TrainConfig)
+    shared: dict[tuple[str, bytes], Any] = field(default_factory=dict, repr=False)
+
+    def once(self, name: str, rows: np.ndarray, make: Callable[[], Made]) -> Made:
+        """Value that methods share, made by the first that asks.
+
+        Args:
+            name: Of what is made.
+            rows: (n,) mask of the touches that it is made of.
+            make: Makes it.
+
+        Returns:
+            What was made.
+        """
+        key = name, rows.tobytes()
+        if key not in self.shared:
+            self.shared[key] = make()
+        made: Made = self.shared[key]
+        return made
 
     def batch(self, rows: np.ndarray) -> TouchBatch:
         """Touches as predictors take them.

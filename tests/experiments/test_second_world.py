@@ -8,7 +8,7 @@ import pytest
 from helpers import second_world as world
 
 from experiments.train.loads import Tried, explained
-from i2t.prediction.baselines import Ridge
+from i2t.prediction.baselines import Ridge, patch_components
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import TouchBatch
 
@@ -53,7 +53,8 @@ def test_predicted_pressure_leads_ridge_regression_where_the_physics_is_another(
     missed = np.zeros_like(reading)
     for group in range(len(made)):
         train, test = groups != group, groups == group
-        model = Ridge().model((), patch[train], np.zeros((train.sum(), 0)), reading[train], groups[train])
+        components, nothing = patch_components(patch[train]), np.zeros((train.sum(), 0))
+        model = Ridge().model(components, (), patch[train], nothing, reading[train], groups[train])
         nothing = np.full(test.sum(), np.nan)
         asked = TouchBatch(patch[test], patch[test], nothing, nothing, nothing, nothing)
         missed[test] = model.predict_batch(asked).mean - reading[test]

@@ -3,9 +3,10 @@
 import numpy as np
 
 from i2t.prediction.baselines import ridge
+from i2t.prediction.methods import TrainingTouches
 from i2t.prediction.metrics import score
 from i2t.prediction.predictor import STDS_WITHIN_90
-from tests.helpers.baselines import fit_baselines, predict
+from tests.helpers.baselines import bare_dataset, fit_baselines, predict
 
 
 def test_ridge_minimises_its_loss():
@@ -70,6 +71,13 @@ def test_the_range_grows_away_from_what_was_touched():
     for name in ("nearest", "ridge"):
         std = predict(fitted[name], away, np.zeros((2, 0))).std
         assert (std[1] > std[0]).all()
+
+
+def test_methods_share_what_they_made_of_the_same_touches_only():
+    made: list[int] = []
+    given, rows = TrainingTouches(bare_dataset(np.zeros((4, 5, 5)), np.zeros((4, 6)))), np.arange(4) < 2
+    values = [given.once("sum", mask, lambda: made.append(1) or len(made)) for mask in (rows, rows, ~rows)]
+    assert values == [1, 1, 2]
 
 
 def test_touches_that_are_all_alike_are_predicted_as_well():
