@@ -31,7 +31,7 @@ from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.depth.camera import read_image
 from i2t.errors import DataError
 from i2t.types import Board, ReturnCode, Touches
-from i2t.unknowns import find_force_sign, find_units, findings_to_meta
+from i2t.unknowns import correction_of, find_force_sign, find_units, findings_to_meta
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
@@ -110,8 +110,8 @@ def _corrected(dataset: Dataset, notes: ConversionLog) -> Dataset:
     for finding in (found, sign):
         if finding is found or enough or finding.wrong is False:
             notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
-    force = -touches.force if sign.wrong and enough else touches.force
-    touches = touches._replace(force=force, reading=found.correction.get("field_factor", 1.0) * touches.reading)
+    todo = correction_of([found, sign] if enough else [found])
+    touches = touches._replace(force=todo.force * touches.force, reading=todo.field * touches.reading)
     return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [found, sign]))
 
 
