@@ -6,7 +6,7 @@
 Each finding is one line, `file:line: sentence`. The exit code is 1 if there is any.
 
 Pages: links, files, tests, names, commands and their options exist; Python calls what exists; tables repeat what was
-measured (docs/results). Code: a package imports from lower floors only, nothing imports itself in a circle, and
+measured (docs/results), and results that sentences name stand in tables. Code: a package imports from lower floors only, nothing imports itself in a circle, and
 docstrings say what is taken and given. The site is built, and a warning is a finding.
 """
 
@@ -28,9 +28,9 @@ class CheckDocsArgs:
 
 def run(args: CheckDocsArgs) -> int:
     """Print what is wrong; returns the exit code."""
-    from experiments.check_docs import code, pages
+    from experiments.check_docs import code, numbers, pages
 
-    found = [*pages.findings(ROOT), *code.findings(ROOT)]
+    found = [*pages.findings(ROOT), *numbers.findings(ROOT), *code.findings(ROOT)]
     if args.site:
         found += pages.site(ROOT)
     for path, line, sentence in found:

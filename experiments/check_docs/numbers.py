@@ -1,0 +1,84 @@
+"""Numbers in sentences: a result that a sentence names stands in a table.
+
+A result is a number without a unit of size, a percentage, a time, a ratio or a count of a thousand and more. It is held
+if a table of the page has it, or a table of a page that the paragraph links to, rounded to as many decimals. Free are
+whole numbers below a thousand, sizes of at most one decimal ("0.5 mm") or of images ("48 x 48"), years, versions, and
+the levels 90 % and 95 %.
+In the README, rows of tables that are not written from docs/results are sentences too.
+"""
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from experiments.check_docs.pages import Finding, pages_of
+from experiments.reproduce.tables import MARK
+
+UNSPOKEN = (
+    r"^```.*?^```", r"<!--.*?-->", r"\$\$.*?\$\$", r"\$[^$\n]+\$", r"`[^`]*`", r"^#.*?$", r"!\[[^\]]*\]",
+    r"(?<=\])\([^)]*\)", r"\d+ x \d+(?: x \d+)*", r"Python \d\.\d+(?:(?:,| and| or| to) \d\.\d+)*", r"\bv?\d+\.\d+\.\d+\b",
+    r"\b(?:19|20)\d\d\b", r"^ *\d+\. ", r"[A-Za-z_]\w*[-\d]\d[\w.]*", r"\b9[05] %",
+)  # fmt: skip
+UNSPOKEN_PATTERN = re.compile("|".join(f"(?:{each})" for each in UNSPOKEN), re.M | re.S)
+UNITS = (
+    r"mm²|mm|cm|m|[uµ]m|[uµ]T|mT|nT|N|Nm|N/m|kPa|MPa|kg|g|[kM]?Hz|degrees?|deg|°|pixels?|bits?|V|m/s|bytes?|threads?"
+)
+NUMBER = re.compile(r"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?: ?-? ?(%|points?|times|ms|s|minutes?|min|hours?|MB|GB)(?!\w))?"
+                    rf"(?: ({UNITS})(?!\w))?")  # fmt: skip
+LINK = re.compile(r"\]\(([\w./]+\.md)")
+TABLE_ROW = re.compile(r"^\|.*$", re.M)
+SMALL = 1000  # whole numbers below it are free
+
+
+def findings(root: Path) -> Iterator[Finding]:
+    """Results that sentences of the pages name and no table holds; the list of changes tells history."""
+    for page in pages_of(root):
+        if page.stem != "CHANGELOG":
+            yield from numbers(page, page.read_text())
+
+
+def numbers(page: Path, text: str) -> Iterator[Finding]:
+    """Results that sentences of one page name and no table holds."""
+    spoken = MARK.sub(_blank, text) if page.stem == "README" else TABLE_ROW.sub(_blank, text)
+    spoken = UNSPOKEN_PATTERN.sub(_blank, spoken)
+    for paragraph in re.finditer(r"(?:^.*\S.*$\n?)+", text, re.M):
+        pages = [page, *(page.parent / name for name in LINK.findall(paragraph[0]))]
+        held = frozenset().union(*(_held(each) for each in pages if each.exists()))
+        for found in NUMBER.finditer(spoken, paragraph.start(), paragraph.end()):
+            if _is_result(found) and not _is_held(found, held):
+                line = text.count("\n", 0, found.start()) + 1
+                yield Finding(page, line, f"no table holds the number {found[0].strip()}")
+
+
+def _blank(found: re.Match[str]) -> str:
+    """Spaces in place of what is found, so that lines stay where they are."""
+    return re.sub(r"[^\n]", " ", found[0])
+
+
+def _value(found: re.Match[str]) -> tuple[float, int]:
+    """A number, and its decimals."""
+    digits = re.sub(r"\s", "", found[1]).rstrip(".")
+    return float(digits), len(digits.partition(".")[2])
+
+
+def _is_result(found: re.Match[str]) -> bool:
+    value, decimals = _value(found)
+    return bool(found[2]) or value >= SMALL or decimals > (1 if found[3] else 0)
+
+
+def _is_held(found: re.Match[str], held: frozenset[float]) -> bool:
+    value, decimals = _value(found)
+    asked = [(value, decimals)]
+    if found[2] in ("%", "point", "points"):
+        asked.append((value / 100, decimals + 2))
+    return any(abs(each - of) <= 0.5 * 10**-to + 1e-9 for of, to in asked for each in held)
+
+
+@cache
+def _held(page: Path) -> frozenset[float]:
+    """All numbers in tables of a page."""
+    rows = TABLE_ROW.findall(page.read_text())
+    if page.stem == "README":
+        rows = [row for marked in MARK.finditer(page.read_text()) for row in TABLE_ROW.findall(marked[0])]
+    return frozenset(_value(found)[0] for row in rows for found in NUMBER.finditer(row))
