@@ -6,8 +6,9 @@
 Each finding is one line, `file:line: sentence`. The exit code is 1 if there is any.
 
 Pages: links, files, tests, names, commands and their options exist; Python calls what exists; tables repeat what was
-measured (docs/results), and results that sentences name stand in tables. Code: a package imports from lower floors only, nothing imports itself in a circle, and
-docstrings say what is taken and given. The site is built, and a warning is a finding.
+measured (docs/results), and results that sentences name stand in tables. Code: a package imports from lower floors
+only, nothing imports itself in a circle, and docstrings say what is taken and given. The site is built, and a warning
+is a finding.
 """
 
 import sys

@@ -17,15 +17,15 @@ from experiments.reproduce.tables import MARK
 
 UNSPOKEN = (
     r"^```.*?^```", r"<!--.*?-->", r"\$\$.*?\$\$", r"\$[^$\n]+\$", r"`[^`]*`", r"^#.*?$", r"!\[[^\]]*\]",
-    r"(?<=\])\([^)]*\)", r"\d+ x \d+(?: x \d+)*", r"Python \d\.\d+(?:(?:,| and| or| to) \d\.\d+)*", r"\bv?\d+\.\d+\.\d+\b",
-    r"\b(?:19|20)\d\d\b", r"^ *\d+\. ", r"[A-Za-z_]\w*[-\d]\d[\w.]*", r"\b9[05] %",
+    r"(?<=\])\([^)]*\)", r"\d+ x \d+(?: x \d+)*", r"Python \d\.\d+(?:(?:,| and| or| to) \d\.\d+)*",
+    r"\bv?\d+\.\d+\.\d+\b", r"\b(?:19|20)\d\d\b", r"^ *\d+\. ", r"[A-Za-z_]\w*[-\d]\d[\w.]*", r"\b9[05] %",
 )  # fmt: skip
 UNSPOKEN_PATTERN = re.compile("|".join(f"(?:{each})" for each in UNSPOKEN), re.M | re.S)
 UNITS = (
     r"mm²|mm|cm|m|[uµ]m|[uµ]T|mT|nT|N|Nm|N/m|kPa|MPa|kg|g|[kM]?Hz|degrees?|deg|°|pixels?|bits?|V|m/s|bytes?|threads?"
 )
-NUMBER = re.compile(r"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?: ?-? ?(%|points?|times|ms|s|minutes?|min|hours?|MB|GB)(?!\w))?"
-                    rf"(?: ({UNITS})(?!\w))?")  # fmt: skip
+RESULTS = r"%|points?|times|ms|s|minutes?|min|hours?|MB|GB"
+NUMBER = re.compile(rf"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?: ?-? ?({RESULTS})(?!\w))?(?: ({UNITS})(?!\w))?")
 LINK = re.compile(r"\]\(([\w./]+\.md)")
 TABLE_ROW = re.compile(r"^\|.*$", re.M)
 SMALL = 1000  # whole numbers below it are free
