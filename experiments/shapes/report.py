@@ -8,7 +8,7 @@ import numpy as np
 from experiments.common.intervals import with_interval
 from experiments.shapes.methods import METHODS
 from i2t import viz
-from i2t.recognition.intervals import Estimate, student_interval, wilson_interval
+from i2t.recognition.intervals import Estimate, rate_interval, student_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 
@@ -46,7 +46,7 @@ def _scored(
     np.add.at(confusion, (true, guess), 1)
     return {
         "total": _total(guesses, truth, held),
-        "by_shape": {name: _plain(wilson_interval(guess[true == i] == i)) for i, name in enumerate(names)},
+        "by_shape": {name: _plain(rate_interval(guess[true == i] == i)) for i, name in enumerate(names)},
         "confusion": confusion.tolist(),
     }
 

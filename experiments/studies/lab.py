@@ -129,14 +129,16 @@ class StudyLab:
             sites=plan.sites, pad=pad, config=config, label=label,
         )  # fmt: skip
 
-    def refit(self, key: Array, *, pad: Pad | None = None, limits: PressLimits | None = None) -> PadModel:
-        """The pad model as the run fitted it, but from touches of another pad, or of presses with other limits."""
-        pad, limits, errors = pad or self.run.pad, limits or self.cfg.limits, self.cfg.errors
+    def refit(self, key: Array, world: StudyWorld) -> PadModel:
+        """The pad model as the run fitted it, but from touches with the pad, the limits and the law of some world."""
+        pad, limits, errors = world.pad or self.run.pad, world.limits or self.cfg.limits, self.cfg.errors
         key_press, key_fit = jax.random.split(key)
         which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
         names = tuple(self.run.dataset.objects[i] for i in which)
         surfaces = [self.run.surfaces[name] for name in names]
-        made = simulation.simulate_touches(key_press, surfaces, pad, errors, counts.tolist(), limits=limits)
+        made = simulation.simulate_touches(
+            key_press, surfaces, pad, errors, counts.tolist(), limits=limits, law=world.law(pad)
+        )
         dataset = Dataset.simulated(made, names, pad)
         rows = np.ones(len(dataset), bool)
         return fit_pad_model(key_fit, dataset, rows, self.run.surfaces, errors=errors, limits=limits)

@@ -1,6 +1,7 @@
 """The studies that are tables of settings (`experiments.studies.lab`): what is varied, and over which values.
 
-mismatch     the world differs from what the belief was fitted to, in one thing at a time, and the belief stays;
+mismatch     the world differs from what the belief was fitted to, in one thing at a time, and the belief stays; where
+             the physics of the skin is another one, a belief that was fitted there is compared with it;
 sensitivity  the world's errors, noise and presses differ, and the belief knows how large they are;
 new_pad      a pad that was never recorded is pressed with a known ball, and a pad is fitted to its readings
              (`i2t.calibration.physics`). A pad model is fitted to simulated touches with that pad, and errs as much
@@ -35,7 +36,8 @@ WITH_PRESENCE = ("fused", "readings and presence")
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
 CAMERA_BIAS = np.array([0.6e-3, -0.6e-3, 0.6e-3, *(TWIST_LEVER_M * np.radians([0.6, 0.6, -0.6]))])  # 1 mm, 1 degree
 MESH_PERCENT = (-3, -1, 1, 3)
-DEBUG_WORLDS = ("matched", "Winkler foundation", "meshes 3 % larger")
+OTHER_PHYSICS = ("Winkler foundation", "free side faces", "soft compressible layer")  # to which a pad model is fitted
+DEBUG_WORLDS = ("matched", "Winkler foundation", "Winkler foundation, fitted there", "meshes 3 % larger")
 
 REFITTED_UT = (50.0, 100.0)  # at which presses stop that a pad model is fitted to, too
 AMBIENT_EVERY = (5, 20)  # touches; an episode of ten has one in its first touch at 20
@@ -78,7 +80,9 @@ def _shifted(mesh: Mesh) -> Mesh:
 
 
 def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
-    """Worlds of which the belief knows nothing, but for the first."""
+    """Worlds of which the belief knows nothing but for the first, and those of another physics with a pad model that is
+    fitted to touches there.
+    """
     errors, limits, pad = lab.cfg.errors, lab.cfg.limits, lab.run.pad
     chips = jnp.asarray(pad.board.chips) + jnp.asarray(REMOUNTED_M, jnp.float32)[None]
     worn = pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization)
@@ -103,8 +107,11 @@ def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
         "placement off twice as far as stated": StudyWorld(errors=_placed(errors, 2.0)),
         "placement off half as far as stated": StudyWorld(errors=_placed(errors, 0.5)),
     }
-    some = DEBUG_WORLDS if lab.args.debug else tuple(worlds)
-    return {name: Setting(worlds[name], WITH_READINGS, lab.pad_model, errors) for name in some}
+    found = {name: Setting(world, WITH_READINGS, lab.pad_model, errors) for name, world in worlds.items()}
+    for i, name in enumerate(OTHER_PHYSICS[:1] if lab.args.debug else OTHER_PHYSICS):
+        model = lab.refit(jax.random.fold_in(key, i), worlds[name])
+        found[f"{name}, fitted there"] = found[name]._replace(model=model)
+    return {name: each for name, each in found.items() if name in DEBUG_WORLDS or not lab.args.debug}
 
 
 def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
@@ -138,7 +145,7 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
         found[f"ambient every {every} touches, drift followed"] = usual._replace(model=model)
     for stop in REFITTED_UT[:1] if lab.args.debug else REFITTED_UT:
         name = f"stop at {stop:.0f} uT"
-        model = lab.refit(jax.random.fold_in(key, int(stop)), limits=limits[name])
+        model = lab.refit(jax.random.fold_in(key, int(stop)), StudyWorld(limits=limits[name]))
         found[f"{name}, fitted there"] = found[name]._replace(model=model)
     return {name: each for name, each in found.items() if name in DEBUG_ERRORS or not lab.args.debug}
 
@@ -158,9 +165,9 @@ def new_pad(lab: StudyLab, key: Array) -> dict[str, Setting]:
         key_press, key_model = jax.random.split(jax.random.fold_in(key, n))
         fitted = press_and_fit(key_press, pad, n, board)
         error_std = float(jnp.sqrt(jnp.mean(fitted.leave_one_out**2)))
-        models[f"{n} presses"] = with_press_errors(lab.refit(key_model, pad=fitted.pad), error_std)
-    models["the pad itself"] = lab.refit(jax.random.fold_in(key, 0), pad=pad)
+        models[f"{n} presses"] = with_press_errors(lab.refit(key_model, StudyWorld(pad=fitted.pad)), error_std)
     world = StudyWorld(pad=pad)
+    models["the pad itself"] = lab.refit(jax.random.fold_in(key, 0), world)
     found = {name: Setting(world, WITH_PRESENCE, model, lab.cfg.errors) for name, model in models.items()}
     return found | {"": Setting(world, ("position and presence",), lab.pad_model, lab.cfg.errors)}
 

@@ -4,7 +4,8 @@ object that was there.
 `cluster_interval` resamples whole clusters. Its variance over several crossed factors is put together as Cameron,
 Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), each part by a bootstrap of clusters;
 few clusters are allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
-`wilson_interval` is for rates of independent trials (Wilson, JASA 22, 1927). All cover 95 %.
+`rate_interval` is Jeffreys' (Brown, Cai and DasGupta, Statistical Science 16, 2001) for as many independent trials as
+would have that variance (Korn and Graubard, Survey Methodology 24, 1998). All cover 95 %.
 NumPy, because nothing here is differentiated.
 """
 
@@ -40,40 +41,39 @@ def estimate_at(estimates: Estimate, index: int) -> Estimate:
     return Estimate(estimates.mean[index], estimates.low[index], estimates.high[index])
 
 
-def wilson_interval(values: Shaped[Array, "n ..."]) -> Estimate:
-    """Mean and Wilson's interval of independent values between 0 and 1.
+def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
+    """Mean of values between 0 and 1, with Jeffreys' limits at the effective number of trials.
 
-    Fractions, which shared ties give, are welcome: nothing in [0, 1] varies more than a coin of the same mean.
+    n_e = p (1 - p) / v [t(n - 1) / t(k)]^2, where v is the variance of the mean p over clusters, which is at least that
+    of independent episodes, k its degrees of freedom and t() the quantiles of Student's t. Where all values are alike,
+    n_e is n times the bracket. Limits lie between 0 and 1, also where all episodes were right.
 
     Args:
-        values: (n, ...) in [0, 1].
+        values: (n, ...) in [0, 1]; fractions are those of shared ties, or means over touches.
+        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
 
     Returns:
-        Estimates of the trailing shape; NaN where n is 0.
+        Estimates of the trailing shape; NaN where n is 0, limits NaN where no factor has three clusters.
     """
     values = np.asarray(values, np.float64)
-    if not len(values):
-        nothing = np.full(values.shape[1:], np.nan)
-        return Estimate(nothing, nothing, nothing)
-    return _wilson(values.mean(0), len(values))
-
-
-def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
-    """Mean of values between 0 and 1: `cluster_interval`, or Wilson's where episodes are independent.
-
-    Limits stay between 0 and 1; where clusters do not differ at all, they are Wilson's for as many trials as there are
-    clusters.
-
-    Args:
-        values: (n, ...) in [0, 1].
-        clusters: Factors in which episodes are alike, as of `cluster_interval`.
-
-    Returns:
-        Estimates of the trailing shape.
-    """
-    if not clusters or not len(values):
-        return wilson_interval(values)
-    return _within_unit(cluster_interval(values, clusters), np.asarray(values, np.float64), clusters)
+    n, shape = len(values), values.shape[1:]
+    if not n:
+        return Estimate(*np.full((3, *shape), np.nan))
+    flat = values.reshape(n, -1)
+    mean, independent = flat.mean(0), flat.var(0) / n
+    if clusters:
+        variance, freedom = _spread(_weighted_mean(flat), _factors(clusters, n))
+    else:
+        variance, freedom = independent, np.full_like(mean, max(n - 1, 1))
+    variance = np.maximum(variance, independent)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        trials = (
+            np.where(variance > 0, mean * (1 - mean) / variance, n) * (_t(np.float64(max(n - 1, 1))) / _t(freedom)) ** 2
+        )
+    right, wrong = mean * trials + 0.5, (1 - mean) * trials + 0.5
+    low, high = (stats.beta.ppf((1 + sign * COVERAGE) / 2, right, wrong) for sign in (-1, 1))
+    low, high = np.where(mean == 0, 0, np.minimum(low, mean)), np.where(mean == 1, 1, np.maximum(high, mean))
+    return Estimate(*(part.reshape(shape) for part in (mean, low, high)))
 
 
 def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
@@ -122,13 +122,18 @@ def cluster_interval(
         ValueError: Labels are not as many as values.
     """
     values = np.asarray(values, np.float64)
-    flat = values.reshape(len(values), -1)
-
-    def weighted_mean(weight: np.ndarray) -> np.ndarray:
-        return weight @ flat / weight.sum()
-
-    found = bootstrap_clusters(weighted_mean, clusters, len(values), draws=draws, seed=seed)
+    statistic = _weighted_mean(values.reshape(len(values), -1))
+    found = bootstrap_clusters(statistic, clusters, len(values), draws=draws, seed=seed)
     return Estimate(*(part.reshape(values.shape[1:]) for part in found))
+
+
+def _weighted_mean(values: Float[np.ndarray, "n k"]) -> Statistic:
+    return lambda weight: weight @ values / weight.sum()
+
+
+def _t(freedom: Shaped[Array, "..."]) -> np.ndarray:
+    """Student's t for half of the width of an interval."""
+    return np.asarray(stats.t.ppf((1 + COVERAGE) / 2, freedom))
 
 
 def bootstrap_clusters(
@@ -150,26 +155,32 @@ def bootstrap_clusters(
         ValueError: Labels are not as many as episodes.
     """
     seen = np.asarray(statistic(np.ones(count)), np.float64)
-    shape, centre = seen.shape, seen.reshape(-1)
-    factors = _factors(clusters, count)
+    variance, freedom = _spread(statistic, _factors(clusters, count), draws, seed)
+    half = (_t(freedom) * np.sqrt(variance)).reshape(seen.shape)
+    return Estimate(seen, seen - half, seen + half)
+
+
+def _spread(
+    statistic: Statistic, factors: Sequence[Int[np.ndarray, " n"]], draws: int = RESAMPLES, seed: int = 0
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Variance of a statistic over crossed factors, and its degrees of freedom; NaN where there is no factor."""
     if not factors:
-        return Estimate(seen, np.full_like(seen, np.nan), np.full_like(seen, np.nan))
+        return np.full(1, np.nan), np.full(1, np.nan)
     rng = np.random.default_rng(seed)
-    variance, first, spread = (np.zeros_like(centre) for _ in range(3))
+    variance = first = spread = np.zeros(1)
     for size in range(1, len(factors) + 1):
         for some in combinations(factors, size):
             label = _cells(some)
             part = _resampled_variance(statistic, label, draws, rng)
-            variance += (-1) ** (size + 1) * part
+            variance = variance + (-1) ** (size + 1) * part
             if size == 1:
                 first = np.maximum(first, part)
-                spread += part**2 / label.max()
+                spread = spread + part**2 / label.max()
     variance = np.maximum(variance, first)  # what cells take off is noisy too
     fewest = min(int(factor.max()) for factor in factors)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.clip(np.where(spread > 0, variance**2 / spread, fewest), fewest, None)
-    half = stats.t.ppf((1 + COVERAGE) / 2, freedom) * np.sqrt(variance)
-    return Estimate(*(part.reshape(shape) for part in (centre, centre - half, centre + half)))
+    return variance, freedom
 
 
 def _factors(clusters: Clusters, count: int) -> list[Int[np.ndarray, " n"]]:
@@ -204,21 +215,3 @@ def _resampled_variance(
     counts = rng.multinomial(groups - 1, np.full(groups, 1 / groups), size=draws).astype(np.float64)
     found = np.array([np.atleast_1d(statistic(count[label])) for count in counts], np.float64)
     return np.nanvar(found.reshape(draws, -1), axis=0, ddof=1)
-
-
-def _within_unit(found: Estimate, values: np.ndarray, clusters: Clusters) -> Estimate:
-    """Limits of rates: between 0 and 1, and Wilson's where clusters show no difference."""
-    factors = _factors(clusters, len(values))
-    if not factors:
-        return found
-    wilson = _wilson(values.mean(0), int(_cells(factors).max()) + 1)
-    alike = np.asarray(found.high - found.low) < 1e-12
-    low = np.where(alike, wilson.low, np.clip(found.low, 0, 1))
-    return Estimate(found.mean, low, np.where(alike, wilson.high, np.clip(found.high, 0, 1)))
-
-
-def _wilson(mean: Shaped[Array, "..."], trials: int) -> Estimate:
-    z = stats.norm.ppf((1 + COVERAGE) / 2)
-    centre = (mean + z**2 / (2 * trials)) / (1 + z**2 / trials)
-    half = z / (1 + z**2 / trials) * np.sqrt(mean * (1 - mean) / trials + z**2 / (4 * trials**2))
-    return Estimate(mean, np.minimum(centre - half, mean), np.maximum(centre + half, mean))

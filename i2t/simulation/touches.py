@@ -352,7 +352,7 @@ def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
     return jnp.eye(4).at[2, 3].set(distance)
 
 
-@partial(jax.jit, static_argnames=("errors", "limits", "sites", "n"))
+@partial(jax.jit, static_argnames=("errors", "limits", "sites", "n", "law"))
 @geometry.full_precision
 def simulate_session(
     key: Key[Array, ""],
@@ -365,6 +365,7 @@ def simulate_session(
     limits: PressLimits,
     sites: touch_sites.SiteLimits,
     n: int,
+    law: PressLaw = press_pad,
 ) -> Touches:
     """One session of n touches on random safe sites of one object; compiled.
 
@@ -378,6 +379,7 @@ def simulate_session(
         limits: when a press ends.
         sites: which sites are safe.
         n: touches.
+        law: what a press of the pad gives.
 
     Returns:
         n touches; rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
@@ -388,7 +390,9 @@ def simulate_session(
 
     def touch(key: Key[Array, ""], T_o_site: Float[Array, "4 4"]) -> Touches:
         T_w_site = T_w_o @ T_o_site
-        return simulate_touch(key, surface, T_w_o, T_w_site, session=session, pad=pad, errors=errors, limits=limits)
+        return simulate_touch(
+            key, surface, T_w_o, T_w_site, session=session, pad=pad, errors=errors, limits=limits, law=law
+        )
 
     touches = jax.vmap(touch)(jax.random.split(key_touches, n), chosen.T_w_t)
     touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
@@ -405,6 +409,7 @@ def simulate_touches(
     limits: PressLimits | None = None,
     sites: touch_sites.SiteLimits | None = None,
     touches_per_session: int = 36,
+    law: PressLaw = press_pad,
     progress: Callable[[int], None] = lambda touches: None,
 ) -> Touches:
     """Simulated touches on objects, in sessions, with the errors of a real lab; a session on each device at a time.
@@ -418,6 +423,7 @@ def simulate_touches(
         limits: when a press ends.
         sites: which sites are safe.
         touches_per_session: touches after which the object is placed anew.
+        law: what a press of the pad gives; another one makes a world whose physics is another.
         progress: called with the number of touches just made.
 
     Returns:
@@ -454,7 +460,7 @@ def simulate_touches(
 
     made = spread(
         simulate_session, calls(), shared=(jnp.eye(4), pad),
-        errors=errors, limits=limits, sites=sites, n=touches_per_session,
+        errors=errors, limits=limits, sites=sites, n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []
     for session, ((i, kept), part) in enumerate(zip(sessions, made, strict=True)):

@@ -87,7 +87,7 @@ def lab(preset: str = "debug") -> SimpleNamespace:
     return SimpleNamespace(
         args=SimpleNamespace(debug=preset == "debug"), cfg=PRESETS["paper"], pad_model=model, seed=0,
         run=SimpleNamespace(pad=nominal_pad()),
-        refit=lambda key, **changed: model._replace(r2=0.1),
+        refit=lambda key, world: model._replace(r2=0.1),
     )  # fmt: skip
 
 
@@ -106,7 +106,10 @@ def test_sensitivity_tells_the_belief_the_errors_and_mismatch_does_not():
     assert harder.world.limits.skin_change == 50
     assert fitted.model.r2 == 0.1
     assert known["ambient every 5 touches, drift followed"].model.likelihood.drift_std == settings.FOLLOWED_DRIFT_UT
-    assert all(each.model is some.pad_model and each.stated is some.cfg.errors for each in blind.values())
+    assert all(each.stated is some.cfg.errors for each in blind.values())
+    refitted = {name for name, each in blind.items() if each.model is not some.pad_model}
+    assert refitted == {f"{name}, fitted there" for name in settings.OTHER_PHYSICS}
+    assert all(blind[f"{name}, fitted there"].world is blind[name].world for name in settings.OTHER_PHYSICS)
     twice = blind["placement off twice as far as stated"].world.errors
     assert twice.placement == 2 * some.cfg.errors.placement
     assert set(settings.mismatch(lab(), jax.random.key(0))) == set(settings.DEBUG_WORLDS)

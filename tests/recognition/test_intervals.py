@@ -9,7 +9,6 @@ from i2t.recognition.intervals import (
     cluster_interval,
     mean_interval,
     rate_interval,
-    wilson_interval,
 )
 
 
@@ -52,21 +51,26 @@ def test_crossed_factors_are_wider_than_either():
 
 
 @pytest.mark.parametrize(
-    ("name", "pads", "pools", "spread"), [("few pads", 5, 4, (0.8, 0.8, 0.0)), ("one pad", 1, 20, (0.0, 1.2, 0.0))]
+    ("name", "pads", "pools", "middle", "spread"),
+    [
+        ("few pads", 5, 4, 1.0, (0.8, 0.8)),
+        ("one pad", 1, 20, 1.0, (0.0, 1.2)),
+        ("nearly always right", 5, 4, 3.0, (1.0, 1.0)),
+    ],
 )
-def test_it_covers_clustered_rates_where_binomial_intervals_do_not(name, pads, pools, spread):
-    """Accuracies of clusters differ by a logit of `spread` (pads, pools, objects), as they do in recognition."""
+def test_it_covers_clustered_rates_where_binomial_intervals_do_not(name, pads, pools, middle, spread):
+    """Accuracies of clusters differ by a logit of `spread` (pads, pools), as they do in recognition."""
     covered, naive, trials = 0, 0, 150
-    nodes = np.random.default_rng(9).normal(size=20_000) * np.hypot(*spread[:2])
-    true = float((1 / (1 + np.exp(-(1.0 + nodes)))).mean())
+    nodes = np.random.default_rng(9).normal(size=20_000) * np.hypot(*spread)
+    true = float((1 / (1 + np.exp(-(middle + nodes)))).mean())
     for trial in range(trials):
         rng = np.random.default_rng(trial)
         pad, pool, _ = _episodes(pads, pools, 1, 25)
-        logit = 1.0 + spread[0] * rng.normal(size=pads)[pad] + spread[1] * rng.normal(size=pads * pools)[pool]
+        logit = middle + spread[0] * rng.normal(size=pads)[pad] + spread[1] * rng.normal(size=pads * pools)[pool]
         hit = (rng.random(len(pad)) < 1 / (1 + np.exp(-logit))).astype(float)
-        found = cluster_interval(hit, [pad, pool] if pads > 1 else [pool], draws=200, seed=trial)
+        found = rate_interval(hit, [pad, pool] if pads > 1 else [pool])
         covered += found.low <= true <= found.high
-        independent = wilson_interval(hit)
+        independent = rate_interval(hit)
         naive += independent.low <= true <= independent.high
     assert covered / trials > 0.91, name
     assert naive / trials < 0.75, name
@@ -88,7 +92,9 @@ def test_it_covers_crossed_pads_and_objects():
 def test_clusters_that_are_alike_one_cluster_and_labels_that_do_not_fit():
     label = np.repeat(np.arange(10), 30)
     right, same = rate_interval(np.ones(300), [label]), mean_interval(np.zeros(300), [label])
-    assert (float(right.low), float(right.high)) == pytest.approx((float(wilson_interval(np.ones(10)).low), 1.0))
+    trials = 300 * (stats.t.ppf(0.975, 299) / stats.t.ppf(0.975, 9)) ** 2  # ten clusters know less than 300 episodes
+    low = stats.beta.ppf(0.025, trials + 0.5, 0.5)
+    assert (float(right.low), float(right.high)) == pytest.approx((low, 1.0))
     assert (float(same.low), float(same.mean), float(same.high)) == (0.0, 0.0, 0.0)
     one = cluster_interval(np.array([0.0, 1.0]), [np.zeros(2, int)])
     np.testing.assert_array_equal([one.mean, one.low, one.high], [0.5, np.nan, np.nan])

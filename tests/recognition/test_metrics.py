@@ -16,9 +16,9 @@ def sharper(p, power):
 
 @pytest.mark.parametrize(("right", "n"), [(0, 10), (3, 10), (351, 400)])
 def test_intervals_are_those_of_scipy(right, n):
-    known = stats.binomtest(right, n).proportion_ci(method="wilson")
-    found = intervals.wilson_interval((np.arange(n) < right).astype(float))
-    assert_allclose(found, (right / n, known.low, known.high), atol=1e-12)
+    known = stats.beta(right + 0.5, n - right + 0.5)  # Jeffreys' posterior
+    found = intervals.rate_interval((np.arange(n) < right).astype(float))
+    assert_allclose(found, (right / n, known.ppf(0.025) if right else 0.0, known.ppf(0.975)), atol=1e-12)
     values = np.random.default_rng(0).normal(size=(6, 2))
     known = stats.ttest_1samp(values, 0).confidence_interval(0.95)
     assert_allclose(intervals.student_interval(values), (values.mean(0), known.low, known.high), rtol=1e-12)
@@ -43,7 +43,7 @@ def test_accuracy_by_hand():
     truth = np.array([0, 1, 1, 1])
     found, mean = scores.accuracy(p, truth), scores.mean_accuracy(p, truth)
     assert_allclose(found.mean, [1 / 4, 3.5 / 4])
-    assert_allclose((found.low[0], found.high[0]), stats.binomtest(1, 4).proportion_ci(method="wilson"))
+    assert_allclose((found.low[0], found.high[0]), stats.beta(1.5, 3.5).interval(0.95))
     each = np.array([1, 0.5, 0.5, 0.25])  # scores of episodes
     assert_allclose((mean.mean, mean.high - mean.mean), (each.mean(), stats.t.ppf(0.975, 3) * each.std(ddof=1) / 2))
     assert_array_equal(scores.confusion(p[:, 1], truth), [[1, 0], [0.5, 2.5]])
