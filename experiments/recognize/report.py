@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
+from experiments.common.intervals import clusters_needed, with_interval
 from experiments.common.runs import Part, write_json
 from experiments.common.tables import text_table
 from experiments.recognize import figures
@@ -30,6 +30,7 @@ PUBLISHED_I2T = {"primitives": 0.50, "tools": 0.70, "mean": 0.58}  # the paper's
 PUBLISHED_PROPRIOCEPTION = {"primitives": 0.23, "tools": 0.80, "mean": 0.46}
 REQUESTED_ERRORS = (0.01, 0.05, 0.10)  # of the stopping rule
 NUM_BINS = 10  # of a calibration error
+WANTED_HALF_WIDTH = 0.03  # of the interval of a difference after the last touch, for which pads are counted
 COMPARED = (
     *((f"{row}, votes", f"{PROPRIOCEPTION}, votes") for row in (*IMAGINE2TOUCH, RULES_GP, CONSTANT)),
     *((f"{row}, product", f"{PROPRIOCEPTION}, product") for row in (*IMAGINE2TOUCH, RULES_GP)),
@@ -227,7 +228,9 @@ def compare_methods(episodes: PooledEpisodes) -> dict[str, Any]:
         if {one, other} <= set(episodes.beliefs) and len(episodes.truth) > 1:
             hits = [metrics.hits(episodes.beliefs[method], episodes.truth) for method in (one, other)]
             difference = metrics.compare_paired(*hits, clusters=episodes.clusters())
-            found[f"{one} - {other}"] = to_json(difference)
+            half = float(difference.last.high - difference.last.mean)
+            needed = clusters_needed(half, len(np.unique(episodes.pad)), WANTED_HALF_WIDTH)
+            found[f"{one} - {other}"] = to_json(difference) | {"pads_needed": needed}
     return found
 
 
@@ -274,7 +277,8 @@ def print_tables(summary: dict[str, Any]) -> None:
         print(text_table(head, rows))
         print_objects(entry, touches)
         for pair, values in entry["paired"].items():
-            print(f"  {pair}: after {touches} {_cell(values['last'], '+')}, mean {_cell(values['mean'], '+')}")
+            pads = f"; {values['pads_needed']} pads for +- 3 points" if values["pads_needed"] else ""
+            print(f"  {pair}: after {touches} {_cell(values['last'], '+')}, mean {_cell(values['mean'], '+')}{pads}")
 
 
 def published_accuracy(name: str, method: str) -> float | None:

@@ -180,9 +180,9 @@ def methods_of_set(name: str) -> Table:
 
 def differences_of_set(name: str) -> Table:
     """Paired differences between methods."""
-    head = ("one method minus another", "after the last touch", "mean over touches")
+    head = ("one method minus another", "after the last touch", "mean over touches", "pads for ± 3 points")
     cells = (lambda found, key=key: estimate(found[key], sign=True) for key in ("last", "mean"))
-    return rows_over(f"sets/{name}/paired", head, *cells)
+    return rows_over(f"sets/{name}/paired", head, *cells, lambda found: str(found["pads_needed"]))
 
 
 def objects_of_set(name: str) -> Table:
