@@ -43,8 +43,9 @@ def numbers(page: Path, text: str) -> Iterator[Finding]:
     spoken = MARK.sub(_blank, text) if page.stem == "README" else TABLE_ROW.sub(_blank, text)
     spoken = UNSPOKEN_PATTERN.sub(_blank, spoken)
     for paragraph in re.finditer(r"(?:^.*\S.*$\n?)+", text, re.M):
-        pages = [page, *(page.parent / name for name in LINK.findall(paragraph[0]))]
-        held = frozenset().union(*(_held(each) for each in pages if each.exists()))
+        linked = (page.parent / name for name in LINK.findall(paragraph[0]))
+        texts = {page: text} | {each: each.read_text() for each in linked if each.exists()}
+        held = frozenset().union(*(_held(said, each.stem == "README") for each, said in texts.items()))
         for found in NUMBER.finditer(spoken, paragraph.start(), paragraph.end()):
             if _is_result(found) and not _is_held(found, held):
                 line = text.count("\n", 0, found.start()) + 1
@@ -76,9 +77,7 @@ def _is_held(found: re.Match[str], held: frozenset[float]) -> bool:
 
 
 @cache
-def _held(page: Path) -> frozenset[float]:
-    """All numbers in tables of a page."""
-    rows = TABLE_ROW.findall(page.read_text())
-    if page.stem == "README":
-        rows = [row for marked in MARK.finditer(page.read_text()) for row in TABLE_ROW.findall(marked[0])]
-    return frozenset(_value(found)[0] for row in rows for found in NUMBER.finditer(row))
+def _held(text: str, marked_only: bool) -> frozenset[float]:
+    """All numbers in the tables of a page."""
+    text = "\n".join(found[0] for found in MARK.finditer(text)) if marked_only else text
+    return frozenset(_value(found)[0] for row in TABLE_ROW.findall(text) for found in NUMBER.finditer(row))

@@ -7,7 +7,7 @@ import textwrap
 import pytest
 
 from experiments.check_docs import __main__ as command
-from experiments.check_docs import code, pages
+from experiments.check_docs import code, numbers, pages
 from experiments.check_docs.pages import ROOT, Finding
 
 PLANTED = [
@@ -32,6 +32,12 @@ PLANTED = [
     (pages.tables, "<!-- table: nothing mean -->\n<!-- end of table -->", "no step nothing"),
     (pages.advice, "Type `pip install 'i2t[view]'`.", "installs what there is not"),
     (pages.advice, "Type `pip install -e '.[view]'`.", ""),
+    (numbers.numbers, "It reaches .83.", "no table holds the number .83"),
+    (numbers.numbers, "It reaches .83 and 12 %.\n\n| a | 0.826 |\n| b | 0.118 |", ""),
+    (numbers.numbers, "It reaches .83.\n\n| a | 0.841 |", "number .83"),
+    (numbers.numbers, "It takes 93 s for 4321 touches of 0.25 mm.\n\n| 93 s |\n\n| 4321 | 0.25 |", ""),
+    (numbers.numbers, "It takes 93 s.", "93 s"),
+    (numbers.numbers, "A *4.8 mm* tip, 48 x 48 pixels, 300 touches, 95 %, Python 3.11, `0.123`, $0.123$ (2019).", ""),
     (pages.notebook, json.dumps({"cells": [{"cell_type": "code", "source": ["from experiments import a"],
                                             "outputs": [1], "execution_count": 1}]}), "outputs"),
 ]  # fmt: skip

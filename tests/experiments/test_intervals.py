@@ -1,10 +1,12 @@
-"""How a number and its interval are printed."""
+"""How a number and its interval are printed, and how many clusters a narrower one needs."""
 
 import math
 
+import numpy as np
 import pytest
 
-from experiments.common.intervals import with_interval
+from experiments.common.intervals import clusters_needed, with_interval
+from i2t.recognition.intervals import student_interval
 
 
 @pytest.mark.parametrize(
@@ -20,3 +22,17 @@ from experiments.common.intervals import with_interval
 )
 def test_an_interval_is_printed_where_there_is_one(numbers, options, said):
     assert with_interval(*numbers, **options) == said
+
+
+def test_as_many_clusters_as_are_said_make_the_interval_as_narrow_as_wanted_and_one_less_does_not():
+    """Clusters of unit variance, six at first."""
+
+    def half(number):
+        values = np.resize([-1.0, 1.0], number)
+        found = student_interval(values / values.std(ddof=1))
+        return float(found.high - found.mean)
+
+    needed = clusters_needed(half(6), 6, 0.3)
+    assert half(needed) <= 0.3 < half(needed - 1)
+    assert clusters_needed(half(needed), needed, half(needed)) == needed
+    assert clusters_needed(math.nan, 6, 0.3) is clusters_needed(1.0, 2, 0.3) is None
