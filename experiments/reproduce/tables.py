@@ -161,37 +161,81 @@ def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
     return number(sum(scores[key]) / len(scores[key]), decimals)
 
 
+def shown(name: str, *hidden: str) -> bool:
+    """Tell whether a row is shown: an average rule, or a name with one of the hidden words, is not."""
+    return not name.endswith(UNSHOWN) and not any(word in name for word in hidden)
+
+
 METHOD_HEAD = (
-    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "mean of 1 to 10 [95 %]", "ECE", "log loss",
+    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "for objects like these", "mean of 1 to 10 [95 %]",
+    "ECE", "log loss",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
-    *(lambda scores, touch=touch: number(at(scores["accuracy"], touch)["mean"]) for touch in (1, 3, 5)),
+    *(lambda scores, touch=touch: number(at(scores["accuracy"], touch)["mean"], 2) for touch in (1, 3, 5)),
     last,
-    lambda scores: estimate(scores["mean"]),
-    partial(mean_of, "calibration_error", 3),
+    lambda scores: estimate(scores["last_other_objects"], 2).partition(" ")[2],
+    lambda scores: estimate(scores["mean"], 2),
+    partial(mean_of, "calibration_error", 2),
     partial(mean_of, "log_loss", 2),
 )
 
 
 def methods_of_set(name: str) -> Table:
-    """Accuracy of every method on a set of objects."""
-    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS)
+    """Accuracy of every method on a set of objects, of the paper's rules by votes."""
+
+    def render(measured: Measured) -> str:
+        methods = measured["sets"][name]["methods"]
+        found = {method: scores for method, scores in methods.items() if shown(method, ", product")}
+        return rows_over("methods", METHOD_HEAD, *METHOD_CELLS)({"methods": found})
+
+    return render
+
+
+def paper_methods(measured: Measured) -> str:
+    """Accuracy after the last touch on the paper's two sets and on all their objects, below what the paper reports."""
+    from experiments.recognize.report import PUBLISHED_I2T, PUBLISHED_PROPRIOCEPTION  # here, as it imports JAX
+
+    sets, means = measured["sets"], measured["mean of the sets"]
+    rows = [
+        [f"{name}, the paper, one real skin", *(number(found[column], 2) for column in (*sets, "mean"))]
+        for name, found in (("Imagine2touch", PUBLISHED_I2T), ("proprioception", PUBLISHED_PROPRIOCEPTION))
+    ]
+    for method in filter(shown, means):
+        found = [last(each["methods"][method]) for each in sets.values()]
+        rows.append([method, *found, estimate(means[method])])
+    return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five objects"], rows)
+
+
+def paper_differences(measured: Measured) -> str:
+    """Paired differences of votes on the paper's two sets, and how many pads would tell them within 3 points."""
+    sets = measured["sets"]
+    rows = []
+    for pair in filter(lambda pair: shown(pair, "product"), next(iter(sets.values()))["paired"]):
+        found = (each["paired"][pair] for each in sets.values())
+        cells = ((estimate(each["last"], sign=True), str(each["pads_needed"])) for each in found)
+        rows.append([pair.replace(", votes", ""), *(cell for both in cells for cell in both)])
+    head = (cell for name in sets for cell in (f"{name} [95 %]", "pads for ± 3 points"))
+    return markdown(["by votes, after 10 touches", *head], rows)
+
+
+def sets_of_the_paper(measured: Measured) -> str:
+    """Accuracy of the belief after the last touch on the paper's two sets."""
+    names = [name for name in ("primitives", "tools") if name in measured["sets"]]
+    sets = [measured["sets"][name]["methods"] for name in names]
+    rows = [[method, *(last(each[method]) for each in sets)] for method in sets[0] if shown(method, ", ")]
+    return markdown(["after 10 touches [95 %]", *names], rows)
 
 
 def differences_of_set(name: str) -> Table:
-    """Paired differences between methods."""
-    head = ("one method minus another", "after the last touch", "mean over touches", "pads for ± 3 points")
-    cells = (lambda found, key=key: estimate(found[key], sign=True) for key in ("last", "mean"))
-    return rows_over(f"sets/{name}/paired", head, *cells, lambda found: str(found["pads_needed"]))
-
-
-def objects_of_set(name: str) -> Table:
-    """Accuracy after the last touch by the object that was there."""
+    """Paired differences between kinds of evidence, and to the paper's rules."""
 
     def render(measured: Measured) -> str:
-        objects = measured["sets"][name]["objects"]
-        cells = (lambda scores, each=each: estimate(scores["by_object"][each]["last"], 2) for each in objects)
-        return rows_over(f"sets/{name}/methods", ["method", *objects], *cells)(measured)
+        rows = [
+            [pair, *(estimate(found[key], sign=True) for key in ("last", "mean"))]
+            for pair, found in measured["sets"][name]["paired"].items()
+            if shown(pair, "votes", "proprioception", "readings and position")
+        ]
+        return markdown(["one method minus another", "after 10 touches", "mean of 1 to 10"], rows)
 
     return render
 
@@ -218,6 +262,25 @@ def stopping_of_set(name: str, method: str) -> Table:
 
 
 # --- studies of recognition ---
+
+
+def settings_by_evidence(*shown: str) -> Table:
+    """One row for each setting of a study: for some kinds of evidence the accuracy over all touches and its difference
+    to the first setting (rows of `experiments.studies.report`).
+    """
+
+    def render(measured: Measured) -> str:
+        found = measured["tables"]["methods"]
+        *_, mean, minus, loss = (column["name"] for column in found["columns"])
+        by_setting: dict[str, list[str]] = {}
+        for setting, evidence, _, _, whole, less, log_loss in found["rows"]:
+            if evidence in shown:
+                cells = [estimate(whole, 2), estimate(less, 2, sign=True), number(log_loss, 2)]
+                by_setting.setdefault(setting, []).extend(cells)
+        head = [f"{kind}: {name}" for kind in shown for name in (mean, minus, loss)]
+        return markdown(["setting", *head], [[setting, *cells] for setting, cells in by_setting.items()])
+
+    return render
 
 
 def study_table(name: str) -> Table:
@@ -333,6 +396,7 @@ STUDY_TABLES = {
     "sensitivity": ("methods",),
     "new_pad": ("methods",),
 }
+SETTINGS = {"mismatch": ("fused", "readings"), "sensitivity": ("fused",)}  # evidence that a row of each setting shows
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": rows_over("methods", ON_UNSEEN, partial(r2_of, 2), *numbers_of(ERRORS))},
     "train_blocks": {"predictors": predictors_on_recording("blocks")},
@@ -342,29 +406,20 @@ TABLES: dict[str, dict[str, Table]] = {
         "by object": predictors_by_object,
     },
     "paper": {
-        "primitives": methods_of_set("primitives"),
-        "tools": methods_of_set("tools"),
-        "mean": rows_over("mean of the sets", ("method", "after 10 [95 %]"), estimate),
-        "primitives differences": differences_of_set("primitives"),
-        "tools differences": differences_of_set("tools"),
-        "primitives by object": objects_of_set("primitives"),
-        "tools by object": objects_of_set("tools"),
+        "methods": paper_methods,
+        "differences": paper_differences,
     },
     "recognize": {
         "all": methods_of_set("all"),
-        "primitives": methods_of_set("primitives"),
-        "tools": methods_of_set("tools"),
-        "all other objects": rows_over(
-            "sets/all/methods",
-            ("method", "these objects", "objects like these"),
-            last,
-            lambda scores: estimate(scores["last_other_objects"]),
-        ),
-        "all by object": objects_of_set("all"),
+        "sets of the paper": sets_of_the_paper,
         "all differences": differences_of_set("all"),
         "stopping": stopping_of_set("all", "fused"),
     },
-    **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
+    **{
+        step: {name: study_table(name) for name in names}
+        | ({"settings": settings_by_evidence(*SETTINGS[step])} if step in SETTINGS else {})
+        for step, names in STUDY_TABLES.items()
+    },
     "reconstruct": {"conditions": reconstructions},
     "reconstruct_patch": {"methods": LOCAL_SHAPES},
     "reconstruct_tip": {"methods": TIPS},

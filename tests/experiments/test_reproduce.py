@@ -89,15 +89,15 @@ def test_a_table_is_written_where_it_was_measured_and_only_there(tmp_path):
     page.write_text("<!-- table: paper nothing -->\n<!-- end of table -->\n")
     with pytest.raises(ValueError, match="no table 'nothing' of paper"):
         write_tables(tmp_path)
-    page.write_text("<!-- table: paper mean -->\n<!-- end of table -->\n")
-    with pytest.raises(ValueError, match="reproduce --only paper"):
+    page.write_text("<!-- table: reconstruct_tip methods -->\n<!-- end of table -->\n")
+    with pytest.raises(ValueError, match="reproduce --only reconstruct_tip"):
         write_tables(tmp_path)
     results.mkdir()
-    measured = {"mean of the sets": {"votes": {"mean": 0.5, "low": 0.4, "high": 0.6}}}
-    (results / "paper.json").write_text(json.dumps(shortened("paper", measured)))
-    assert write_tables(tmp_path) == ["page.md: paper mean"]
+    measured = {"methods": {"head": {"within_1mm": [0.5, 0.4, 0.6]}}}
+    (results / "reconstruct_tip.json").write_text(json.dumps(shortened("reconstruct_tip", measured)))
+    assert write_tables(tmp_path) == ["page.md: reconstruct_tip methods"]
     before = page.read_text()
-    assert "| votes | 0.500 [0.400, 0.600] |" in before
+    assert "| head |  |  | 0.50 (0.40-0.60) |" in before
     write_tables(tmp_path)
     assert page.read_text() == before
 
