@@ -264,20 +264,22 @@ def stopping_of_set(name: str, method: str) -> Table:
 # --- studies of recognition ---
 
 
-def settings_by_evidence(*shown: str) -> Table:
-    """One row for each setting of a study: for some kinds of evidence the accuracy over all touches and its difference
-    to the first setting (rows of `experiments.studies.report`).
+def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
+    """One row for each setting of a study (rows of `experiments.studies.report`): for some kinds of evidence the
+    accuracy and its difference to the first setting, after the last touch for a single kind and over all touches.
     """
 
     def render(measured: Measured) -> str:
         found = measured["tables"]["methods"]
-        *_, mean, minus, loss = (column["name"] for column in found["columns"])
+        _, _, last, *_ = names = [column["name"] for column in found["columns"]]
         by_setting: dict[str, list[str]] = {}
-        for setting, evidence, _, _, whole, less, log_loss in found["rows"]:
-            if evidence in shown:
+        for setting, evidence, after, _, whole, less, log_loss in found["rows"]:
+            if (evidence in kinds or setting == "-") and shown(setting, *hidden):
                 cells = [estimate(whole, 2), estimate(less, 2, sign=True), number(log_loss, 2)]
-                by_setting.setdefault(setting, []).extend(cells)
-        head = [f"{kind}: {name}" for kind in shown for name in (mean, minus, loss)]
+                cells = [estimate(after, 2), *cells] if len(kinds) == 1 else cells
+                by_setting.setdefault(evidence if setting == "-" else setting, []).extend(cells)
+        few = names[4:] if len(kinds) > 1 else [last, *names[4:]]
+        head = [f"{kind}: {name}" for kind in kinds for name in few]
         return markdown(["setting", *head], [[setting, *cells] for setting, cells in by_setting.items()])
 
     return render
@@ -396,7 +398,10 @@ STUDY_TABLES = {
     "sensitivity": ("methods",),
     "new_pad": ("methods",),
 }
-SETTINGS = {"mismatch": ("fused", "readings"), "sensitivity": ("fused",)}  # evidence that a row of each setting shows
+SETTINGS = {
+    "mismatch": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ")),
+    "new_pad": settings_by_evidence("fused"),
+}
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": rows_over("methods", ON_UNSEEN, partial(r2_of, 2), *numbers_of(ERRORS))},
     "train_blocks": {"predictors": predictors_on_recording("blocks")},
@@ -416,8 +421,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "stopping": stopping_of_set("all", "fused"),
     },
     **{
-        step: {name: study_table(name) for name in names}
-        | ({"settings": settings_by_evidence(*SETTINGS[step])} if step in SETTINGS else {})
+        step: {name: study_table(name) for name in names} | ({"settings": SETTINGS[step]} if step in SETTINGS else {})
         for step, names in STUDY_TABLES.items()
     },
     "reconstruct": {"conditions": reconstructions},
