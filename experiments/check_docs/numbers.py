@@ -27,6 +27,7 @@ UNITS = (
 RESULTS = r"%|points?|times|ms|s|minutes?|min|hours?|MB|GB"
 NUMBER = re.compile(rf"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?: ?-? ?({RESULTS})(?!\w))?(?: ({UNITS})(?!\w))?")
 LINK = re.compile(r"\]\(([\w./]+\.md)")
+PARAGRAPH = re.compile(r"^\|.*$|(?:^(?!\|).*\S.*$\n?)+", re.M)  # a row of a table is one
 TABLE_ROW = re.compile(r"^\|.*$", re.M)
 SMALL = 1000  # whole numbers below it are free
 
@@ -42,7 +43,7 @@ def numbers(page: Path, text: str) -> Iterator[Finding]:
     """Results that sentences of one page name and no table holds."""
     spoken = MARK.sub(_blank, text) if page.stem == "README" else TABLE_ROW.sub(_blank, text)
     spoken = UNSPOKEN_PATTERN.sub(_blank, spoken)
-    for paragraph in re.finditer(r"(?:^.*\S.*$\n?)+", text, re.M):
+    for paragraph in PARAGRAPH.finditer(text):
         linked = (page.parent / name for name in LINK.findall(paragraph[0]))
         texts = {page: text} | {each: each.read_text() for each in linked if each.exists()}
         held = frozenset().union(*(_held(said, each.stem == "README") for each, said in texts.items()))
