@@ -20,7 +20,7 @@ LINES = ("-", "--", "-.", ":")
 
 def accuracy(methods: Mapping[str, Estimate], title: str, simulated: bool) -> Figure:
     """Accuracy (t,) after touches 1 to t of each method, shaded over its interval."""
-    figure = Figure(figsize=(6.4, 4), layout="constrained")
+    figure = Figure(figsize=(8.4, 4), layout="constrained")
     axes = figure.subplots()
     axes.set_title(titled(title, simulated), fontsize=11)
     styles = zip(cycle(COLOURS), cycle(METHOD_MARKERS), cycle(LINES), strict=False)
@@ -32,5 +32,5 @@ def accuracy(methods: Mapping[str, Estimate], title: str, simulated: bool) -> Fi
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.yaxis.set_major_formatter(PercentFormatter(1))
     axes.grid(alpha=0.25, lw=0.6)
-    axes.legend(fontsize=8, framealpha=0.8)
+    figure.legend(fontsize=8, loc="outside right center", frameon=False)
     return figure
