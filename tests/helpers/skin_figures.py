@@ -2,22 +2,17 @@
 on two cores).
 """
 
-import sys
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from round_tips import round_tip
 
 from i2t.skin import contact
 from i2t.skin.dipoles import CELL_NODES, response
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.pad import nominal_pad, press_force, sample_pad
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "skin"))  # whose shapes these figures are of
-
-from test_dipoles import _tip
 
 RANDOM = np.random.default_rng(1)
 FINEST = Grid(160, 256)
@@ -55,7 +50,7 @@ def refinement() -> None:
     }
     middle = (-4e-3, 4e-3)
     for family, shapes, force in (
-        ("tips", [_tip(*RANDOM.uniform(-7e-3, 7e-3, 2)) for _ in range(8)], 0.8),
+        ("tips", [partial(round_tip, at=RANDOM.uniform(-7e-3, 7e-3, 2)) for _ in range(8)], 0.8),
         ("stamps", [partial(_stamp, across=at, tilt=tilt) for at in (4e-3, 0) for tilt in (0, 0.02)], 1.0),
         ("edges", _drawn(_edge, (0, 2 * np.pi), (-5e-3, 5e-3), (0.2, 1.2)), 0.6),
         ("corners", _drawn(_corner, middle, middle, (0, 2), (0.4, 1)), 0.5),
@@ -80,7 +75,7 @@ def refinement() -> None:
 
 def magnitudes() -> None:
     y, x = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
-    heights = jnp.asarray(np.stack([_tip(*p)(x, y) for p in RANDOM.uniform(-7e-3, 7e-3, (32, 2))]), jnp.float32)
+    heights = jnp.asarray(np.stack([round_tip(x, y, p) for p in RANDOM.uniform(-7e-3, 7e-3, (32, 2))]), jnp.float32)
     forces = jnp.asarray(RANDOM.uniform(0.6, 1.0, 32), jnp.float32)
     pads = jax.jit(jax.vmap(sample_pad))(jax.random.split(jax.random.key(11), 200))
     each = jax.vmap(press_force, (None, 0, 0))
