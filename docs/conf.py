@@ -4,13 +4,17 @@ Pages are the Markdown files of this folder. Two are made while the site is buil
 the commands' own help, and the library's public names, from their docstrings.
 """
 
+import ast
 import contextlib
 import importlib
 import importlib.util
+import inspect
 import io
 import os
 import re
 import sys
+import textwrap
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +25,7 @@ from sphinx.errors import ExtensionError
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
-os.environ["COLUMNS"] = "110"  # of the help of commands
+os.environ["COLUMNS"] = "88"  # of the help of commands, as many as the page is wide
 
 import i2t
 from i2t.__main__ import COMMANDS, EXPERIMENTS
@@ -32,6 +36,8 @@ release = version = i2t.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "furo"
 html_title = f"i2t {release}"
+html_static_path = ["_static"]
+html_css_files = ["i2t.css"]
 html_show_sphinx = False
 html_copy_source = False
 exclude_patterns = ["figures", "results"]
@@ -67,10 +73,16 @@ def subcommands_of(text: str) -> list[str]:
 def _help(command: str, *words: str) -> str:
     package = importlib.util.find_spec(command).submodule_search_locations
     main = importlib.import_module(f"{command}.__main__" if package else command).main
-    out = io.StringIO()
+    out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # with an encoding, boxes are drawn as on a terminal
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
         main([*words, "--help"])
-    return out.getvalue()
+    out.flush()
+    return "\n".join(map(_wrapped, out.buffer.getvalue().decode().splitlines())) + "\n"
+
+
+def _wrapped(line: str) -> str:
+    """A line of prose in the width of the page; options and examples, which are indented or boxed, as they are."""
+    return textwrap.fill(line, int(os.environ["COLUMNS"])) if re.match(r"[\w(`]", line) else line
 
 
 def commands_page() -> str:
@@ -119,6 +131,7 @@ def setup(app: Any) -> None:
     app.connect("env-get-outdated", found)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
+    app.connect("autodoc-process-docstring", field_comment, priority=100)
 
 
 def draw_inline(writer: Any, node: nodes.math) -> None:
@@ -158,3 +171,31 @@ def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines
             made.append("")
         made.append(line)
     lines[:] = made
+
+
+def field_comment(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
+    """Describe a field of a named tuple by its comment in the source, in place of "Alias for field number 0"."""
+    if lines and lines[0].startswith("Alias for field number"):
+        *module, kind, field = name.split(".")
+        lines[:] = [comments_of(getattr(importlib.import_module(".".join(module)), kind)).get(field, ""), ""]
+
+
+@cache
+def comments_of(kind: type) -> dict[str, str]:
+    """The comment beside each field of a class, or else the one above it, as reStructuredText."""
+    source = textwrap.dedent(inspect.getsource(kind))
+    lines = source.splitlines()
+    said = {}
+    for node in ast.parse(source).body[0].body:
+        if isinstance(node, ast.AnnAssign):
+            comment = lines[node.end_lineno - 1].encode()[node.end_col_offset :].decode().strip()
+            above = node.lineno - 1
+            while not comment.startswith("#") and above and lines[above - 1].strip().startswith("#"):
+                above -= 1
+            block = [comment] if comment else lines[above : node.lineno - 1]
+            words = " ".join(line.strip().removeprefix("#").strip() for line in block).removesuffix(":")
+            parts = re.split(r"(`[^`]*`)", words)  # what is code stays as it is
+            said[node.target.id] = "".join(
+                part if part[:1] == "`" else re.sub(r"([*|_\\])", r"\\\1", part) for part in parts
+            )
+    return said

@@ -34,7 +34,6 @@ NOT_RUN = (
     "hardware",
     "local_shape",
     "registration",
-    "scaling",
     "tutorial_own_skin",
     "tutorial_recognise",
 )

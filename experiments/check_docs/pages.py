@@ -266,7 +266,7 @@ def site(root: Path) -> list[Finding]:
 
 SITE = {
     "reference_api": ("load_predictor",),
-    "reference_commands": ("--max-touches", "--square", "--dictionary", "--indenter"),
+    "reference_commands": ("--max-touches", "--square", "--dictionary", "--quarter-turns"),
     "physics": ("<math",),
     "index": ('src="_images/overview.png"',),
 }

@@ -4,7 +4,7 @@
     python -m experiments.train --preset debug       a few touches, too few to mean anything
     python -m experiments.train --seeds 5            means and 95 % intervals over seeds
     python -m experiments.train --preset study       six pads, one seed: means and 95 % intervals over pads
-    python -m experiments.train --preset study --executor local      its pads side by side (docs/scaling.md)
+    python -m experiments.train --preset study --workers 2        its pads side by side (docs/compiled.md)
     python -m experiments.train --pad FILE           a pad fitted to a real skin in place of a random one
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
     python -m experiments.train --methods gp ridge --method my_package.module:Mine    these, and one of your own
