@@ -96,7 +96,7 @@ def test_what_a_docstring_leaves_out_is_found():
 
 
 def test_findings_are_lines_and_the_exit_code(monkeypatch, capsys):
-    for module in (pages, code):
+    for module in (pages, numbers, code):
         monkeypatch.setattr(module, "findings", lambda root: [])
     assert command.main(["--no-site"]) == 0
     monkeypatch.setattr(pages, "site", lambda root: [Finding(root / "docs" / "a.md", 3, "it is wrong")])
