@@ -65,7 +65,7 @@ STEPS = (
     Step(
         "fidelity",
         "-m experiments.fidelity --preset short --dataset eflesh/spatial eflesh/normal eflesh/shear",
-        minutes=11,
+        minutes=5,
         again=OVERWRITE,
     ),
     Step("registration_frames", "-m experiments.registration frames --data DATA", minutes=1, again=OVERWRITE),

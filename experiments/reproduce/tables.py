@@ -419,45 +419,44 @@ def eflesh_sessions(measured: Measured) -> str:
     def noise(x: Any) -> str:
         return f"{x['xy_uT']:.2f}, {x['z_uT']:.2f}"
 
-    def of_height(key: str) -> Cell:
-        return lambda x: f"{100 * sum(x[key]) / len(x[key]):.1f} %"
+    def stroke(x: Any) -> str:
+        return ", ".join(number(sum(x[key]) / len(x[key])) for key in ("loop_share", "left_share"))
 
     def spread(x: Any) -> str:
         square = [each**2 for each in x["repeat_std_uT"]]
         return f"{(sum(square) / len(square)) ** 0.5:.1f}, {x['r2_ceiling']:.3f}"
 
     def growth(x: Any) -> str:
-        return f"{100 * sum(x['share_per_decade']) / x['holds']:.2f} %"
+        return number(sum(x["share_per_decade"]) / x["holds"])
 
     quantities: list[tuple[str, Measured, Cell, Callable[[Any], str]]] = [
-        ("noise of one sample, x and y, z (µT)", at_rest, noise, lambda x: noise(x["simulator"])),
-        ("drift, median channel, largest (µT)", drift, lambda x: f"{x['median_uT']:.1f}, {x['largest_uT']:.1f}",
+        ("noise in x and y, z (µT)", at_rest, noise, lambda x: noise(x["simulator"])),
+        ("drift: median channel, largest (µT)", drift, lambda x: f"{x['median_uT']:.1f}, {x['largest_uT']:.1f}",
          lambda x: f"{x['simulator_uT']:.1f}, -"),
-        ("ways in and out of a stroke apart", strokes, of_height("loop_share"), lambda _: "0"),
-        ("left after a stroke", strokes, of_height("left_share"), lambda _: "0"),
-        ("creep of a held press, per tenfold time", creep, growth, lambda x: f"{100 * x['simulator']:.2f} %"),
-        ("of the press before, kept by the worst chip", chips, lambda x: f"{100 * max(map(abs, x['by_chip'])):.1f} %",
-         lambda x: f"{100 * x['simulator']:.0f} %"),
-        ("scatter of repeated presses (µT), R² it allows", ends, spread, lambda _: "-"),
+        ("hysteresis of a stroke, left after it", strokes, stroke, lambda _: "0, 0"),
+        ("creep per tenfold time", creep, growth, lambda x: number(x["simulator"])),
+        ("kept of the press before", chips, lambda x: number(max(map(abs, x["by_chip"]))),
+         lambda x: number(x["simulator"])),
+        ("scatter of repeats (µT), R² ceiling", ends, spread, lambda _: "-"),
     ]  # fmt: skip
     rows = [
         [title, *(cell(values[name]) if name in values else "-" for name in SESSIONS), own(next(iter(values.values())))]
         for title, values, cell, own in quantities
         if values
     ]
-    return markdown(["real; simulated in the last column", *SESSIONS.values(), "simulator"], rows)
+    return markdown(["real skins", *SESSIONS.values(), "simulator"], rows)
 
 
 def eflesh_heads(measured: Measured) -> str:
-    """Errors of heads on eFlesh's sessions: the kept one with the share in its 90 % range, and two baselines."""
+    """Errors of heads on eFlesh's sessions: the kept one with the share in its 90 % range, and a baseline."""
     splits, rows = ("random rows", "whole blocks or strokes", "later in time"), []
     for (name, title), targets in zip(SESSIONS.items(), SHOWN_HEADS, strict=True):
         for target in targets:
             tests = measured["recordings"][name]["Heads"]["heads"][target]
             cells = [
-                f"{test['kept']['rmse']:.3f} ({test['kept']['inside_90']:.2f}), "
-                + ", ".join(number(test["baselines"][key]["rmse"]) for key in ("k nearest readings", "linear"))
+                f"{test['kept']['rmse']:.3f} ({test['kept']['inside_90']:.2f}), {number(nearest['rmse'])}"
                 for test in map(tests.__getitem__, splits)
+                for nearest in [test["baselines"]["k nearest readings"]]
             ]
             rows.append([f"{title}, {target} ({HEAD_UNITS[target]})", *cells])
     return markdown(["real", *splits], rows)
