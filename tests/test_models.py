@@ -50,12 +50,12 @@ def test_the_ready_pad_model_is_of_simulated_pad_0():
 
 def test_the_card_in_the_docs_gives_the_figures_of_the_run():
     card, page = model_card("nominal"), (ROOT / "docs" / "model_card.md").read_text()
-    readme = (ROOT / "README.md").read_text()  # which has the table, and the card links to it
-    assert "../README.md#what-the-main-experiment-does" in page
+    start = (ROOT / "docs" / "start.md").read_text()  # which has the table, and the card links to it
+    assert "(start.md#first-result-of-your-own)" in page
     assert card["source"] == "simulated"
     for name, scores in card["methods"].items():
         low, high = scores["r2_interval"]
-        assert f"| {name} | {scores['r2']:.2f} [{low:.2f}, {high:.2f}] | {scores['rmse']:.2f} |" in readme
+        assert f"| {name} | {scores['r2']:.2f} [{low:.2f}, {high:.2f}] | {scores['rmse']:.2f} |" in start
     for said in (f"{card['pad model']['r2']:.2f}", f"{card['megabytes']} MB", *card["trained on"], *card["tested on"]):
         assert said in page
     assert not set(card["trained on"]) & set(card["tested on"])

@@ -104,7 +104,10 @@ def _noise_rows(recording: SkinRecording, section: Section, rows: list[list[str]
         rows.append([f"noise of one sample, {axis} (uT)", cell(found, 2), cell(own, 2), cell(found / own, 2)])
     strong = float(np.percentile(np.linalg.norm(recording.readings, axis=1), 90))
     ratio = strong / float(np.sqrt(len(size) * (2 * xy**2 + z**2) / AXES))
-    section.numbers["noise"] = {"xy_uT": xy, "z_uT": z, "how": how, "signal_to_noise": ratio}
+    section.numbers["noise"] = {
+        "xy_uT": xy, "z_uT": z, "how": how, "signal_to_noise": ratio,
+        "simulator": {"xy_uT": simulated.xy, "z_uT": simulated.z},
+    }  # fmt: skip
     section.sentences.append(
         f"Noise is estimated from {how}. A strong reading (90th percentile) is {ratio:.0f} times as long as the noise."
     )
@@ -155,7 +158,7 @@ def _drift_rows(recording: SkinRecording, section: Section, rows: list[list[str]
     median, largest, own = float(np.median(change)), float(change.max()), Noise().drift
     rows.append(["drift over the recording, median channel (uT)", cell(median, 1), cell(own, 1), cell(median / own, 1)])
     rows.append(["the same, largest channel (uT)", cell(largest, 1), "64.0 (seen on real boards)", "-"])
-    section.numbers["drift"] = {"median_uT": median, "largest_uT": largest}
+    section.numbers["drift"] = {"median_uT": median, "largest_uT": largest, "simulator_uT": own}
 
 
 # --- hysteresis and creep ---
@@ -257,7 +260,9 @@ def _press_hysteresis(
     worst = int(np.argmax(np.abs(kept)))
     own = cell(Faults.typical().hysteresis)
     rows.append(["part of the press before that the worst chip keeps", cell(float(kept[worst])), own])
-    section.numbers["hysteresis_of_chips"] = {"by_chip": kept.tolist(), "beyond_chance": sure.tolist()}
+    section.numbers["hysteresis_of_chips"] = {
+        "by_chip": kept.tolist(), "beyond_chance": sure.tolist(), "simulator": Faults.typical().hysteresis,
+    }  # fmt: skip
     section.sentences.append(
         f"Chip {worst} keeps {kept[worst]:+.3f} of the press before ({'beyond' if sure[worst] else 'within'} chance)."
     )

@@ -13,7 +13,17 @@ import pytest
 from experiments.common.tables import markdown
 from experiments.reproduce import __main__ as reproduce
 from experiments.reproduce.steps import STEPS
-from experiments.reproduce.tables import TABLES, estimate, shortened, write_tables
+from experiments.reproduce.tables import (
+    CALIBRATED,
+    GAIN,
+    NEIGHBOURS,
+    PLAIN,
+    SESSIONS,
+    TABLES,
+    estimate,
+    shortened,
+    write_tables,
+)
 
 
 def test_every_step_is_a_command_that_takes_these_arguments():
@@ -115,3 +125,66 @@ def test_cells_by_hand():
     assert estimate({"mean": 0.1, "low": -0.1, "high": 0.3}, 2, sign=True) == "+0.10 [-0.10, +0.30]"
     assert markdown(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
     assert set(TABLES) <= {step.name for step in STEPS}
+
+
+def _curve(*means):
+    return {
+        count: {"mean": x, "low": x - 0.1, "high": x + 0.1} for count, x in zip(("5", "20", "100"), means, strict=True)
+    }
+
+
+def test_presses_that_a_skin_needs_are_a_table_with_intervals_over_blocks():
+    methods = {"mean of the presses": _curve(0, 0, 0), NEIGHBOURS: _curve(0.1, 0.2, 0.3), PLAIN: _curve(0.2, 0.3, 0.4)}
+    over = {"blocks": 7, "r2": _curve(0.4, 0.5, 0.6), "differences": {GAIN: _curve(0.2, 0.2, 0.2)}}
+    measured = {
+        "source": "real", "held_out": {"blocks of 6 mm": 80}, "r2": {"blocks of 6 mm": methods},
+        "calibrate_over_blocks": {"blocks of 6 mm": over},
+        "inside_90": {"blocks of 6 mm": {CALIBRATED: _curve(0.9, 0.91, 0.92)}},
+    }  # fmt: skip
+    head, _, *rows = TABLES["calibrate"]["whole blocks"](shortened("calibrate", measured)).splitlines()
+    assert head == "| real, 80 presses in whole blocks [95 % over 7 blocks] | 5 | 20 | 100 |"
+    assert rows[0] == f"| {NEIGHBOURS} | 0.100 | 0.200 | 0.300 |"
+    assert rows[2].startswith(f"| `{CALIBRATED}` | 0.400 [0.300, 0.500] |")
+    assert "| +0.200 [+0.100, +0.300] |" in rows[3]
+
+
+def test_kinds_of_simulated_skins_are_rows_with_gains():
+    case = {"r2": {CALIBRATED: _curve(0.4, 0.5, 0.6)}, "differences": {GAIN: _curve(0.2, 0.2, 0.2)},
+            "inside_90": _curve(0.84, 0.9, 0.92)}  # fmt: skip
+    table = TABLES["calibrate_simulated"]["kinds of skin"]({"source": "simulated", "cases": {"weak, force": case}})
+    assert table.splitlines()[-1].startswith("| weak, force | 0.40, +0.20 [+0.10, +0.30] |")
+    assert table.endswith("| 0.84-0.92 |")
+
+
+def _session(shear=False):
+    score = {"rmse": 0.5, "inside_90": 0.95}
+    test = {"kept": score, "baselines": {"k nearest readings": score, "linear": score}}
+    splits = dict.fromkeys(("random rows", "whole blocks or strokes", "later in time"), test)
+    noise = {"xy_uT": 2.0, "z_uT": 4.0, "how": "rows in air", "simulator": {"xy_uT": 3.1, "z_uT": 4.6}}
+    return {
+        "What it is": {"rows": 10, "known": {}},
+        "Noise and drift": {"noise": noise, "drift": {"median_uT": 1.0, "largest_uT": 2.0, "simulator_uT": 4.0}},
+        "Hysteresis and creep": {} if shear else {"hysteresis": {"loop_share": [0.1, 0.3], "left_share": [0.0]}},
+        "Ceilings": {"repeat_std_uT": [3.0, 4.0], "r2_ceiling": 0.9},
+        "Heads": {"sentences": [], "heads": dict.fromkeys(("position", "depth", "force", "shear"), splits)},
+    }
+
+
+def test_a_report_on_recordings_is_kept_for_two_tables():
+    measured = {"recordings": {name: _session(shear=title == "`shear`") for name, title in SESSIONS.items()}}
+    kept = shortened("fidelity", measured)
+    assert "known" not in json.dumps(kept)
+    assert "sentences" not in json.dumps(kept)
+    heads = TABLES["fidelity"]["heads"](kept).splitlines()
+    assert [line.split("|")[1].strip() for line in heads[2:]] == [
+        "`spatial`, position (mm)", "`spatial`, depth (mm)",
+        "`normal`, first, force (N)", "`normal`, second, force (N)",
+        "`shear`, shear (N)",
+    ]  # fmt: skip
+    assert heads[2].count("0.500 (0.95), 0.500 |") == 3
+    sessions = TABLES["fidelity"]["sessions"](kept)
+    assert (
+        "| hysteresis of a stroke, left after it | 0.200, 0.000 | 0.200, 0.000 | 0.200, 0.000 | - | 0, 0 |" in sessions
+    )
+    assert "| 3.5, 0.900 |" in sessions
+    assert "creep" not in sessions  # of none
