@@ -284,7 +284,7 @@ def predictors_by_object(measured: Measured) -> str:
 
 # --- active touch ---
 
-ACTIVE_TOUCHES = (1, 2, 4, 8, 16)  # touches of the table
+ACTIVE_TOUCHES = (1, 4, 16)  # touches of the table
 
 
 def policies(measured: Measured) -> str:
