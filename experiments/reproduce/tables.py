@@ -336,8 +336,11 @@ def scores_of(*scores: tuple[str, str, int]) -> Table:
 
 
 def _span(name: str, decimals: int, scores: Mapping[str, Any]) -> str:
-    """A mean with its interval; nothing where there is no such score."""
-    return estimate(scores[name], decimals) if name in scores else ""
+    """A mean with its interval, if it has any; nothing where there is no such score."""
+    if name not in scores:
+        return ""
+    mean, low, high = scores[name]
+    return estimate([mean, low, high] if low < high else [mean, None, None], decimals)
 
 
 TIPS = scores_of(
@@ -349,21 +352,21 @@ PATCH_SCORES = (
     ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
 )  # fmt: skip
 CRPS_GOALS = ("", "0.65", "0.52")  # of the prior, one stop and the press curve
-STOPS = ("prior", "one stop", "curve")
+STOPS = ("prior", "one stop", "press curve")
 
 
 def local_shapes(measured: Measured) -> str:
     """Scores of every method over all test objects, and what was wanted of CRPS."""
     rows = [
         [name, *(_span(score, 2, found) for score, _ in PATCH_SCORES), goal]
-        for (name, found), goal in zip(measured["methods"].items(), CRPS_GOALS, strict=True)
+        for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=True)
     ]
     return markdown(["method", *(title for _, title in PATCH_SCORES), "its goal"], rows)
 
 
 def local_shapes_by_source(measured: Measured) -> str:
-    """Masks and CRPS on objects of the catalogue, and on those drawn at random: a row for each source."""
-    shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1), ("crps_ratio", "CRPS", 1))  # and the first method
+    """Masks on objects of the catalogue, and on those drawn at random: a row for each source."""
+    shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # and the first method
     head = [f"{title}, {stop}" for _, title, first in shown for stop in STOPS[first:]]
     rows = [
         [

@@ -116,9 +116,9 @@ def test_local_shapes_are_shown_by_source_and_beside_their_goal():
     measured = {"methods": methods, "sources": {"catalogue": {"objects": 6, "touches": 30, "methods": methods}}}
     prior, first, curve = (f"{value} [-0.10, 1.10]" for value in ("0.20", "0.30", "0.40"))
     by_source = TABLES["reconstruct_patch"]["by source"](measured).splitlines()
-    assert by_source[2] == "| " + " | ".join(["catalogue (6)", prior, first, curve, first, curve, first, curve]) + " |"
+    assert by_source[2] == "| " + " | ".join(["catalogue (6)", prior, first, curve, first, curve]) + " |"
     assert len(by_source) == 3
-    assert TABLES["reconstruct_patch"]["methods"](measured).endswith("| c |" + f" {curve} |" * 6 + " 0.52 |")
+    assert TABLES["reconstruct_patch"]["methods"](measured).endswith("| press curve |" + f" {curve} |" * 6 + " 0.52 |")
 
 
 def test_policies_are_shown_after_some_touches():
