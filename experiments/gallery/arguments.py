@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 FigureName = Literal[
-    "overview", "objects", "patches", "press", "episode", "calibration_curve", "predictors", "registration", "rig",
+    "overview", "patches", "press", "episode", "calibration_curve", "predictors", "registration", "rig",
     "monitor", "from_depth", "stamps",
 ]  # fmt: skip
 FIGURE_NAMES: tuple[FigureName, ...] = get_args(FigureName)

@@ -24,7 +24,7 @@ from i2t.viz.episode_report import EpisodeRecord
 from i2t.viz.style import BLUE, GREY, ORANGE, titled
 from i2t.windows import PATCH_WINDOW
 
-SHOWN = ("hexagon", "star", "pyramid", "cylinder", "screwdriver", "hammer")
+SHOWN = ("star", "pyramid", "cylinder", "screwdriver", "hammer")
 MM, UM = 1e3, 1e6
 TIP_RADIUS_M = 4e-3
 CURVE_COUNTS = (5, 10, 20, 50, 100)  # presses of the calibration curve
@@ -53,24 +53,14 @@ def overview(story: Story) -> Figure:
     return figure
 
 
-def objects(story: Story) -> Figure:
-    """Objects of the catalogue."""
-    figure = Figure(figsize=(12, 6.4), layout="constrained")
-    figure.suptitle("Some objects of the catalogue (i2t.make_object)")
-    for axes, name in zip(figure.subplots(2, 3).flat, SHOWN, strict=True):
-        _draw_scene(axes, i2t.make_object(name).mesh, None)
-        axes.set_title(name)
-    return figure
-
-
 def patches(story: Story) -> Figure:
     """Patches of five objects, and where a skin would touch them."""
-    depth, chosen = [], SHOWN[1:]
-    for number, name in enumerate(chosen):
+    depth = []
+    for number, name in enumerate(SHOWN):
         mesh = i2t.make_object(name).mesh
         T_o_t = i2t.sample_touch_sites(mesh, 1, seed=number).T_o_t[0]
         depth.append(i2t.render_patch(i2t.prepare_surface(mesh), T_o_t).depth)
-    return viz.plot_patches(np.stack(depth), chosen, "Patches at random safe sites", True)
+    return viz.plot_patches(np.stack(depth), SHOWN, "Patches at random safe sites", True)
 
 
 def press(story: Story) -> Figure:
@@ -150,11 +140,10 @@ def _press_ball(
     return i2t.press(pad or i2t.nominal_pad(), squared / (2 * TIP_RADIUS_M), depth)
 
 
-def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray | None) -> None:
+def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray) -> None:
     """An object in three dimensions, with the skin where it touches, or why it cannot be drawn."""
     axes.set_axis_off()
-    poses = np.zeros((0, 4, 4)) if T_o_t is None else T_o_t[None]
-    picture = viz.object_image(mesh.vertices, mesh.faces, poses)
+    picture = viz.object_image(mesh.vertices, mesh.faces, T_o_t[None])
     if picture is None:
         axes.text(0.5, 0.5, viz.why_no_scene(), ha="center", va="center", wrap=True, fontsize=8)
     else:
@@ -194,7 +183,7 @@ def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
 
 
 FIGURES: dict[FigureName, Draw] = {
-    "overview": overview, "objects": objects, "patches": patches, "press": press, "episode": episode,
+    "overview": overview, "patches": patches, "press": press, "episode": episode,
     "calibration_curve": calibration_curve, "predictors": predictors, "registration": registration, "rig": rig,
     "monitor": monitor, "from_depth": from_depth, "stamps": stamps,
 }  # fmt: skip

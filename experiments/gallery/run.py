@@ -4,7 +4,7 @@
     python -m experiments.gallery                      all figures, a few minutes
     python -m experiments.gallery --only press patches some of them
 
-Each figure is one function of `experiments.gallery.figures`, which shows how it is made; docs/gallery.md explains them.
+Each figure is one function of `experiments.gallery.figures`, which shows how it is made.
 Results go to --out, a PNG for each figure.
 """
 

@@ -25,8 +25,9 @@ from matplotlib.figure import Figure
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import PATCH_PRESETS, PatchArgs
 from experiments.reconstruct.patch_scores import choose_thresholds, report_of, score_table, score_touch
-from experiments.reconstruct.patch_world import MetSurface, Trial, make_parts, press_parts
+from experiments.reconstruct.patch_world import MetSurface, Trial, list_names, make_parts, press_parts
 from i2t import viz
+from i2t.recognition.intervals import rows_of
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
 from i2t.reconstruction.press_curves import PressCurve
 from i2t.rendering.ops import element
@@ -37,10 +38,11 @@ from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 PRIOR, FIRST_STOP, CURVE = "prior", "by imagination, 25 uT", "by imagination, press curve"
 RELATIVE_ERRORS, TEMPERATURES = (0.04, 0.08, 0.15), (0.25, 0.5, 1.0)  # what is chosen among
 DOFS, BLURS = (3.0, 8.0, 30.0), (0.0, 1.0, 2.0)
+CATALOGUE, DRAWN = "catalogue", "drawn at random"  # where test objects come from
 DRAWN_PRESSES = 5
 COLUMNS = {
-    "mask_iou": "mask IoU", "contact_iou": "contact IoU", "centre_mm_median": "centre mm", "centre_mm_90": "at 90 %",
-    "crps_ratio": "CRPS / prior's", "coverage_90": "cover 90 %",
+    "mask_iou": "mask IoU", "mask_skill": "skill", "contact_iou": "contact IoU", "centre_mm_median": "centre mm",
+    "centre_mm_90": "at 90 %", "crps_ratio": "CRPS / prior's", "coverage_90": "cover 90 %",
 }  # fmt: skip
 Scores = dict[str, np.ndarray]
 
@@ -65,6 +67,21 @@ def run(args: PatchArgs) -> dict[str, Any]:
         found[name] = score_touches(infer, trials["test"], library)
     objects = parts["test"].library.object
     clusters = [np.tile(objects, sizes.pads), np.repeat(np.arange(sizes.pads), len(objects))]
+
+    def reported(rows: np.ndarray) -> dict[str, Any]:
+        """Scores of every method at some of the touches."""
+        some = {name: {score: values[rows] for score, values in scores.items()} for name, scores in found.items()}
+        labels = rows_of(clusters, rows)
+        return {
+            "touches": int(rows.sum()),
+            "objects": len(np.unique(labels[0])),
+            "methods": {
+                name: report_of(scores, some[PRIOR], chosen[name], chosen[PRIOR], labels)
+                for name, scores in some.items()
+            },
+        }
+
+    known = clusters[0] < len(list_names("test"))
     report: dict[str, Any] = {
         "source": "simulated",
         "counts": {name: len(part.library.patch) for name, part in parts.items()},
@@ -73,11 +90,14 @@ def run(args: PatchArgs) -> dict[str, Any]:
         "seed": args.seed,
         "chosen": chosen,
         "touches": len(clusters[0]),
-        "methods": {name: report_of(scores, found[PRIOR], chosen[name], clusters) for name, scores in found.items()},
+        "methods": reported(np.ones_like(known))["methods"],
+        "sources": {name: reported(rows) for name, rows in ((CATALOGUE, known), (DRAWN, ~known)) if rows.any()},
     }
     write_json(args.out / "metrics.json", report)
     viz.save_figure(draw_posteriors(trials["test"][0], library), args.out / "posteriors.png")
     print(score_table("simulated", COLUMNS, report["methods"]))
+    for name, part in report["sources"].items():
+        print("\n" + score_table(name, COLUMNS, part["methods"]))
     return report
 
 

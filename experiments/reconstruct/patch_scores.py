@@ -71,9 +71,19 @@ def report_of(
     scores: Mapping[str, np.ndarray],
     prior: Mapping[str, np.ndarray],
     chosen: Mapping[str, Any],
+    chosen_prior: Mapping[str, Any],
     clusters: Sequence[np.ndarray],
 ) -> dict[str, list[float]]:
-    """Means and quantiles over touches, with intervals over objects and pads; `chosen` are a method's thresholds."""
+    """Means and quantiles over touches, with intervals over objects and pads.
+
+    Args:
+        scores: Of a method, at every touch.
+        prior: Of the prior, at the same touches.
+        chosen: The method's thresholds.
+        chosen_prior: The prior's.
+        clusters: Each touch's object and pad.
+    """
+    mask, mask_prior = scores["mask"][:, chosen["mask"]], prior["mask"][:, chosen_prior["mask"]]
 
     def mean(values: np.ndarray) -> list[float]:
         rows = np.isfinite(values)
@@ -82,12 +92,17 @@ def report_of(
     def ratio(weight: np.ndarray) -> np.ndarray:
         return (weight @ scores["crps_mm"]) / (weight @ prior["crps_mm"])
 
+    def skill(weight: np.ndarray) -> np.ndarray:
+        """Share of what the prior leaves open."""
+        return (weight @ (mask - mask_prior)) / (weight @ (1 - mask_prior))
+
     def quantile(level: float) -> list[float]:
         values = scores["centre_mm"]
         return numbers(bootstrap_clusters(partial(weighted_quantile, values, level), clusters, len(values)))
 
     return {
-        "mask_iou": mean(scores["mask"][:, chosen["mask"]]),
+        "mask_iou": mean(mask),
+        "mask_skill": numbers(bootstrap_clusters(skill, clusters, len(mask))),
         "contact_iou": mean(scores["contact"][:, chosen["contact"]]),
         "centre_mm_median": quantile(0.5),
         "centre_mm_90": quantile(0.9),

@@ -71,12 +71,16 @@ def list_shapes(part: str, drawn: int) -> list[Mesh]:
     """The catalogue's shapes of a part, a quarter to test and an eighth to validate with every family in each, and
     drawn ones, of which `drawn` are to train on.
     """
-    parts = ["test" if i % 4 == 2 else "validation" if i % 8 == 5 else "train" for i in range(len(catalogue.NAMES))]
-    named = [name for name, own in zip(catalogue.NAMES, parts, strict=True) if own == part]
     count = drawn if part == "train" else max(drawn // HELD_OUT_PART, 1)
-    return [catalogue.make_object(name).mesh for name in named] + [
+    return [catalogue.make_object(name).mesh for name in list_names(part)] + [
         draw_shape(FIRST_SEED[part] + i) for i in range(count)
     ]
+
+
+def list_names(part: str) -> list[str]:
+    """Names of the catalogue's shapes of a part, which are the first of `list_shapes`."""
+    parts = ["test" if i % 4 == 2 else "validation" if i % 8 == 5 else "train" for i in range(len(catalogue.NAMES))]
+    return [name for name, own in zip(catalogue.NAMES, parts, strict=True) if own == part]
 
 
 def draw_shape(seed: int) -> Mesh:

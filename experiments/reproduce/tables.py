@@ -349,6 +349,20 @@ def predictors_by_object(measured: Measured) -> str:
     return markdown(["method", *scores], rows)
 
 
+# --- active touch ---
+
+ACTIVE_TOUCHES = (1, 4, 16)  # touches of the table
+
+
+def policies(measured: Measured) -> str:
+    """Accuracy of every policy after some touches, with intervals over pads."""
+    rows = [
+        [name, *(estimate(curve[touch - 1], 2) for touch in ACTIVE_TOUCHES)]
+        for name, curve in measured["accuracy"].items()
+    ]
+    return markdown(["policy", "after 1", *map(str, ACTIVE_TOUCHES[1:])], rows)
+
+
 # --- shapes from touches ---
 
 _ENDS = (("iou", 2), ("f_score", 2), ("coverage", 2), ("band_mm", 1))  # scores after the last touch, and decimals
@@ -369,6 +383,19 @@ def reconstructions(measured: Measured) -> str:
     return markdown(["condition", "start, mm", *touches, "IoU", "F-score", "in the 90 % band", "band, mm"], rows)
 
 
+SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "in the 90 % band": "0.88 to 0.92"}
+NOT_ON_THE_PAGE = ("10 touches", "F-score")
+
+
+def reconstructions_and_goals(measured: Measured) -> str:
+    """The main columns of the same, with a last row of what was wanted."""
+    lines = reconstructions(measured).splitlines()
+    head, _, *rows = ([cell.strip() for cell in line[1:-1].split("|")] for line in lines)
+    kept = [place for place, column in enumerate(head) if column not in NOT_ON_THE_PAGE]
+    rows += [["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]]
+    return markdown([head[place] for place in kept], [[row[place] for place in kept] for row in rows])
+
+
 def scores_of(*scores: tuple[str, str, int]) -> Table:
     """Scores of every method, each by its name, its title and its decimals; nothing where a method has none."""
     head = ["method", *(title for _, title, _ in scores)]
@@ -376,22 +403,46 @@ def scores_of(*scores: tuple[str, str, int]) -> Table:
 
 
 def _span(name: str, decimals: int, scores: Mapping[str, Any]) -> str:
-    """A mean with its interval."""
+    """A mean with its interval, if it has any; nothing where there is no such score."""
     if name not in scores:
         return ""
     mean, low, high = scores[name]
-    return f"{mean:.{decimals}f} ({low:.{decimals}f}-{high:.{decimals}f})"
+    return estimate([mean, low, high] if low < high else [mean, None, None], decimals)
 
 
-LOCAL_SHAPES = scores_of(
-    ("mask_iou", "mask IoU", 2), ("contact_iou", "contact IoU", 2), ("centre_mm_median", "centre, median mm", 2),
-    ("centre_mm_90", "centre, 90 % mm", 1), ("crps_ratio", "CRPS / prior's", 2), ("coverage_90", "90 % covers", 2),
-)  # fmt: skip
 TIPS = scores_of(
     ("position_mm_median", "position, median mm", 2), ("position_mm_90", "position, 90 % mm", 1),
-    ("within_1mm", "within 1 mm", 2), ("depth_error", "depth, mean mm", 2), ("coverage_90", "90 % covers", 2),
-    ("bits", "bits", 1),
+    ("depth_error", "depth, mean mm", 2), ("coverage_90", "90 % covers", 2),
 )  # fmt: skip
+PATCH_SCORES = (
+    ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
+    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
+)  # fmt: skip
+CRPS_GOALS = ("", "0.65", "0.52")  # of the prior, one stop and the press curve
+STOPS = ("prior", "one stop", "press curve")
+
+
+def local_shapes(measured: Measured) -> str:
+    """Scores of every method over all test objects, and what was wanted of CRPS."""
+    rows = [
+        [name, *(_span(score, 2, found) for score, _ in PATCH_SCORES), goal]
+        for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=True)
+    ]
+    return markdown(["method", *(title for _, title in PATCH_SCORES), "its goal"], rows)
+
+
+def local_shapes_by_source(measured: Measured) -> str:
+    """Masks on objects of the catalogue, and on those drawn at random: a row for each source."""
+    shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # and the first method
+    head = [f"{title}, {stop}" for _, title, first in shown for stop in STOPS[first:]]
+    rows = [
+        [
+            f"{source} ({found['objects']})",
+            *(_span(score, 2, of) for score, _, first in shown for of in list(found["methods"].values())[first:]),
+        ]
+        for source, found in measured["sources"].items()
+    ]
+    return markdown(["test objects", *head], rows)
 
 
 # --- skins from few presses, and what a recording is worth ---
@@ -565,7 +616,8 @@ TABLES: dict[str, dict[str, Table]] = {
     },
     "calibrate_simulated": {"kinds of skin": kinds_of_skin},
     "fidelity": {"sessions": eflesh_sessions, "heads": eflesh_heads},
-    "reconstruct": {"conditions": reconstructions},
-    "reconstruct_patch": {"methods": LOCAL_SHAPES},
+    "active_touch": {"policies": policies},
+    "reconstruct": {"conditions": reconstructions_and_goals},
+    "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
     "reconstruct_tip": {"methods": TIPS},
 }

@@ -1,4 +1,4 @@
-"""The figures of the documents: each is drawn, none is empty, and the page shows them all."""
+"""The figures of the documents; that each is drawn is tested with the trained run of recognition."""
 
 import pytest
 

@@ -50,6 +50,8 @@ def test_presses_of_unseen_shapes_are_told_and_scored_by_every_method(tmp_path, 
     prior, curve = report["methods"][PRIOR], report["methods"][CURVE]
     assert set(report["methods"]) == set(METHODS)
     assert prior["crps_ratio"][0] == 1
+    assert prior["mask_skill"][0] == 0
+    assert sum(part["touches"] for part in report["sources"].values()) == report["touches"]
     assert curve["centre_mm_median"][0] < prior["centre_mm_median"][0]
     for found in report["methods"].values():
         assert all(0 <= found[name][0] <= 1 for name in ("mask_iou", "contact_iou", "coverage_90"))

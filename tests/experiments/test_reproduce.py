@@ -120,6 +120,22 @@ def test_a_study_s_own_tables_are_kept_with_few_decimals_and_written():
     assert TABLES["open_set"]["auroc"](kept) == "| met | fused |\n| --- | --- |\n| air | 0.99 |"
 
 
+def test_local_shapes_are_shown_by_source_and_beside_their_goal():
+    names = ("mask_iou", "mask_skill", "contact_iou", "centre_mm_median", "coverage_90", "crps_ratio")
+    methods = {name: dict.fromkeys(names, (value, -0.1, 1.1)) for name, value in (("p", 0.2), ("f", 0.3), ("c", 0.4))}
+    measured = {"methods": methods, "sources": {"catalogue": {"objects": 6, "touches": 30, "methods": methods}}}
+    prior, first, curve = (f"{value} [-0.10, 1.10]" for value in ("0.20", "0.30", "0.40"))
+    by_source = TABLES["reconstruct_patch"]["by source"](measured).splitlines()
+    assert by_source[2] == "| " + " | ".join(["catalogue (6)", prior, first, curve, first, curve]) + " |"
+    assert len(by_source) == 3
+    assert TABLES["reconstruct_patch"]["methods"](measured).endswith("| press curve |" + f" {curve} |" * 6 + " 0.52 |")
+
+
+def test_policies_are_shown_after_some_touches():
+    curves = {"accuracy": {"random": [[0.5, 0.4, 0.6]] * 16}}
+    assert TABLES["active_touch"]["policies"](curves).splitlines()[2] == "| random |" + " 0.50 [0.40, 0.60] |" * 3
+
+
 def test_cells_by_hand():
     assert estimate([0.5, None, None], 2) == "0.50"
     assert estimate({"mean": 0.1, "low": -0.1, "high": 0.3}, 2, sign=True) == "+0.10 [-0.10, +0.30]"
