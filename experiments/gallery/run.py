@@ -23,5 +23,7 @@ def run(args: GalleryArgs) -> None:
     story = Story(args.trained_run)
     for name in args.only or FIGURE_NAMES:
         path = viz.save_figure(FIGURES[name](story), args.out / f"{name}.png")
-        Image.open(path).convert("RGB").quantize(PALETTE_SIZE).save(path, optimize=True)
+        Image.open(path).convert("RGB").quantize(PALETTE_SIZE, method=Image.Quantize.MAXCOVERAGE).save(
+            path, optimize=True
+        )
         print(f"{path}: {FIGURES[name].__doc__}")

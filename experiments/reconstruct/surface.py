@@ -12,7 +12,7 @@ approach tilts, readings are noisy. Before the first touch the estimate is the m
 error), and touches that say nothing besides their pose. The width of the bands is chosen on validation objects; test
 objects are judged once. Everything is simulated.
 
-Ten minutes on two cores that do other work too, half of them for libraries and compilation. Expect half to two thirds
+Ten minutes on two cores that do other work too, half of them for libraries and compilation. Expect about half
 of the start's distance to the true surface after 20 touches; four objects are too few to tell policies apart.
 """
 
@@ -30,7 +30,7 @@ from experiments.reconstruct.arguments import CONDITIONS, ExplorationCondition, 
 from experiments.reconstruct.episodes import REPORTED, Episode, SurfaceErrors, TrueShape, true_shape
 from experiments.reconstruct.report import Episodes, draw_errors, draw_growing, summarize
 from experiments.reconstruct.world import EXPLORING_OVERTRAVEL_M, Reality, Session, make_reality, split_objects
-from experiments.reproduce.tables import reconstructions
+from experiments.reproduce.shape_tables import reconstructions
 from i2t import viz
 from i2t.progress import progress
 from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch

@@ -27,7 +27,7 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, write_json
 from experiments.common.tasks import parts_of_runs
 from experiments.recognize.config import PRESETS
-from experiments.reproduce.tables import study_table
+from experiments.reproduce.recognition_tables import study_table
 from experiments.studies import open_set, settings
 from experiments.studies.arguments import StudyArgs
 from experiments.studies.lab import StudyLab, evaluate_settings, prepare_lab

@@ -17,7 +17,7 @@ from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
 from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.config import PRESETS
-from experiments.reproduce.tables import STUDY_TABLES
+from experiments.reproduce.recognition_tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
 from experiments.train import __main__ as train
 from i2t import dataset

@@ -12,18 +12,10 @@ import pytest
 
 from experiments.common.tables import markdown
 from experiments.reproduce import __main__ as reproduce
+from experiments.reproduce.cells import estimate
+from experiments.reproduce.skin_tables import CALIBRATED, GAIN, NEIGHBOURS, PLAIN, SESSIONS
 from experiments.reproduce.steps import STEPS
-from experiments.reproduce.tables import (
-    CALIBRATED,
-    GAIN,
-    NEIGHBOURS,
-    PLAIN,
-    SESSIONS,
-    TABLES,
-    estimate,
-    shortened,
-    write_tables,
-)
+from experiments.reproduce.tables import TABLES, shortened, write_tables
 
 
 def test_every_step_is_a_command_that_takes_these_arguments():
@@ -103,11 +95,11 @@ def test_a_table_is_written_where_it_was_measured_and_only_there(tmp_path):
     with pytest.raises(ValueError, match="reproduce --only reconstruct_tip"):
         write_tables(tmp_path)
     results.mkdir()
-    measured = {"methods": {"head": {"within_1mm": [0.5, 0.4, 0.6]}}}
+    measured = {"methods": {"head": {"depth_error": [0.5, 0.4, 0.6]}}}
     (results / "reconstruct_tip.json").write_text(json.dumps(shortened("reconstruct_tip", measured)))
     assert write_tables(tmp_path) == ["page.md: reconstruct_tip methods"]
     before = page.read_text()
-    assert "| head |  |  | 0.50 (0.40-0.60) |" in before
+    assert "| head |  |  | 0.50 [0.40, 0.60] |  |" in before
     write_tables(tmp_path)
     assert page.read_text() == before
 

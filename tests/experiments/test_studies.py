@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from experiments.recognize.config import PRESETS
-from experiments.reproduce.tables import STUDY_TABLES, TABLES, study_table
+from experiments.reproduce.recognition_tables import STUDY_TABLES, TABLES, study_table
 from experiments.studies import open_set, report, settings
 from experiments.studies.run import STUDIES
 from i2t.recognition.belief import fit_likelihood

@@ -1,0 +1,191 @@
+"""Tables of recognition: the paper's method, the belief, its studies, and policies of touching."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from experiments.common.tables import markdown
+from experiments.reproduce.cells import UNSHOWN, Cell, Measured, Table, at, estimate, number, percent, rows_over
+
+
+def last(scores: Mapping[str, Any]) -> str:
+    """Accuracy after the last touch."""
+    return estimate(at(scores["accuracy"], -1))
+
+
+def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
+    """Mean over touches of a score."""
+    return number(sum(scores[key]) / len(scores[key]), decimals)
+
+
+def shown(name: str, *hidden: str) -> bool:
+    """Tell whether a row is shown: an average rule, or a name with one of the hidden words, is not."""
+    return not name.endswith(UNSHOWN) and not any(word in name for word in hidden)
+
+
+METHOD_HEAD = (
+    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "for objects like these", "mean of 1 to 10 [95 %]",
+    "ECE", "log loss",
+)  # fmt: skip
+METHOD_CELLS: tuple[Cell, ...] = (
+    *(lambda scores, touch=touch: number(at(scores["accuracy"], touch)["mean"], 2) for touch in (1, 3, 5)),
+    last,
+    lambda scores: estimate(scores["last_other_objects"], 2).partition(" ")[2],
+    lambda scores: estimate(scores["mean"], 2),
+    partial(mean_of, "calibration_error", 2),
+    partial(mean_of, "log_loss", 2),
+)
+
+
+def methods_of_set(name: str) -> Table:
+    """Accuracy of every method on a set of objects, of the paper's rules by votes."""
+
+    def render(measured: Measured) -> str:
+        methods = measured["sets"][name]["methods"]
+        found = {method: scores for method, scores in methods.items() if shown(method, ", product")}
+        return rows_over("methods", METHOD_HEAD, *METHOD_CELLS)({"methods": found})
+
+    return render
+
+
+def paper_methods(measured: Measured) -> str:
+    """Accuracy after the last touch on the paper's two sets and on all their objects, below what the paper reports."""
+    from experiments.recognize.report import PUBLISHED_I2T, PUBLISHED_PROPRIOCEPTION  # here, as it imports JAX
+
+    sets, means = measured["sets"], measured["mean of the sets"]
+    rows = [
+        [f"{name}, the paper, one real skin", *(number(found[column], 2) for column in (*sets, "mean"))]
+        for name, found in (("Imagine2touch", PUBLISHED_I2T), ("proprioception", PUBLISHED_PROPRIOCEPTION))
+    ]
+    for method in filter(shown, means):
+        found = [last(each["methods"][method]) for each in sets.values()]
+        rows.append([method, *found, estimate(means[method])])
+    return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five objects"], rows)
+
+
+def paper_differences(measured: Measured) -> str:
+    """Paired differences of votes on the paper's two sets, and how many pads would tell them within 3 points."""
+    sets = measured["sets"]
+    rows = []
+    for pair in filter(lambda pair: shown(pair, "product"), next(iter(sets.values()))["paired"]):
+        found = (each["paired"][pair] for each in sets.values())
+        cells = ((estimate(each["last"], sign=True), str(each["pads_needed"])) for each in found)
+        rows.append([pair.replace(", votes", ""), *(cell for both in cells for cell in both)])
+    head = (cell for name in sets for cell in (f"{name} [95 %]", "pads for ± 3 points"))
+    return markdown(["by votes, after 10 touches", *head], rows)
+
+
+def sets_of_the_paper(measured: Measured) -> str:
+    """Accuracy of the belief after the last touch on the paper's two sets."""
+    names = [name for name in ("primitives", "tools") if name in measured["sets"]]
+    sets = [measured["sets"][name]["methods"] for name in names]
+    rows = [[method, *(last(each[method]) for each in sets)] for method in sets[0] if shown(method, ", ")]
+    return markdown(["after 10 touches [95 %]", *names], rows)
+
+
+def stopping_of_set(name: str, method: str) -> Table:
+    """Errors of the stopping rule against those asked for."""
+
+    def render(measured: Measured) -> str:
+        rows = [
+            [
+                f"{100 * found['requested_error']:.0f} %", percent(found["stopped"], 0),
+                percent(found["stopped_error"]), f"{100 * found['stopped_predicted_error']:.1f} %",
+                percent(found["error"]), f"{100 * found['predicted_error']:.1f} %", estimate(found["touches"], 1),
+            ]
+            for found in measured["sets"][name]["methods"][method]["stopping"]
+        ]  # fmt: skip
+        return markdown(
+            ["asked error", "stopped early", "of those: observed error", "reported", "all episodes: observed error",
+             "reported", "mean touches"],
+            rows,
+        )  # fmt: skip
+
+    return render
+
+
+def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
+    """One row for each setting of a study (rows of `experiments.studies.report`): for some kinds of evidence the
+    accuracy and its difference to the first setting, after the last touch for a single kind and over all touches.
+    """
+
+    def render(measured: Measured) -> str:
+        found = measured["tables"]["methods"]
+        _, _, last, *_ = names = [column["name"] for column in found["columns"]]
+        by_setting: dict[str, list[str]] = {}
+        for setting, evidence, after, _, whole, less, log_loss in found["rows"]:
+            if (evidence in kinds or setting == "-") and shown(setting, *hidden):
+                cells = [estimate(whole, 2), estimate(less, 2, sign=True), number(log_loss, 2)]
+                cells = [estimate(after, 2), *cells] if len(kinds) == 1 else cells
+                by_setting.setdefault(evidence if setting == "-" else setting, []).extend(cells)
+        few = names[4:] if len(kinds) > 1 else [last, *names[4:]]
+        head = [f"{kind}: {name}" for kind in kinds for name in few]
+        return markdown(["setting", *head], [[setting, *cells] for setting, cells in by_setting.items()])
+
+    return render
+
+
+def study_table(name: str) -> Table:
+    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`)."""
+
+    def render(measured: Measured) -> str:
+        found = measured["tables"][name]
+        rows = [[_cell(x, column) for x, column in zip(row, found["columns"], strict=True)] for row in found["rows"]]
+        return markdown([column["name"] for column in found["columns"]], rows)
+
+    return render
+
+
+def _cell(value: Any, column: Mapping[str, Any]) -> str:
+    """A word as it is; a number or an interval as its column says; a dash where there is none."""
+    if isinstance(value, str):
+        return value
+    if not isinstance(value, dict):
+        return number(value, column["decimals"])
+    if value["mean"] is None:
+        return "-"
+    if column["percent"]:
+        return percent(value, column["decimals"])
+    return estimate(value, column["decimals"], column["signed"])
+
+
+ACTIVE_TOUCHES = (1, 4, 16)  # touches of the table
+
+
+def policies(measured: Measured) -> str:
+    """Accuracy of every policy after some touches, with intervals over pads."""
+    rows = [
+        [name, *(estimate(curve[touch - 1], 2) for touch in ACTIVE_TOUCHES)]
+        for name, curve in measured["accuracy"].items()
+    ]
+    return markdown(["policy", "after 1", *map(str, ACTIVE_TOUCHES[1:])], rows)
+
+
+STUDY_TABLES = {
+    "mismatch": ("methods",),
+    "open_set": ("auroc", "accuracy"),
+    "sensitivity": ("methods",),
+    "new_pad": ("methods",),
+}
+SETTINGS = {
+    "mismatch": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ")),
+    "new_pad": settings_by_evidence("fused"),
+}
+
+
+TABLES: dict[str, dict[str, Table]] = {
+    "paper": {
+        "methods": paper_methods,
+        "differences": paper_differences,
+    },
+    "recognize": {
+        "all": methods_of_set("all"),
+        "sets of the paper": sets_of_the_paper,
+        "stopping": stopping_of_set("all", "fused"),
+    },
+    "active_touch": {"policies": policies},
+    **{
+        step: {name: study_table(name) for name in names} | ({"settings": SETTINGS[step]} if step in SETTINGS else {})
+        for step, names in STUDY_TABLES.items()
+    },
+}

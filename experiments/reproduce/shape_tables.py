@@ -1,0 +1,76 @@
+"""Tables of shapes from touches: surfaces, the surface below one press, and the place of a tip."""
+
+from experiments.common.tables import markdown
+from experiments.reproduce.cells import Measured, Table, estimate, number, scores_of, span
+
+_ENDS = (("iou", 2), ("f_score", 2), ("coverage", 2), ("band_mm", 1))  # scores after the last touch, and decimals
+
+
+def reconstructions(measured: Measured) -> str:
+    """Scores of every condition after some touches: the distance as a share of that at the start, and the last ones."""
+    conditions = measured["conditions"]
+    counts = sorted({int(count) for found in conditions.values() for count in found["after"]} - {0})
+    rows = []
+    for name, found in conditions.items():
+        after = found["after"]
+        begun = number(after["0"]["chamfer_mm"][0], 2)
+        course = [estimate(after[str(count)]["ratio"], 2) if str(count) in after else "" for count in counts]
+        last = after[max(after, key=int)]
+        rows.append([name, begun, *course, *(number(last[score][0], decimals) for score, decimals in _ENDS)])
+    touches = [f"{count} touch{'es' if count > 1 else ''}" for count in counts]
+    return markdown(["condition", "start, mm", *touches, "IoU", "F-score", "in the 90 % band", "band, mm"], rows)
+
+
+SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "in the 90 % band": "0.88 to 0.92"}
+NOT_ON_THE_PAGE = ("10 touches", "F-score")
+
+
+def reconstructions_and_goals(measured: Measured) -> str:
+    """The main columns of the same, with a last row of what was wanted."""
+    lines = reconstructions(measured).splitlines()
+    head, _, *rows = ([cell.strip() for cell in line[1:-1].split("|")] for line in lines)
+    kept = [place for place, column in enumerate(head) if column not in NOT_ON_THE_PAGE]
+    rows += [["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]]
+    return markdown([head[place] for place in kept], [[row[place] for place in kept] for row in rows])
+
+
+TIPS = scores_of(
+    ("position_mm_median", "position, median mm", 2), ("position_mm_90", "position, 90 % mm", 1),
+    ("depth_error", "depth, mean mm", 2), ("coverage_90", "90 % covers", 2),
+)  # fmt: skip
+PATCH_SCORES = (
+    ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
+    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
+)  # fmt: skip
+CRPS_GOALS = ("", "0.65", "0.52")  # of the prior, one stop and the press curve
+STOPS = ("prior", "one stop", "press curve")
+
+
+def local_shapes(measured: Measured) -> str:
+    """Scores of every method over all test objects, and what was wanted of CRPS."""
+    rows = [
+        [name, *(span(score, 2, found) for score, _ in PATCH_SCORES), goal]
+        for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=True)
+    ]
+    return markdown(["method", *(title for _, title in PATCH_SCORES), "its goal"], rows)
+
+
+def local_shapes_by_source(measured: Measured) -> str:
+    """Masks on objects of the catalogue, and on those drawn at random: a row for each source."""
+    shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # and the first method
+    head = [f"{title}, {stop}" for _, title, first in shown for stop in STOPS[first:]]
+    rows = [
+        [
+            f"{source} ({found['objects']})",
+            *(span(score, 2, of) for score, _, first in shown for of in list(found["methods"].values())[first:]),
+        ]
+        for source, found in measured["sources"].items()
+    ]
+    return markdown(["test objects", *head], rows)
+
+
+TABLES: dict[str, dict[str, Table]] = {
+    "reconstruct": {"conditions": reconstructions_and_goals},
+    "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
+    "reconstruct_tip": {"methods": TIPS},
+}
