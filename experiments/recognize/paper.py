@@ -118,14 +118,16 @@ def report(out: Path, folders: Sequence[Path], parts: Sequence[Results]) -> dict
     Returns:
         What is written to metrics.json.
     """
+    means, differences = reporting.mean_over_objects(parts)
     about: dict[str, Any] = {
         "method": "the paper's loop",
         "epochs": [load_paper_networks(folder).epochs for folder in folders],
-        "mean of the sets": reporting.mean_over_objects(parts),
+        "mean of the sets": means,
+        "differences of these means": differences,
     }
     result = reporting.summarise(parts, out, "simulated", **about)
     reporting.print_tables(result)
-    reporting.print_mean_over_objects(result["mean of the sets"])
+    reporting.print_mean_over_objects(means, differences)
     return result
 
 

@@ -234,22 +234,27 @@ def compare_methods(episodes: PooledEpisodes) -> dict[str, Any]:
     return found
 
 
-def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
+def mean_over_objects(parts: Sequence[Results]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Accuracy after the last touch over all objects of several sets, each decided among those of its set: the paper's
-    last column. Sets of one pad are independent but for the pad.
+    last column; and paired differences of it. Sets of one pad are independent but for the pad.
     """
     sets = [pool_set(parts, name) for name in parts[0]]
     weight = np.concatenate([np.full(len(each.truth), len(each.names) / len(each.truth)) for each in sets])
     clusters = [np.concatenate([each.pad for each in sets]), np.concatenate([each.pool for each in sets])]
-    found = {}
-    for method in sets[0].beliefs:
-        hit = np.concatenate([metrics.hits(each.beliefs[method], each.truth)[:, -1] for each in sets])
+    hits = {
+        method: np.concatenate([metrics.hits(each.beliefs[method], each.truth)[:, -1] for each in sets])
+        for method in sets[0].beliefs
+    }
+    pairs = {f"{one} - {other}": hits[one] - hits[other] for one, other in COMPARED if {one, other} <= set(hits)}
 
-        def share(count: np.ndarray, hit: np.ndarray = hit) -> np.ndarray:
-            return np.asarray(np.sum(count * weight * hit) / np.sum(count * weight))
+    def mean(values: np.ndarray) -> dict[str, Any]:
+        def share(count: np.ndarray) -> np.ndarray:
+            return np.asarray(np.sum(count * weight * values) / np.sum(count * weight))
 
-        found[method] = to_json(bootstrap_clusters(share, clusters, len(hit)))
-    return found
+        return to_json(bootstrap_clusters(share, clusters, len(values)))
+
+    means, differences = ({name: mean(values) for name, values in some.items()} for some in (hits, pairs))
+    return means, differences
 
 
 # --- tables ---
@@ -301,7 +306,7 @@ def print_objects(entry: dict[str, Any], touches: int) -> None:
     print(text_table([f"after {touches}, by the object that was there", *entry["objects"]], rows, "  "))
 
 
-def print_mean_over_objects(means: dict[str, Any]) -> None:
+def print_mean_over_objects(means: dict[str, Any], differences: dict[str, Any]) -> None:
     """The paper's last column."""
     rows = (
         [method, _cell(estimate), _paper(published_accuracy("mean", method))]
@@ -310,6 +315,8 @@ def print_mean_over_objects(means: dict[str, Any]) -> None:
     )
     print("\nall objects, each decided among those of its set:")
     print(text_table(["method", "after the last touch", ""], rows))
+    for pair, estimate in differences.items():
+        print(f"  {pair}: {_cell(estimate, '+')}")
 
 
 def print_stopping(summary: dict[str, Any]) -> None:

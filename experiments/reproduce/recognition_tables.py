@@ -60,19 +60,20 @@ def paper_methods(measured: Measured) -> str:
     for method in filter(shown, means):
         found = [last(each["methods"][method]) for each in sets.values()]
         rows.append([method, *found, estimate(means[method])])
-    return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five objects"], rows)
+    return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
 
 
 def paper_differences(measured: Measured) -> str:
-    """Paired differences of votes on the paper's two sets, and how many pads would tell them within 3 points."""
-    sets = measured["sets"]
+    """Paired differences on the paper's two sets with how many pads would tell them within 3 points, and of the means
+    over all objects.
+    """
+    sets, means = measured["sets"], measured["differences of these means"]
     rows = []
-    for pair in filter(lambda pair: shown(pair, "product"), next(iter(sets.values()))["paired"]):
+    for pair in next(iter(sets.values()))["paired"]:
         found = (each["paired"][pair] for each in sets.values())
-        cells = ((estimate(each["last"], sign=True), str(each["pads_needed"])) for each in found)
-        rows.append([pair.replace(", votes", ""), *(cell for both in cells for cell in both)])
-    head = (cell for name in sets for cell in (f"{name} [95 %]", "pads for ± 3 points"))
-    return markdown(["by votes, after 10 touches", *head], rows)
+        cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
+        rows.append([pair, *cells, estimate(means[pair], 2, sign=True)])
+    return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five [95 %]"], rows)
 
 
 def sets_of_the_paper(measured: Measured) -> str:

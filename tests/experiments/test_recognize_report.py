@@ -105,10 +105,14 @@ def test_the_papers_last_column_weighs_every_object_alike():
         decided = np.where(hit, truth, (truth + 1) % objects)
         p = np.eye(objects)[decided][:, None]
         pool = np.array([f"{name} {i}" for i in range(episodes)])
-        sets[name] = EpisodeResults(tuple("abc"[:objects]), truth, {"votes": p}, None, "pad 0", pool)
-    found = report.mean_over_objects([sets])["votes"]
+        beliefs = {f"{MASK}, votes": p, f"{PROPRIOCEPTION}, votes": np.eye(objects)[truth][:, None]}
+        sets[name] = EpisodeResults(tuple("abc"[:objects]), truth, beliefs, None, "pad 0", pool)
+    means, differences = report.mean_over_objects([sets])
+    found, lost = means[f"{MASK}, votes"], differences[f"{MASK}, votes - {PROPRIOCEPTION}, votes"]
     assert found["mean"] == pytest.approx(0.58)
     assert found["low"] < 0.58 < found["high"]
+    assert lost["mean"] == pytest.approx(-0.42)  # to one that is always right
+    assert found["high"] - found["low"] == pytest.approx(lost["high"] - lost["low"])
 
 
 def test_pads_of_a_study_are_chosen_by_number(tmp_path):
