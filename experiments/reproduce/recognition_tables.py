@@ -57,6 +57,8 @@ def paper_methods(measured: Measured) -> str:
         [f"{name}, the paper, one real skin", *(number(found[column], 2) for column in (*sets, "mean"))]
         for name, found in (("Imagine2touch", PUBLISHED_I2T), ("proprioception", PUBLISHED_PROPRIOCEPTION))
     ]
+    chances = [1 / len(each["objects"]) for each in sets.values()]
+    rows.append(["chance", *(number(each, 2) for each in (*chances, len(sets) / sum(1 / each for each in chances)))])
     for method in filter(shown, means):
         found = [last(each["methods"][method]) for each in sets.values()]
         rows.append([method, *found, estimate(means[method])])
