@@ -1,5 +1,6 @@
 """Tables of recognition: the paper's method, the belief, its studies, and policies of touching."""
 
+import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -74,7 +75,9 @@ def paper_differences(measured: Measured) -> str:
     for pair in next(iter(sets.values()))["paired"]:
         found = (each["paired"][pair] for each in sets.values())
         cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
-        rows.append([pair, *cells, estimate(means[pair], 2, sign=True)])
+        _, _, rule = pair.rpartition(", ")
+        brief = re.sub(rf"Imagine2touch \(paper's (.*?)\)|same rules, |, {rule}", r"\1", pair).replace("network, ", "")
+        rows.append([f"{brief} ({rule})", *cells, estimate(means[pair], 2, sign=True)])
     return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five [95 %]"], rows)
 
 
