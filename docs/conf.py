@@ -131,7 +131,7 @@ def setup(app: Any) -> None:
     app.connect("env-get-outdated", found)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
-    app.connect("autodoc-process-docstring", field_comment, priority=100)
+    app.connect("autodoc-process-docstring", field_comment, priority=900)  # after it: a colon is no type
 
 
 def draw_inline(writer: Any, node: nodes.math) -> None:

@@ -1,9 +1,9 @@
 """Numbers in sentences: a result that a sentence names stands in a table.
 
 A result is a number without a unit of size, a percentage, a time, a ratio or a count of a thousand and more. It is held
-if a table of the page has it, or a table of a page that the paragraph links to, rounded to as many decimals. Free are
-whole numbers below a thousand, sizes of at most one decimal ("0.5 mm") or of images ("48 x 48"), years, versions, and
-the levels 90 % and 95 %.
+if a table of the sentence's section has it, or a table of the page or section that the paragraph links to, rounded to
+as many decimals. Free are whole numbers below a thousand, sizes of at most one decimal ("0.5 mm") or of images
+("48 x 48"), years, versions, and the levels 90 % and 95 %.
 In the README, rows of tables that are not written from docs/results are sentences too.
 """
 
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from experiments.check_docs.pages import Finding, pages_of
+from experiments.check_docs.pages import BLOCK, Finding, pages_of
 from experiments.reproduce.tables import MARK
 
 UNSPOKEN = (
@@ -25,8 +25,11 @@ UNITS = (
     r"mm²|mm|cm|m|[uµ]m|[uµ]T|mT|nT|N|Nm|N/m|kPa|MPa|kg|g|[kM]?Hz|degrees?|deg|°|pixels?|bits?|V|m/s|bytes?|threads?"
 )
 RESULTS = r"%|points?|times|ms|s|minutes?|min|hours?|MB|GB"
-NUMBER = re.compile(rf"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?: ?-? ?({RESULTS})(?!\w))?(?: ({UNITS})(?!\w))?")
-LINK = re.compile(r"\]\(([\w./]+\.md)")
+NUMBER = re.compile(
+    rf"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?=(?: to [\d.]+)? ?-? ?({RESULTS})(?!\w)|)(?: ({UNITS})(?!\w))?"
+)
+LINK = re.compile(r"\]\(([\w./]+\.md)?(?:#([\w-]+))?\)")
+HEADING = re.compile(r"^(#+) (.*)$", re.M)
 PARAGRAPH = re.compile(r"^\|.*$|(?:^(?!\|).*\S.*$\n?)+", re.M)  # a row of a table is one
 TABLE_ROW = re.compile(r"^\|.*$", re.M)
 SMALL = 1000  # whole numbers below it are free
@@ -43,14 +46,36 @@ def numbers(page: Path, text: str) -> Iterator[Finding]:
     """Results that sentences of one page name and no table holds."""
     spoken = MARK.sub(_blank, text) if page.stem == "README" else TABLE_ROW.sub(_blank, text)
     spoken = UNSPOKEN_PATTERN.sub(_blank, spoken)
+    code = BLOCK.sub(_blank, text)  # a comment in it is no heading
+    ends = [found.start() for found in HEADING.finditer(code) if len(found[1]) <= 2]
     for paragraph in PARAGRAPH.finditer(text):
-        linked = (page.parent / name for name in LINK.findall(paragraph[0]))
-        texts = {page: text} | {each: each.read_text() for each in linked if each.exists()}
-        held = frozenset().union(*(_held(said, each.stem == "README") for each, said in texts.items()))
+        begin = max((end for end in ends if end <= paragraph.start()), default=0)
+        places = [text[begin : min((end for end in ends if end > paragraph.start()), default=len(text))]]
+        for name, anchor in LINK.findall(paragraph[0]):
+            other = page.parent / name if name else page
+            if other.is_file():
+                places.append(_section(text if other == page else other.read_text(), anchor))
+        held = frozenset().union(*(_held(said, page.stem == "README" and said in text) for said in places))
         for found in NUMBER.finditer(spoken, paragraph.start(), paragraph.end()):
             if _is_result(found) and not _is_held(found, held):
                 line = text.count("\n", 0, found.start()) + 1
-                yield Finding(page, line, f"no table holds the number {found[0].strip()}")
+                yield Finding(
+                    page, line, f"no table holds the number {f'{found[1].strip()} {found[2] or str()}'.strip()}"
+                )
+
+
+def _section(text: str, anchor: str) -> str:
+    """The section of a page with an anchor, to the next heading of its level; the page where there is no anchor."""
+    found = [each for each in HEADING.finditer(BLOCK.sub(_blank, text)) if not anchor or _slug(each[2]) == anchor]
+    if not anchor or not found:
+        return text
+    later = (each.start() for each in HEADING.finditer(text, found[0].end()) if len(each[1]) <= len(found[0][1]))
+    return text[found[0].start() : next(later, len(text))]
+
+
+def _slug(heading: str) -> str:
+    """The anchor that a heading has on the site."""
+    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
 def _blank(found: re.Match[str]) -> str:
@@ -79,6 +104,6 @@ def _is_held(found: re.Match[str], held: frozenset[float]) -> bool:
 
 @cache
 def _held(text: str, marked_only: bool) -> frozenset[float]:
-    """All numbers in the tables of a page."""
+    """All numbers in the tables of a text."""
     text = "\n".join(found[0] for found in MARK.finditer(text)) if marked_only else text
     return frozenset(_value(found)[0] for row in TABLE_ROW.findall(text) for found in NUMBER.finditer(row))

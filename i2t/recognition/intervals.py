@@ -5,7 +5,8 @@ object that was there.
 Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), each part by a bootstrap of clusters;
 few clusters are allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
 `rate_interval` is Jeffreys' (Brown, Cai and DasGupta, Statistical Science 16, 2001) for as many independent trials as
-would have that variance (Korn and Graubard, Survey Methodology 24, 1998). All cover 95 %.
+would have that variance (Korn and Graubard, Survey Methodology 24, 1998). They cover 95 % where episodes of a cluster
+are weakly alike; of a handful of clusters whose episodes are all right they say too much.
 NumPy, because nothing here is differentiated.
 """
 
@@ -23,6 +24,7 @@ from i2t.types import Array
 
 COVERAGE = 0.95  # of every interval
 RESAMPLES = 1000  # of a bootstrap
+ALIKE = 1e-12  # variance of episodes that differ by rounding only
 
 Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, for each factor
 Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # of the episodes' weights
@@ -60,20 +62,26 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     if not n:
         return Estimate(*np.full((3, *shape), np.nan))
     flat = values.reshape(n, -1)
-    mean, independent = flat.mean(0), flat.var(0) / n
+    mean, independent = np.clip(flat.mean(0), 0, 1), _independent(flat)
     if clusters:
         variance, freedom = _spread(_weighted_mean(flat), _factors(clusters, n))
     else:
         variance, freedom = independent, np.full_like(mean, max(n - 1, 1))
     variance = np.maximum(variance, independent)
     with np.errstate(divide="ignore", invalid="ignore"):
-        trials = (
-            np.where(variance > 0, mean * (1 - mean) / variance, n) * (_t(np.float64(max(n - 1, 1))) / _t(freedom)) ** 2
-        )
+        trials = np.where(variance == 0, n, mean * (1 - mean) / variance)
+        trials = trials * (_t(np.float64(max(n - 1, 1))) / _t(freedom)) ** 2
     right, wrong = mean * trials + 0.5, (1 - mean) * trials + 0.5
     low, high = (stats.beta.ppf((1 + sign * COVERAGE) / 2, right, wrong) for sign in (-1, 1))
     low, high = np.where(mean == 0, 0, np.minimum(low, mean)), np.where(mean == 1, 1, np.maximum(high, mean))
+    low, high = (np.where(np.isfinite(trials), limit, np.nan) for limit in (low, high))
     return Estimate(*(part.reshape(shape) for part in (mean, low, high)))
+
+
+def _independent(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
+    """Variance of the mean of independent values; zero where they differ by rounding only."""
+    variance = values.var(0) / max(len(values), 1)
+    return np.where(variance * len(values) < ALIKE, 0.0, variance)
 
 
 def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
@@ -105,7 +113,8 @@ def rows_of(clusters: Clusters, rows: Shaped[Array, "..."]) -> Sequence[Shaped[A
 def cluster_interval(
     values: Shaped[Array, "n ..."], clusters: Clusters, *, draws: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
-    """Mean of values of episodes, with an interval over the clusters that they come in.
+    """Mean of values of episodes, with an interval over the clusters that they come in; its variance is at least that
+    of independent episodes, as a few clusters may be alike by chance.
 
     Args:
         values: (n, ...) of the episodes, for instance whether each was right after each touch.
@@ -122,9 +131,11 @@ def cluster_interval(
         ValueError: Labels are not as many as values.
     """
     values = np.asarray(values, np.float64)
-    statistic = _weighted_mean(values.reshape(len(values), -1))
-    found = bootstrap_clusters(statistic, clusters, len(values), draws=draws, seed=seed)
-    return Estimate(*(part.reshape(values.shape[1:]) for part in found))
+    n, shape = len(values), values.shape[1:]
+    flat = values.reshape(n, -1)
+    variance, freedom = _spread(_weighted_mean(flat), _factors(clusters, n), draws, seed)
+    mean, half = flat.mean(0), _t(freedom) * np.sqrt(np.maximum(variance, _independent(flat)))
+    return Estimate(*(part.reshape(shape) for part in (mean, mean - half, mean + half)))
 
 
 def _weighted_mean(values: Float[np.ndarray, "n k"]) -> Statistic:

@@ -102,6 +102,20 @@ def test_clusters_that_are_alike_one_cluster_and_labels_that_do_not_fit():
         bootstrap_clusters(np.sum, [np.zeros(3, int)], 2)
 
 
+def test_clusters_that_are_alike_by_chance_are_no_certainty():
+    label, values = np.repeat(np.arange(3), 50), np.tile([0.0] * 45 + [1.0] * 5, 3)
+    found = mean_interval(values, [label])
+    assert found.high - found.mean == pytest.approx(stats.t.ppf(0.975, 2) * values.std() / np.sqrt(150))
+
+
+@pytest.mark.parametrize("fraction", [0.1, 1 / 3, 0.5, 0.7, 0.9999])
+def test_one_fraction_everywhere_is_as_many_trials_as_there_are_episodes(fraction):
+    found, known = rate_interval(np.full(50, fraction)), stats.beta(50 * fraction + 0.5, 50 * (1 - fraction) + 0.5)
+    assert (float(found.low), float(found.high)) == pytest.approx((known.ppf(0.025), max(known.ppf(0.975), fraction)))
+    two = rate_interval(np.ones(40), [np.repeat([0, 1], 20)])
+    assert np.isnan([two.low, two.high]).all()
+
+
 def test_any_statistic_of_weights_where_no_factor_means_independent_episodes():
     """A ratio of sums."""
     a, b = np.array([1.0, 2.0, 3.0, 4.0] * 10), np.array([2.0, 2.0, 4.0, 6.0] * 10)
