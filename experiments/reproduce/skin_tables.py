@@ -29,15 +29,6 @@ def predictors_on_recording(over: str) -> Table:
     return rows_over("methods", head, *cells, kept=True)
 
 
-def predictors_by_object(measured: Measured) -> str:
-    """R² of every predictor on each test object, mean over pads."""
-    scores = measured["by_object"]
-    rows = [
-        [method, *(number(scores[name][method][0], 2) for name in scores)] for method in next(iter(scores.values()))
-    ]
-    return markdown(["method", *scores], rows)
-
-
 CALIBRATED, PLAIN, NEIGHBOURS = "i2t.calibrate", "plain Gaussian process", "k nearest presses"
 GAIN = f"{CALIBRATED} - {PLAIN}"
 SHOWN_COUNTS = ("5", "20", "100", "300")  # of presses, where there are so many
@@ -175,7 +166,6 @@ TABLES: dict[str, dict[str, Table]] = {
     "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
     "study": {
         "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
-        "by object": predictors_by_object,
     },
     "calibrate": {
         "random presses": press_counts("random presses", "random presses"),
