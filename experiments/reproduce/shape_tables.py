@@ -69,7 +69,29 @@ def local_shapes_by_source(measured: Measured) -> str:
     return markdown(["test objects", *head], rows)
 
 
+HELD_OUT = {
+    "random": "random fifths", "location": "squares of position", "depth": "fifths of depth",
+    "angle": "sectors of rotation",
+}  # fmt: skip
+STAMP_GOALS = {"random": "0.92 (classifier); 0.95 (best)", "location": "0.85", "20": "0.85"}
+
+
+def stamps(measured: Measured) -> str:
+    """Rates at which stamps are told apart, by what is held out, below the paper's."""
+    methods = list(measured["splits"]["random"])
+    found = {name: {method: each["total"] for method, each in of.items()} for name, of in measured["splits"].items()}
+    rows = [
+        [title, *(estimate(of[method], 2) if method in of else "-" for method in methods), STAMP_GOALS.get(name, "")]
+        for name, of in (found | measured["new"]).items()
+        for title in [HELD_OUT.get(name, f"a new skin, {name} presses of each shape known")]
+    ]
+    head = [f"held out, {measured['source']}", *(f"{method} [95 %]" for method in methods), "goal"]
+    published = ["random fifths, the paper, one real skin", "0.92", *[""] * len(methods)]
+    return markdown(head, [published, *rows])
+
+
 TABLES: dict[str, dict[str, Table]] = {
+    "shapes": {"stamps": stamps},
     "reconstruct": {"conditions": reconstructions_and_goals},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
     "reconstruct_tip": {"methods": TIPS},
