@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from experiments.check_docs.pages import BLOCK, Finding, pages_of
+from experiments.check_docs.pages import BLOCK, HEADING, LINK, Finding, blank, pages_of, slug
 from experiments.reproduce.tables import MARK
 
 UNSPOKEN = (
@@ -28,8 +28,6 @@ RESULTS = r"%|points?|times|ms|s|minutes?|min|hours?|MB|GB"
 NUMBER = re.compile(
     rf"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?=(?: to [\d.]+)? ?-? ?({RESULTS})(?!\w)|)(?: ({UNITS})(?!\w))?"
 )
-LINK = re.compile(r"\]\(([\w./]+\.md)?(?:#([\w-]+))?\)")
-HEADING = re.compile(r"^(#+) (.*)$", re.M)
 PARAGRAPH = re.compile(r"^\|.*$|(?:^(?!\|).*\S.*$\n?)+", re.M)  # a row of a table is one
 TABLE_ROW = re.compile(r"^\|.*$", re.M)
 SMALL = 1000  # whole numbers below it are free
@@ -44,9 +42,9 @@ def findings(root: Path) -> Iterator[Finding]:
 
 def numbers(page: Path, text: str) -> Iterator[Finding]:
     """Results that sentences of one page name and no table holds."""
-    spoken = MARK.sub(_blank, text) if page.stem == "README" else TABLE_ROW.sub(_blank, text)
-    spoken = UNSPOKEN_PATTERN.sub(_blank, spoken)
-    code = BLOCK.sub(_blank, text)  # a comment in it is no heading
+    spoken = MARK.sub(blank, text) if page.stem == "README" else TABLE_ROW.sub(blank, text)
+    spoken = UNSPOKEN_PATTERN.sub(blank, spoken)
+    code = BLOCK.sub(blank, text)  # a comment in it is no heading
     ends = [found.start() for found in HEADING.finditer(code) if len(found[1]) <= 2]
     for paragraph in PARAGRAPH.finditer(text):
         begin = max((end for end in ends if end <= paragraph.start()), default=0)
@@ -66,21 +64,11 @@ def numbers(page: Path, text: str) -> Iterator[Finding]:
 
 def _section(text: str, anchor: str) -> str:
     """The section of a page with an anchor, to the next heading of its level; the page where there is no anchor."""
-    found = [each for each in HEADING.finditer(BLOCK.sub(_blank, text)) if not anchor or _slug(each[2]) == anchor]
+    found = [each for each in HEADING.finditer(BLOCK.sub(blank, text)) if not anchor or slug(each[2]) == anchor]
     if not anchor or not found:
         return text
     later = (each.start() for each in HEADING.finditer(text, found[0].end()) if len(each[1]) <= len(found[0][1]))
     return text[found[0].start() : next(later, len(text))]
-
-
-def _slug(heading: str) -> str:
-    """The anchor that a heading has on the site."""
-    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
-
-
-def _blank(found: re.Match[str]) -> str:
-    """Spaces in place of what is found, so that lines stay where they are."""
-    return re.sub(r"[^\n]", " ", found[0])
 
 
 def _value(found: re.Match[str]) -> tuple[float, int]:

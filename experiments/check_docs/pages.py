@@ -24,6 +24,8 @@ from experiments.reproduce.tables import MARK, table
 
 ROOT = Path(__file__).parents[2]
 COMMAND = re.compile(r"python -m (?:i2t|experiments)[^`\n]*")
+LINK = re.compile(r"\]\(([\w./]+\.md)?(?:#([\w-]+))?\)")
+HEADING = re.compile(r"^(#+) (.*)$", re.M)
 BLOCK = re.compile(r"^```([a-z]*)\n(.*?)^```", re.M | re.S)
 
 
@@ -54,6 +56,26 @@ def findings(root: Path) -> Iterator[Finding]:
 
 def _line(text: str, position: int) -> int:
     return text.count("\n", 0, position) + 1
+
+
+def blank(found: re.Match[str]) -> str:
+    """Spaces in place of what is found, so that lines stay where they are."""
+    return re.sub(r"[^\n]", " ", found[0])
+
+
+def slug(heading: str) -> str:
+    """The anchor that a heading has on the site."""
+    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
+
+
+def anchors(page: Path, text: str) -> Iterator[Finding]:
+    """Headings that links lead to exist."""
+    for found in LINK.finditer(text):
+        other = page.parent / found[1] if found[1] else page
+        if found[2] and other.is_file():
+            headings = HEADING.findall(BLOCK.sub(blank, text if other == page else other.read_text()))
+            if found[2] not in {slug(title) for _, title in headings}:
+                yield Finding(page, _line(text, found.start()), f"{found[1] or page.name} has no heading {found[2]}")
 
 
 def links(page: Path, text: str) -> Iterator[Finding]:
@@ -110,7 +132,7 @@ def printed_commands(text: str) -> list[tuple[int, list[str]]]:
     `python -m`.
     """
     places = [(found.start(2), found[2]) for found in BLOCK.finditer(text) if found[1] in ("", "bash", "sh", "console")]
-    prose = BLOCK.sub(lambda block: re.sub(r"[^\n]", " ", block[0]), text)
+    prose = BLOCK.sub(blank, text)
     places += [(found.start(1), found[1]) for found in re.finditer(r"^ {4,}(?:\$ )?(python -m .*)$", prose, re.M)]
     places += [(each.start(1), " ".join(each[1].split())) for each in re.finditer(r"`(python -m [^`]+)`", prose)]
     commands = []
@@ -270,4 +292,4 @@ SITE = {
     "physics": ("<math",),
     "index": ('src="_images/overview.png"',),
 }
-CHECKS = (links, figures, tests, names, commands, python, tables, advice)
+CHECKS = (links, anchors, figures, tests, names, commands, python, tables, advice)

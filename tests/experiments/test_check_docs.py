@@ -14,6 +14,8 @@ PLANTED = [
     (pages.links, "See [it](nowhere.md).", "nowhere.md does not exist"),
     (pages.links, "See `i2t/nowhere.py`.", "i2t/nowhere.py does not exist"),
     (pages.links, "See [it](start.md), [that](https://example.org/x) and `i2t/types.py`.", ""),
+    (pages.anchors, "See [it](limits.md#nowhere) and [that](#here).\n\n## Here", "limits.md has no heading nowhere"),
+    (pages.anchors, "See [it](recognition.md#how-sure-it-is) and [that](#it-is-here).\n\n## It is here!", ""),
     (pages.figures, "![short](figures/a.png)", "has no text"),
     (pages.tests, "`test_nowhere.py` shows it.", "no test test_nowhere.py"),
     (pages.tests, "`test_check_docs.py::test_nothing` shows it.", "test_nothing"),
