@@ -31,7 +31,7 @@ import i2t
 from i2t.__main__ import COMMANDS, EXPERIMENTS
 
 project = "i2t"
-author = "The i2t maintainers"
+author = project_copyright = "The i2t maintainers"
 release = version = i2t.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "furo"
@@ -44,6 +44,7 @@ exclude_patterns = ["figures", "results"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 html_math_renderer = "mathml"  # which browsers draw by themselves: no script, no network
+highlight_language = "bash"  # of blocks that name none: commands
 nb_execution_mode = "off"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings give shapes and units, which annotations repeat at length
@@ -99,6 +100,7 @@ def commands_page() -> str:
 def api_page() -> str:
     """The public names, and the modules of the second tier."""
     lines = ["# Names of the library", "", "`import i2t` gives these; arguments say their shapes and units.", ""]
+    lines += ["```{eval-rst}", ".. highlight:: python", "```", ""]
     for name in i2t.__all__:
         found = getattr(i2t, name)
         kind = "autofunction" if not isinstance(found, type) else "autoclass"
@@ -124,6 +126,7 @@ def setup(app: Any) -> None:
             pages[name] = globals()[GENERATED[name]]()
         text = pages.get(name, content[0])
         # Markdown outside of this folder is no page of the site.
+        text = re.sub(r"\[([^\]]+)\]\(\.\./(\1)\)", r"`\2`", text)
         text = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)[^)]*\)", r"\1 (`\2`)", text)
         content[0] = text
 
@@ -131,7 +134,27 @@ def setup(app: Any) -> None:
     app.connect("env-get-outdated", found)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
-    app.connect("autodoc-process-docstring", field_comment, priority=100)
+    app.connect("autodoc-process-docstring", field_comment, priority=900)  # after it: a colon does not end a type
+    app.connect("html-page-context", keep_together)
+
+
+def keep_together(app: Any, pagename: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+    """Mark what must not be torn, and lines of code, for the style sheet; link pictures to their files."""
+    body = context.get("body") or ""
+    body = re.sub(r"(<pre>(?:<span></span>)?)(.*?)(</pre>)", _code_lines, body, flags=re.S)
+    for words in (
+        r"(?<=[\s>])--?[a-z][\w.-]*(?![^<]*>)",  # an option
+        r"\b\d[\d.]*e-\d+(?![^<]*>)",  # a number
+        r"<math[^>]*>(?:(?!</math>).)*</math>[.,;:)]+",  # a formula and the sign behind it
+    ):
+        body = re.sub(words, r'<span class="together">\g<0></span>', body, flags=re.S)
+    body = re.sub(r"\[[-+\d][^\]<]*, [^\]<]*\](?=[^<]*</p></td>)", r'<span class="interval">\g<0></span>', body)
+    context["body"] = re.sub(r'<img [^>]*src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', body)
+
+
+def _code_lines(found: re.Match[str]) -> str:
+    lines = (f'<span class="line">{line}</span>' if line else line for line in found[2].split("\n"))
+    return found[1] + "\n".join(lines) + found[3]
 
 
 def draw_inline(writer: Any, node: nodes.math) -> None:
@@ -154,13 +177,18 @@ def _mathml(node: nodes.math | nodes.math_block, as_block: bool = False) -> str:
 
 
 def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
-    """Show examples, and indented blocks of a module's page, as the code that they are."""
+    """Show examples, and indented blocks of a module's page, as the code that they are, and results as plain text."""
     made: list[str] = []
     inside = False
     for number, line in enumerate(lines):
         if line.strip() == "Example:":
             made += ["", ".. rubric:: Example", "", "::", ""]
             inside = True
+            continue
+        if line.strip() == "Returns:":  # napoleon would take what stands before a colon for a type
+            inside = False
+            made.append("")
+            lines[number + 1] = f":returns: {lines[number + 1].strip()}"
             continue
         begins = line.startswith("    ") and number > 0 and not lines[number - 1].strip()
         if what == "module" and begins and not inside:
