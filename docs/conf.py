@@ -78,12 +78,12 @@ def _help(command: str, *words: str) -> str:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
         main([*words, "--help"])
     out.flush()
-    return "\n".join(map(_wrapped, out.buffer.getvalue().decode().splitlines())) + "\n"
+    return re.sub(r"^[\w(`].*(?:\n(?:[\w(`]|--).*)*", _wrapped, out.buffer.getvalue().decode(), flags=re.M)
 
 
-def _wrapped(line: str) -> str:
-    """A line of prose in the width of the page; options and examples, which are indented or boxed, as they are."""
-    return textwrap.fill(line, int(os.environ["COLUMNS"])) if re.match(r"[\w(`]", line) else line
+def _wrapped(found: re.Match[str]) -> str:
+    """A paragraph in the width of the page; options and examples, which are indented or boxed, are none."""
+    return textwrap.fill(found[0], int(os.environ["COLUMNS"]), break_on_hyphens=False)
 
 
 def commands_page() -> str:
@@ -92,7 +92,8 @@ def commands_page() -> str:
     for title, commands in (("The library", COMMANDS), ("The experiments", EXPERIMENTS)):
         lines += ["", f"## {title}"]
         for command, said in commands.items():
-            lines += ["", f"### python -m {command}", "", f"{said[0].upper()}{said[1:]}.", ""]
+            end = "" if said.endswith("?") else "."
+            lines += ["", f"### python -m {command}", "", f"{said[0].upper()}{said[1:]}{end}", ""]
             lines += ["````text", help_of(command).rstrip(), "````"]
     return "\n".join(lines) + "\n"
 
@@ -126,7 +127,7 @@ def setup(app: Any) -> None:
             pages[name] = globals()[GENERATED[name]]()
         text = pages.get(name, content[0])
         # Markdown outside of this folder is no page of the site.
-        text = re.sub(r"\[([^\]]+)\]\(\.\./(\1)\)", r"`\2`", text)
+        text = re.sub(r"\[([^\]]+)\]\(\.\./\1(?:#[^)]*)?\)", r"`\1`", text)
         text = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)[^)]*\)", r"\1 (`\2`)", text)
         content[0] = text
 
@@ -153,8 +154,12 @@ def keep_together(app: Any, pagename: str, template: str, context: dict[str, Any
 
 
 def _code_lines(found: re.Match[str]) -> str:
-    lines = (f'<span class="line">{line}</span>' if line else line for line in found[2].split("\n"))
-    return found[1] + "\n".join(lines) + found[3]
+    def marked(line: str) -> str:
+        words = re.sub(r"<[^>]*>", "", line)
+        indent = len(words) - len(words.lstrip())
+        return f'<span class="line" style="--indent: {indent}">{line}</span>' if words else line
+
+    return found[1] + "\n".join(map(marked, found[2].split("\n"))) + found[3]
 
 
 def draw_inline(writer: Any, node: nodes.math) -> None:
