@@ -78,7 +78,9 @@ def _help(command: str, *words: str) -> str:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
         main([*words, "--help"])
     out.flush()
-    return re.sub(r"^[\w(`].*(?:\n(?:[\w(`]|--).*)*", _wrapped, out.buffer.getvalue().decode(), flags=re.M)
+    here = f"{DOCS.parent}/"  # a default that names the checkout is shown below it, in a box of the same width
+    text = re.sub(f"{re.escape(here)}([^│\n]*)", rf"\1{' ' * len(here)}", out.buffer.getvalue().decode())
+    return re.sub(r"^(?:[\w(`]|--).*(?:\n(?:[\w(`]|--).*)*", _wrapped, text, flags=re.M)
 
 
 def _wrapped(found: re.Match[str]) -> str:
@@ -202,7 +204,7 @@ def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines
         elif inside and line.strip() and not line.startswith("    "):
             inside = False
             made.append("")
-        made.append(line)
+        made.append(re.sub(r": (\w\.)$", r": \\\1", line))  # "timeout: s." is a unit and no list
     lines[:] = made
 
 
