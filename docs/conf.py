@@ -31,7 +31,7 @@ import i2t
 from i2t.__main__ import COMMANDS, EXPERIMENTS
 
 project = "i2t"
-author = "The i2t maintainers"
+author = project_copyright = "The i2t maintainers"
 release = version = i2t.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "furo"
@@ -44,6 +44,7 @@ exclude_patterns = ["figures", "results"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 html_math_renderer = "mathml"  # which browsers draw by themselves: no script, no network
+highlight_language = "bash"  # of blocks that name none: commands
 nb_execution_mode = "off"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings give shapes and units, which annotations repeat at length
@@ -77,12 +78,14 @@ def _help(command: str, *words: str) -> str:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
         main([*words, "--help"])
     out.flush()
-    return "\n".join(map(_wrapped, out.buffer.getvalue().decode().splitlines())) + "\n"
+    here = f"{DOCS.parent}/"  # a default that names the checkout is shown below it, in a box of the same width
+    text = re.sub(f"{re.escape(here)}([^│\n]*)", rf"\1{' ' * len(here)}", out.buffer.getvalue().decode())
+    return re.sub(r"^(?:[\w(`]|--).*(?:\n(?:[\w(`]|--).*)*", _wrapped, text, flags=re.M)
 
 
-def _wrapped(line: str) -> str:
-    """A line of prose in the width of the page; options and examples, which are indented or boxed, as they are."""
-    return textwrap.fill(line, int(os.environ["COLUMNS"])) if re.match(r"[\w(`]", line) else line
+def _wrapped(found: re.Match[str]) -> str:
+    """A paragraph in the width of the page; options and examples, which are indented or boxed, are none."""
+    return textwrap.fill(found[0], int(os.environ["COLUMNS"]), break_on_hyphens=False)
 
 
 def commands_page() -> str:
@@ -91,7 +94,8 @@ def commands_page() -> str:
     for title, commands in (("The library", COMMANDS), ("The experiments", EXPERIMENTS)):
         lines += ["", f"## {title}"]
         for command, said in commands.items():
-            lines += ["", f"### python -m {command}", "", f"{said[0].upper()}{said[1:]}.", ""]
+            end = "" if said.endswith("?") else "."
+            lines += ["", f"### python -m {command}", "", f"{said[0].upper()}{said[1:]}{end}", ""]
             lines += ["````text", help_of(command).rstrip(), "````"]
     return "\n".join(lines) + "\n"
 
@@ -99,6 +103,7 @@ def commands_page() -> str:
 def api_page() -> str:
     """The public names, and the modules of the second tier."""
     lines = ["# Names of the library", "", "`import i2t` gives these; arguments say their shapes and units.", ""]
+    lines += ["```{eval-rst}", ".. highlight:: python", "```", ""]
     for name in i2t.__all__:
         found = getattr(i2t, name)
         kind = "autofunction" if not isinstance(found, type) else "autoclass"
@@ -124,6 +129,7 @@ def setup(app: Any) -> None:
             pages[name] = globals()[GENERATED[name]]()
         text = pages.get(name, content[0])
         # Markdown outside of this folder is no page of the site.
+        text = re.sub(r"\[([^\]]+)\]\(\.\./\1(?:#[^)]*)?\)", r"`\1`", text)
         text = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)[^)]*\)", r"\1 (`\2`)", text)
         content[0] = text
 
@@ -131,7 +137,31 @@ def setup(app: Any) -> None:
     app.connect("env-get-outdated", found)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
-    app.connect("autodoc-process-docstring", field_comment, priority=900)  # after it: a colon is no type
+    app.connect("autodoc-process-docstring", field_comment, priority=900)  # after it: a colon does not end a type
+    app.connect("html-page-context", keep_together)
+
+
+def keep_together(app: Any, pagename: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+    """Mark what must not be torn, and lines of code, for the style sheet; link pictures to their files."""
+    body = context.get("body") or ""
+    body = re.sub(r"(<pre>(?:<span></span>)?)(.*?)(</pre>)", _code_lines, body, flags=re.S)
+    for words in (
+        r"(?<=[\s>])--?[a-z][\w.-]*(?![^<]*>)",  # an option
+        r"\b\d[\d.]*e-\d+(?![^<]*>)",  # a number
+        r"<math[^>]*>(?:(?!</math>).)*</math>[.,;:)]+",  # a formula and the sign behind it
+    ):
+        body = re.sub(words, r'<span class="together">\g<0></span>', body, flags=re.S)
+    body = re.sub(r"\[[-+\d][^\]<]*, [^\]<]*\](?=[^<]*</p></td>)", r'<span class="interval">\g<0></span>', body)
+    context["body"] = re.sub(r'<img [^>]*src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', body)
+
+
+def _code_lines(found: re.Match[str]) -> str:
+    def marked(line: str) -> str:
+        words = re.sub(r"<[^>]*>", "", line)
+        indent = len(words) - len(words.lstrip())
+        return f'<span class="line" style="--indent: {indent}">{line}</span>' if words else line
+
+    return found[1] + "\n".join(map(marked, found[2].split("\n"))) + found[3]
 
 
 def draw_inline(writer: Any, node: nodes.math) -> None:
@@ -154,13 +184,18 @@ def _mathml(node: nodes.math | nodes.math_block, as_block: bool = False) -> str:
 
 
 def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
-    """Show examples, and indented blocks of a module's page, as the code that they are."""
+    """Show examples, and indented blocks of a module's page, as the code that they are, and results as plain text."""
     made: list[str] = []
     inside = False
     for number, line in enumerate(lines):
         if line.strip() == "Example:":
             made += ["", ".. rubric:: Example", "", "::", ""]
             inside = True
+            continue
+        if line.strip() == "Returns:":  # napoleon would take what stands before a colon for a type
+            inside = False
+            made.append("")
+            lines[number + 1] = f":returns: {lines[number + 1].strip()}"
             continue
         begins = line.startswith("    ") and number > 0 and not lines[number - 1].strip()
         if what == "module" and begins and not inside:
@@ -169,7 +204,7 @@ def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines
         elif inside and line.strip() and not line.startswith("    "):
             inside = False
             made.append("")
-        made.append(line)
+        made.append(re.sub(r": (\w\.)$", r": \\\1", line))  # "timeout: s." is a unit and no list
     lines[:] = made
 
 

@@ -105,7 +105,7 @@ class Board(NamedTuple):
     """
 
     chips: Float[Any, "*batch chips 3"]  # m, in the tool frame; z is negative, below the skin's surface
-    rotations: Float[Any, "*batch chips 3 3"]
+    rotations: Float[Any, "*batch chips 3 3"]  # from each chip's axes to the tool's
 
     @property
     def num_chips(self) -> int:
@@ -152,11 +152,11 @@ class Pad(NamedTuple):
 
     thickness: Float[Any, "*batch"]  # m
     young: Float[Any, "*batch"]  # Pa
-    poisson: Float[Any, "*batch"]
+    poisson: Float[Any, "*batch"]  # Poisson's ratio
     # A/m in tool axes on m x m equal cells of the pad (row along y), uniform through the thickness:
     magnetization: Float[Any, "*batch m m 3"]
     gains: Float[Any, "*batch c"]  # of the chips' axes, in the board's order; 1 is nominal
-    board: Board
+    board: Board  # the chips under it
     friction: Float[Any, "*batch"]  # coefficient of Coulomb friction of the skin; 0 is frictionless
     mount_compliance: Float[Any, "*batch"]  # m/N by which the middle of a skin clamped at its edge sinks; 0 is bonded
 
@@ -198,7 +198,7 @@ class Touches(NamedTuple):
     pad: Int[Any, "*n"]  # index into its pad names
     session: Int[Any, "*n"]  # index into its session names (a session: a recording with one placement of an object)
     code: Int[Any, "*n"]  # a `ReturnCode`
-    truth: Truth | None = None
+    truth: Truth | None = None  # without errors and noise, where simulated
     time: Float[Any, "*n"] | None = None  # s, when, as the recording counts (Unix time where it has it); float64
 
 

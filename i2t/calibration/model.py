@@ -46,9 +46,9 @@ LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
 class CalibrationRecord(NamedTuple):
     """A calibration on disk."""
 
-    gp: PopulationGP
+    gp: PopulationGP  # fitted to the presses
     interval_scaling: Array  # (c,)
-    previous: PopulationGP | None = None
+    previous: PopulationGP | None = None  # of an earlier session
 
 
 @dataclass(frozen=True, repr=False)

@@ -41,7 +41,7 @@ class Device(Protocol):
 class SkinFeatures(NamedTuple):
     """Features of a skin, known before it is connected."""
 
-    name: str
+    name: str  # of the device, for messages
     source: str  # real, emulated or simulated: what a file must say of its readings
     channels: tuple[str, ...]  # one for each value of a reading, in the board's order
     unit: str  # uT
@@ -79,7 +79,7 @@ class SkinCounters(NamedTuple):
     skipped: int = 0  # of those, in no frame
     empty: int = 0  # frames in which no chip answered; they are not delivered
     missing: int = 0  # chips that did not answer, in all samples together
-    connects: int = 0
+    connects: int = 0  # connections made
     rate: float = 0.0  # Hz, over the last second
 
     @property
@@ -142,7 +142,7 @@ class Skin(Device, Protocol):
 class ArmFeatures(NamedTuple):
     """Features of an arm, known before it is connected."""
 
-    name: str
+    name: str  # of the device, for messages
     source: str  # real, emulated or simulated
     rate: float  # Hz, of its states
     box: Array  # (2, 3) m, lowest and highest tool position in the base frame that any motion may reach
@@ -158,7 +158,7 @@ class ArmState(NamedTuple):
     joints: Array  # (joints,) rad
     velocity: Array  # (6,) of the tool: m/s, rad/s, along the base's axes
     wrench: Array  # (6,) on the tool, along the tool's axes: N, Nm, zeroed by `zero_wrench`
-    moving: bool
+    moving: bool  # whether a motion is under way
     safe: bool  # False in a protective stop, an emergency stop or a violation
 
 
@@ -241,7 +241,7 @@ class PlanningArm(Protocol):
 class CameraFeatures(NamedTuple):
     """Features of a depth camera, known before it is connected."""
 
-    name: str
+    name: str  # of the device, for messages
     source: str  # real, simulated or replay
     nearest: float  # m, below which it measures nothing; NaN where only the device knows it
     rate: float  # Hz, nominal
@@ -294,7 +294,7 @@ class DepthCamera(Device, Protocol):
 class ApproachResult(NamedTuple):
     """Outcome of a guarded approach."""
 
-    reason: StopReason
+    reason: StopReason  # what ended the approach
     answer: Any  # what the caller's stop condition returned, None unless it stopped the arm
     trigger: ArmState  # what was known when the arm was told to brake
     state: ArmState  # at rest

@@ -49,8 +49,8 @@ REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: 
 class PadModel(NamedTuple):
     """Model of a pad from its touches of known objects."""
 
-    reading_model: LinearReadingModel
-    likelihood: Likelihood
+    reading_model: LinearReadingModel  # the reading of a contact
+    likelihood: Likelihood  # of readings and positions
     reading_std: Float[np.ndarray, " c"]  # uT, of the readings
     r2: float  # of held-out touches; NaN where there were none
     held_out_errors: Float[np.ndarray, "n c"]  # uT, measured minus predicted

@@ -80,7 +80,7 @@ class RecognizerConfig:
 class ChosenSite(NamedTuple):
     """A site to be touched."""
 
-    number: int
+    number: int  # of the site
     T_w_t: Float[np.ndarray, "4 4"]  # the tool's pose where the skin would just lie on the believed surface
 
 
@@ -89,14 +89,14 @@ class SiteObservation(NamedTuple):
     """Measurement at a touch of a site."""
 
     number: int  # of the site
-    touch: TouchObservation
+    touch: TouchObservation  # what was measured there
 
 
 @in_one_line
 class RecognizerState(NamedTuple):
     """Belief, and the sites that were touched."""
 
-    belief: Belief
+    belief: Belief  # over objects and their poses
     touched: Bool[np.ndarray, " sites"]  # or excluded
     touches: int  # that updated the belief
     probability: Float[np.ndarray, " objects"]  # calibrated, of the known objects; what lacks to 1 is unknown

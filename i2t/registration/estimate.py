@@ -16,7 +16,7 @@ class PoseEstimate(NamedTuple):
         estimate.T_w_o, jnp.sqrt(jnp.diag(estimate.covariance))  # the pose and its standard deviations (m)
     """
 
-    T_w_o: Float[Array, "4 4"]
+    T_w_o: Float[Array, "4 4"]  # the object's estimated pose in the world
     covariance: Float[Array, "6 6"]  # m^2, of the twist x (`i2t.geometry.from_twist`) in T_w_o exp(x), prior included
     residual: Float[Array, " n"]  # m, of each touch or point
     weight: Float[Array, " n"]  # of each, from 0 for an outlier to about 1

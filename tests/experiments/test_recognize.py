@@ -145,7 +145,7 @@ def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, caps
 
 
 # Those that play an episode of their own, register whole objects or fit many presses take minutes.
-LONG_FIGURES = {"overview", "episode", "registration", "calibration_curve"}
+LONG_FIGURES = {"overview", "episode", "registration"}
 
 
 @pytest.mark.full
