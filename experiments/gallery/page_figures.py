@@ -31,7 +31,7 @@ def from_depth(story: Story) -> Figure:
     beyond = np.asarray(seen.patch.depth + seen.patch.nearest) - np.asarray(exact.depth + exact.nearest)
     both = (np.asarray(seen.patch.depth) < REACH) & (np.asarray(exact.depth) < REACH)
     error = MM_PER_M * np.where(both, beyond, np.nan)
-    figure = Figure(figsize=(14, 3.7), layout="constrained")
+    figure = Figure(figsize=(11.5, 3.3), layout="constrained")
     figure.suptitle(titled("From a depth image to a patch", True))
     parts = figure.subplots(1, 4)
     shown = parts[0].imshow(MM_PER_M * image[SHOWN_PIXELS], cmap="cividis_r")

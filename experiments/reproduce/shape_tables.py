@@ -81,7 +81,11 @@ def stamps(measured: Measured) -> str:
     methods = list(measured["splits"]["random"])
     found = {name: {method: each["total"] for method, each in of.items()} for name, of in measured["splits"].items()}
     rows = [
-        [title, *(estimate(of[method], 2) if method in of else "-" for method in methods), STAMP_GOALS.get(name, "")]
+        [
+            title,
+            *("".join(estimate(of[each], 2) for each in of if each.startswith(method)) for method in methods),
+            STAMP_GOALS.get(name, ""),
+        ]
         for name, of in (found | measured["new"]).items()
         for title in [HELD_OUT.get(name, f"a new skin, {name} presses of each shape known")]
     ]

@@ -52,7 +52,7 @@ STEPS = (
     Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
     Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", minutes=9),
     Step("train_time", "-m experiments.train --dataset data/eflesh --split time --epochs 60", minutes=6),
-    Step("shapes", "-m experiments.shapes", minutes=30),
+    Step("shapes", "-m experiments.shapes", minutes=15),
     Step("tsne", "-m experiments.tsne", again=OVERWRITE),
     Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again=OVERWRITE),
     Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=2, again=OVERWRITE),

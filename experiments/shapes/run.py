@@ -1,6 +1,6 @@
 """Question: which of five stamps pressed the skin, also at new positions, depths and rotations and on new skins?
 
-    python -m experiments.shapes                     three skins, simulated, 1280 presses each: some 30 minutes
+    python -m experiments.shapes                     three skins, simulated, 1280 presses each: some 15 minutes
     python -m experiments.shapes --preset debug      a few presses, too few to mean anything
     python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
 
