@@ -15,7 +15,7 @@ from experiments.reproduce import skin_tables as skins
 from experiments.reproduce.cells import UNSHOWN, Measured, Table
 
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
-KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "by_object", "calibration_error", "log_loss", "stopping")
+KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss", "stopping")
 KEPT_OF_STUDIES = ("source", "pads", "runs", "episodes", "touches", "tables")
 DECIMALS = 6  # of what is kept: fewer would be rounded twice in a table, .3146 to .315 and to .32
 
