@@ -121,7 +121,8 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
         by_setting: dict[str, list[str]] = {}
         for setting, evidence, after, _, whole, less, log_loss in found["rows"]:
             if (evidence in kinds or setting == "-") and shown(setting, *hidden):
-                cells = [estimate(whole, 2), estimate(less, 2, sign=True), number(log_loss, 2)]
+                lost = "-" if setting == "-" else estimate(less, 2, sign=True)  # it has no other setting
+                cells = [estimate(whole, 2), lost, number(log_loss, 2)]
                 cells = [estimate(after, 2), *cells] if len(kinds) == 1 else cells
                 by_setting.setdefault(evidence if setting == "-" else setting, []).extend(cells)
         few = names[4:] if len(kinds) > 1 else [last, *names[4:]]
