@@ -274,7 +274,7 @@ def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
     corners = Surface(np.asarray(box.vertices)[box.faces])
     for pose, height in ((on_top(), 0.0), (on_top(0.9e-3), 0.9e-3), (on_top(-3e-3), -3e-3)):
         user_input.check_in_front(corners, pose, seen(height), 17e-3)
-    with pytest.warns(UserWarning, match="begins 6 mm in front of the skin .* meets nothing and reads nil"):
+    with pytest.warns(UserWarning, match="begins 6 mm in front of the skin .* meets nothing and reads zero"):
         user_input.check_in_front(corners, on_top(6e-3), seen(6e-3), 17e-3)
     inverted = Surface(corners.triangles[:, ::-1])
     user_input.check_in_front(inverted, on_top(), seen(0.0), 17e-3)  # of a mesh turned inside out nobody knows

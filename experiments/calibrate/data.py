@@ -102,7 +102,9 @@ def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.
         notes.append(f"{lost} presses with a negative {kind} are left out")
     largest = float(amount[good & pushing].max(initial=0.0))
     if kind == "force" and largest <= 0:
-        raise ValueError("every force is nil, so nothing says how hard was pressed; choose --load depth if it is known")
+        raise ValueError(
+            "every force is zero, so nothing says how hard was pressed; choose --load depth if it is known"
+        )
     if float(np.ptp(amount[good & pushing])) <= LEAST_LOAD_RANGE * max(largest, 1e-9):
         notes.append(f"all presses have one {kind}, so only what depends on the position is learned")
     return amount, pushing, tuple(notes)

@@ -85,7 +85,7 @@ def _deep(depth: np.ndarray) -> PressLoad:
     nil = float(np.mean(depth < LEAST_DEPTH_M))
     if nil > NIL_SHARE:
         said = (
-            f"{100 * nil:.0f} % of the depths are nil, so the height of first contact that they count from is too low; "
+            f"{100 * nil:.0f} % of the depths are zero: the height of first contact that they count from is too low; "
             "give its height (--z0-mm of the converter)"
         )
         return PressLoad("depth", 1.0, nil, (said,))

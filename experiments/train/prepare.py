@@ -84,7 +84,7 @@ def pressure_model_of(
 
 
 def with_pressure(prepared: Prepared, model: PressureModelConfig, load: PressLoad) -> Prepared:
-    """Predict the contact pressure of each touch; none where almost all predicted pressures are nil."""
+    """Predict the contact pressure of each touch; none where almost all predicted pressures are zero."""
     split, dataset, notes = prepared.split, prepared.touches.dataset, prepared.notes
     print("predicting contact pressures")
     if load.control == "depth" and load.nil_share > NIL_SHARE_TO_SHIFT:
@@ -96,5 +96,5 @@ def with_pressure(prepared: Prepared, model: PressureModelConfig, load: PressLoa
     pressed = float(np.mean(total > model.floor / 10))
     if np.isfinite(total).all() and pressed >= LEAST_PRESSED_SHARE:
         return Prepared(replace(prepared.touches, pressure_model=model, pressure=pressure), split, notes)
-    said = f"{100 * (1 - pressed):.0f} % of the predicted contact pressures are nil or not finite"
+    said = f"{100 * (1 - pressed):.0f} % of the predicted contact pressures are zero or not finite"
     return prepared._replace(notes=(*notes, f"{said}: methods on them are left out"))

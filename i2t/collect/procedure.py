@@ -188,7 +188,7 @@ class Procedure:
 
         Args:
             site: Where.
-            log: That hears of everything.
+            log: Receives everything that happens.
             attempt: How often it was tried before.
 
         Returns:
@@ -226,7 +226,7 @@ class Procedure:
 
         Args:
             prepare: T_b_t (4, 4), m, before the site.
-            log: That hears of everything.
+            log: Receives everything that happens.
 
         Raises:
             TouchFailedError: Something is met there.
@@ -249,7 +249,7 @@ class Procedure:
         """Take the ambient, press until something says stop, and read the skins in contact.
 
         Args:
-            log: That hears of everything.
+            log: Receives everything that happens.
 
         Returns:
             The press; the tool is still in contact.

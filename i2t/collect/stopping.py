@@ -31,7 +31,7 @@ class StopCondition:
         skins: Connected.
         settings: Which change is enough.
         ambient: (3 chips,) uT of each skin before contact, by its name.
-        log: That hears of every sample and state.
+        log: Receives every sample and state.
     """
 
     def __init__(

@@ -67,7 +67,7 @@ def _check(args: LabArgs) -> None:
 
 
 def _contacts(args: LabArgs, rig: Rig, stack: ExitStack) -> "Contacts":
-    """What the tool feels, which each skin's board hears of; it takes some seconds, in which everything is compiled.
+    """What the tool feels, for each skin's board; it takes some seconds, in which everything is compiled.
 
     The pad that is worn must be on its board: any other would send it what it cannot show.
     """

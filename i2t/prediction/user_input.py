@@ -310,7 +310,7 @@ def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: Wide
     if met > MAX_CLOSE_GAP_M:
         warnings.warn(
             f"the surface begins {1e3 * met:.3g} mm in front of the skin at this pose: a press that ends there "
-            "meets nothing and reads nil; what is predicted is the reading of a skin that is moved on until it presses",
+            "meets nothing and reads zero; the prediction is for a skin that is moved on until it presses",
             stacklevel=4,
         )
     if stands_out > MAX_CLOSE_GAP_M:

@@ -151,7 +151,7 @@ def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, sai
     ("change", "said"),
     [
         ({"T_w_t": np.full((60, 4, 4), np.nan)}, "no press has a known position and depth"),
-        ({"force": np.zeros(60)} | NO_DEPTH, "every force is nil"),
+        ({"force": np.zeros(60)} | NO_DEPTH, "every force is zero"),
     ],
 )
 def test_loads_that_say_nothing_are_refused_at_once(change, said):

@@ -42,7 +42,7 @@ UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e
         (-np.linspace(4, 8, 200), None, "force", "negative at 100 %"),
         (NIL, None, None, "forces do not push"),
         (NIL, RISING, "depth", "forces do not push"),
-        (UNKNOWN, NIL, "depth", "100 % of the depths are nil"),
+        (UNKNOWN, NIL, "depth", "100 % of the depths are zero"),
         (UNKNOWN, UNKNOWN, None, "predicted as if all touches were pressed with 1 N"),
         (np.where(np.arange(200) % 2, 1.0, np.nan), UNKNOWN, None, "force is missing at 100 and depth at 200 of 200"),
     ],

@@ -236,7 +236,7 @@ def test_a_table_is_printed_where_a_score_is_missing(capsys):
     lead = {"r2": 0.0, "low": None, "high": None}
     print_table(
         {
-            "source": "real", "groups": 3, "best": "mean reading", "seconds": 1.0, "notes": ["depths are nil"],
+            "source": "real", "groups": 3, "best": "mean reading", "seconds": 1.0, "notes": ["depths are zero"],
             "methods": {"mean reading": one | {"r2": 0.0, "validation_coverage_90": 0.91}, "GP": one},
             "validation_r2": {"mean reading": 0.0, "GP": None}, "by_object": {},
             "choice": {"best_baseline": "mean reading", "over_best_baseline": lead},
@@ -246,7 +246,7 @@ def test_a_table_is_printed_where_a_score_is_missing(capsys):
     said = capsys.readouterr().out
     assert "kept: mean reading" in said
     assert "0.91 of validation values" in said
-    assert "note: depths are nil" in said
+    assert "note: depths are zero" in said
 
 
 def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
