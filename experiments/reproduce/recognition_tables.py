@@ -78,7 +78,7 @@ def paper_differences(measured: Measured) -> str:
         _, _, rule = pair.rpartition(", ")
         brief = re.sub(rf"Imagine2touch \(paper's (.*?)\)|same rules, |, {rule}", r"\1", pair).replace("network, ", "")
         rows.append([f"{brief} ({rule})", *cells, estimate(means[pair], 2, sign=True)])
-    return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five [95 %]"], rows)
+    return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five"], rows)
 
 
 def sets_of_the_paper(measured: Measured) -> str:
