@@ -39,7 +39,7 @@ OVERWRITE = "--overwrite"  # of commands that begin again
 STEPS = (
     Step("train", "-m experiments.train", minutes=4),
     Step("study", "-m experiments.train --preset study", minutes=30),
-    Step("paper", "-m experiments.recognize simulate --method paper --paper-episodes 100", uses="study", minutes=25),
+    Step("paper", "-m experiments.recognize simulate --method paper --paper-episodes 100", uses="study", minutes=85),
     Step(
         "recognize",
         "-m experiments.recognize simulate --pads 0 1 2 3 4 --episodes 10 --paper-episodes 10",
