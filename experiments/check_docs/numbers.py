@@ -4,7 +4,7 @@ A result is a number without a unit of size, a percentage, a time, a ratio or a 
 if a table of the sentence's section has it, or a table of the page or section that the paragraph links to, rounded to
 as many decimals. Free are whole numbers below a thousand, sizes of at most one decimal ("0.5 mm") or of images
 ("48 x 48"), years, versions, and the levels 90 % and 95 %.
-In the README, rows of tables that are not written from docs/results are sentences too.
+In the README, rows of a table that is not written from docs/results are sentences too.
 """
 
 import re

@@ -13,8 +13,10 @@ from experiments.reproduce import recognition_tables as recognition
 from experiments.reproduce import shape_tables as shapes
 from experiments.reproduce import skin_tables as skins
 from experiments.reproduce.cells import UNSHOWN, Measured, Table
+from experiments.reproduce.readme_table import summary
 
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+README_TABLE = ("all", "summary")  # of all steps
 KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss", "stopping")
 KEPT_OF_STUDIES = ("source", "pads", "runs", "episodes", "touches", "tables")
 DECIMALS = 6  # of what is kept: fewer would be rounded twice in a table, .3146 to .315 and to .32
@@ -59,6 +61,8 @@ def table(docs: Path, step: str, name: str, page: str = "") -> str:
     Raises:
         ValueError: There is no such table, or nothing was measured.
     """
+    if (step, name) == README_TABLE:
+        return summary({path.stem: json.loads(path.read_text()) for path in (docs / "results").glob("*.json")})
     if name not in TABLES.get(step, {}):
         raise ValueError(f"{page}: there is no table {name!r} of {step}; there are {', '.join(TABLES.get(step, {}))}")
     path = docs / "results" / f"{step}.json"

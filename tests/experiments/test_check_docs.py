@@ -31,6 +31,7 @@ PLANTED = [
     (pages.python, "```python\ni2t.make_object('a', unknown=1)\n```", "unknown"),
     (pages.python, "```python\ni2t.make_object('a').mesh.anything()\n```", ""),
     (pages.tables, "<!-- table: paper methods -->\n| before |\n<!-- end of table -->", "not what docs/results holds"),
+    (pages.tables, "<!-- table: all summary -->\n| before |\n<!-- end of table -->", "not what docs/results holds"),
     (pages.tables, "<!-- table: nothing methods -->\n<!-- end of table -->", "no step nothing"),
     (pages.advice, "Type `pip install 'i2t[view]'`.", "installs what there is not"),
     (pages.advice, "Type `pip install -e '.[view]'`.", ""),

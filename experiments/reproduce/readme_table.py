@@ -1,0 +1,116 @@
+"""The table of the README: what i2t can do on real data and in simulation, and where it falls short."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from experiments.common.tables import markdown
+from experiments.reproduce.cells import Measured
+
+GP, MEASURED = "Gaussian process on predicted contact pressure", "k nearest patches + measured"
+OTHER_PHYSICS = ("free side faces", "soft compressible layer", "Winkler foundation")
+VOTES = {
+    "masks": "Imagine2touch (paper's network, mask), votes",
+    "depths": "Imagine2touch (paper's network, depth), votes",
+    "proprioception": "proprioception, votes",
+}
+
+
+def short(value: float) -> str:
+    """A number below one with two decimals, as .94."""
+    return f"{value:.2f}".removeprefix("0")
+
+
+def ranged(found: Any) -> str:
+    """A mean with its interval, from a dict or a list of the three."""
+    mean, low, high = found.values() if isinstance(found, dict) else found
+    return f"{short(mean)} {limits(low, high)}"
+
+
+def limits(low: float, high: float) -> str:
+    """An interval."""
+    return f"[{short(low)}, {short(high)}]"
+
+
+def last(scores: Mapping[str, Any]) -> dict[str, float]:
+    """Accuracy after the last touch."""
+    return {name: values[-1] for name, values in scores["accuracy"].items()}
+
+
+def summary(results: Mapping[str, Measured]) -> str:
+    """A row for each thing that i2t does, with links to where its numbers stand; of the metrics by step."""
+    return markdown(
+        ["", "real data", "simulated", "falls short"], [*_skins(results), *_objects(results), *_others(results)]
+    )
+
+
+def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
+    real, pads = results["train_blocks"]["methods"], results["study"]["over_pads"]
+    press = results["calibrate"]["calibrate_over_blocks"]["blocks of 6 mm"]["r2"]["20"]
+    best, baseline = (f"{short(real[name]['r2'])} {limits(*real[name]['r2_interval'])}" for name in (GP, MEASURED))
+    return [
+        [
+            "predict readings, R²",
+            f"one eFlesh skin and tip, blocks held out: {best}, best baseline {baseline} "
+            "([results](docs/results.md#real-presses-whole-blocks-held-out))",
+            f"six unseen objects: {ranged(pads[GP]['r2'])}, best baseline {ranged(pads[MEASURED]['r2'])} "
+            "([results](docs/results.md#simulated-objects-that-were-never-touched))",
+            "errors of camera and arm cost half of what could be explained",
+        ],
+        [
+            "know a skin from 20 presses, R²",
+            f"one eFlesh skin, blocks held out: {ranged(press)} ([calibration](docs/calibration.md))",
+            "better than a plain GP ([calibration](docs/calibration.md))",
+            "partly tuned on that skin; the layer's physics failed on it",
+        ],
+    ]
+
+
+def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
+    paper, belief = results["paper"]["mean of the sets"], results["recognize"]["sets"]["all"]["methods"]
+    votes = ", ".join(f"{name} {short(paper[method]['mean'])}" for name, method in VOTES.items())
+    fused, other = belief["fused"], belief["fused"]["last_other_objects"]
+    means = {(row[0], row[1]): short(row[4]["mean"]) for row in results["mismatch"]["tables"]["methods"]["rows"]}
+    readings, refitted, together = (
+        " / ".join(means[name + ending, evidence] for name in OTHER_PHYSICS)
+        for evidence, ending in (("readings", ""), ("readings", ", fitted there"), ("fused", ""))
+    )
+    return [
+        [
+            "the paper's recognition, mean of its five objects, chance .40",
+            "not yet",
+            f"{votes}; the paper's real skin .58, proprioception .46 ([recognition](docs/recognition.md))",
+            "masks lose on tools; depths, the paper's text, are not shown above proprioception by votes",
+        ],
+        [
+            "recognition by the belief, ten touches, chance .20",
+            "not yet",
+            f"{ranged(last(fused))} on five pads; for objects like these {limits(other['low'], other['high'])}; from "
+            f"readings alone {short(last(belief['readings'])['mean'])} ([recognition](docs/recognition.md))",
+            "in other physics, over all touches, three pads: readings alone fall from "
+            f"{means['matched', 'readings']} to {readings}, fitted there to {refitted}; fused from {means['matched', 'fused']} to {together}",
+        ],
+    ]
+
+
+def _others(results: Mapping[str, Measured]) -> list[list[str]]:
+    tip = results["reconstruct_tip"]["methods"]["by imagination, with the head"]["position_mm_median"][0]
+    return [
+        [
+            "patches from depth images",
+            "frames of YCB-Video and APC ([depth](docs/depth.md))",
+            "against the mesh ([depth](docs/depth.md))",
+            "sharp ridges read too deep",
+        ],
+        [
+            "touch to shape",
+            f"a tip's place, not shape: median {tip:.1f} mm ([local shape](docs/local_shape.md))",
+            "surfaces under a press and of whole objects ([reconstruction](docs/reconstruction.md))",
+            "edges; after 20 touches about half of the error is left",
+        ],
+        [
+            "drivers: ReSkin, UR arm, RealSense",
+            "**not yet**",
+            "emulators of the devices' protocols ([hardware](docs/hardware.md))",
+            "no real device was tried",
+        ],
+    ]
