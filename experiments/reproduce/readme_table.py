@@ -87,7 +87,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             f"{ranged(last(fused))} on five pads; for objects like these {limits(other['low'], other['high'])}; from "
             f"readings alone {short(last(belief['readings'])['mean'])} ([recognition](docs/recognition.md))",
             "in other physics, over all touches, three pads: readings alone fall from "
-            f"{means['matched', 'readings']} to {readings}, fitted there to {refitted}; fused from {means['matched', 'fused']} to {together}",
+            f"{means['matched', 'readings']} to {readings}, fitted there to {refitted}; fused from "
+            f"{means['matched', 'fused']} to {together}",
         ],
     ]
 
