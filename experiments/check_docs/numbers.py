@@ -57,18 +57,18 @@ def numbers(page: Path, text: str) -> Iterator[Finding]:
         for found in NUMBER.finditer(spoken, paragraph.start(), paragraph.end()):
             if _is_result(found) and not _is_held(found, held):
                 line = text.count("\n", 0, found.start()) + 1
-                yield Finding(
-                    page, line, f"no table holds the number {f'{found[1].strip()} {found[2] or str()}'.strip()}"
-                )
+                number = " ".join(filter(None, (found[1].strip(), found[2])))
+                yield Finding(page, line, f"no table holds the number {number}")
 
 
 def _section(text: str, anchor: str) -> str:
     """The section of a page with an anchor, to the next heading of its level; the page where there is no anchor."""
-    found = [each for each in HEADING.finditer(BLOCK.sub(blank, text)) if not anchor or slug(each[2]) == anchor]
-    if not anchor or not found:
+    headings = list(HEADING.finditer(BLOCK.sub(blank, text)))
+    found = next((each for each in headings if slug(each[2]) == anchor), None)
+    if found is None:
         return text
-    later = (each.start() for each in HEADING.finditer(text, found[0].end()) if len(each[1]) <= len(found[0][1]))
-    return text[found[0].start() : next(later, len(text))]
+    later = (each.start() for each in headings if each.start() > found.start() and len(each[1]) <= len(found[1]))
+    return text[found.start() : next(later, len(text))]
 
 
 def _value(found: re.Match[str]) -> tuple[float, int]:

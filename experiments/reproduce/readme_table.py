@@ -1,10 +1,11 @@
 """The table of the README: what i2t can do on real data and in simulation, and where it falls short."""
 
+import re
 from collections.abc import Mapping
-from typing import Any
 
 from experiments.common.tables import markdown
-from experiments.reproduce.cells import Measured
+from experiments.reproduce.cells import Measured, at, estimate, number
+from experiments.reproduce.skin_tables import r2_of
 
 GP, MEASURED = "Gaussian process on predicted contact pressure", "k nearest patches + measured"
 OTHER_PHYSICS = ("free side faces", "soft compressible layer", "Winkler foundation")
@@ -15,50 +16,29 @@ VOTES = {
 }
 
 
-def short(value: float) -> str:
-    """A number below one with two decimals, as .94."""
-    return f"{value:.2f}".removeprefix("0")
-
-
-def ranged(found: Any) -> str:
-    """A mean with its interval, from a dict or a list of the three."""
-    mean, low, high = found.values() if isinstance(found, dict) else found
-    return f"{short(mean)} {limits(low, high)}"
-
-
-def limits(low: float, high: float) -> str:
-    """An interval."""
-    return f"[{short(low)}, {short(high)}]"
-
-
-def last(scores: Mapping[str, Any]) -> dict[str, float]:
-    """Accuracy after the last touch."""
-    return {name: values[-1] for name, values in scores["accuracy"].items()}
-
-
 def summary(results: Mapping[str, Measured]) -> str:
     """A row for each thing that i2t does, with links to where its numbers stand; of the metrics by step."""
-    return markdown(
-        ["", "real data", "simulated", "falls short"], [*_skins(results), *_objects(results), *_others(results)]
-    )
+    rows = [*_skins(results), *_objects(results), *_others(results)]
+    table = markdown(["", "real data", "simulated", "falls short"], rows)
+    return re.sub(r"\b0(?=\.\d\d\b)", "", table)  # .94 in place of 0.94
 
 
 def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
     real, pads = results["train_blocks"]["methods"], results["study"]["over_pads"]
     press = results["calibrate"]["calibrate_over_blocks"]["blocks of 6 mm"]["r2"]["20"]
-    best, baseline = (f"{short(real[name]['r2'])} {limits(*real[name]['r2_interval'])}" for name in (GP, MEASURED))
+    best, baseline = (r2_of(2, real[name]) for name in (GP, MEASURED))
     return [
         [
             "predict readings, R²",
             f"one eFlesh skin and tip, blocks held out: {best}, best baseline {baseline} "
             "([results](docs/results.md#real-presses-whole-blocks-held-out))",
-            f"six unseen objects: {ranged(pads[GP]['r2'])}, best baseline {ranged(pads[MEASURED]['r2'])} "
+            f"six unseen objects: {estimate(pads[GP]['r2'], 2)}, best baseline {estimate(pads[MEASURED]['r2'], 2)} "
             "([results](docs/results.md#simulated-objects-that-were-never-touched))",
             "errors of camera and arm cost half of what could be explained",
         ],
         [
             "know a skin from 20 presses, R²",
-            f"one eFlesh skin, blocks held out: {ranged(press)} ([calibration](docs/calibration.md))",
+            f"one eFlesh skin, blocks held out: {estimate(press, 2)} ([calibration](docs/calibration.md))",
             "better than a plain GP ([calibration](docs/calibration.md))",
             "partly tuned on that skin; the layer's physics failed on it",
         ],
@@ -67,9 +47,10 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
 
 def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
     paper, belief = results["paper"]["mean of the sets"], results["recognize"]["sets"]["all"]["methods"]
-    votes = ", ".join(f"{name} {short(paper[method]['mean'])}" for name, method in VOTES.items())
-    fused, other = belief["fused"], belief["fused"]["last_other_objects"]
-    means = {(row[0], row[1]): short(row[4]["mean"]) for row in results["mismatch"]["tables"]["methods"]["rows"]}
+    votes = ", ".join(f"{name} {number(paper[method]['mean'], 2)}" for name, method in VOTES.items())
+    fused, readings_alone = (at(belief[evidence]["accuracy"], -1) for evidence in ("fused", "readings"))
+    _, _, others = estimate(belief["fused"]["last_other_objects"], 2).partition(" ")
+    means = {(row[0], row[1]): number(row[4]["mean"], 2) for row in results["mismatch"]["tables"]["methods"]["rows"]}
     readings, refitted, together = (
         " / ".join(means[name + ending, evidence] for name in OTHER_PHYSICS)
         for evidence, ending in (("readings", ""), ("readings", ", fitted there"), ("fused", ""))
@@ -84,8 +65,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "recognition by the belief, ten touches, chance .20",
             "not yet",
-            f"{ranged(last(fused))} on five pads; for objects like these {limits(other['low'], other['high'])}; from "
-            f"readings alone {short(last(belief['readings'])['mean'])} ([recognition](docs/recognition.md))",
+            f"{estimate(fused, 2)} on five pads; for objects like these {others}; from readings alone "
+            f"{number(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
             "in other physics, over all touches, three pads: readings alone fall from "
             f"{means['matched', 'readings']} to {readings}, fitted there to {refitted}; fused from "
             f"{means['matched', 'fused']} to {together}",
@@ -104,7 +85,7 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         ],
         [
             "touch to shape",
-            f"a tip's place, not shape: median {tip:.1f} mm ([local shape](docs/local_shape.md))",
+            f"a tip's place, not shape: median {number(tip, 1)} mm ([local shape](docs/local_shape.md))",
             "surfaces under a press and of whole objects ([reconstruction](docs/reconstruction.md))",
             "edges; after 20 touches about half of the error is left",
         ],
