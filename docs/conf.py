@@ -78,9 +78,7 @@ def _help(command: str, *words: str) -> str:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
         main([*words, "--help"])
     out.flush()
-    here = f"{DOCS.parent}/"  # a default that names the checkout is shown below it, in a box of the same width
-    text = re.sub(f"{re.escape(here)}([^│\n]*)", rf"\1{' ' * len(here)}", out.buffer.getvalue().decode())
-    return re.sub(r"^(?:[\w(`]|--).*(?:\n(?:[\w(`]|--).*)*", _wrapped, text, flags=re.M)
+    return re.sub(r"^(?:[\w(`]|--).*(?:\n(?:[\w(`]|--).*)*", _wrapped, out.buffer.getvalue().decode(), flags=re.M)
 
 
 def _wrapped(found: re.Match[str]) -> str:

@@ -38,7 +38,12 @@ class ReproduceArgs:
     only: tuple[str, ...] = ()  # names of steps, in place of all; what they use must be there or among them
     list: bool = False  # say what there is, and end
     tables: bool = False  # run nothing; write the tables from docs/results
-    docs: Path = DOCS  # folder of the documents
+    docs: Path | None = None  # folder of the documents; this checkout's unless given
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the documents."""
+        return self.docs or DOCS
 
 
 def run(args: ReproduceArgs) -> None:
@@ -64,8 +69,8 @@ def run(args: ReproduceArgs) -> None:
                 print(f"\n== {step.name} is left out: it needs the folder {step.needs}, which is not there", flush=True)
                 continue
             _run_step(step, args)
-    written = write_tables(args.docs)
-    print(f"{len(written)} tables written from {args.docs / 'results'}")
+    written = write_tables(args.folder)
+    print(f"{len(written)} tables written from {args.folder / 'results'}")
 
 
 def describe(step: Step, out: Path) -> str:
@@ -89,7 +94,7 @@ def _run_step(step: Step, args: ReproduceArgs) -> None:
         if code:
             raise ValueError(f"{step.name} ended with exit code {code}; mend what it says and run this command again")
     if step.name in TABLES:
-        results = args.docs / "results"
+        results = args.folder / "results"
         results.mkdir(exist_ok=True)
         measured = json.loads((folder / step.result).read_text())
         kept = json.dumps(shortened(step.name, measured), ensure_ascii=False, separators=(",", ":"))
