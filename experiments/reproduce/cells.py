@@ -38,7 +38,12 @@ def at(accuracy: Mapping[str, Sequence[Any]], touch: int) -> dict[str, Any]:
     return {name: values[index] for name, values in accuracy.items()}
 
 
-def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False) -> Table:
+def shown(name: str, *hidden: str) -> bool:
+    """Tell whether a row is shown: an average rule, or a name with one of the hidden words, is not."""
+    return not name.endswith(UNSHOWN) and not any(word in name for word in hidden)
+
+
+def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False, hidden: Sequence[str] = ()) -> Table:
     """A table with a row for each entry of a dict.
 
     Args:
@@ -46,6 +51,7 @@ def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False) 
         head: Names of the columns; the first may name a value of what was measured, as {source}.
         *cells: What makes the cells of a row after its name.
         kept: Whether the name of what was kept is marked.
+        hidden: Words in the names of entries that have no row.
     """
 
     def render(measured: Measured) -> str:
@@ -54,7 +60,7 @@ def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False) 
         rows = [
             [f"{name} (kept)" if name == best else name, *(cell(found) for cell in cells)]
             for name, found in entries.items()
-            if not name.endswith(UNSHOWN)
+            if shown(name, *hidden)
         ]
         return markdown([head[0].format_map(measured), *head[1:]], rows)
 

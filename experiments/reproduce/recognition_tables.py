@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from experiments.common.tables import markdown
-from experiments.reproduce.cells import UNSHOWN, Cell, Measured, Table, at, estimate, number, percent, rows_over
+from experiments.reproduce.cells import Cell, Measured, Table, at, estimate, number, percent, rows_over, shown
 
 
 def last(scores: Mapping[str, Any]) -> str:
@@ -17,11 +17,6 @@ def last(scores: Mapping[str, Any]) -> str:
 def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
     """Mean over touches of a score."""
     return number(sum(scores[key]) / len(scores[key]), decimals)
-
-
-def shown(name: str, *hidden: str) -> bool:
-    """Tell whether a row is shown: an average rule, or a name with one of the hidden words, is not."""
-    return not name.endswith(UNSHOWN) and not any(word in name for word in hidden)
 
 
 METHOD_HEAD = (
@@ -40,13 +35,7 @@ METHOD_CELLS: tuple[Cell, ...] = (
 
 def methods_of_set(name: str) -> Table:
     """Accuracy of every method on a set of objects, of the paper's rules by votes."""
-
-    def render(measured: Measured) -> str:
-        methods = measured["sets"][name]["methods"]
-        found = {method: scores for method, scores in methods.items() if shown(method, ", product")}
-        return rows_over("methods", METHOD_HEAD, *METHOD_CELLS)({"methods": found})
-
-    return render
+    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=(", product",))
 
 
 def paper_methods(measured: Measured) -> str:

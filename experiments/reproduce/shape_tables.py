@@ -6,8 +6,25 @@ from experiments.reproduce.cells import Measured, Table, estimate, number, score
 _ENDS = (("iou", 2), ("f_score", 2), ("coverage", 2), ("band_mm", 1))  # scores after the last touch, and decimals
 
 
+SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "in the 90 % band": "0.88 to 0.92"}
+NOT_ON_THE_PAGE = ("10 touches", "F-score")
+
+
 def reconstructions(measured: Measured) -> str:
     """Scores of every condition after some touches: the distance as a share of that at the start, and the last ones."""
+    return markdown(*_surfaces(measured))
+
+
+def reconstructions_and_goals(measured: Measured) -> str:
+    """The main columns of the same, with a last row of what was wanted."""
+    head, rows = _surfaces(measured)
+    kept = [place for place, column in enumerate(head) if column not in NOT_ON_THE_PAGE]
+    rows += [["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]]
+    return markdown([head[place] for place in kept], [[row[place] for place in kept] for row in rows])
+
+
+def _surfaces(measured: Measured) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of all columns."""
     conditions = measured["conditions"]
     counts = sorted({int(count) for found in conditions.values() for count in found["after"]} - {0})
     rows = []
@@ -18,20 +35,7 @@ def reconstructions(measured: Measured) -> str:
         last = after[max(after, key=int)]
         rows.append([name, begun, *course, *(number(last[score][0], decimals) for score, decimals in _ENDS)])
     touches = [f"{count} touch{'es' if count > 1 else ''}" for count in counts]
-    return markdown(["condition", "start, mm", *touches, "IoU", "F-score", "in the 90 % band", "band, mm"], rows)
-
-
-SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "in the 90 % band": "0.88 to 0.92"}
-NOT_ON_THE_PAGE = ("10 touches", "F-score")
-
-
-def reconstructions_and_goals(measured: Measured) -> str:
-    """The main columns of the same, with a last row of what was wanted."""
-    lines = reconstructions(measured).splitlines()
-    head, _, *rows = ([cell.strip() for cell in line[1:-1].split("|")] for line in lines)
-    kept = [place for place, column in enumerate(head) if column not in NOT_ON_THE_PAGE]
-    rows += [["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]]
-    return markdown([head[place] for place in kept], [[row[place] for place in kept] for row in rows])
+    return ["condition", "start, mm", *touches, "IoU", "F-score", "in the 90 % band", "band, mm"], rows
 
 
 TIPS = scores_of(
