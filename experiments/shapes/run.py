@@ -3,6 +3,8 @@
     python -m experiments.shapes                     three skins, simulated, 1280 presses each: some 15 minutes
     python -m experiments.shapes --preset debug      a few presses, too few to mean anything
     python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
+    python -m experiments.shapes --readings TABLE --label COLUMN [--ignore COLUMN ...] [--samples N]
+                                                     any table of readings with labels (docs/shapes.md)
 
 The skin is held still; a stamp comes down at any position and rotation until it bears 1 to 3 N. Every split is
 five-fold: a fifth of the presses is held out, drawn at random or as squares of positions, fifths of the depth or
@@ -92,6 +94,10 @@ class ShapePresses(NamedTuple):
 def run(args: ShapesArgs) -> dict[str, Any]:
     """The experiment: presses, then pad by pad the splits and new skins."""
     cfg = choose_preset(PRESETS, args.preset)
+    if args.readings:
+        from experiments.shapes import readings  # needs scikit-learn, as nothing else here does
+
+        return readings.run(args, cfg.methods)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     started = time.perf_counter()
     presses = prepare(args, cfg)
