@@ -98,7 +98,26 @@ def stamps(measured: Measured) -> str:
     return markdown(head, [published, *rows])
 
 
+def strokes(measured: Measured) -> str:
+    """Accuracy, log loss and calibration of every method on later strokes, and accuracy on strokes drawn at random."""
+    order, drawn = (split["methods"] for split in measured["splits"].values())
+    rows = [
+        [
+            name,
+            estimate(found["accuracy"], 2),
+            number(found["log_loss"][0], 2),
+            f"{number(found['calibration']['error'])} ({number(found['calibration']['chance'])})",
+            estimate(drawn[name]["accuracy"], 2),
+        ]
+        for name, found in order.items()
+    ]
+    goal = ["goal", "0.95", "", "0.030", ""]
+    head = ["method", "later strokes [95 %]", "log loss", "calibration error (by chance)", "at random [95 %]"]
+    return markdown(head, [*rows, goal])
+
+
 TABLES: dict[str, dict[str, Table]] = {
+    "strokes": {"methods": strokes},
     "shapes": {"stamps": stamps},
     "reconstruct": {"conditions": reconstructions_and_goals},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},

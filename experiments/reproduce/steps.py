@@ -18,9 +18,9 @@ class Step(NamedTuple):
 
     @property
     def needs(self) -> str | None:
-        """Folder of a recording that is not part of the project, as the command names it."""
+        """Folder or table of a recording that is not part of the project, as the command names it."""
         words = shlex.split(self.command)
-        return next((folder for flag, folder in pairwise(words) if flag in ("--dataset", "--data")), None)
+        return next((path for flag, path in pairwise(words) if flag in ("--dataset", "--data", "--readings")), None)
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
         """The command's words after `python`.
@@ -53,6 +53,12 @@ STEPS = (
     Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", minutes=9),
     Step("train_time", "-m experiments.train --dataset data/eflesh --split time --epochs 60", minutes=6),
     Step("shapes", "-m experiments.shapes", minutes=15),
+    Step(
+        "strokes",
+        "-m experiments.shapes --readings magnetic_digits/strokes.csv.gz --label digit "
+        "--ignore first_row last_row stroke --samples 19",
+        minutes=5,
+    ),
     Step("tsne", "-m experiments.tsne", again=OVERWRITE),
     Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again=OVERWRITE),
     Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=2, again=OVERWRITE),

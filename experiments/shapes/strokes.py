@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from sklearn.linear_model import LogisticRegression
 
-MAX_LANDMARKS = 500
+MAX_LANDMARKS = 300
 GAINS = (0.6, 1.6)  # of training strokes made weaker and stronger
 CUT = 0.2  # share of a window by which training strokes are moved out of it
 PATH_POINTS = 24  # of a resampled path
