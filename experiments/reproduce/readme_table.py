@@ -7,6 +7,7 @@ from experiments.common.tables import markdown
 from experiments.reproduce.cells import Measured, at, estimate, number
 from experiments.reproduce.skin_tables import r2_of
 
+WARPED, AMBIENT, CHANGES, PAPER = "time-warped strokes", "ambient field alone", "less ambient", "paper's classifier"
 GP, MEASURED = "Gaussian process on predicted contact pressure", "k nearest patches + measured"
 OTHER_PHYSICS = ("free side faces", "soft compressible layer", "Winkler foundation")
 VOTES = {
@@ -76,7 +77,21 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
 
 def _others(results: Mapping[str, Measured]) -> list[list[str]]:
     tip = results["reconstruct_tip"]["methods"]["by imagination, with the head"]["position_mm_median"][0]
+    later = {
+        name: found["accuracy"] for name, found in results["strokes"]["splits"]["in file order"]["methods"].items()
+    }
+    best = max((rate for name, rate in later.items() if name.endswith(CHANGES)), key=lambda rate: rate[0])
+    stamps = results["shapes"]["splits"]["random"]
     return [
+        [
+            "recognise shapes",
+            f"digits drawn on one skin, later strokes, chance .10: {estimate(later[WARPED], 2)}, best baseline "
+            f"{estimate(best, 2)} ([shapes](docs/shapes.md#on-a-real-skin))",
+            f"stamps: {number(stamps['imagined touch']['total'][0], 2)}, paper's classifier "
+            f"{number(stamps[PAPER]['total'][0], 2)} ([shapes](docs/shapes.md))",
+            f"goal .95 {'reached' if later[WARPED][0] >= 0.95 else 'missed'}; the ambient field alone tells "
+            f"{number(later[AMBIENT][0], 2)}",
+        ],
         [
             "patches from depth images",
             "frames of YCB-Video and APC ([depth](docs/depth.md))",
