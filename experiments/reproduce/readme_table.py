@@ -7,7 +7,7 @@ from experiments.common.tables import markdown
 from experiments.reproduce.cells import Measured, at, estimate, number
 from experiments.reproduce.skin_tables import r2_of
 
-WARPED, AMBIENT, CHANGES, PAPER = "time-warped strokes", "ambient field alone", "less ambient", "paper's classifier"
+WARPED, AMBIENT, CHANGES, PAPER = "time-warped strokes", "median over time alone", "less ambient", "paper's classifier"
 GP, MEASURED = "Gaussian process on predicted contact pressure", "k nearest patches + measured"
 OTHER_PHYSICS = ("free side faces", "soft compressible layer", "Winkler foundation")
 VOTES = {
@@ -89,7 +89,7 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             f"{estimate(best, 2)} ([shapes](docs/shapes.md#on-a-real-skin))",
             f"stamps: {number(stamps['imagined touch']['total'][0], 2)}, paper's classifier "
             f"{number(stamps[PAPER]['total'][0], 2)} ([shapes](docs/shapes.md))",
-            f"goal .95 {'reached' if later[WARPED][0] >= 0.95 else 'missed'}; the ambient field alone tells "
+            f"goal .95 {'reached' if later[WARPED][0] >= 0.95 else 'missed'}; the median over time alone tells "
             f"{number(later[AMBIENT][0], 2)}",
         ],
         [

@@ -52,9 +52,10 @@ MIN_ROWS = 10  # of a label
 TREES = 500
 PANELS = 5  # of a line of the figure of paths
 OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
-AMBIENT, RECORDED, CHANGES = "ambient field alone", "as recorded", "less ambient"
+AMBIENT, RECORDED, CHANGES = "median over time alone", "as recorded", "less ambient"
 WARPED, PATH = "time-warped strokes", "time-warped paths in a plane"
-SATURATIONS, PENALTIES = (0.2, 0.5, 1.0, 2.0, 5.0), (10.0, 100.0, 300.0, 1000.0, 10000.0)
+SATURATIONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+PENALTIES = (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 SPLITS = ("in file order", "at random")
 
 Rows = Int[np.ndarray, " k"]
