@@ -25,16 +25,27 @@ IMAGINE2TOUCH = {
     "Imagine2touch (paper's network, mask)": "paper's network, mask",
     "Imagine2touch (paper's network, depth)": "paper's network, depth",
 }  # networks of experiments.train, by the rows that they make
+WITH_FORCE = {row: name.replace("network", "network and measured force") for row, name in IMAGINE2TOUCH.items()}
 RULES_GP, CONSTANT = "same rules, Gaussian process", "same rules, constant reading"
+MEDIAN_FORCE = " at the median force"  # of the training touches, in place of each touch's: ends the row's name
+PAPER_SETS = ("primitives", "tools")
 PUBLISHED_I2T = {"primitives": 0.50, "tools": 0.70, "mean": 0.58}  # the paper's accuracies, by votes
 PUBLISHED_PROPRIOCEPTION = {"primitives": 0.23, "tools": 0.80, "mean": 0.46}
 REQUESTED_ERRORS = (0.01, 0.05, 0.10)  # of the stopping rule
 NUM_BINS = 10  # of a calibration error
 WANTED_HALF_WIDTH = 0.03  # of the interval of a difference after the last touch, for which pads are counted
+# What the measured force is worth to the network and to the GP, and what the GP is worth with it and without.
+FAIR = (
+    *((WITH_FORCE[row], row) for row in IMAGINE2TOUCH),
+    (RULES_GP, RULES_GP + MEDIAN_FORCE),
+    *((RULES_GP + MEDIAN_FORCE, row) for row in IMAGINE2TOUCH),
+    *((RULES_GP, row) for row in WITH_FORCE.values()),
+)
 COMPARED = (
     *((f"{row}, votes", f"{PROPRIOCEPTION}, votes") for row in (*IMAGINE2TOUCH, RULES_GP, CONSTANT)),
     *((f"{row}, product", f"{PROPRIOCEPTION}, product") for row in (*IMAGINE2TOUCH, RULES_GP)),
     *((f"{row}, votes", f"{CONSTANT}, votes") for row in (*IMAGINE2TOUCH, RULES_GP)),
+    *((f"{one}, {rule}", f"{other}, {rule}") for rule in ("votes", "product") for one, other in FAIR),
     ("fused", "readings"),
     ("fused", "readings and position"),
     ("fused", "readings and presence"),
@@ -234,11 +245,14 @@ def compare_methods(episodes: PooledEpisodes) -> dict[str, Any]:
     return found
 
 
-def mean_over_objects(parts: Sequence[Results]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Accuracy after the last touch over all objects of several sets, each decided among those of its set: the paper's
-    last column; and paired differences of it. Sets of one pad are independent but for the pad.
+def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
+    """Accuracy after the last touch over all objects of the paper's sets, each decided among those of its set: the
+    paper's last column; and paired differences of it. Sets of one pad are independent but for the pad. Nothing where
+    other objects were played.
     """
-    sets = [pool_set(parts, name) for name in parts[0]]
+    if not set(PAPER_SETS) <= set(parts[0]):
+        return {}
+    sets = [pool_set(parts, name) for name in PAPER_SETS]
     weight = np.concatenate([np.full(len(each.truth), len(each.names) / len(each.truth)) for each in sets])
     clusters = [np.concatenate([each.pad for each in sets]), np.concatenate([each.pool for each in sets])]
     hits = {
@@ -254,7 +268,7 @@ def mean_over_objects(parts: Sequence[Results]) -> tuple[dict[str, Any], dict[st
         return to_json(bootstrap_clusters(share, clusters, len(values)))
 
     means, differences = ({name: mean(values) for name, values in some.items()} for some in (hits, pairs))
-    return means, differences
+    return {"mean of the sets": means, "differences of these means": differences}
 
 
 # --- tables ---
@@ -306,16 +320,18 @@ def print_objects(entry: dict[str, Any], touches: int) -> None:
     print(text_table([f"after {touches}, by the object that was there", *entry["objects"]], rows, "  "))
 
 
-def print_mean_over_objects(means: dict[str, Any], differences: dict[str, Any]) -> None:
-    """The paper's last column."""
+def print_mean_over_objects(summary: dict[str, Any]) -> None:
+    """The paper's last column, if its sets were played."""
+    if "mean of the sets" not in summary:
+        return
     rows = (
         [method, _cell(estimate), _paper(published_accuracy("mean", method))]
-        for method, estimate in means.items()
+        for method, estimate in summary["mean of the sets"].items()
         if not method.endswith(UNPRINTED)
     )
-    print("\nall objects, each decided among those of its set:")
+    print(f"\nall objects of {' and '.join(PAPER_SETS)}, each decided among those of its set:")
     print(text_table(["method", "after the last touch", ""], rows))
-    for pair, estimate in differences.items():
+    for pair, estimate in summary["differences of these means"].items():
         print(f"  {pair}: {_cell(estimate, '+')}")
 
 

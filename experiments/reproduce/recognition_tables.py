@@ -65,17 +65,24 @@ def paper_differences(measured: Measured) -> str:
         found = (each["paired"][pair] for each in sets.values())
         cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
         _, _, rule = pair.rpartition(", ")
-        brief = re.sub(rf"Imagine2touch \(paper's (.*?)\)|same rules, |, {rule}", r"\1", pair).replace("network, ", "")
+        brief = re.sub(r"Imagine2touch \(paper's network, (.*?)\)", r"\1", pair)
+        brief = re.sub(r"paper's network and measured force, (\w+)", r"\1 and force", brief)
+        brief = re.sub(f"same rules, |, {rule}", "", brief)
         rows.append([f"{brief} ({rule})", *cells, estimate(means[pair], 2, sign=True)])
     return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five"], rows)
 
 
 def sets_of_the_paper(measured: Measured) -> str:
-    """Accuracy of the belief after the last touch on the paper's two sets."""
+    """Accuracy of the belief after the last touch on the paper's two sets and, where it was kept, on their objects."""
     names = [name for name in ("primitives", "tools") if name in measured["sets"]]
     sets = [measured["sets"][name]["methods"] for name in names]
-    rows = [[method, *(last(each[method]) for each in sets)] for method in sets[0] if shown(method, ", ")]
-    return markdown(["after 10 touches [95 %]", *names], rows)
+    means = measured.get("mean of the sets", {})
+    rows = [
+        [method, *(last(each[method]) for each in sets), *([estimate(means[method])] if means else [])]
+        for method in sets[0]
+        if shown(method, ", ")
+    ]
+    return markdown(["after 10 touches [95 %]", *names, *(["mean of the five"] if means else [])], rows)
 
 
 def stopping_of_set(name: str, method: str) -> Table:

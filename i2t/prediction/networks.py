@@ -144,6 +144,26 @@ class PaperMask(PaperDepth):
     input = "mask"
 
 
+class PaperDepthForce(PaperDepth):
+    """The paper's network on depths and, which the paper does not have, the measured force of each touch."""
+
+    title = "paper's network and measured force, depth"
+
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made] | None:
+        """Configure the network, as in `NetworkMethod.network`; it needs measured forces."""
+        if "force" not in touches.measured:
+            return None
+        cfg, images, made = super().network(touches)
+        return ModelConfig(**asdict(cfg), conditions=("force",)), images, made
+
+
+class PaperMaskForce(PaperDepthForce):
+    """The same on contact masks."""
+
+    title = "paper's network and measured force, mask"
+    input = "mask"
+
+
 class OnPressure(NetworkMethod):
     """Networks on predicted contact pressure and measured conditions, each with a variance of its own."""
 

@@ -45,7 +45,8 @@ def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
     expected = {
         "readings", "presence", "position", "readings and position", "readings and presence", "position and presence",
         "fused", "fused, oracle",
-        "Imagine2touch (paper's network, depth), votes", "same rules, Gaussian process, votes",
+        "Imagine2touch (paper's network, depth), votes", "paper's network and measured force, depth, votes",
+        "same rules, Gaussian process, votes", "same rules, Gaussian process at the median force, votes",
         "same rules, constant reading, votes", "proprioception, product",
     }  # fmt: skip
     assert expected <= set(everything["methods"])
@@ -85,8 +86,9 @@ def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained
     tools = written["sets"]["tools"]
     sources = {name.rpartition(", ")[0] for name in tools["methods"]}
     assert sources == {
-        "Imagine2touch (paper's network, depth)", "same rules, Gaussian process", "same rules, constant reading",
-        "proprioception",
+        "Imagine2touch (paper's network, depth)", "paper's network and measured force, depth",
+        "same rules, Gaussian process", "same rules, Gaussian process at the median force",
+        "same rules, constant reading", "proprioception",
     }  # fmt: skip
     assert (tools["episodes"], tools["pools"]) == (12, 6)
     everything = written["mean of the sets"]["proprioception, votes"]

@@ -107,8 +107,9 @@ def test_the_papers_last_column_weighs_every_object_alike():
         pool = np.array([f"{name} {i}" for i in range(episodes)])
         beliefs = {f"{MASK}, votes": p, f"{PROPRIOCEPTION}, votes": np.eye(objects)[truth][:, None]}
         sets[name] = EpisodeResults(tuple("abc"[:objects]), truth, beliefs, None, "pad 0", pool)
-    means, differences = report.mean_over_objects([sets])
-    found, lost = means[f"{MASK}, votes"], differences[f"{MASK}, votes - {PROPRIOCEPTION}, votes"]
+    made = report.mean_over_objects([sets])
+    found = made["mean of the sets"][f"{MASK}, votes"]
+    lost = made["differences of these means"][f"{MASK}, votes - {PROPRIOCEPTION}, votes"]
     assert found["mean"] == pytest.approx(0.58)
     assert found["low"] < 0.58 < found["high"]
     assert lost["mean"] == pytest.approx(-0.42)  # to one that is always right
