@@ -130,7 +130,7 @@ class PaperDepth(NetworkMethod):
     title = "paper's network, depth"
     input: ClassVar[ImageKind] = "depth"
 
-    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made]:
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made] | None:
         """Configure the network, as in `NetworkMethod.network`."""
         seen, reach = touches.dataset.touches, touches.dataset.reach
         sizes = {"pixels": seen.patch.shape[1], "readings": seen.reading.shape[-1]}
@@ -151,9 +151,9 @@ class PaperDepthForce(PaperDepth):
 
     def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made] | None:
         """Configure the network, as in `NetworkMethod.network`; it needs measured forces."""
-        if "force" not in touches.measured:
+        if "force" not in touches.measured or (plain := super().network(touches)) is None:
             return None
-        cfg, images, made = super().network(touches)
+        cfg, images, made = plain
         return ModelConfig(**asdict(cfg), conditions=("force",)), images, made
 
 

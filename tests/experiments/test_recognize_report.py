@@ -9,7 +9,8 @@ import pytest
 from experiments.common import checks
 from experiments.common.runs import load_part, save_part
 from experiments.recognize import report
-from experiments.recognize.report import IMAGINE2TOUCH, RULES_GP, EpisodeResults
+from experiments.recognize.report import COMPARED, FAIR, IMAGINE2TOUCH, RULES_GP, EpisodeResults
+from experiments.reproduce.recognition_tables import paper_differences
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 
 NAMES = ("star", "cylinder")
@@ -126,3 +127,21 @@ def test_pads_of_a_study_are_chosen_by_number(tmp_path):
     assert len(checks.chosen_runs(tmp_path, ())) == 3
     with pytest.raises(ValueError, match="has no run with pad 7; its pads are 0, 1, 2"):
         checks.chosen_runs(tmp_path, ("7",))
+
+
+def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_own():
+    """In the documents' table, where a name that was shortened too far would stand for two rows."""
+    last = {"mean": 0.1, "low": 0.0, "high": 0.2}
+    pairs = [f"{one} - {other}" for one, other in COMPARED if ", " in one and ", " in other]
+    sets = dict.fromkeys(
+        ("primitives", "tools"), {"paired": {pair: {"last": last, "pads_needed": 3} for pair in pairs}}
+    )
+    table = paper_differences({"sets": sets, "differences of these means": dict.fromkeys(pairs, last)})
+    names = [line.split(" | ")[0].strip("| ") for line in table.splitlines()[2:]]
+    assert len(set(names)) == len(names) == len(pairs)
+    network_with, gp_without = "mask and force - mask", "Gaussian process at the median force - depth"
+    gp_with = ["Gaussian process - Gaussian process at the median force", "Gaussian process - depth and force"]
+    for rule in ("votes", "product"):
+        found = {name.removesuffix(f" ({rule})") for name in names if name.endswith(f"({rule})")}
+        assert found >= {network_with, gp_without, *gp_with}
+    assert len([pair for pair in FAIR if pair[0] == RULES_GP]) == 3
