@@ -133,9 +133,8 @@ def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_
     """In the documents' table, where a name that was shortened too far would stand for two rows."""
     last = {"mean": 0.1, "low": 0.0, "high": 0.2}
     pairs = [f"{one} - {other}" for one, other in COMPARED if ", " in one and ", " in other]
-    sets = dict.fromkeys(
-        ("primitives", "tools"), {"paired": {pair: {"last": last, "pads_needed": 3} for pair in pairs}}
-    )
+    paired = {pair: {"last": last, "pads_needed": 3} for pair in pairs}
+    sets = {name: {"paired": paired} for name in report.PAPER_SETS}
     table = paper_differences({"sets": sets, "differences of these means": dict.fromkeys(pairs, last)})
     names = [line.split(" | ")[0].strip("| ") for line in table.splitlines()[2:]]
     assert len(set(names)) == len(names) == len(pairs)
