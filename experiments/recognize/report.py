@@ -16,7 +16,14 @@ from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
 from i2t.recognition.episodes import EVIDENCE, Episodes
-from i2t.recognition.intervals import MIN_CLUSTERS, bootstrap_clusters, estimate_at, rate_interval, rows_of
+from i2t.recognition.intervals import (
+    MIN_CLUSTERS,
+    Estimate,
+    cluster_interval,
+    estimate_at,
+    rate_interval,
+    rows_of,
+)
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 from i2t.types import Board
@@ -262,10 +269,10 @@ def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
     pairs = {f"{one} - {other}": hits[one] - hits[other] for one, other in COMPARED if {one, other} <= set(hits)}
 
     def mean(values: np.ndarray) -> dict[str, Any]:
-        def share(count: np.ndarray) -> np.ndarray:
-            return np.asarray(np.sum(count * weight * values) / np.sum(count * weight))
-
-        return to_json(bootstrap_clusters(share, clusters, len(values)))
+        # Linearised about the mean, so that its variance is at least that of independent episodes.
+        about = np.average(values, weights=weight)
+        found = cluster_interval((values - about) * weight / weight.mean(), clusters)
+        return to_json(Estimate(*(part + about for part in found)))
 
     means, differences = ({name: mean(values) for name, values in some.items()} for some in (hits, pairs))
     return {"mean of the sets": means, "differences of these means": differences}

@@ -117,6 +117,20 @@ def test_the_papers_last_column_weighs_every_object_alike():
     assert found["high"] - found["low"] == pytest.approx(lost["high"] - lost["low"])
 
 
+def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_independent_episodes():
+    truth = np.zeros(12, int)
+    decided = np.tile([0, 1], 6)  # half of the episodes of each pool are right
+    pool = np.repeat([f"pool {i}" for i in range(6)], 2)
+    beliefs = {"fused": np.eye(2)[decided][:, None]}
+    part = {
+        name: EpisodeResults(NAMES, truth, beliefs, None, "pad 0", np.char.add(f"{name} ", pool))
+        for name in report.PAPER_SETS
+    }
+    found = report.mean_over_objects([part])["mean of the sets"]["fused"]
+    assert found["mean"] == pytest.approx(0.5)
+    assert found["high"] - found["low"] > 2 * 1.96 * np.sqrt(0.25 / 24)
+
+
 def test_pads_of_a_study_are_chosen_by_number(tmp_path):
     for pad in (0, 1, 2):
         folder = tmp_path / f"pad-{pad}-seed-0"
