@@ -129,11 +129,19 @@ class StudyLab:
             sites=plan.sites, pad=pad, config=config, label=label,
         )  # fmt: skip
 
-    def refit(self, key: Array, world: StudyWorld) -> PadModel:
-        """The pad model as the run fitted it, but from touches with the pad, the limits and the law of some world."""
+    def with_objects(self, names: Sequence[str]) -> "StudyLab":
+        """The lab with other objects of the catalogue to tell apart."""
+        surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
+        return replace(self, names=tuple(names), surfaces=surfaces)
+
+    def refit(self, key: Array, world: StudyWorld, touches: int | None = None) -> PadModel:
+        """The pad model as the run fitted it, but from touches with the pad, the limits and the law of some world; from
+        as many as the run had, or from some.
+        """
         pad, limits, errors = world.pad or self.run.pad, world.limits or self.cfg.limits, self.cfg.errors
         key_press, key_fit = jax.random.split(key)
         which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
+        counts = counts if touches is None else np.full(len(which), touches // len(which))
         names = tuple(self.run.dataset.objects[i] for i in which)
         surfaces = [self.run.surfaces[name] for name in names]
         made = simulation.simulate_touches(

@@ -58,7 +58,8 @@ def _placed(errors: SimulationErrors, factor: float) -> SimulationErrors:
     return replace(errors, placement=factor * errors.placement, placement_angle=factor * errors.placement_angle)
 
 
-def _faulty(errors: SimulationErrors, **faults: Any) -> SimulationErrors:
+def faulty(errors: SimulationErrors, **faults: Any) -> SimulationErrors:
+    """Errors with other faults of the sensor."""
     return replace(errors, faults=replace(errors.faults, **faults))
 
 
@@ -91,9 +92,9 @@ def mismatch(lab: StudyLab, key: Array) -> dict[str, Setting]:
         "Winkler foundation": StudyWorld(law=lambda _: winkler_press),
         "free side faces": StudyWorld(law=free_sides.press_law),
         "soft compressible layer": StudyWorld(pad=pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))),
-        "worn pad": StudyWorld(pad=worn, errors=_faulty(errors, relaxation=0.15)),
-        "chip remembers twice as much": StudyWorld(errors=_faulty(errors, hysteresis=0.6)),
-        "ambient once, before the episode": StudyWorld(errors=_faulty(errors, ambient_every=0)),
+        "worn pad": StudyWorld(pad=worn, errors=faulty(errors, relaxation=0.15)),
+        "chip remembers twice as much": StudyWorld(errors=faulty(errors, hysteresis=0.6)),
+        "ambient once, before the episode": StudyWorld(errors=faulty(errors, ambient_every=0)),
         "arm twice as stiff": StudyWorld(limits=replace(limits, stiffness=2 * limits.stiffness)),
         "arm half as stiff": StudyWorld(limits=replace(limits, stiffness=0.5 * limits.stiffness)),
         **{
@@ -124,7 +125,7 @@ def sensitivity(lab: StudyLab, key: Array) -> dict[str, Setting]:
         "tilt 1 deg": replace(base, approach_angle=np.radians(1.0)),
         "noise x 3": replace(base, noise=base.noise.scaled(3.0)),
         **{f"stop at {stop:.0f} uT": base for stop in REFITTED_UT},
-        **{f"ambient every {each} touches": _faulty(base, ambient_every=each) for each in AMBIENT_EVERY},
+        **{f"ambient every {each} touches": faulty(base, ambient_every=each) for each in AMBIENT_EVERY},
         "no errors of pose": base.scaled(0.0),
         "no noise, no faults": _noiseless(base),
     }
