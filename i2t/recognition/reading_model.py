@@ -58,7 +58,7 @@ CHOOSING_TOUCHES = 200  # with which layers and hyperparameters are weighed
 DENSITY_EXPONENT = 0.3  # of the left-out density of all touches and channels together
 MAX_MODELS, MIN_SHARE = 6, 0.02  # of the mixture: how many are kept, and the least share
 POOLING_TOUCHES = 10.0  # touches' worth of belief that all channels have signals alike
-UNIT_N = 0.001  # on one cell, where a reading is still linear in it
+UNIT_N = 0.002  # on one cell, where a reading is still linear in it
 RANK = 160  # of a variance's root, the largest eigenvalues: the rest is below a per mille of it
 
 

@@ -129,7 +129,7 @@ def test_magnetization_maps_are_the_readings_of_a_pad_of_that_magnetization():
     newtons = spots(7, np.array([0.03])).pressure[0]
     wanted = response(pad, newtons / PRESSURE_GRID.spacing**2, PRESSURE_GRID)
     found = np.asarray(newtons).reshape(-1) @ reading_model.magnetization_maps(board, NOMINAL_LAYER)[..., -1]
-    np.testing.assert_allclose(found, wanted, atol=0.03 * np.abs(wanted).max())
+    np.testing.assert_allclose(found, wanted, atol=0.05 * np.abs(wanted).max())
 
 
 def test_the_layer_whose_pressures_explain_the_readings_is_chosen(monkeypatch, maps):
