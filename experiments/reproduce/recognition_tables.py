@@ -160,12 +160,11 @@ def policies(measured: Measured) -> str:
 STUDY_TABLES = {
     "mismatch": ("methods",),
     "open_set": ("auroc", "accuracy"),
-    "sensitivity": ("methods",),
-    "new_pad": ("methods",),
+    "physics": ("methods",),
+    "stopping": ("errors", "hardness"),
 }
 SETTINGS = {
     "mismatch": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ")),
-    "new_pad": settings_by_evidence("fused"),
 }
 
 

@@ -5,7 +5,9 @@ belief) is learnt from episodes with validation objects in all others, and judge
 models are fitted to a few touches of the training objects made in that physics, or to as many as the run had.
 """
 
+from collections.abc import Sequence
 from itertools import product
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +17,13 @@ from jaxtyping import Array
 from experiments.common.runs import Part
 from experiments.studies import free_sides
 from experiments.studies.lab import StudyLab, StudyWorld
-from experiments.studies.settings import REMOUNTED_M, faulty
+from experiments.studies.mismatch import faulty
+from experiments.studies.report import Column, clusters_of, make_table, pool_parts
 from experiments.studies.winkler import winkler_press
+from i2t.recognition import calibrated, metrics
+from i2t.recognition.belief import TemperatureScaling
 from i2t.recognition.episodes import run_belief
+from i2t.recognition.intervals import mean_interval
 from i2t.recognition.pad_model import PadModel, inflated
 from i2t.types import Board
 
@@ -27,6 +33,9 @@ INFLATIONS = (0.7, 1.0, 1.4, 2.0, 2.8)  # of the errors of readings, to choose f
 WITHOUT = "position and presence"  # the evidence of a belief without readings
 KINDS = ("fused", "readings")
 MATCHED = "bonded layer"
+REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
+ALL = "as many as the run"
+ELSEWHERE = "none"  # of its own touches: the pad model is that of the matched physics
 SETS = ("validation", "test")
 
 
@@ -77,12 +86,75 @@ def _evaluate_set(
     for name, world in made.items():
         episodes = lab.simulate(jax.random.clone(key_episodes), plan, truth, f"{label}, {name}", world=world)
         for (where, count), model in models.items():
-            if where != name:
+            elsewhere = (where, count) == (MATCHED, None) and name != MATCHED
+            if where != name and not elsewhere:
                 continue
-            table = by_model[where, count]
+            table, label = by_model[where, count], f"{name}/{ELSEWHERE if elsewhere else count or ALL}"
             without = run_belief(table, episodes, model.likelihood, particles, [WITHOUT])
-            found[f"{name}/{count}/1/{WITHOUT}"] = without[WITHOUT]
+            found[f"{label}/1/{WITHOUT}"] = without[WITHOUT]
             for factor in INFLATIONS:
                 beliefs = run_belief(table, episodes, inflated(model, factor).likelihood, particles, KINDS)
-                found |= {f"{name}/{count}/{factor:g}/{kind}": p for kind, p in beliefs.items()}
+                found |= {f"{label}/{factor:g}/{kind}": p for kind, p in beliefs.items()}
     return found
+
+
+class Judged(NamedTuple):
+    """Beliefs of test episodes in one physics, whose scale and temperature the others taught."""
+
+    p: np.ndarray  # (e, t, objects)
+    inflation: float
+
+
+def leave_out(parts: Sequence[Part], physics: str, touches: str, kind: str) -> Judged:
+    """Learn inflation and temperature from validation episodes in all other physics; judge test episodes in this. A pad
+    model of another physics is scaled as the same one in its own: it does not know better.
+    """
+    validation, test = (pool_parts([part[name] for part in parts]) for name in SETS)
+    taught = ALL if touches == ELSEWHERE else touches
+    others = [name for name in names_of(parts) if name != physics] if touches != ELSEWHERE else [MATCHED]
+    truth = np.tile(validation["truth"], len(others))
+    found: list[tuple[float, float, TemperatureScaling]] = []
+    for factor in (1.0,) if kind == WITHOUT else INFLATIONS:
+        p = np.concatenate([validation[f"{name}/{taught}/{factor:g}/{kind}"] for name in others]).astype(np.float64)
+        temperature = calibrated.fit_temperature(p, truth)
+        loss = metrics.log_loss(calibrated.calibrated_beliefs(p, temperature), truth).mean()
+        found.append((float(loss), factor, temperature))
+    _, factor, temperature = min(found, key=lambda one: one[0])
+    p = test[f"{physics}/{touches}/{factor:g}/{kind}"].astype(np.float64)
+    return Judged(calibrated.calibrated_beliefs(p, temperature), factor)
+
+
+def names_of(parts: Sequence[Part]) -> list[str]:
+    """Physics that were simulated."""
+    return list(dict.fromkeys(key.split("/")[0] for key in parts[0]["test"] if "/" in key))
+
+
+def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
+    """Accuracy in every physics left out, its difference to the matched one with all touches, and the log loss less
+    that of a belief without readings.
+    """
+    tests = [part["test"] for part in parts]
+    clusters, truth = clusters_of(tests, pads), np.concatenate([part["truth"] for part in tests])
+    cases = list(dict.fromkeys(tuple(key.split("/")[:2]) for key in tests[0] if "/" in key))
+    rows, inflations = [], {}
+    for kind in KINDS:
+        matched = metrics.hits(leave_out(parts, MATCHED, ALL, kind).p, truth)
+        for name, touches in cases:
+            judged = leave_out(parts, name, touches, kind)
+            hits, loss = metrics.hits(judged.p, truth), metrics.log_loss(judged.p, truth)
+            objects = judged.p.shape[-1]
+            without = (
+                leave_out(parts, name, touches, WITHOUT).p if kind == "fused" else np.full_like(judged.p, 1 / objects)
+            )
+            gained = mean_interval((loss - metrics.log_loss(without, truth)).mean(1), clusters)
+            mean = metrics.mean_accuracy(judged.p, truth, clusters=clusters)
+            lost = metrics.compare_paired(hits, matched, clusters=clusters).mean
+            rows.append([name, kind, touches, mean, lost, float(loss.mean()), gained])
+            inflations[f"{name}, {kind}, {touches}"] = judged.inflation
+    head = [
+        "physics", "evidence", "own touches", Column("mean over touches [95 %]", 2),
+        Column(f"minus {MATCHED}", 2, signed=True), Column("log loss", 2),
+        Column("log loss minus that without readings", 2, signed=True),
+    ]  # fmt: skip
+    layers, tables = np.concatenate([part["layers"] for part in parts]), {"methods": make_table(head, rows)}
+    return {"episodes": len(truth), "inflations": inflations, "layers": layers.tolist(), "tables": tables}
