@@ -134,22 +134,24 @@ class StudyLab:
         surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
         return replace(self, names=tuple(names), surfaces=surfaces)
 
-    def refit(self, key: Array, world: StudyWorld, touches: int | None = None) -> PadModel:
-        """The pad model as the run fitted it, but from touches with the pad, the limits and the law of some world; from
-        as many as the run had, or from some.
-        """
-        pad, limits, errors = world.pad or self.run.pad, world.limits or self.cfg.limits, self.cfg.errors
-        key_press, key_fit = jax.random.split(key)
+    def touch_known_objects(self, key: Array, world: StudyWorld) -> Dataset:
+        """As many touches of the training objects as the run had, with the pad, the limits and the law of some world."""
+        pad, limits = world.pad or self.run.pad, world.limits or self.cfg.limits
         which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
-        counts = counts if touches is None else np.full(len(which), touches // len(which))
         names = tuple(self.run.dataset.objects[i] for i in which)
-        surfaces = [self.run.surfaces[name] for name in names]
         made = simulation.simulate_touches(
-            key_press, surfaces, pad, errors, counts.tolist(), limits=limits, law=world.law(pad)
-        )
-        dataset = Dataset.simulated(made, names, pad)
-        rows = np.ones(len(dataset), bool)
-        return fit_pad_model(key_fit, dataset, rows, self.run.surfaces, errors=errors, limits=limits)
+            key, [self.run.surfaces[name] for name in names], pad, world.errors or self.cfg.errors, counts.tolist(),
+            limits=limits, law=world.law(pad),
+        )  # fmt: skip
+        return Dataset.simulated(made, names, pad)
+
+    def refit(self, key: Array, dataset: Dataset, world: StudyWorld, touches: int | None = None) -> PadModel:
+        """The pad model as the run fitted it, but to touches in some world: all, or the first so many."""
+        of_object = dataset.touches.object
+        first = np.array([np.sum(of_object[:i] == one) for i, one in enumerate(of_object)])
+        rows = np.full(len(dataset), True) if touches is None else first < touches // len(dataset.objects)
+        limits = world.limits or self.cfg.limits
+        return fit_pad_model(key, dataset, rows, self.run.surfaces, errors=self.cfg.errors, limits=limits)
 
 
 def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:

@@ -6,7 +6,6 @@ models are fitted to a few touches of the training objects made in that physics,
 """
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any, NamedTuple
 
 import jax
@@ -57,13 +56,12 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
 
 def evaluate(lab: StudyLab) -> Part:
     """Beliefs (e, t, objects) by "set, physics, touches, inflation, evidence", and the truth of each set."""
-    key_fit, *keys = jax.random.split(lab.key, 1 + len(SETS))
-    made = worlds(lab)
-    counts = DEBUG_TOUCHES if lab.args.debug else TOUCHES
-    models = {
-        (name, count): lab.refit(jax.random.fold_in(key_fit, i), made[name], count)
-        for i, (name, count) in enumerate(product(made, counts))
-    }
+    key_touch, key_fit, *keys = jax.random.split(lab.key, 2 + len(SETS))
+    made, models = worlds(lab), {}
+    for i, (name, world) in enumerate(made.items()):
+        touched = lab.touch_known_objects(jax.random.fold_in(key_touch, i), world)
+        for count in DEBUG_TOUCHES if lab.args.debug else TOUCHES:
+            models[name, count] = lab.refit(jax.random.fold_in(key_fit, i), touched, world, count)
     found: Part = {"layers": np.array([[float(x) for x in one.reading_model.layer] for one in models.values()])}
     for name, key, objects in zip(SETS, keys, (lab.cfg.validation, lab.cfg.objects), strict=True):
         found[name] = _evaluate_set(lab.with_objects(objects), key, made, models, name)
