@@ -135,7 +135,7 @@ class StudyLab:
         return replace(self, names=tuple(names), surfaces=surfaces)
 
     def touch_known_objects(self, key: Array, world: StudyWorld) -> Dataset:
-        """As many touches of the training objects as the run had, with the pad, the limits and the law of some world."""
+        """As many touches of the training objects as the run had, with pad, limits and law of some world."""
         pad, limits = world.pad or self.run.pad, world.limits or self.cfg.limits
         which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
         names = tuple(self.run.dataset.objects[i] for i in which)
