@@ -161,7 +161,7 @@ STUDY_TABLES = {
     "mismatch": ("methods",),
     "open_set": ("auroc", "accuracy"),
     "physics": ("methods",),
-    "stopping": ("errors", "hardness"),
+    "stopping": ("errors", "constants", "hardness"),
 }
 SETTINGS = {
     "mismatch": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ")),

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -23,6 +24,13 @@ from i2t.recognition.metrics import to_json
 
 PLACEMENTS = {"as stated": 1.0, "half as far": 0.5, "twice as far": 2.0}  # errors of placement over those stated
 KINDS = ("fused", "position and presence", "position")
+# Of the likelihood, about the values that it has: tried on validation objects.
+CONSTANTS = {
+    "dof": (2.0, 4.0, 8.0, 16.0, 32.0),
+    "inflation": (0.5, 0.7, 1.0, 1.4, 2.0),
+    "indentation_error": (0.05, 0.1, 0.2, 0.4, 0.8),
+    "outlier_rate": (0.001, 0.003, 0.01, 0.03, 0.1),
+}
 
 
 def evaluate(lab: StudyLab) -> Part:
@@ -46,7 +54,30 @@ def _evaluate_set(lab: StudyLab, key: Array, label: str) -> Part:
         episodes = lab.simulate(jax.random.clone(key_episodes), plan, truth, f"{label}, {name}", world=world)
         beliefs = run_belief(table, episodes, model.likelihood, particles, KINDS)
         found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
+        if label == SETS[0] and factor == 1:
+            for constant, value in tried():
+                other = model.likelihood._replace(**{constant: jnp.float32(value)})
+                found[f"{constant}={value:g}"] = run_belief(table, episodes, other, particles, KINDS[:1])[KINDS[0]]
     return found
+
+
+def tried() -> list[tuple[str, float]]:
+    """Constants of the likelihood with each value that is tried."""
+    return [(constant, value) for constant, values in CONSTANTS.items() for value in values]
+
+
+def _constants(validation: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Log loss of validation episodes, at the temperature that suits them best, by value of each constant."""
+    rows = []
+    for constant, values in CONSTANTS.items():
+        losses = []
+        for value in values:
+            p = validation[f"{constant}={value:g}"].astype(np.float64)
+            temperature = calibrated.fit_temperature(p, validation["truth"])
+            scaled = calibrated.calibrated_beliefs(p, temperature)
+            losses.append(float(metrics.log_loss(scaled, validation["truth"]).mean()))
+        rows.append([constant, *(f"{value:g}: {loss:.3f}" for value, loss in zip(values, losses, strict=True))])
+    return make_table(["constant", *(f"value {i + 1}: log loss" for i in range(len(rows[0]) - 1))], rows)
 
 
 def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
@@ -77,6 +108,7 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
         hardness.append([name, *means])
     tables = {
         "errors": make_table(head, rows),
+        "constants": _constants(validation),
         "hardness": make_table(["objects", Column("position", 2), Column("fused", 2)], hardness),
     }
     return {"episodes": len(test["truth"]), "temperature": to_json(temperature), "tables": tables}
