@@ -112,7 +112,7 @@ def log_probabilities(name: str, train: Labelled, reading: Float[np.ndarray, "n 
         return _both(one, other)
     rows = len(train.label)
     model: Any = {
-        TREES_NAME: lambda: ExtraTreesClassifier(TREES, max_features=0.5, random_state=seed),
+        TREES_NAME: lambda: ExtraTreesClassifier(TREES, random_state=seed),
         LOGISTIC: lambda: make_pipeline(
             QuantileTransformer(n_quantiles=min(QUANTILES, rows), output_distribution="normal", random_state=seed),
             LogisticRegression(C=0.3, max_iter=1000),

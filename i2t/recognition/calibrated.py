@@ -40,7 +40,7 @@ def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Temper
 
 
 def fit_temperature_to_sets(
-    sets: Sequence[tuple[Float[Array, "e t c"], Int[Array, " e"]]], *, smoothing: float = 0.0
+    sets: Sequence[tuple[Float[Array, "_ _ _"], Int[Array, " _"]]], *, smoothing: float = 0.0
 ) -> TemperatureScaling:
     """The same for sets of episodes that differ in the number of touches or classes.
 
