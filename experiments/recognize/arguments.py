@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
-from experiments.common.options import ResumableOptions, RunOptions
+from experiments.common.options import ResumableOptions
 from i2t.cli import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import require_extra
@@ -153,7 +153,7 @@ class LiveArgs:
 
 
 @dataclass(frozen=True)
-class RecordedArgs(RunOptions):
+class RecordedArgs(ResumableOptions):
     """Recognise what was touched from a table of readings of any sensor."""
 
     readings: tuple[Path, ...]  # CSV files (or .csv.gz): a row a touch, in the order in which they were made

@@ -11,6 +11,7 @@ are on average that far from those of the training; a fold that judges the next 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +26,20 @@ from i2t.recognition.belief import TemperatureScaling
 from i2t.recognition.calibrated import calibrated_beliefs, fit_temperature_to_sets
 from i2t.recognition.metrics import log_loss
 
-OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
-TREES, NEIGHBOURS, QUANTILES = 200, 5, 100
-FOLD_SHARE = 1 / 3  # of a label's rows, on either side of a fold
+
+@dataclass(frozen=True)
+class Fixed:
+    """What was fixed before testing."""
+
+    outliers: float = 0.01  # share of touches that any label may give, so that none rules a label out
+    trees: int = 200
+    neighbours: int = 5
+    quantiles: int = 100  # to which the columns are mapped for the logistic regression
+    inverse_penalty: float = 0.3  # of the logistic regression
+    fold_share: float = 1 / 3  # of a label's rows, on either side of a fold
+
+
+FIXED = Fixed()
 TREES_NAME, LOGISTIC, BOTH, KNN = "extra trees", "logistic regression", "trees and logistic regression", "neighbours"
 CANDIDATES = (TREES_NAME, LOGISTIC, BOTH, KNN)
 
@@ -44,6 +56,11 @@ class Labelled(NamedTuple):
     def at(self, rows: Rows) -> "Labelled":
         """Some of the rows."""
         return Labelled(self.reading[rows], self.label[rows])
+
+    def without(self, labels: Rows) -> "Labelled":
+        """The rows of the other labels, which are counted anew."""
+        kept = self.at(np.flatnonzero(~np.isin(self.label, labels)))
+        return Labelled(kept.reading, np.unique(kept.label, return_inverse=True)[1])
 
 
 class TouchSeries(NamedTuple):
@@ -84,7 +101,7 @@ def folds_in_time(label: Int[np.ndarray, " n"]) -> Iterator[tuple[Rows, Rows]]:
     """Rows that teach and rows that judge: the first and the last third of each label's, and the reverse."""
     for step in (1, -1):
         of_label = [np.flatnonzero(label == c)[::step] for c in np.unique(label)]
-        count = [max(1, round(FOLD_SHARE * len(rows))) for rows in of_label]
+        count = [max(1, round(FIXED.fold_share * len(rows))) for rows in of_label]
         first, last = (
             [rows[:k] for rows, k in zip(of_label, count, strict=True)],
             [rows[-k:] for rows, k in zip(of_label, count, strict=True)],
@@ -96,7 +113,7 @@ def folds_in_time(label: Int[np.ndarray, " n"]) -> Iterator[tuple[Rows, Rows]]:
 
 
 def log_probabilities(name: str, train: Labelled, reading: Float[np.ndarray, "n d"], seed: int) -> LogP:
-    """log p(label | reading) of a classifier, of which a share `OUTLIERS` is the same for all labels.
+    """log p(label | reading) of a classifier, of which a share `FIXED.outliers` is the same for all labels.
 
     Args:
         name: One of `CANDIDATES`.
@@ -112,17 +129,19 @@ def log_probabilities(name: str, train: Labelled, reading: Float[np.ndarray, "n 
         return _both(one, other)
     rows = len(train.label)
     model: Any = {
-        TREES_NAME: lambda: ExtraTreesClassifier(TREES, random_state=seed),
+        TREES_NAME: lambda: ExtraTreesClassifier(FIXED.trees, random_state=seed),
         LOGISTIC: lambda: make_pipeline(
-            QuantileTransformer(n_quantiles=min(QUANTILES, rows), output_distribution="normal", random_state=seed),
-            LogisticRegression(C=0.3, max_iter=1000),
+            QuantileTransformer(
+                n_quantiles=min(FIXED.quantiles, rows), output_distribution="normal", random_state=seed
+            ),
+            LogisticRegression(C=FIXED.inverse_penalty, max_iter=1000),
         ),
         KNN: lambda: make_pipeline(
-            StandardScaler(), KNeighborsClassifier(min(NEIGHBOURS, rows), weights="distance")
+            StandardScaler(), KNeighborsClassifier(min(FIXED.neighbours, rows), weights="distance")
         ),
     }[name]()  # fmt: skip
     p = model.fit(train.reading, train.label).predict_proba(reading)
-    return np.log((1 - OUTLIERS) * p + OUTLIERS / p.shape[1])
+    return np.log((1 - FIXED.outliers) * p + FIXED.outliers / p.shape[1])
 
 
 def novelty(train: Labelled, reading: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:

@@ -11,6 +11,9 @@ split at random, which puts the errors that a session's touches share on both si
 minutes. Results go to --out: metrics.json (95 % intervals over labels), config.json and a figure.
 """
 
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,25 +26,26 @@ from experiments.common.reading_tables import (
     split_at_random,
     split_in_order,
 )
-from experiments.common.runs import METRICS, begin, write_json
+from experiments.common.runs import METRICS, Part, begin, load_part, save_part, write_json
 from experiments.common.tables import text_table
+from experiments.common.tasks import Task, run_tasks
 from experiments.recognize import figures
 from experiments.recognize.arguments import RecordedArgs
 from experiments.recognize.reading_methods import (
+    FIXED,
     KNN,
     Choice,
     Fold,
     Labelled,
+    all_log_probabilities,
     choose,
     draw_series,
     judge_folds,
-    log_probabilities,
     novelty,
     product,
 )
 from i2t import viz
 from i2t.paper import loop
-from i2t.progress import progress
 from i2t.recognition import metrics
 from i2t.recognition.calibrated import calibrated_beliefs
 from i2t.recognition.metrics import to_json
@@ -49,7 +53,7 @@ from i2t.recognition.metrics import to_json
 LEAST_ROWS = 5  # of a label in a group: three that teach, two to recognise
 REQUESTED_ERRORS = (0.01, 0.05, 0.10)
 SHOWN_TOUCHES = (1, 3, 5, 10)
-IN_ORDER, AT_RANDOM = "in file order", "at random"
+SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
 VOTES, AVERAGE, PRODUCT, BELIEF = "votes", "average", "product", "calibrated belief"
 NEIGHBOURS, NOVELTY = "nearest neighbours", "distance from what was taught"
 
@@ -72,61 +76,99 @@ class Episodes(NamedTuple):
 
 def run(args: RecordedArgs) -> dict[str, Any]:
     """Recognise in file order and at random, and unknown labels."""
-    table = read_reading_table(args.readings, label=args.label, group=args.group, ignore=args.ignore)
+    table = read_table(args)
     require_rows(table, LEAST_ROWS)
-    begin(args.out, args, args, None, args.overwrite)
+    begin(args.out, args, FIXED, args.resume, args.overwrite)
     print(
         f"{len(table.label)} readings of {len(table.columns)} values, {len(table.labels)} labels in "
         f"{len(table.groups)} groups; the first {args.train_share:.0%} of each label's rows teach"
     )
+    paths = {
+        (split, i): args.out / f"{split.replace(' ', '_')}-{i}.npz"
+        for split in SPLITS
+        for i in range(len(table.groups))
+    }
+    tasks = [Task(path.stem, path, partial(make_part, args, *which, path)) for which, path in paths.items()]
+    run_tasks(tasks, args.tasks, bar="groups")
     summary: dict[str, Any] = {
         "source": "recorded", "readings": [path.name for path in args.readings], "labels": table.labels,
         "groups": table.groups, "rows": len(table.label), "columns": len(table.columns), "intervals": "over labels",
         "seed": args.seed, "splits": {},
     }  # fmt: skip
-    splits = {
-        IN_ORDER: groups_of(table, split_in_order(table, args.train_share)),
-        AT_RANDOM: groups_of(table, split_at_random(table, args.train_share, args.seed), shuffled=args.seed),
-    }
-    for name, groups in splits.items():
-        folds = [judge_folds(g.train, args.episodes, args.max_touches, args.seed) for g in progress(groups, desc=name)]
-        choice = choose([fold for each in folds for fold in each])
-        found = recognise(groups, choice, len(table.labels), args)
-        summary["splits"][name] = score(found, choice, table)
-        if name == IN_ORDER:
-            figure = figures.accuracy(accuracies(found), f"Real readings, split {name}", simulated=False)
+    for split in SPLITS:
+        parts = [load_part(paths[split, i]) for i in range(len(table.groups))]
+        choice = choose([Fold(**fold) for part in parts for fold in part["folds"].values()])
+        found = recognise(parts, choice, len(table.labels))
+        summary["splits"][split] = score(found, choice, table)
+        if split == IN_ORDER:
+            figure = figures.accuracy(accuracies(found), f"Real readings, split {split}", simulated=False)
             viz.save_figure(figure, args.out / "accuracy.png")
-            summary["unknown"] = score_unknown(groups, folds, choice, args)
+            summary["unknown"] = score_unknown(parts, choice)
     write_json(args.out / METRICS, summary)
     print_tables(summary)
     return summary
 
 
-def groups_of(table: ReadingTable, train: np.ndarray, shuffled: int | None = None) -> list[Group]:
-    """The groups, each with its own labels; rows in file order, or shuffled by a seed."""
-    found = []
-    for i in range(len(table.groups)):
-        rows = np.flatnonzero(table.group == i)
-        if shuffled is not None:
-            rows = np.random.default_rng(shuffled).permutation(rows)
-        labels, own = np.unique(table.label[rows], return_inverse=True)
-        data = Labelled(table.reading[rows], own)
-        first, later = (data.at(np.flatnonzero(side)) for side in (train[rows], ~train[rows]))
-        found.append(Group(first, later, labels))
-    return found
+def read_table(args: RecordedArgs) -> ReadingTable:
+    """The readings that the options name."""
+    return read_reading_table(args.readings, label=args.label, group=args.group, ignore=args.ignore)
+
+
+def group_of(table: ReadingTable, split: str, i: int, args: RecordedArgs) -> Group:
+    """One group with its own labels; rows in file order, or shuffled where the split is at random."""
+    rows = np.flatnonzero(table.group == i)
+    train = split_in_order(table, args.train_share)
+    if split == AT_RANDOM:
+        train = split_at_random(table, args.train_share, args.seed)
+        rows = np.random.default_rng(args.seed).permutation(rows)
+    labels, own = np.unique(table.label[rows], return_inverse=True)
+    data = Labelled(table.reading[rows], own)
+    first, later = (data.at(np.flatnonzero(side)) for side in (train[rows], ~train[rows]))
+    return Group(first, later, labels)
 
 
 # --- episodes ---
 
 
-def recognise(groups: list[Group], choice: Choice, labels: int, args: RecordedArgs) -> Episodes:
-    """Episodes of every group, judged by every method."""
+def make_part(args: RecordedArgs, split: str, i: int, path: Path) -> None:
+    """Log probabilities, by every classifier, of the touches of one group's episodes: of the folds, of the test, and of
+    the test where some labels were not taught.
+    """
+    table = read_table(args)
+    group = group_of(table, split, i, args)
+    series = draw_series(group.test.label, args.episodes, args.max_touches, args.seed)
+
+    def judged(train: Labelled) -> Part:
+        found = all_log_probabilities(train, group.test.reading, args.seed)
+        return {name: values[series.rows] for name, values in found.items()}
+
+    folds = judge_folds(group.train, args.episodes, args.max_touches, args.seed)
+    part: Part = {
+        "labels": group.labels, "truth": series.truth, "log_p": judged(group.train),
+        "folds": {str(k): fold._asdict() for k, fold in enumerate(folds)}, "unknown": {},
+    }  # fmt: skip
+    for k, draw in enumerate(unknown_draws(table, args) if split == IN_ORDER else []):
+        out = np.flatnonzero(np.isin(group.labels, draw))
+        if len(out) and len(group.labels) - len(out) > 1:
+            train = group.train.without(out)
+            far = novelty(train, group.test.reading)[series.rows]
+            part["unknown"][str(k)] = {"out": out, "far": far, "log_p": judged(train)}
+    save_part(path, part)
+
+
+def unknown_draws(table: ReadingTable, args: RecordedArgs) -> list[np.ndarray]:
+    """Labels that are held out as unknown ones, at most a third of all at a time."""
+    count = min(args.unknown, len(table.labels) // 3)
+    rng = np.random.default_rng(args.seed)
+    return [rng.choice(len(table.labels), count, replace=False) for _ in range(args.draws)] if count else []
+
+
+def recognise(parts: Sequence[Part], choice: Choice, labels: int) -> Episodes:
+    """Beliefs of every method about the episodes of every group, of as many touches as all have."""
+    count = min(part["log_p"][KNN].shape[1] for part in parts)
     each = []
-    count = min(args.max_touches, *(int(np.bincount(g.test.label).min()) for g in groups))
-    for i, group in enumerate(groups):
-        series = draw_series(group.test.label, args.episodes, count, args.seed)
-        log_p = log_probabilities(choice.classifier, group.train, group.test.reading, args.seed)[series.rows]
-        knn = log_probabilities(KNN, group.train, group.test.reading, args.seed)[series.rows]
+    for i, part in enumerate(parts):
+        log_p, knn = (part["log_p"][name][:, :count] for name in (choice.classifier, KNN))
         beliefs = {
             NEIGHBOURS: loop.beliefs(-knn, "average"),
             **{rule: loop.beliefs(-log_p, rule) for rule in (VOTES, AVERAGE)},
@@ -136,8 +178,8 @@ def recognise(groups: list[Group], choice: Choice, labels: int, args: RecordedAr
         wide = {}
         for name, p in beliefs.items():
             wide[name] = np.zeros((*p.shape[:2], labels))
-            wide[name][..., group.labels] = p
-        each.append(Episodes(group.labels[series.truth], np.full(len(series.truth), i), wide))
+            wide[name][..., part["labels"]] = p
+        each.append(Episodes(part["labels"][part["truth"]], np.full(len(part["truth"]), i), wide))
     return Episodes(
         np.concatenate([part.truth for part in each]),
         np.concatenate([part.group for part in each]),
@@ -181,48 +223,31 @@ def score(found: Episodes, choice: Choice, table: ReadingTable) -> dict[str, Any
     }  # fmt: skip
 
 
-def score_unknown(
-    groups: list[Group], folds: list[list[Fold]], choice: Choice, args: RecordedArgs
-) -> dict[str, Any] | None:
-    """Area under the curve of detecting labels that were held out, by the belief's doubt and by the distance of
-    readings from all that were taught; None where there are fewer than three labels.
+def score_unknown(parts: Sequence[Part], choice: Choice) -> dict[str, Any] | None:
+    """Area under the curve of detecting labels that were not taught, by the belief's doubt and by the mean distance of
+    touches from what was taught; None where none was held out.
+
+    The belief's temperature is of the folds without these labels.
     """
-    labels = np.unique(np.concatenate([g.labels for g in groups]))
-    held_out = min(args.unknown, len(labels) // 3)
-    if not held_out:
+    doubts, truths, unknown = [], [], []
+    for part in parts:
+        folds = [Fold(**fold) for fold in part["folds"].values()]
+        for held in part.get("unknown", {}).values():
+            temperature = choose([fold.without(held["out"]) for fold in folds], [choice.classifier]).temperature
+            p = calibrated_beliefs(product(held["log_p"][choice.classifier]), temperature)
+            far = np.cumsum(held["far"], 1) / np.arange(1, held["far"].shape[1] + 1)
+            doubts.append(np.stack([1 - metrics.confidence(p), far]))
+            truths.append(part["labels"][part["truth"]])
+            unknown.append(np.isin(part["truth"], held["out"]))
+    if not doubts:
         return None
-    rng = np.random.default_rng(args.seed)
-    draws = [rng.choice(labels, held_out, replace=False) for _ in range(args.draws)]
-    parts = [
-        doubts(group, each, np.flatnonzero(np.isin(group.labels, draw)), choice.classifier, args)
-        for draw in progress(draws, desc="unknown labels", unit="draw")
-        for group, each in zip(groups, folds, strict=True)
-        if np.isin(group.labels, draw).any() and np.sum(~np.isin(group.labels, draw)) > 1
-    ]
-    count = min(part[0].shape[2] for part in parts)
-    truth, unknown = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
-    doubt = np.concatenate([part[0][:, :, :count] for part in parts], axis=1)
-    at = np.array(shown_touches(count)) - 1
-    return {"held_out": held_out, "draws": args.draws, "touches": shown_touches(count)} | {
-        name: to_json(metrics.auroc(each[:, at], unknown, clusters=[truth]))
+    touches = shown_touches(min(doubt.shape[2] for doubt in doubts))
+    doubt = np.concatenate([doubt[:, :, np.array(touches) - 1] for doubt in doubts], axis=1)
+    truth, missing = np.concatenate(truths), np.concatenate(unknown)
+    return {"touches": touches, "episodes": len(truth), "unknown": int(missing.sum())} | {
+        name: to_json(metrics.auroc(each, missing, clusters=[truth]))
         for name, each in zip((BELIEF, NOVELTY), doubt, strict=True)
     }
-
-
-def doubts(
-    group: Group, folds: list[Fold], out: np.ndarray, classifier: str, args: RecordedArgs
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Doubt (2, e, t) by the belief and by distance, where labels `out` of a group were not taught; the label of each
-    episode, and whether it was out. Its temperature is of the folds without them.
-    """
-    known = np.flatnonzero(~np.isin(group.train.label, out))
-    train = Labelled(group.train.reading[known], np.unique(group.train.label[known], return_inverse=True)[1])
-    temperature = choose([fold.without(out) for fold in folds], [classifier]).temperature
-    series = draw_series(group.test.label, args.episodes, args.max_touches, args.seed)
-    log_p = log_probabilities(classifier, train, group.test.reading, args.seed)[series.rows]
-    far = np.cumsum(novelty(train, group.test.reading)[series.rows], 1) / np.arange(1, series.rows.shape[1] + 1)
-    doubt = np.stack([1 - metrics.confidence(calibrated_beliefs(product(log_p), temperature)), far])
-    return doubt, group.labels[series.truth], np.isin(series.truth, out)
 
 
 def shown_touches(count: int) -> list[int]:
@@ -256,7 +281,7 @@ def print_tables(summary: dict[str, Any]) -> None:
             )
     unknown = summary["unknown"]
     if unknown is not None:
-        print(f"\n{unknown['held_out']} labels held out as unknown, {unknown['draws']} draws; area under the curve")
+        print(f"\n{unknown['unknown']} of {unknown['episodes']} episodes with labels held out; area under the curve")
         rows = [
             [name, *(_cell({part: x[i] for part, x in unknown[name].items()}) for i in range(len(unknown["touches"])))]
             for name in (BELIEF, NOVELTY)

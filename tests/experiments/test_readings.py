@@ -8,10 +8,11 @@ import pytest
 from experiments.recognize.__main__ import main
 from experiments.recognize.reading_methods import (
     BOTH,
+    FIXED,
     KNN,
     LOGISTIC,
-    OUTLIERS,
     TREES_NAME,
+    Fixed,
     Fold,
     Labelled,
     all_log_probabilities,
@@ -59,7 +60,7 @@ def test_no_touch_rules_a_label_out_and_both_classifiers_make_their_geometric_me
     found = all_log_probabilities(touches(3, 10, 0), touches(3, 4, 1).reading, seed=0)
     for name, log_p in found.items():
         np.testing.assert_allclose(np.exp(log_p).sum(1), 1, err_msg=name)
-        assert np.exp(log_p).min() > OUTLIERS / 3 * (0.9 if name != BOTH else 0.5)
+        assert np.exp(log_p).min() > FIXED.outliers / 3 * (0.9 if name != BOTH else 0.5)
     mean = np.sqrt(np.exp(found[TREES_NAME] + found[LOGISTIC]))
     np.testing.assert_allclose(np.exp(found[BOTH]), mean / mean.sum(1, keepdims=True))
 
@@ -70,7 +71,7 @@ def test_neighbours_and_novelty_are_those_of_a_reading_that_was_taught():
     far = train.reading + np.array([0.0, 0.0, 100.0])
     assert (novelty(train, far) > 50).all()
     p = np.exp(log_probabilities(KNN, train, train.reading, 0))  # the reading itself outweighs all others
-    np.testing.assert_allclose(p[np.arange(30), train.label], 1 - OUTLIERS + OUTLIERS / 3)
+    np.testing.assert_allclose(p[np.arange(30), train.label], 1 - FIXED.outliers + FIXED.outliers / 3)
 
 
 def test_the_product_is_that_of_the_touches():
@@ -129,7 +130,7 @@ def write_table(path, labels: str, rows: int = 8) -> None:
 
 
 def test_the_command_reports_both_splits_and_unknown_labels_with_intervals(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("experiments.recognize.reading_methods.TREES", 10)
+    monkeypatch.setattr("experiments.recognize.reading_methods.FIXED", Fixed(trees=10))
     for name, labels in (("a", "xyz"), ("b", "wxy")):  # groups of other labels
         write_table(tmp_path / f"{name}.csv", labels)
     words = ["recorded", "--readings", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "--label", "Stück"]
@@ -137,7 +138,7 @@ def test_the_command_reports_both_splits_and_unknown_labels_with_intervals(tmp_p
     assert main([*words, "--episodes", "2", "--draws", "2", "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "split in file order" in said
-    assert "labels held out as unknown" in said
+    assert "episodes with labels held out" in said
     found = json.loads((out / "metrics.json").read_text())
     assert (found["labels"], found["groups"]) == (["w", "x", "y", "z"], ["a", "b"])
     for entry in found["splits"].values():
@@ -149,12 +150,17 @@ def test_the_command_reports_both_splits_and_unknown_labels_with_intervals(tmp_p
                 low <= mean <= high for mean, low, high in zip(*scores["accuracy"].values(), strict=True)
             )  # over the four labels
             assert [stop["requested_error"] for stop in scores["stopping"]] == [0.01, 0.05, 0.1]
-    assert found["unknown"]["held_out"] == 1
+    assert found["unknown"]["episodes"] > found["unknown"]["unknown"] > 0
     assert all(0 <= x <= 1 for x in found["unknown"]["calibrated belief"]["mean"])
+    first = (out / "metrics.json").read_bytes()
+    for made in (out / "metrics.json", out / "at_random-1.npz"):
+        made.unlink()
+    assert main([*words, "--episodes", "2", "--draws", "2", "--out", str(out), "--resume"]) == 0
+    assert (out / "metrics.json").read_bytes() == first
 
 
 def test_two_labels_are_told_apart_and_none_is_held_out(tmp_path, monkeypatch):
-    monkeypatch.setattr("experiments.recognize.reading_methods.TREES", 10)
+    monkeypatch.setattr("experiments.recognize.reading_methods.FIXED", Fixed(trees=10))
     write_table(tmp_path / "t.csv", "xy", rows=5)
     words = ["recorded", "--readings", str(tmp_path / "t.csv"), "--label", "Stück", "--episodes", "1"]
     assert main([*words, "--out", str(tmp_path / "out")]) == 0
