@@ -5,9 +5,9 @@ touches, with -log p for the distance of a touch from a label: votes, average an
 product at a temperature that grows with the number of touches (`i2t.recognition.calibrated`), as errors that the
 touches of a session share do not average out.
 
-The classifier is chosen, and the temperature fitted, by folds of the training rows: the first third of each label's
-rows teaches and the last third judges, and the reverse. The third between them is left out because the rows of the test
-are on average that far from those of the training; a fold that judges the next rows finds too little drift.
+The classifier is chosen, and the temperature fitted, by two folds of the training rows in the proportion of the test:
+the first rows of each label teach and the last ones judge, and the reverse. Rows are never mixed, as errors that a
+session's touches share would then be on both sides; where they drift faster later than before, calibration is off.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +22,7 @@ from sklearn.neighbors import KNeighborsClassifier, NearestNeighbors
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import QuantileTransformer, StandardScaler
 
+from experiments.common.reading_tables import count_for_training
 from i2t.recognition.belief import TemperatureScaling
 from i2t.recognition.calibrated import calibrated_beliefs, fit_temperature_to_sets
 from i2t.recognition.metrics import log_loss
@@ -36,7 +37,6 @@ class Fixed:
     neighbours: int = 5
     quantiles: int = 100  # to which the columns are mapped for the logistic regression
     inverse_penalty: float = 0.3  # of the logistic regression
-    fold_share: float = 1 / 3  # of a label's rows, on either side of a fold
 
 
 FIXED = Fixed()
@@ -97,16 +97,12 @@ def draw_series(label: Int[np.ndarray, " n"], each: int, most: int, seed: int) -
     return TouchSeries(np.array(drawn), np.repeat(np.unique(label), each))
 
 
-def folds_in_time(label: Int[np.ndarray, " n"]) -> Iterator[tuple[Rows, Rows]]:
-    """Rows that teach and rows that judge: the first and the last third of each label's, and the reverse."""
+def folds_in_time(label: Int[np.ndarray, " n"], share: float) -> Iterator[tuple[Rows, Rows]]:
+    """Rows that teach and rows that judge: the first share of each label's and the others, then the last share."""
     for step in (1, -1):
         of_label = [np.flatnonzero(label == c)[::step] for c in np.unique(label)]
-        count = [max(1, round(FIXED.fold_share * len(rows))) for rows in of_label]
-        first, last = (
-            [rows[:k] for rows, k in zip(of_label, count, strict=True)],
-            [rows[-k:] for rows, k in zip(of_label, count, strict=True)],
-        )
-        yield np.sort(np.concatenate(first)), np.sort(np.concatenate(last))
+        parts = [np.split(rows, [count_for_training(len(rows), share)]) for rows in of_label]
+        yield np.sort(np.concatenate([p[0] for p in parts])), np.sort(np.concatenate([p[1] for p in parts]))
 
 
 # --- one touch ---
@@ -187,11 +183,12 @@ class Fold(NamedTuple):
         return Fold(log_p, np.searchsorted(kept, self.truth[rows]))
 
 
-def judge_folds(train: Labelled, each: int, most: int, seed: int) -> list[Fold]:
+def judge_folds(train: Labelled, share: float, each: int, most: int, seed: int) -> list[Fold]:
     """Let every classifier judge the folds of training rows.
 
     Args:
         train: Rows in order of time.
+        share: Of a label's rows, those that teach.
         each: Episodes of each label in each fold.
         most: Touches of an episode.
         seed: Of classifiers and draws.
@@ -200,7 +197,7 @@ def judge_folds(train: Labelled, each: int, most: int, seed: int) -> list[Fold]:
         The folds.
     """
     folds = []
-    for taught, judged in folds_in_time(train.label):
+    for taught, judged in folds_in_time(train.label, share):
         test = train.at(judged)
         series = draw_series(test.label, each, most, seed)
         log_p = all_log_probabilities(train.at(taught), test.reading, seed)

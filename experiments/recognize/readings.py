@@ -142,7 +142,7 @@ def make_part(args: RecordedArgs, split: str, i: int, path: Path) -> None:
         found = all_log_probabilities(train, group.test.reading, args.seed)
         return {name: values[series.rows] for name, values in found.items()}
 
-    folds = judge_folds(group.train, args.episodes, args.max_touches, args.seed)
+    folds = judge_folds(group.train, args.train_share, args.episodes, args.max_touches, args.seed)
     part: Part = {
         "labels": group.labels, "truth": series.truth, "log_p": judged(group.train),
         "folds": {str(k): fold._asdict() for k, fold in enumerate(folds)}, "unknown": {},

@@ -12,11 +12,10 @@ come: `with_unknown_prior` moves a belief from one prior to another.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize
-from scipy.special import expit, logit, logsumexp
+from scipy.special import expit, logit, logsumexp, softmax
 
 from i2t.recognition import belief
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
@@ -86,8 +85,8 @@ def calibrated_beliefs(
     Returns:
         Beliefs of the same shape.
     """
-    touches = np.broadcast_to(np.arange(1, p.shape[1] + 1, dtype=np.float32), p.shape[:2])
-    return np.asarray(belief.apply_temperature(jnp.asarray(p), jnp.asarray(touches), temperature), np.float64)
+    divisor = temperature.temperature(np.arange(1, p.shape[1] + 1.0))[None, :, None]
+    return softmax(np.log(np.maximum(np.asarray(p, np.float64), belief.MIN_PROBABILITY)) / divisor, axis=-1)
 
 
 # --- the unknown class ---
