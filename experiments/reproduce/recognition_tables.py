@@ -177,19 +177,20 @@ def rules_of_readings(measured: Measured) -> str:
 
 
 def doubts_about_readings(measured: Measured) -> str:
-    """How often the calibrated belief stops and errs then; how well what was never taught is told, by either doubt."""
-    stops = measured["splits"][SHARED]["methods"]["calibrated belief"]["stopping"]
-    rows = [
-        [f"stop at an error of {100 * found['requested_error']:.0f} %",
-         f"{percent(found['stopped'])} stop, {percent(found['stopped_error'])} of these err"]
-        for found in stops
-    ]  # fmt: skip
+    """How often the belief stops and errs then, beside the product as it is; how well what was never taught is told, by
+    the belief's doubt and by distance.
+    """
+    methods, belief = measured["splits"][SHARED]["methods"], "calibrated belief"
+    rows = []
+    for pair in zip(methods[belief]["stopping"], methods["product"]["stopping"], strict=True):
+        cells = [f"{percent(each['stopped'], 0)} stop, {percent(each['stopped_error'])} of these err" for each in pair]
+        rows.append([f"stop at an error of {100 * pair[0]['requested_error']:.0f} %", *cells])
     unknown = measured["unknown"]
     first, last = unknown["touches"][0], unknown["touches"][-1]
-    for name in ("calibrated belief", "distance from what was taught"):
+    for name in (belief, "distance from what was taught"):
         cell = f"{estimate(at(unknown[name], 1), 2)}, {estimate(at(unknown[name], -1), 2)}"
-        rows.append([f"unknown objects, by {name}: AUROC after {first}, {last}", cell])
-    return markdown(["what", "measured [95 %]"], rows)
+        rows.append([f"unknown objects, by {name}: AUROC after {first}, {last}", cell, ""])
+    return markdown(["what [95 %]", belief, "product"], rows)
 
 
 STUDY_TABLES = {
