@@ -18,9 +18,9 @@ class Step(NamedTuple):
 
     @property
     def needs(self) -> str | None:
-        """Folder of a recording that is not part of the project, as the command names it."""
+        """Recording that is not part of the project, a folder or the first of its files, as the command names it."""
         words = shlex.split(self.command)
-        return next((folder for flag, folder in pairwise(words) if flag in ("--dataset", "--data")), None)
+        return next((path for flag, path in pairwise(words) if flag in ("--dataset", "--data", "--readings")), None)
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
         """The command's words after `python`.
@@ -73,5 +73,11 @@ STEPS = (
     Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again=OVERWRITE),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
     Step("reconstruct_tip", "-m experiments.reconstruct tip --dataset eflesh/spatial", minutes=10, again=OVERWRITE),
+    Step(
+        "grasps",
+        "-m experiments.recognize recorded --label object --ignore slipped --readings biotac_sp/bts3v2_palm_45.csv.gz "
+        "biotac_sp/bts3v2_palm_down.csv.gz biotac_sp/bts3v2_palm_side.csv.gz",
+        minutes=3,
+    ),
     Step("faults", "-m experiments.faults", minutes=120, again=None),
 )
