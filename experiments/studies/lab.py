@@ -40,7 +40,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, Surface
 
-MAX_PARTICLES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
+MAX_PARTICLES = 64  # of each object: with 64 to 512 accuracies are the same within 0.01
 DEBUG_EPISODES = 2  # of each object
 SHARED_BY = 5  # episodes that touch the same sites: one with each of five objects
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
