@@ -61,12 +61,10 @@ def run(args: ReproduceArgs) -> None:
         return
     if not args.tables:
         for step in steps:
-            if step.needs and not Path(step.needs).is_dir():
+            if step.needs and not Path(step.needs).exists():
                 if args.only:
-                    raise ValueError(
-                        f"{step.name} needs the folder {step.needs}, which is not there; docs say what it is"
-                    )
-                print(f"\n== {step.name} is left out: it needs the folder {step.needs}, which is not there", flush=True)
+                    raise ValueError(f"{step.name} needs {step.needs}, which is not there; docs say what it is")
+                print(f"\n== {step.name} is left out: it needs {step.needs}, which is not there", flush=True)
                 continue
             _run_step(step, args)
     written = write_tables(args.folder)
@@ -78,7 +76,7 @@ def describe(step: Step, out: Path) -> str:
     expected = "time?" if step.minutes is None else f"{step.minutes} min"
     done = "done" if (out / step.name / step.result).exists() else expected
     asked = [f"uses {step.uses}"] if step.uses else []
-    asked += [f"needs the folder {step.needs}"] if step.needs else []
+    asked += [f"needs {step.needs}"] if step.needs else []
     return f"{step.name:20} {done:>8}   python {step.command}" + (f"   ({', '.join(asked)})" if asked else "")
 
 

@@ -78,11 +78,12 @@ def read_text_table(path: Path) -> TextTable:
     return TextTable(table.header, list(table.rows), table.notes)
 
 
-def open_text_table(path: Path) -> TableRows:
+def open_text_table(path: Path, *, as_named: bool = False) -> TableRows:
     """Begin to read a table that may be larger than memory.
 
     Args:
         path: of the file, plain or gzip-ed.
+        as_named: leave names and units of columns as they are.
 
     Returns:
         The table, its rows as they are asked for, once.
@@ -90,7 +91,7 @@ def open_text_table(path: Path) -> TableRows:
     Raises:
         DataError: it cannot be read, or is no table; of a later row when that row is asked for.
     """
-    return _table(path, _lines(path))
+    return _table(path, _lines(path), as_named)
 
 
 def field_columns(
@@ -219,7 +220,7 @@ def _lines(path: Path) -> Iterator[str]:
         raise data_error(path, f"cannot be read ({error.strerror or error})") from error
 
 
-def _table(path: Path, lines: Iterator[str]) -> TableRows:
+def _table(path: Path, lines: Iterator[str], as_named: bool = False) -> TableRows:
     """Names of the columns, the rows in our words and units, and what was undone."""
     before, comments, first = 0, 0, ""
     for first in lines:
@@ -237,7 +238,8 @@ def _table(path: Path, lines: Iterator[str]) -> TableRows:
     if nameless:
         notes.append(f"left out: {len(nameless)} columns without a name")
     named = [name for name in stated if name]
-    header, factors = zip(*map(_in_our_words, named), strict=True) if named else ((), ())
+    ours = [(name, 1.0) if as_named else _in_our_words(name) for name in named]
+    header, factors = zip(*ours, strict=True) if named else ((), ())
     others = any(factor != 1 for factor in factors)
     if others:
         units = ", ".join(name for name, factor in zip(named, factors, strict=True) if factor != 1)

@@ -19,6 +19,7 @@ from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.config import PRESETS
 from experiments.reproduce.recognition_tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
+from experiments.studies import physics
 from experiments.train import __main__ as train
 from i2t import dataset
 from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
@@ -185,15 +186,16 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
 @pytest.mark.full
 def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
     out = tmp_path / "study"
-    words = ["sensitivity", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    words = ["physics", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
     assert studies.main(words) == 0
     before = (out / "metrics.json").read_text()
     metrics = json.loads(before)
     assert metrics["source"] == "simulated"
-    assert set(metrics["tables"]) == set(STUDY_TABLES["sensitivity"])
+    assert set(metrics["tables"]) == set(STUDY_TABLES["physics"])
     assert metrics["episodes"] == 8
-    settings = [row[0] for row in metrics["tables"]["methods"]["rows"]]
-    assert settings == [name for name in ("default", "stop at 50 uT", "stop at 50 uT, fitted there") for _ in range(2)]
+    rows = [tuple(row[:3]) for row in metrics["tables"]["methods"]["rows"] if row[1] == "fused"]
+    assert [touches for name, _, touches in rows if name == physics.MATCHED] == ["20", physics.ALL]
+    assert [touches for name, _, touches in rows if name != physics.MATCHED] == [physics.ELSEWHERE, "20", physics.ALL]
     (out / "metrics.json").unlink()
     assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
     assert (out / "metrics.json").read_text() == before

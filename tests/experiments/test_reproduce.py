@@ -70,7 +70,7 @@ def test_a_step_whose_recording_is_not_there_is_left_out(tmp_path, reproduced, m
     step = next(step for step in STEPS if step.needs)
     monkeypatch.setattr(reproduce, "STEPS", (step,))
     assert command() == 0
-    assert f"{step.name} is left out: it needs the folder {step.needs}" in capsys.readouterr().out
+    assert f"{step.name} is left out: it needs {step.needs}" in capsys.readouterr().out
     assert command("--only", step.name) == 2
     assert not played
     (tmp_path / step.needs).mkdir(parents=True)

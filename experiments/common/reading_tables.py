@@ -1,0 +1,230 @@
+"""Tables of labelled readings of any tactile sensor: one row a touch, in the order in which they were made.
+
+A column holds the label, others may be left out, and all that remain are the reading. Tables are split within groups,
+in the order of the file or at random: touches that follow one another share errors, which a random split puts on both
+sides, so that it says more than a later session would (Roberts et al., Ecography 40, 2017).
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from i2t.convert.tables import beginning_of, open_text_table
+from i2t.errors import DataError
+
+
+class ReadingTable(NamedTuple):
+    """Readings, the label of each, and the group within which it is compared with others."""
+
+    reading: Float[np.ndarray, "n d"]
+    label: Int[np.ndarray, " n"]  # index of `labels`
+    labels: tuple[str, ...]  # numbers by size, else by the alphabet
+    group: Int[np.ndarray, " n"]  # index of `groups`
+    groups: tuple[str, ...]  # in the order of the files
+    columns: tuple[str, ...]  # of the reading
+
+
+class _Part(NamedTuple):
+    """One file: texts of the labels and groups, and the readings."""
+
+    labels: list[str]
+    groups: list[str]
+    columns: tuple[str, ...]
+    reading: np.ndarray
+
+
+def read_reading_table(
+    paths: Sequence[Path], *, label: str, group: str | None = None, ignore: Sequence[str] = ()
+) -> ReadingTable:
+    """Read tables of readings.
+
+    Args:
+        paths: CSV files, plain or gzip-ed, of the same columns. Several files are as many groups at least.
+        label: Column of the label: any text.
+        group: Column of the group, if the rows of a file are of several.
+        ignore: Columns that are no part of the reading.
+
+    Returns:
+        All rows, in the order of the files.
+
+    Raises:
+        DataError: A file cannot be read, lacks a column, or holds what is no number or no label.
+        ValueError: One column is named for two purposes.
+    """
+    special = [label, *([] if group is None else [group]), *ignore]
+    if twice := sorted({name for name in special if special.count(name) > 1}):
+        raise ValueError(f"column {twice[0]} is named twice among label, group and ignored ones; name it once")
+    parts = [_read(path, label, group, ignore) for path in paths]
+    for path, part in zip(paths, parts, strict=True):
+        if part.columns != parts[0].columns:
+            other = sorted(set(part.columns) ^ set(parts[0].columns)) or ["in another order"]
+            raise DataError(
+                f"{path}: its reading has not the columns of {paths[0]} ({', '.join(other[:3])}); give tables of one "
+                "sensor, or leave these columns out of both"
+            )
+    texts = [text for part in parts for text in part.labels]
+    labels = _in_order(texts)
+    if len(labels) < 2:
+        raise DataError(f"{paths[0]}: column {label} holds {labels[0]} only; give at least two labels to tell apart")
+    names = [path.name.removesuffix(".gz").removesuffix(".csv") for path in paths]
+    names = names if len(set(names)) == len(paths) else [str(path) for path in paths]
+    grouped = [
+        f"{name}, {text}" if len(paths) > 1 and text else text or name
+        for name, part in zip(names, parts, strict=True)
+        for text in part.groups
+    ]
+    groups = tuple(dict.fromkeys(grouped))
+    return ReadingTable(
+        reading=np.concatenate([part.reading for part in parts]),
+        label=np.array([labels.index(text) for text in texts]),
+        labels=labels,
+        group=np.array([groups.index(text) for text in grouped]),
+        groups=groups,
+        columns=parts[0].columns,
+    )
+
+
+def _read(path: Path, label: str, group: str | None, ignore: Sequence[str]) -> _Part:
+    header, rows, _ = open_text_table(path, as_named=True)
+    if len(set(header)) != len(header):
+        raise DataError(f"{path}: column {_twice(header)} stands twice in the first line; rename one")
+    if missing := [name for name in (label, group, *ignore) if name is not None and name not in header]:
+        raise DataError(f"{path}: there is no column {missing[0]} ({beginning_of(header)}); name one of its columns")
+    kept = [i for i, name in enumerate(header) if name not in (label, group, *ignore)]
+    if not kept:
+        raise DataError(f"{path}: no column is left for the reading; leave out fewer")
+    labels: list[str] = []
+    groups: list[str] = []
+    readings: list[np.ndarray] = []
+    for line, cells in rows:
+        if len(cells) != len(header):
+            raise DataError(f"{path}: line {line} has {len(cells)} fields for {len(header)} columns; correct it")
+        labels.append(_name(path, line, label, cells[header.index(label)]))
+        groups.append("" if group is None else _name(path, line, group, cells[header.index(group)]))
+        readings.append(_reading(path, line, [header[i] for i in kept], [cells[i] for i in kept]))
+    if not labels:
+        raise DataError(f"{path}: holds no row below the names of its columns; give one a touch")
+    return _Part(labels, groups, tuple(header[i] for i in kept), np.array(readings))
+
+
+def _name(path: Path, line: int, column: str, text: str) -> str:
+    if not text.strip():
+        raise DataError(f"{path}: line {line} has nothing in column {column}; fill it in, or remove the row")
+    return text.strip()
+
+
+def _reading(path: Path, line: int, columns: Sequence[str], texts: Sequence[str]) -> np.ndarray:
+    try:
+        values = np.array(texts, np.float64)
+        if np.isfinite(values).all():
+            return values
+    except ValueError:
+        pass
+    column, text = next((c, t) for c, t in zip(columns, texts, strict=True) if not _is_finite(t))
+    what = f"has {text.strip()!r} in column {column}, which is no number" if text.strip() else f"lacks column {column}"
+    raise DataError(f"{path}: line {line} {what}; correct or remove the row, or leave the column out (--ignore)")
+
+
+def _is_finite(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+def _twice(names: Sequence[str]) -> str:
+    return next(name for name in names if names.count(name) > 1)
+
+
+def _in_order(texts: Sequence[str]) -> tuple[str, ...]:
+    """Different texts: numbers by size where all are numbers, else by the alphabet."""
+    different = sorted(set(texts))
+    return tuple(sorted(different, key=float) if all(map(_is_finite, different)) else different)
+
+
+# --- splits ---
+
+
+def split_in_order(table: ReadingTable, share: float) -> Bool[np.ndarray, " n"]:
+    """Split within each group: the first rows of each label are for training, the later ones for testing.
+
+    Args:
+        table: Of n rows.
+        share: Of a label's rows that are for training; at least one is on either side where there are two.
+
+    Returns:
+        Whether a row is for training.
+    """
+    train = np.zeros(len(table.label), bool)
+    for rows in rows_of_labels(table):
+        train[rows[: count_for_training(len(rows), share)]] = True
+    return train
+
+
+def split_at_random(table: ReadingTable, share: float, seed: int) -> Bool[np.ndarray, " n"]:
+    """The same with as many rows of each label, drawn at random.
+
+    Args:
+        table: Of n rows.
+        share: Of a label's rows that are for training.
+        seed: Of the draw.
+
+    Returns:
+        Whether a row is for training.
+    """
+    rng = np.random.default_rng(seed)
+    train = np.zeros(len(table.label), bool)
+    for rows in rows_of_labels(table):
+        train[rng.permutation(rows)[: count_for_training(len(rows), share)]] = True
+    return train
+
+
+def rows_of_labels(table: ReadingTable) -> list[Int[np.ndarray, " k"]]:
+    """Rows of each label in each group.
+
+    Args:
+        table: Of n rows.
+
+    Returns:
+        Row numbers in the order of the file, for each pair that occurs.
+    """
+    pair = table.group * len(table.labels) + table.label
+    return [np.flatnonzero(pair == each) for each in np.unique(pair)]
+
+
+def require_rows(table: ReadingTable, least: int) -> None:
+    """Refuse a table with too few rows of a label in a group, or with a group of one label.
+
+    Args:
+        table: Any.
+        least: How many rows are enough.
+
+    Raises:
+        DataError: There are fewer.
+    """
+    for rows in rows_of_labels(table):
+        if len(rows) < least:
+            label, group = table.labels[table.label[rows[0]]], table.groups[table.group[rows[0]]]
+            raise DataError(
+                f"label {label} has {len(rows)} rows in group {group}, and {least} are needed; add rows, remove the "
+                "label, or take larger groups"
+            )
+    for i, name in enumerate(table.groups):
+        if len(np.unique(table.label[table.group == i])) < 2:
+            raise DataError(f"group {name} holds one label only; groups are what labels are told apart within")
+
+
+def count_for_training(rows: int, share: float) -> int:
+    """Rows for training, of so many: at least one, and one fewer than all.
+
+    Args:
+        rows: How many there are.
+        share: That is wanted.
+
+    Returns:
+        How many.
+    """
+    return min(max(round(share * rows), 1), max(rows - 1, 1))

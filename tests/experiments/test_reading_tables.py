@@ -1,0 +1,110 @@
+"""Tables of readings are read as they stand or refused by line and column, and are split within groups and labels."""
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.common.reading_tables import (
+    read_reading_table,
+    require_rows,
+    rows_of_labels,
+    split_at_random,
+    split_in_order,
+)
+from i2t.errors import DataError
+
+GRASPS = Path(os.environ.get("I2T_DATA", "")) / "biotac_sp"
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_bytes(gzip.compress(text.encode()) if path.suffix == ".gz" else text.encode())
+    return path
+
+
+def table_of(tmp_path: Path, count: int = 10):
+    rows = "".join(f"{'ab'[i % 2]},{'xy'[i // count % 2]},{i},{-i}\n" for i in range(2 * count))
+    return read_reading_table([written(tmp_path / "t.csv", f"what,day,u,v\n{rows}")], label="what", group="day")
+
+
+def test_columns_that_are_neither_label_nor_group_nor_ignored_are_the_reading(tmp_path):
+    text = "time_ms,Größe,x_cm,day,run\n7,10,1.5,a,2\n8,9,-2,b,3\n9,10,0,a,1e3\n"
+    for name in ("one.csv", "one.csv.gz"):
+        table = read_reading_table([written(tmp_path / name, text)], label="Größe", group="day", ignore=["time_ms"])
+        assert table.columns == ("x_cm", "run")  # as named, in the units of the file
+        assert table.labels == ("9", "10")  # by size
+        assert table.groups == ("a", "b")
+        np.testing.assert_array_equal(table.reading, [[1.5, 2], [-2, 3], [0, 1000]])
+        np.testing.assert_array_equal(table.label, [1, 0, 1])
+        np.testing.assert_array_equal(table.group, [0, 1, 0])
+
+
+def test_several_files_are_groups_and_those_of_one_name_are_told_apart(tmp_path):
+    (tmp_path / "later").mkdir()
+    first = written(tmp_path / "t.csv", "what,u\nb,1\na,2\n")
+    second = written(tmp_path / "s.csv.gz", "what,u\na,3\n")
+    table = read_reading_table([first, second], label="what")
+    assert (table.labels, table.groups) == (("a", "b"), ("t", "s"))
+    np.testing.assert_array_equal(table.group, [0, 0, 1])
+    again = written(tmp_path / "later" / "t.csv", "what,u\na,3\n")
+    assert len(read_reading_table([first, again], label="what").groups) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("what,u\na,1\nb,\n", "line 3 lacks column u"),
+        ("what,u\na,1\nb,nan\n", "line 3 has 'nan' in column u, which is no number"),
+        ("what,u\na,soft\nb,2\n", "line 2 has 'soft' in column u"),
+        ("what,u\na,1\n ,2\n", "line 3 has nothing in column what"),
+        ("what,u\na,1\nb,2,3\n", "line 3 has 3 fields for 2 columns"),
+        ("what,u\na,1\na,2\n", "holds a only"),
+        ("what,u,u\na,1,2\nb,1,2\n", "column u stands twice"),
+        ("what\na\nb\n", "no column is left"),
+        ("what,u\n", "holds no row"),
+        ("which,u\na,1\n", "there is no column what"),
+    ],
+)
+def test_a_table_that_is_damaged_is_refused_by_line_and_column(tmp_path, text, said):
+    with pytest.raises(DataError, match=said):
+        read_reading_table([written(tmp_path / "t.csv", text)], label="what")
+
+
+def test_tables_of_other_columns_and_columns_named_twice_are_refused(tmp_path):
+    paths = [written(tmp_path / f"{name}.csv", f"what,{name}\na,1\nb,2\n") for name in "uv"]
+    with pytest.raises(DataError, match="has not the columns of"):
+        read_reading_table(paths, label="what")
+    with pytest.raises(ValueError, match="column what is named twice"):
+        read_reading_table(paths[:1], label="what", ignore=["what"])
+
+
+def test_training_rows_come_first_and_a_random_split_has_as_many(tmp_path):
+    table = table_of(tmp_path)
+    first, random = split_in_order(table, 0.6), split_at_random(table, 0.6, seed=0)
+    none, all_but_none = split_in_order(table, 0.01), split_in_order(table, 0.99)
+    for rows in rows_of_labels(table):
+        np.testing.assert_array_equal(first[rows], [1, 1, 1, 0, 0])
+        assert random[rows].sum() == 3
+        assert (none[rows].sum(), all_but_none[rows].sum()) == (1, 4)  # one at least on either side
+    assert (first != random).any()
+    np.testing.assert_array_equal(random, split_at_random(table, 0.6, seed=0))
+
+
+def test_labels_of_few_rows_and_groups_of_one_label_are_refused(tmp_path):
+    require_rows(table_of(tmp_path), 5)
+    with pytest.raises(DataError, match="label a has 5 rows in group x, and 6 are needed"):
+        require_rows(table_of(tmp_path), 6)
+    text = "what,day,u\na,x,1\nb,y,2\n"
+    alone = read_reading_table([written(tmp_path / "t.csv", text)], label="what", group="day")
+    with pytest.raises(DataError, match="group x holds one label"):
+        require_rows(alone, 1)
+
+
+@pytest.mark.skipif(not GRASPS.is_dir(), reason="needs the real grasps in I2T_DATA")
+def test_the_real_grasps_are_read_whole():
+    table = read_reading_table(sorted(GRASPS.glob("*.csv.gz")), label="object", ignore=["slipped"])
+    assert table.reading.shape == (4682, 72)
+    assert (len(table.labels), len(table.groups)) == (41, 3)
+    assert min(map(len, rows_of_labels(table))) == 25
