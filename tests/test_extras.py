@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.recognize.arguments import RecordedArgs
 from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.studies.arguments import StudyArgs
 from i2t.cli import require_writable
@@ -28,6 +29,7 @@ def test_an_experiment_looks_for_its_extra_before_it_works(tmp_path, monkeypatch
     for module, asked in (
         ("skimage", ReconstructArgs()),
         ("skfem", StudyArgs("mismatch", trained_run=tmp_path)),
+        ("sklearn", RecordedArgs((tmp_path / "metrics.json",), "label")),
     ):
         monkeypatch.setitem(sys.modules, module, None)
         with pytest.raises(MissingExtraError, match="pip install 'imagine2touch"):

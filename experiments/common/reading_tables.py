@@ -160,7 +160,7 @@ def split_in_order(table: ReadingTable, share: float) -> Bool[np.ndarray, " n"]:
     """
     train = np.zeros(len(table.label), bool)
     for rows in rows_of_labels(table):
-        train[rows[: _count(len(rows), share)]] = True
+        train[rows[: count_for_training(len(rows), share)]] = True
     return train
 
 
@@ -178,7 +178,7 @@ def split_at_random(table: ReadingTable, share: float, seed: int) -> Bool[np.nda
     rng = np.random.default_rng(seed)
     train = np.zeros(len(table.label), bool)
     for rows in rows_of_labels(table):
-        train[rng.permutation(rows)[: _count(len(rows), share)]] = True
+        train[rng.permutation(rows)[: count_for_training(len(rows), share)]] = True
     return train
 
 
@@ -217,6 +217,14 @@ def require_rows(table: ReadingTable, least: int) -> None:
             raise DataError(f"group {name} holds one label only; groups are what labels are told apart within")
 
 
-def _count(rows: int, share: float) -> int:
-    """Rows for training, of so many: at least one, and one fewer than all."""
+def count_for_training(rows: int, share: float) -> int:
+    """Rows for training, of so many: at least one, and one fewer than all.
+
+    Args:
+        rows: How many there are.
+        share: That is wanted.
+
+    Returns:
+        How many.
+    """
     return min(max(round(share * rows), 1), max(rows - 1, 1))

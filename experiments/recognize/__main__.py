@@ -2,6 +2,7 @@
 
     python -m experiments.recognize                simulated episodes on a finished run of experiments.train
     python -m experiments.recognize live           an arm, real or not, that touches where the belief wants it to
+    python -m experiments.recognize recorded       tables of labelled readings of any sensor, without any geometry
 
 Each has its own --help: python -m experiments.recognize simulate --help. Without a subcommand it simulates.
 """
@@ -13,11 +14,12 @@ import sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.commands import command_of_parts
-from experiments.recognize.arguments import LiveArgs, SimulateArgs
+from experiments.recognize.arguments import LiveArgs, RecordedArgs, SimulateArgs
 
 PARTS = {
     "simulate": (SimulateArgs, "experiments.recognize.run"),
     "live": (LiveArgs, "experiments.recognize.live"),
+    "recorded": (RecordedArgs, "experiments.recognize.readings"),
 }
 main = command_of_parts("experiments.recognize", PARTS)
 

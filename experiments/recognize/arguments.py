@@ -8,8 +8,9 @@ import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
 from experiments.common.options import ResumableOptions
-from i2t.cli import Count, Probability, Seed, require_path, require_with
+from i2t.cli import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
+from i2t.errors import require_extra
 
 PresetName = Literal["paper", "debug"]
 UnitName = Literal["m", "cm", "mm", "inch"]
@@ -149,3 +150,25 @@ class LiveArgs:
             raise ValueError(
                 f"--true-object {self.true_object}: choose one of {known}, or another object of the catalogue"
             )
+
+
+@dataclass(frozen=True)
+class RecordedArgs(ResumableOptions):
+    """Recognise what was touched from a table of readings of any sensor."""
+
+    readings: tuple[Path, ...]  # CSV files (or .csv.gz): a row a touch, in the order in which they were made
+    label: str  # column of what was touched
+    group: str | None = None  # column of the set-up within which rows are compared; each file is one unless given
+    ignore: tuple[str, ...] = ()  # columns that are no part of the reading
+    out: Path = Path("runs/recorded")  # folder for everything that is made
+    train_share: Annotated[float, Limits(0.2, 0.9)] = 0.6  # of each label's rows, the first ones
+    max_touches: Count = 10  # of an episode, drawn from a label's other rows
+    episodes: Count = 10  # of each label in each group
+    unknown: Annotated[int, Limits(0)] = 10  # labels that are held out at a time as unknown; at most a third
+    draws: Count = 5  # of these labels
+
+    def check(self) -> None:
+        """Refuse tables that are not there, and a missing library."""
+        for path in self.readings:
+            require_path("--readings", path, "file")
+        require_extra("sklearn", "recognition from tables of readings")

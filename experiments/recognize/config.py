@@ -14,7 +14,7 @@ class Recognition:
 
     primitives: tuple[str, ...] = ("square", "star", "cylinder")
     tools: tuple[str, ...] = ("screwdriver", "hammer")
-    validation: tuple[str, ...] = ("flower", "cross", "pyramid", "cutter", "spanner")
+    validation: tuple[str, ...] = ("pentagon", "octagon", "flower", "marker", "pliers")
     touches: int = 10
     episodes: int = 80  # of each object, in the set of all
     paper_episodes: int = 200  # of each object, in each of the paper's sets

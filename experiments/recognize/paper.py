@@ -9,7 +9,9 @@ sampled from the votes so far, and the paper's heuristic draws the next touch on
 Every method drives its own episodes by its own scores:
 
   Imagine2touch            the paper's network, on contact masks (its published code) and on depths (its text)
-  same rules, GP           the same with the predictor that the run kept
+  and measured force       the same network with the measured force of each touch as a further input
+  same rules, GP           the same with the predictor that the run kept, which is given that force, too
+  ... at the median force  and without it: given the median of the training touches, it knows what the network knows
   constant reading         the same with the mean of the training readings wherever an object is seen
   proprioception           the paper's baseline: distance of the contact from each object's model
 
@@ -31,7 +33,15 @@ from experiments.common.runs import Part
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
 from experiments.recognize.plans import draw_pools
-from experiments.recognize.report import CONSTANT, IMAGINE2TOUCH, RULES_GP, EpisodeResults, Results
+from experiments.recognize.report import (
+    CONSTANT,
+    IMAGINE2TOUCH,
+    MEDIAN_FORCE,
+    RULES_GP,
+    WITH_FORCE,
+    EpisodeResults,
+    Results,
+)
 from experiments.recognize.trained_run import meshes_by_name, read_simulated_run
 from i2t.files import slug
 from i2t.prediction.gp_method import GPModel
@@ -42,6 +52,7 @@ from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumbe
 from i2t.recognition.paper_rules import (
     PROPRIOCEPTION,
     Scorer,
+    at_median_force,
     beliefs_by_rule,
     constant_predictor,
     contact_distances,
@@ -55,8 +66,13 @@ from i2t.windows import PATCH_PIXELS
 PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
 
 
+NETWORKS = IMAGINE2TOUCH | {name: name for name in WITH_FORCE.values()}  # by rows, as IMAGINE2TOUCH is
+
+
 class PaperNetworks(NamedTuple):
-    """The paper's networks of a finished run, and what their training readings were like."""
+    """The paper's networks of a finished run, those with a measured force included, and what their training readings
+    were like.
+    """
 
     networks: dict[str, Predictor]  # by the rows' names; empty where the run trained none
     mean: np.ndarray | None = None  # (c,) uT, of the training readings
@@ -75,14 +91,14 @@ def load_paper_networks(folder: Path) -> PaperNetworks:
     """
     found: dict[str, Predictor] = {}
     epochs = []
-    for row, name in IMAGINE2TOUCH.items():
+    for row, name in NETWORKS.items():
         place = folder / "checkpoint" / slug(name)
         if not place.is_dir():
             continue
         predictor = load_predictor(place)
         model: Any = predictor.model
-        if model.cfg.pixels != PATCH_PIXELS or isinstance(model.cfg, ModelConfig):
-            continue  # a network of another camera, or more than the paper's
+        if model.cfg.pixels != PATCH_PIXELS or isinstance(model.cfg, ModelConfig) == (row in IMAGINE2TOUCH):
+            continue  # a network of another camera, or more than the paper's under its name
         found[row], norm = predictor, model.normalisation
         epochs.append((predictor.metadata or {})["epochs"])
     if not found:
@@ -94,17 +110,18 @@ def rule_predictors(folder: Path, found: PaperNetworks, kept: Predictor, mean: n
     """Predictors to which the paper's rules are applied, by the names of their rows: the paper's networks, the one that
     the run kept, and the mean reading (c,). Says which rows are left out, or are not what the paper's were.
     """
-    missing = [name for row, name in IMAGINE2TOUCH.items() if row not in found.networks]
+    missing = [name for row, name in NETWORKS.items() if row not in found.networks]
     if missing:
-        print(f"{folder} holds no {' and no '.join(missing)}, so these rows of Imagine2touch are left out")
-    elif found.epochs is not None and found.epochs < PAPER_EPOCHS:
+        print(f"{folder} holds no {' and no '.join(missing)}, so these rows are left out")
+    if found.epochs is not None and found.epochs < PAPER_EPOCHS:
         print(
             f"the networks of {folder} were trained for {found.epochs} epochs; the defaults of experiments.train are "
             f"{PAPER_EPOCHS}"
         )
     method = (kept.metadata or {}).get("method", "kept predictor")
     row = RULES_GP if isinstance(kept.model, GPModel) else f"same rules, {method}"
-    return {**found.networks, row: kept, CONSTANT: constant_predictor(mean)}
+    given = {row: kept, row + MEDIAN_FORCE: at_median_force(kept), CONSTANT: constant_predictor(mean)}
+    return {**found.networks, **given}
 
 
 def report(out: Path, folders: Sequence[Path], parts: Sequence[Results]) -> dict[str, Any]:
@@ -118,16 +135,11 @@ def report(out: Path, folders: Sequence[Path], parts: Sequence[Results]) -> dict
     Returns:
         What is written to metrics.json.
     """
-    means, differences = reporting.mean_over_objects(parts)
-    about: dict[str, Any] = {
-        "method": "the paper's loop",
-        "epochs": [load_paper_networks(folder).epochs for folder in folders],
-        "mean of the sets": means,
-        "differences of these means": differences,
-    }
+    epochs = [load_paper_networks(folder).epochs for folder in folders]
+    about = {"method": "the paper's loop", "epochs": epochs, **reporting.mean_over_objects(parts)}
     result = reporting.summarise(parts, out, "simulated", **about)
     reporting.print_tables(result)
-    reporting.print_mean_over_objects(means, differences)
+    reporting.print_mean_over_objects(result)
     return result
 
 

@@ -16,7 +16,14 @@ from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
 from i2t.recognition.episodes import EVIDENCE, Episodes
-from i2t.recognition.intervals import MIN_CLUSTERS, bootstrap_clusters, estimate_at, rate_interval, rows_of
+from i2t.recognition.intervals import (
+    MIN_CLUSTERS,
+    Estimate,
+    cluster_interval,
+    estimate_at,
+    rate_interval,
+    rows_of,
+)
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 from i2t.types import Board
@@ -25,16 +32,27 @@ IMAGINE2TOUCH = {
     "Imagine2touch (paper's network, mask)": "paper's network, mask",
     "Imagine2touch (paper's network, depth)": "paper's network, depth",
 }  # networks of experiments.train, by the rows that they make
+WITH_FORCE = {row: name.replace("network", "network and measured force") for row, name in IMAGINE2TOUCH.items()}
 RULES_GP, CONSTANT = "same rules, Gaussian process", "same rules, constant reading"
+MEDIAN_FORCE = " at the median force"  # of the training touches, in place of each touch's: ends the row's name
+PAPER_SETS = ("primitives", "tools")
 PUBLISHED_I2T = {"primitives": 0.50, "tools": 0.70, "mean": 0.58}  # the paper's accuracies, by votes
 PUBLISHED_PROPRIOCEPTION = {"primitives": 0.23, "tools": 0.80, "mean": 0.46}
 REQUESTED_ERRORS = (0.01, 0.05, 0.10)  # of the stopping rule
 NUM_BINS = 10  # of a calibration error
 WANTED_HALF_WIDTH = 0.03  # of the interval of a difference after the last touch, for which pads are counted
+# What the measured force is worth to the network and to the GP, and what the GP is worth with it and without.
+FAIR = (
+    *((WITH_FORCE[row], row) for row in IMAGINE2TOUCH),
+    (RULES_GP, RULES_GP + MEDIAN_FORCE),
+    *((RULES_GP + MEDIAN_FORCE, row) for row in IMAGINE2TOUCH),
+    *((RULES_GP, row) for row in WITH_FORCE.values()),
+)
 COMPARED = (
     *((f"{row}, votes", f"{PROPRIOCEPTION}, votes") for row in (*IMAGINE2TOUCH, RULES_GP, CONSTANT)),
     *((f"{row}, product", f"{PROPRIOCEPTION}, product") for row in (*IMAGINE2TOUCH, RULES_GP)),
     *((f"{row}, votes", f"{CONSTANT}, votes") for row in (*IMAGINE2TOUCH, RULES_GP)),
+    *((f"{one}, {rule}", f"{other}, {rule}") for rule in ("votes", "product") for one, other in FAIR),
     ("fused", "readings"),
     ("fused", "readings and position"),
     ("fused", "readings and presence"),
@@ -234,11 +252,14 @@ def compare_methods(episodes: PooledEpisodes) -> dict[str, Any]:
     return found
 
 
-def mean_over_objects(parts: Sequence[Results]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Accuracy after the last touch over all objects of several sets, each decided among those of its set: the paper's
-    last column; and paired differences of it. Sets of one pad are independent but for the pad.
+def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
+    """Accuracy after the last touch over all objects of the paper's sets, each decided among those of its set: the
+    paper's last column; and paired differences of it. Sets of one pad are independent but for the pad. Nothing where
+    other objects were played.
     """
-    sets = [pool_set(parts, name) for name in parts[0]]
+    if not set(PAPER_SETS) <= set(parts[0]):
+        return {}
+    sets = [pool_set(parts, name) for name in PAPER_SETS]
     weight = np.concatenate([np.full(len(each.truth), len(each.names) / len(each.truth)) for each in sets])
     clusters = [np.concatenate([each.pad for each in sets]), np.concatenate([each.pool for each in sets])]
     hits = {
@@ -248,13 +269,13 @@ def mean_over_objects(parts: Sequence[Results]) -> tuple[dict[str, Any], dict[st
     pairs = {f"{one} - {other}": hits[one] - hits[other] for one, other in COMPARED if {one, other} <= set(hits)}
 
     def mean(values: np.ndarray) -> dict[str, Any]:
-        def share(count: np.ndarray) -> np.ndarray:
-            return np.asarray(np.sum(count * weight * values) / np.sum(count * weight))
-
-        return to_json(bootstrap_clusters(share, clusters, len(values)))
+        # Linearised about the mean, so that its variance is at least that of independent episodes.
+        about = np.average(values, weights=weight)
+        found = cluster_interval((values - about) * weight / weight.mean(), clusters)
+        return to_json(Estimate(*(part + about for part in found)))
 
     means, differences = ({name: mean(values) for name, values in some.items()} for some in (hits, pairs))
-    return means, differences
+    return {"mean of the sets": means, "differences of these means": differences}
 
 
 # --- tables ---
@@ -306,16 +327,18 @@ def print_objects(entry: dict[str, Any], touches: int) -> None:
     print(text_table([f"after {touches}, by the object that was there", *entry["objects"]], rows, "  "))
 
 
-def print_mean_over_objects(means: dict[str, Any], differences: dict[str, Any]) -> None:
-    """The paper's last column."""
+def print_mean_over_objects(summary: dict[str, Any]) -> None:
+    """The paper's last column, if its sets were played."""
+    if "mean of the sets" not in summary:
+        return
     rows = (
         [method, _cell(estimate), _paper(published_accuracy("mean", method))]
-        for method, estimate in means.items()
+        for method, estimate in summary["mean of the sets"].items()
         if not method.endswith(UNPRINTED)
     )
-    print("\nall objects, each decided among those of its set:")
+    print(f"\nall objects of {' and '.join(PAPER_SETS)}, each decided among those of its set:")
     print(text_table(["method", "after the last touch", ""], rows))
-    for pair, estimate in differences.items():
+    for pair, estimate in summary["differences of these means"].items():
         print(f"  {pair}: {_cell(estimate, '+')}")
 
 

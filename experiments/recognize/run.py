@@ -97,11 +97,13 @@ def configure(args: SimulateArgs) -> Recognition:
 def report(args: SimulateArgs, parts: list[reporting.Results], source: str, board: Board) -> dict[str, Any]:
     """Scores, figures, tables, and the report of one episode."""
     parts, temperatures = reporting.calibrate(parts)
-    result = reporting.summarise(parts, args.out, source, temperatures=to_json(temperatures))
+    about = {"temperatures": to_json(temperatures), **reporting.mean_over_objects(parts)}
+    result = reporting.summarise(parts, args.out, source, **about)
     name = next(name for name in ("all", "your objects") if name in parts[0])
     meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
     reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source, board)
     reporting.print_tables(result)
+    reporting.print_mean_over_objects(result)
     reporting.print_stopping(result)
     return result
 

@@ -18,7 +18,7 @@ class Step(NamedTuple):
 
     @property
     def needs(self) -> str | None:
-        """Folder or table of a recording that is not part of the project, as the command names it."""
+        """Recording that is not part of the project, a folder or the first of its files, as the command names it."""
         words = shlex.split(self.command)
         return next((path for flag, path in pairwise(words) if flag in ("--dataset", "--data", "--readings")), None)
 
@@ -47,9 +47,9 @@ STEPS = (
         minutes=60,
     ),
     Step("open_set", "-m experiments.studies open_set --pads 0 1 2 --episodes 10", uses="study", minutes=30),
-    Step("new_pad", "-m experiments.studies new_pad --pads 0 1 2 --episodes 10", uses="study", minutes=25),
-    Step("sensitivity", "-m experiments.studies sensitivity --pads 0 1 2 --episodes 10", uses="study", minutes=35),
     Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
+    Step("physics", "-m experiments.studies physics --episodes 10", uses="study", minutes=120),
+    Step("stopping", "-m experiments.studies stopping --episodes 34", uses="study", minutes=60),
     Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", minutes=9),
     Step("train_time", "-m experiments.train --dataset data/eflesh --split time --epochs 60", minutes=6),
     Step("shapes", "-m experiments.shapes", minutes=15),
@@ -79,5 +79,11 @@ STEPS = (
     Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again=OVERWRITE),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
     Step("reconstruct_tip", "-m experiments.reconstruct tip --dataset eflesh/spatial", minutes=10, again=OVERWRITE),
+    Step(
+        "grasps",
+        "-m experiments.recognize recorded --label object --ignore slipped --readings biotac_sp/bts3v2_palm_45.csv.gz "
+        "biotac_sp/bts3v2_palm_down.csv.gz biotac_sp/bts3v2_palm_side.csv.gz",
+        minutes=3,
+    ),
     Step("faults", "-m experiments.faults", minutes=120, again=None),
 )

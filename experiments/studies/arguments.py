@@ -12,7 +12,7 @@ from experiments.recognize.arguments import PresetName
 from i2t.cli import Count
 from i2t.errors import require_extra
 
-StudyName = Literal["open_set", "new_pad", "sensitivity", "mismatch"]
+StudyName = Literal["open_set", "mismatch", "physics", "stopping"]
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,6 @@ class StudyArgs(ResumableOptions):
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        if self.study == "mismatch":
+        if self.study in ("mismatch", "physics"):
             require_extra("skfem", "a pad with free sides")
         chosen_runs(self.trained_run, self.pads)

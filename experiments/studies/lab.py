@@ -40,7 +40,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, Surface
 
-MAX_PARTICLES = 128  # of each object: with 64 to 512 accuracies are the same within 0.01
+MAX_PARTICLES = 64  # of each object: with 64 to 512 accuracies are the same within 0.01
 DEBUG_EPISODES = 2  # of each object
 SHARED_BY = 5  # episodes that touch the same sites: one with each of five objects
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
@@ -129,19 +129,29 @@ class StudyLab:
             sites=plan.sites, pad=pad, config=config, label=label,
         )  # fmt: skip
 
-    def refit(self, key: Array, world: StudyWorld) -> PadModel:
-        """The pad model as the run fitted it, but from touches with the pad, the limits and the law of some world."""
-        pad, limits, errors = world.pad or self.run.pad, world.limits or self.cfg.limits, self.cfg.errors
-        key_press, key_fit = jax.random.split(key)
+    def with_objects(self, names: Sequence[str]) -> "StudyLab":
+        """The lab with other objects of the catalogue to tell apart."""
+        surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
+        return replace(self, names=tuple(names), surfaces=surfaces)
+
+    def touch_known_objects(self, key: Array, world: StudyWorld) -> Dataset:
+        """As many touches of the training objects as the run had, with pad, limits and law of some world."""
+        pad, limits = world.pad or self.run.pad, world.limits or self.cfg.limits
         which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
         names = tuple(self.run.dataset.objects[i] for i in which)
-        surfaces = [self.run.surfaces[name] for name in names]
         made = simulation.simulate_touches(
-            key_press, surfaces, pad, errors, counts.tolist(), limits=limits, law=world.law(pad)
-        )
-        dataset = Dataset.simulated(made, names, pad)
-        rows = np.ones(len(dataset), bool)
-        return fit_pad_model(key_fit, dataset, rows, self.run.surfaces, errors=errors, limits=limits)
+            key, [self.run.surfaces[name] for name in names], pad, world.errors or self.cfg.errors, counts.tolist(),
+            limits=limits, law=world.law(pad),
+        )  # fmt: skip
+        return Dataset.simulated(made, names, pad)
+
+    def refit(self, key: Array, dataset: Dataset, world: StudyWorld, touches: int | None = None) -> PadModel:
+        """The pad model as the run fitted it, but to touches in some world: all, or the first so many."""
+        of_object = dataset.touches.object
+        first = np.array([np.sum(of_object[:i] == one) for i, one in enumerate(of_object)])
+        rows = np.full(len(dataset), True) if touches is None else first < touches // len(dataset.objects)
+        limits = world.limits or self.cfg.limits
+        return fit_pad_model(key, dataset, rows, self.run.surfaces, errors=self.cfg.errors, limits=limits)
 
 
 def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:

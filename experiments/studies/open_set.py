@@ -25,10 +25,10 @@ from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.types import Surface
 
-TEST_UNKNOWN = ("hexagon", "parallelogram", "flower", "cross", "spanner", "pliers", "marker", "scissors")
+TEST_UNKNOWN = ("hexagon", "parallelogram", "triangle", "cross", "wedge", "spanner", "cutter", "scissors")
 # Of the validation: neither known nor unknown objects of the test.
-VALIDATION_UNKNOWN = ("pentagon", "pyramid", "dome", "cone", "ellipsoid", "torus", "wedge")
-VALIDATION_KNOWN = ("triangle", "octagon", "stairs", "ridge", "cutter")
+VALIDATION_UNKNOWN = ("pentagon", "pyramid", "dome", "cone", "ellipsoid", "torus", "pliers")
+VALIDATION_KNOWN = ("flower", "octagon", "stairs", "ridge", "marker")
 NUM_SURROGATES, DEBUG_NUM_SURROGATES = 48, 2
 DEBUG_OBJECTS = 2  # of each kind
 OPEN_SET_PARTICLES = 64  # of each object, of surrogates too

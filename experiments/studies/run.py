@@ -1,9 +1,9 @@
 """Questions about recognition by touch beyond `experiments.recognize`, each a study of its own:
 
     python -m experiments.studies open_set      is the object an unknown one?
-    python -m experiments.studies new_pad       how many presses does a pad need that was never recorded?
-    python -m experiments.studies sensitivity   what do errors of pose, noise and harder presses do?
     python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
+    python -m experiments.studies physics       and if a pad model is fitted to a few touches there?
+    python -m experiments.studies stopping      how often is a belief wrong that stops when it is sure?
     python -m experiments.studies open_set --preset debug      a handful of episodes, to see it run
 
 Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
@@ -28,7 +28,7 @@ from experiments.common.runs import Part, begin, write_json
 from experiments.common.tasks import parts_of_runs
 from experiments.recognize.config import PRESETS
 from experiments.reproduce.recognition_tables import study_table
-from experiments.studies import open_set, settings
+from experiments.studies import mismatch, open_set, physics, stopping
 from experiments.studies.arguments import StudyArgs
 from experiments.studies.lab import StudyLab, evaluate_settings, prepare_lab
 from experiments.studies.report import report_settings
@@ -43,9 +43,9 @@ class Study(NamedTuple):
 
 STUDIES = {
     "open_set": Study(open_set.evaluate, open_set.report),
-    "new_pad": Study(partial(evaluate_settings, settings=settings.new_pad), report_settings),
-    "sensitivity": Study(partial(evaluate_settings, settings=settings.sensitivity), report_settings),
-    "mismatch": Study(partial(evaluate_settings, settings=settings.mismatch), report_settings),
+    "mismatch": Study(partial(evaluate_settings, settings=mismatch.settings), report_settings),
+    "physics": Study(physics.evaluate, physics.report),
+    "stopping": Study(stopping.evaluate, stopping.report),
 }
 
 

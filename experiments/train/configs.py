@@ -1,12 +1,14 @@
 """Named presets: frozen dataclasses that hold no arrays and say what an experiment does."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from i2t.prediction.methods import METHODS
 from i2t.simulation.touches import PressLimits, SimulationErrors
 from i2t.skin.contact import FINE_GRID
 from i2t.training import TrainConfig
+
+WITH_FORCE = ("paper-mask-force", "paper-depth-force")  # of a study: what the measured force is worth to the paper
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class TrainExperiment:
     """Settings of `python -m experiments.train`."""
 
     simulation: Simulation = field(default_factory=Simulation)
-    methods: tuple[str, ...] = tuple(METHODS)
+    methods: tuple[str, ...] = tuple(name for name in METHODS if name not in WITH_FORCE)
     training: TrainConfig = field(default_factory=lambda: TrainConfig(epochs=120))
     pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
     seeds: int = 1
@@ -63,8 +65,8 @@ PRESETS: dict[str, TrainExperiment] = {
             touches_per_session=12,
             limits=PressLimits(),
         ),
-        methods=tuple(name for name in METHODS if name not in ("paper-mask", "pressure-network")),
+        methods=tuple(name for name in METHODS if name not in ("paper-mask", "paper-mask-force", "pressure-network")),
         training=TrainConfig(epochs=12, batch_size=16),
     ),
-    "study": replace(TrainExperiment(), pads=tuple(range(6))),
+    "study": TrainExperiment(methods=tuple(METHODS), pads=tuple(range(6))),
 }

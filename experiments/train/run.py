@@ -10,15 +10,15 @@
     python -m experiments.train --methods gp ridge --method my_package.module:Mine    these, and one of your own
     python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network, another loss
 
-Hexagon and parallelogram train, one tool validates, six other objects test. Every method sees the same
-touches: baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured), the paper's
-network on contact masks or depths (paper-mask, paper-depth), and two models on predicted contact pressure
-(pressure-network, gp). The best of all of them on the validation touches is kept as the predictor, a baseline too.
-Where a model on predicted contact pressure loses to a baseline, `experiments.fidelity` tests likely causes. A ceiling
-shows what the same model would reach if the camera and the arm made no error. Results go to --out: metrics.json,
-config.json, figures, the data (data.h5) and checkpoint/, which `i2t.load_predictor` reads. Of --dataset the training
-touches are kept (recognition.h5, recognition.json, meshes/), so that `experiments.recognize` can make a pad model of
-them.
+Hexagon and parallelogram train, one tool validates, six other objects test. Every method sees the same touches:
+baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured), the paper's network
+on contact masks or depths (paper-mask, paper-depth), in a study also with the measured force (paper-mask-force,
+paper-depth-force), and two models on predicted contact pressure (pressure-network, gp). The best of all of them on the
+validation touches is kept as the predictor, a baseline too. Where a model on predicted contact pressure loses to a
+baseline, `experiments.fidelity` tests likely causes. A ceiling shows what the same model would reach if the camera and
+the arm made no error. Results go to --out: metrics.json, config.json, figures, the data (data.h5) and checkpoint/,
+which `i2t.load_predictor` reads. Of --dataset the training touches are kept (recognition.h5, recognition.json,
+meshes/), so that `experiments.recognize` can make a pad model of them.
 
 The default took 218 s on two quiet cores; `--preset debug` took 95 s of processor time the first time, when everything
 is compiled, and 36 s the second.

@@ -305,7 +305,21 @@ def design_matrix(
         contact = solve_force(pad, height, jnp.maximum(load, MIN_FORCE_N), grid)
     else:
         contact = solve(pad, height, load - layer.contact_offset, grid)
-    loaded = elastic.load(pad, contact.pressure, grid=grid)
+    return pressure_design(pad, contact.pressure, grid)
+
+
+def pressure_design(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "c 3 m m"]:
+    """Reading under a pressure for each cosine of each component of the magnetization.
+
+    Args:
+        pad: A skin; its own magnetization is not asked for.
+        pressure: Pa, on its cells.
+        grid: Cells of the pad.
+
+    Returns:
+        Readings (uT) of 1 A/m: channels, components, cosines along y and along x.
+    """
+    loaded = elastic.load(pad, pressure, grid=grid)
     # Moments of magnetization 1 along one cosine in y and one in x are a product: the sheets' of each edge.
     share, depths = _edge_moments(grid), sheets(pad, grid)[0]
     thick = pad.thickness * np.polynomial.legendre.leggauss(CELL_NODES)[1] / 2

@@ -206,23 +206,6 @@ def condition(
     return jax.jit(fit)(hyper, touches, values)
 
 
-def leave_one_out_errors(gp: GP) -> Float[np.ndarray, "n c"]:
-    """Errors on the training touches, each predicted from all others, in closed form and in double precision.
-
-    The scale of the channels and the unit of the covariance are those of all touches (Rasmussen and Williams,
-    equation 5.12). For the host, not to be traced.
-
-    Args:
-        gp: A fitted GP.
-
-    Returns:
-        Reading minus prediction, uT.
-    """
-    inverse = np.linalg.inv(np.asarray(gp.cholesky, np.float64))
-    alone = 1 / np.sum(inverse**2, axis=0)
-    return np.asarray(gp.weights, np.float64) * alone[:, None] * np.asarray(gp.scale, np.float64)[None]
-
-
 def choose_hyperparameters(
     touches: ContactPressure,
     readings: Float[Array, "n c"],

@@ -38,6 +38,8 @@ METHODS: Mapping[str, str] = {  # names of the command line; the first of equal 
     "ridge-measured": "i2t.prediction.baselines:RidgeMeasured",
     "paper-mask": "i2t.prediction.networks:PaperMask",
     "paper-depth": "i2t.prediction.networks:PaperDepth",
+    "paper-mask-force": "i2t.prediction.networks:PaperMaskForce",
+    "paper-depth-force": "i2t.prediction.networks:PaperDepthForce",
     "pressure-network": "i2t.prediction.networks:OnPressure",
     "gp": "i2t.prediction.gp_method:GaussianProcess",
 }

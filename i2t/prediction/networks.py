@@ -130,7 +130,7 @@ class PaperDepth(NetworkMethod):
     title = "paper's network, depth"
     input: ClassVar[ImageKind] = "depth"
 
-    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made]:
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made] | None:
         """Configure the network, as in `NetworkMethod.network`."""
         seen, reach = touches.dataset.touches, touches.dataset.reach
         sizes = {"pixels": seen.patch.shape[1], "readings": seen.reading.shape[-1]}
@@ -141,6 +141,26 @@ class PaperMask(PaperDepth):
     """The paper's network on contact masks, as in its published code."""
 
     title = "paper's network, mask"
+    input = "mask"
+
+
+class PaperDepthForce(PaperDepth):
+    """The paper's network on depths and, which the paper does not have, the measured force of each touch."""
+
+    title = "paper's network and measured force, depth"
+
+    def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, Made] | None:
+        """Configure the network, as in `NetworkMethod.network`; it needs measured forces."""
+        if "force" not in touches.measured or (plain := super().network(touches)) is None:
+            return None
+        cfg, images, made = plain
+        return ModelConfig(**asdict(cfg), conditions=("force",)), images, made
+
+
+class PaperMaskForce(PaperDepthForce):
+    """The same on contact masks."""
+
+    title = "paper's network and measured force, mask"
     input = "mask"
 
 

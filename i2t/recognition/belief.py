@@ -205,7 +205,9 @@ def fit_likelihood(
     Returns:
         The likelihood, with defaults for what errors cannot tell.
     """
-    covariance = np.cov(np.asarray(errors, np.float64).T) + 1e-3 * np.eye(len(scale))
+    # Shrunk towards its diagonal as by as many touches as there are channels.
+    sample, n, channels = np.cov(np.asarray(errors, np.float64).T), *np.shape(errors)
+    covariance = (n * sample + channels * np.diag(np.diag(sample))) / (n + channels) + 1e-3 * np.eye(channels)
     factor = np.linalg.inv(np.linalg.cholesky(covariance))
     growth, rotation = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
     number = partial(jnp.asarray, dtype=jnp.float32)

@@ -9,13 +9,13 @@ Sources: temperature scaling, Guo et al. (ICML 2017); logit calibration, Platt (
 come: `with_unknown_prior` moves a belief from one prior to another.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize
-from scipy.special import expit, logit, logsumexp
+from scipy.special import expit, logit, logsumexp, softmax
 
 from i2t.recognition import belief
 from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
@@ -35,15 +35,41 @@ def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Temper
     Returns:
         The temperature as a function of the number of touches.
     """
-    touches = np.arange(1, p.shape[1] + 1, dtype=np.float64)
-    logs = np.log(np.maximum(np.asarray(p, np.float64), belief.MIN_PROBABILITY))
+    return fit_temperature_to_sets([(p, truth)])
+
+
+def fit_temperature_to_sets(
+    sets: Sequence[tuple[Float[Array, "_ _ _"], Int[Array, " _"]]], *, smoothing: float = 0.0
+) -> TemperatureScaling:
+    """The same for sets of episodes that differ in the number of touches or classes.
+
+    Args:
+        sets: Beliefs of validation episodes, and the classes that were there.
+        smoothing: Share of the episodes that are counted as if any class had been there, so that a few episodes that
+            are all right claim no certainty (Platt's targets).
+
+    Returns:
+        The one temperature with the least mean log loss over all episodes and touches.
+    """
+    ready = [
+        (np.log(np.maximum(np.asarray(p, np.float64), belief.MIN_PROBABILITY)), np.asarray(truth)[:, None, None])
+        for p, truth in sets
+    ]
+    count = sum(logs.shape[0] * logs.shape[1] for logs, _ in ready)
 
     def loss(x: np.ndarray) -> float:
-        scaled = logs / TemperatureScaling(np.exp(x[0]), np.exp(x[1])).temperature(touches)[None, :, None]
-        right = np.take_along_axis(scaled, np.asarray(truth)[:, None, None], -1)[..., 0]
-        return float(np.mean(logsumexp(scaled, axis=-1) - right))
+        scaling, total = TemperatureScaling(np.exp(x[0]), np.exp(x[1])), 0.0
+        for logs, truth in ready:
+            scaled = logs / scaling.temperature(np.arange(1, logs.shape[1] + 1.0))[None, :, None]
+            right = (1 - smoothing) * np.take_along_axis(scaled, truth, -1)[..., 0] + smoothing * scaled.mean(-1)
+            total += np.sum(logsumexp(scaled, axis=-1) - right)
+        return float(total / count)
 
-    found = optimize.minimize(loss, (0.0, np.log(0.05)), method="Nelder-Mead", bounds=((-2.0, 2.0), (-12.0, 1.0)))
+    bounds = ((-2.0, 2.0), (-12.0, 1.0))
+    starts = [
+        np.array([0.0, np.log(growth)]) for growth in (0.05, 0.5)
+    ]  # touches that share few errors, and most of them
+    found = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds)
     return TemperatureScaling(float(np.exp(found.x[0])), float(np.exp(found.x[1])))
 
 
@@ -59,8 +85,8 @@ def calibrated_beliefs(
     Returns:
         Beliefs of the same shape.
     """
-    touches = np.broadcast_to(np.arange(1, p.shape[1] + 1, dtype=np.float32), p.shape[:2])
-    return np.asarray(belief.apply_temperature(jnp.asarray(p), jnp.asarray(touches), temperature), np.float64)
+    divisor = temperature.temperature(np.arange(1, p.shape[1] + 1.0))[None, :, None]
+    return softmax(np.log(np.maximum(np.asarray(p, np.float64), belief.MIN_PROBABILITY)) / divisor, axis=-1)
 
 
 # --- the unknown class ---

@@ -32,7 +32,7 @@ from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches
 
-OBSERVED_BATCH = 40  # simulated at a time
+OBSERVED_BATCH = 16  # simulated at a time: fewer fill up the last batch less, and fit the caches
 TouchNumber: TypeAlias = tuple[int, int, int]  # which touch of which episode, and its site
 
 BELIEVED_TOUCHES = 320  # predicted at a time on every object in every pose

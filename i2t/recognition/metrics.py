@@ -176,27 +176,34 @@ class CalibrationError(NamedTuple):
 
 
 def calibration_error(
-    confidences: Float[Array, "*n"], hit: Shaped[Array, "*n"], bins: int = BINS, seed: int = 0
+    confidences: Float[Array, "*n"],
+    hit: Shaped[Array, "*n"],
+    bins: int = BINS,
+    seed: int = 0,
+    *,
+    cluster: Shaped[Array, "*n"] | None = None,
 ) -> CalibrationError:
     """Expected calibration error of the top class: mean over decisions of |frequency - confidence| of their bin (Guo et
     al., ICML 2017).
 
     A few decisions to a bin make it positive for any forecaster, so it comes with its distribution for decisions that
     are right as often as predicted (consistency resampling; Bröcker and Smith, Weather and Forecasting 22, 2007),
-    independent of each other: give one touch of each episode.
+    independent of each other: give one touch of each episode; or fully alike within a cluster.
 
     Args:
         confidences: Of the decisions, in [0, 1].
         hit: Whether each is right, as `hits`.
         bins: How many.
         seed: Of the resampling.
+        cluster: Label of each decision's cluster, whose decisions are right or wrong together at one confidence.
 
     Returns:
         The error, and mean and 95 % quantile of what chance gives.
     """
     confidences, hit = np.ravel(np.asarray(confidences, np.float64)), np.ravel(hit)
     which = np.clip((confidences * bins).astype(int), 0, bins - 1)
-    drawn = np.random.default_rng(seed).random((RESAMPLES, len(confidences))) < confidences
+    of_draw = np.arange(len(which)) if cluster is None else np.unique(np.ravel(cluster), return_inverse=True)[1]
+    drawn = np.random.default_rng(seed).random((RESAMPLES, of_draw.max(initial=-1) + 1))[:, of_draw] < confidences
     chance = [_binned_gap(confidences, draw, which, bins) for draw in drawn]
     observed = _binned_gap(confidences, hit, which, bins)
     return CalibrationError(observed, float(np.mean(chance)), float(np.quantile(chance, COVERAGE)))

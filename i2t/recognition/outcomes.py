@@ -2,17 +2,16 @@
 
 An object that may lie anywhere near its believed pose is met by the flat skin at some distance along the approach
 (`i2t.simulation.sites.press_along`); there its heights over the skin are pressed with a few loads into a layer of
-nominal stiffness (`i2t.skin.contact`), and a Gaussian process conditioned on one pad's touches turns pressures into
-readings. For one load F the GP of `i2t.prediction.gp` is linear in the pressure p,
+the pad's kind (`i2t.skin.contact`), and the pad's reading model (`i2t.recognition.reading_model`) turns pressures into
+readings. For one load F it is linear in the pressure p,
 
     mean = p . M_F,    variance = p' V_F p   (in units of each channel's signal),
 
-so M_F and the root of V_F are computed once (`linear_reading_model`), and a reading costs a product. Between loads,
-readings per newton are interpolated in the logarithm of the load.
+so that a reading costs a product. Between loads, readings per newton are interpolated in the logarithm of the load.
 
-`predict_contact` is geometry and mechanics, `predict_reading` one pad. Neither depends on what is measured, so touches
-can be predicted for sites, objects and pose particles once and used for any number of episodes. The approach distance
-comes with its Jacobian along the six coordinates of the object's pose, so that poses between the particles are
+`predict_contact` is geometry and mechanics of a layer, `predict_reading` one pad. Neither depends on what is measured,
+so touches can be predicted for sites, objects and pose particles once and used for any number of episodes. The approach
+distance comes with its Jacobian along the six coordinates of the object's pose, so that poses between the particles are
 distinguished too (`i2t.recognition.belief`).
 
 Pure functions on one example; metres, newtons, microtesla; frames as in `i2t.types`. A reading has c = 3 * chips
@@ -28,40 +27,48 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from i2t.geometry import from_twist, full_precision, inverse
-from i2t.prediction import gp
-from i2t.prediction.gp import GP
 from i2t.prediction.pressure import SOLVER_TOLERANCE, PressureModelConfig
 from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import Grid, solve_force
-from i2t.skin.pad import nominal_pad
-from i2t.types import Surface, in_one_line
+from i2t.skin.pad import POISSON_RATIO, YOUNG_PA, nominal_pad
+from i2t.types import Pad, Surface, in_one_line
 from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
 PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the GP sees pressures
 LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
 MIN_LOAD_N = PressureModelConfig.floor  # a noisy wrench sensor says less
-EIGENVALUE_TOLERANCE = 1e-5  # of the largest eigenvalue of a variance: what is smaller is rounding
+
+
+class Layer(NamedTuple):
+    """Elastic layer that stands for a pad in contacts; the rest is that of `nominal_pad`."""
+
+    poisson: Float[Array, ""] | float = POISSON_RATIO
+    young: Float[Array, ""] | float = YOUNG_PA
+
+
+NOMINAL_LAYER = Layer()
 
 
 @in_one_line
 class LinearReadingModel(NamedTuple):
-    """A pad's Gaussian process at a few loads, where it is linear in the pressure."""
+    """A pad's reading model at a few loads, where it is linear in the pressure on a layer."""
 
     loads: Float[Array, " l"]  # N
     mean: Float[Array, "l cells c"]  # uT per N on each cell of 1 mm
     root: Float[Array, "l cells rank"]  # of the variance, relative to the square of a channel's signal
     scale: Float[Array, " c"]  # uT, root mean square of each channel's signal
-    softness: Float[Array, ""]  # indentation of the pad over that of the nominal layer
+    softness: Float[Array, ""]  # indentation of the pad over that of the layer
+    layer: Layer = NOMINAL_LAYER
 
 
 class PredictedContact(NamedTuple):
-    """Predicted contact with an object; the same for every pad."""
+    """Predicted contact of a layer with an object; the same for every pad of that layer."""
 
     hit: Bool[Array, ""]  # whether the skin meets anything before it gives up
     approach_distance: Float[Array, ""]  # m, from the site to first contact; where nothing is met, the overtravel
     jacobian: Float[Array, "6"]  # of that distance along the twist of the object's pose
-    indentation: Float[Array, " l"]  # m past first contact at each load, on the nominal layer
+    indentation: Float[Array, " l"]  # m past first contact at each load, on the layer
     newtons: Float[Array, "l cells"]  # on each cell of 1 mm
 
 
@@ -76,41 +83,16 @@ class PredictedTouch(NamedTuple):
     variance: Float[Array, " l"]  # of the reading, relative to the square of a channel's signal
 
 
-def linear_reading_model(process: GP, softness: float = 1.0, loads: tuple[float, ...] = LOADS_N) -> LinearReadingModel:
-    """Evaluate a Gaussian process at a few loads, on the host in double precision, as a variance is a small difference.
+def layer_pad(layer: Layer) -> Pad:
+    """The nominal pad with another layer.
 
     Args:
-        process: Conditioned on one pad's touches.
-        softness: Indentation of the pad over that of the nominal layer.
-        loads: At which touches are to be predicted (N).
+        layer: Its Poisson's ratio and Young's modulus (Pa).
 
     Returns:
-        The linear maps from pressure to mean and to the root of the variance.
+        The pad.
     """
-    weights = np.asarray(process.hyper.weights / process.unit, np.float64)
-    root = gp.kernel_factor(process.touches.pressure.shape[-1]).astype(np.float64)
-    axis = np.einsum("lij,ljk->lik", root, root)  # the kernel along one axis, for each length scale
-    pressure = np.asarray(process.touches.pressure, np.float64)
-    blurred = np.einsum("lij,njk,lmk->lnim", axis, pressure, axis).reshape(len(axis), len(pressure), -1)
-    cells = blurred.shape[-1]
-    prior = sum(w * np.kron(a, a) for w, a in zip(weights, axis, strict=True))
-    cholesky, solved = np.asarray(process.cholesky, np.float64), np.asarray(process.weights, np.float64)
-    means, roots = [], []
-    for factor in np.asarray(gp.stiffening(process.hyper, jnp.float32(loads), process.touches.load), np.float64):
-        cross = np.einsum("l,lnx->nx", weights, blurred) * factor[:, None]
-        means.append(cross.T @ solved * np.asarray(process.scale))
-        half = np.linalg.solve(cholesky, cross)
-        values, vectors = np.linalg.eigh(prior - half.T @ half)
-        kept = np.maximum(values, 0) * (values > EIGENVALUE_TOLERANCE * values[-1])
-        roots.append(vectors * np.sqrt(kept))
-    rank = max(int((np.abs(r).max(0) > 0).sum()) for r in roots)
-    return LinearReadingModel(
-        loads=jnp.float32(loads),
-        mean=jnp.float32(np.stack(means)),
-        root=jnp.float32(np.stack([r[:, cells - rank :] for r in roots])),
-        scale=process.scale,
-        softness=jnp.float32(softness),
-    )
+    return nominal_pad()._replace(poisson=jnp.float32(layer.poisson), young=jnp.float32(layer.young))
 
 
 def predict_contact(
@@ -121,6 +103,7 @@ def predict_contact(
     loads: Float[Array, " l"],
     *,
     overtravel: float,
+    layer: Layer = NOMINAL_LAYER,
 ) -> PredictedContact:
     """Predict the contact of the skin with an object and the distribution of a few loads over it.
 
@@ -131,6 +114,7 @@ def predict_contact(
         T_w_site: The skin's pose where it would just lie on the surface; it moves along its z axis.
         loads: With which it is pressed (N).
         overtravel: Distance (m) beyond the site after which the press gives up.
+        layer: That is pressed.
 
     Returns:
         Contact, distance to it and its Jacobian, indentations and newtons; zeros where nothing is met.
@@ -138,7 +122,7 @@ def predict_contact(
     (distance, (T_o_t, hit)), jacobian = jax.value_and_grad(_approach_distance, argnums=2, has_aux=True)(
         surface, T_w_o, twist, T_w_site, overtravel
     )
-    indentation, newtons = contact_pressures(surface, jax.lax.stop_gradient(T_o_t), loads)
+    indentation, newtons = contact_pressures(surface, jax.lax.stop_gradient(T_o_t), loads, layer)
     hit = hit & jnp.isfinite(indentation[0])
     smooth = hit & jnp.all(jnp.isfinite(jacobian))
     return PredictedContact(
@@ -184,19 +168,20 @@ def _approach_distance(
 
 
 def contact_pressures(
-    surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"]
+    surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"], layer: Layer = NOMINAL_LAYER
 ) -> tuple[Float[Array, " l"], Float[Array, "l cells"]]:
-    """Press the nominal layer into a surface with each of some loads.
+    """Press a layer into a surface with each of some loads.
 
     Args:
         surface: Of the object.
         T_o_t: The skin's pose at first contact.
         loads: Newtons, at least `MIN_LOAD_N`.
+        layer: That is pressed.
 
     Returns:
         Indentation (m) and newtons on each cell; infinite and zero where nothing lies before the skin.
     """
-    pad = nominal_pad()
+    pad = layer_pad(layer)
     heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, PRESSURE_GRID.cells)
     nearest = jnp.min(heights)
     met = jnp.isfinite(nearest)

@@ -1,9 +1,9 @@
 """Pad models: readings of one pad at a contact and the errors of their prediction, fitted to recorded touches.
 
 Each recorded session's object is registered by its own contacts first (`i2t.registration.touch`): the contact is then
-known ten times better than from the camera's view. The contact's pressure on the nominal layer, at the measured force,
-and the reading condition a Gaussian process (`i2t.prediction.gp`); its leave-one-out errors fit the likelihood of
-`i2t.recognition.belief`.
+known ten times better than from the camera's view. The contact's pressure on the layer that explains the readings best,
+at the measured force, and the reading fit a reading model (`i2t.recognition.reading_model`); its errors on touches left
+out fit the likelihood of `i2t.recognition.belief`.
 
 Where presses end is predicted worse than the contacts that a pose was fitted to suggest. So each session is registered
 once more from a part of its touches, and the errors of predicting where the others ended, less what the pose's own
@@ -24,17 +24,24 @@ from jaxtyping import Array, Bool, Float, Key
 
 from i2t.dataset import Dataset
 from i2t.geometry import inverse
-from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
-from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, LinearReadingModel, PredictedContact
+from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, Layer, LinearReadingModel, PredictedContact
+from i2t.recognition.reading_model import (
+    CHOOSING_TOUCHES,
+    LAYERS,
+    FittedReadings,
+    PressedTouches,
+    choose_layer,
+    fit_readings,
+)
 from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
-from i2t.types import Surface, Touches, Truth, in_one_line
+from i2t.types import Board, Surface, Touches, Truth, in_one_line
 from i2t.windows import WIDE_PIXELS, WIDE_WINDOW
 
 # Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
@@ -88,27 +95,24 @@ def fit_pad_model(
         The pad model; its r2 and errors are those of left-out touches.
     """
     touches = dataset.touches
-    pressure = np.zeros((len(dataset), PRESSURE_GRID.cells**2), np.float32)
-    nominal = np.full(len(dataset), np.nan)  # m, indentation of the nominal layer
-    left_out: list[_Positions] = []
+    sessions = []
     for session in np.unique(touches.session[rows]):
         here = np.flatnonzero(rows & (touches.session == session))
         surface = surfaces[dataset.objects[int(touches.object[here[0]])]]
         key_session = jax.random.fold_in(key, int(session))
         contacts = _session_contacts(touches, here)
-        nominal[here], pressure[here] = _pressed_contacts(key_session, contacts, surface, errors)
-        left_out.append(_left_out_positions(jax.random.clone(key_session), contacts, surface, errors, limits))
-    used = np.flatnonzero(rows & np.isfinite(nominal))
-    load = np.maximum(touches.force[used], MIN_LOAD_N)
-    shape = (-1, PRESSURE_GRID.cells, PRESSURE_GRID.cells)
-    pressed = ContactPressure(jnp.asarray(pressure[used].reshape(shape)), jnp.asarray(load))
-    readings = jnp.asarray(touches.reading[used])
+        found = _register_session(key_session, contacts, surface, errors, contacts.met)
+        sessions.append(_Session(here, jax.random.clone(key_session), surface, contacts, found))
+    layer = LAYERS[_choose_layer(sessions, touches, dataset.board)]
+    used, nominal, pressed = _pressed_touches(sessions, touches, layer)
+    load = np.asarray(pressed.pressure.load)
     depth = touches.depth[used] - load / limits.stiffness
-    softness = float(np.sum(nominal[used] * depth) / np.sum(nominal[used] ** 2))
+    softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
+    left_out = [_left_out_positions(each, layer, errors, limits) for each in sessions]
     positions = jax.tree.map(lambda *parts: np.concatenate(parts), *left_out)
     position = _position_errors(positions, softness, limits)
-    sessions = touches.session[used]
-    return _fit(pressed, readings, readings, sessions, softness=softness, position=position, limits=limits)
+    fitted = fit_readings(pressed, layer, dataset.board, softness=softness)
+    return _pad_model(fitted, pressed.reading, position, limits)
 
 
 def fit_position_errors(
@@ -161,14 +165,16 @@ def fit_oracle_pad_model(
     touches = jax.tree.map(lambda x: x[used], dataset.touches)
     truth: Truth = touches.truth
     exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=PRESSURE_GRID.spacing)
-    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
-    likelihood = pad_model.likelihood
-    return _fit(
-        pressed, jnp.asarray(truth.reading), jnp.asarray(touches.reading), touches.session,
-        softness=float(pad_model.reading_model.softness),
-        position=ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share)),
-        limits=limits,
-    )  # fmt: skip
+    own, likelihood = pad_model.reading_model, pad_model.likelihood
+    pad = outcomes.layer_pad(own.layer)
+    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, pad)
+    fitted = fit_readings(
+        PressedTouches(pressed, np.asarray(truth.reading)), own.layer, dataset.board, softness=float(own.softness)
+    )
+    recorded = np.asarray(touches.reading)
+    fitted = fitted._replace(left_out=fitted.left_out + recorded - truth.reading)
+    position = ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share))
+    return _pad_model(fitted, recorded, position, limits)
 
 
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:
@@ -215,16 +221,43 @@ def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
     return _SessionContacts(some, T_w_contact, met & (np.arange(len(padded)) < len(here)), len(here))
 
 
-def _pressed_contacts(
-    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors
-) -> tuple[np.ndarray, np.ndarray]:
-    """Register the object of one session and press the nominal layer onto it at each contact: indentations (m) and
-    newtons on each cell, of its touches.
+class _Session(NamedTuple):
+    """A session whose object is registered."""
+
+    rows: np.ndarray  # of its touches
+    key: Array
+    surface: Surface
+    contacts: _SessionContacts
+    found: PoseEstimate
+
+
+def _pressed_touches(
+    sessions: Sequence[_Session], touches: Touches, layer: Layer
+) -> tuple[np.ndarray, np.ndarray, PressedTouches]:
+    """Press a layer onto the registered objects: rows of the touches that met one, the layer's indentations (m), and
+    the touches.
     """
-    found = _register_session(key, contacts, surface, errors, contacts.met)
-    T_o_t = inverse(found.T_w_o)[None] @ contacts.T_w_contact
-    indentation, newtons = _press(surface, T_o_t, contacts.touches.force)
-    return np.asarray(indentation)[: contacts.own, 0], np.asarray(newtons)[: contacts.own, 0]
+    parts = []
+    for each in sessions:
+        T_o_t = inverse(each.found.T_w_o)[None] @ each.contacts.T_w_contact
+        indentation, newtons = _press(each.surface, T_o_t, each.contacts.touches.force, layer)
+        own = each.contacts.own
+        parts.append((each.rows, np.asarray(indentation)[:own, 0], np.asarray(newtons)[:own, 0]))
+    rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
+    met = np.isfinite(nominal)
+    load = np.maximum(touches.force[rows[met]], MIN_LOAD_N)
+    shape = (-1, PRESSURE_GRID.cells, PRESSURE_GRID.cells)
+    pressed = ContactPressure(jnp.asarray(newtons[met].reshape(shape)), jnp.asarray(load))
+    return rows[met], nominal[met], PressedTouches(pressed, touches.reading[rows[met]])
+
+
+def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board) -> int:
+    """Choose the layer on some sessions, as every layer presses their touches."""
+    ends = np.cumsum([len(each.rows) for each in sessions])
+    order = np.random.default_rng(0).permutation(len(sessions))
+    enough = int(np.searchsorted(np.cumsum(np.diff(ends, prepend=0)[order]), CHOOSING_TOUCHES)) + 1
+    some = [sessions[i] for i in order[:enough]]
+    return choose_layer([_pressed_touches(some, touches, layer)[2] for layer in LAYERS], LAYERS, board)
 
 
 def _register_session(
@@ -236,17 +269,16 @@ def _register_session(
     )  # fmt: skip
 
 
-def _left_out_positions(
-    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, limits: PressLimits
-) -> _Positions:
+def _left_out_positions(session: _Session, layer: Layer, errors: SimulationErrors, limits: PressLimits) -> _Positions:
     """Ends of the touches of one session that met something, each predicted from those of the other folds."""
+    _, key, surface, contacts, _ = session
     fold = np.arange(len(contacts.met)) % POSITION_FOLDS
     parts = []
     for which in range(POSITION_FOLDS):
         # The same starts and draws in every fold, so that they differ in their touches alone.
         found = _register_session(jax.random.clone(key), contacts, surface, errors, contacts.met & (fold != which))
         force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
-        predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, overtravel=limits.overtravel)
+        predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, layer, overtravel=limits.overtravel)
         # A press ends at the pose it reports, which is its site here: contact lies as far before it.
         indentation = -predicted.approach_distance - force / limits.stiffness
         variance = jnp.einsum("ni,ij,nj->n", predicted.jacobian, found.covariance, predicted.jacobian)
@@ -269,39 +301,27 @@ _register = jax.jit(registration.register_by_touch)
 
 @partial(jax.jit, static_argnames=("overtravel",))
 def _predict_end(
-    surface: Surface, found: PoseEstimate, T_w_t: Array, force: Array, overtravel: float
+    surface: Surface, found: PoseEstimate, T_w_t: Array, force: Array, layer: Layer, *, overtravel: float
 ) -> PredictedContact:
     def one(T: Array, f: Array) -> PredictedContact:
-        return outcomes.predict_contact(surface, found.T_w_o, jnp.zeros(6), T, f[None], overtravel=overtravel)
+        twist = jnp.zeros(6)
+        return outcomes.predict_contact(surface, found.T_w_o, twist, T, f[None], overtravel=overtravel, layer=layer)
 
     return jax.vmap(one)(T_w_t, force)._replace(newtons=jnp.zeros(()))
 
 
 @jax.jit
-def _press(surface: Surface, T_o_t: Array, force: Array) -> tuple[Array, Array]:
-    return jax.vmap(lambda T, f: outcomes.contact_pressures(surface, T, f[None]))(T_o_t, force)
+def _press(surface: Surface, T_o_t: Array, force: Array, layer: Layer) -> tuple[Array, Array]:
+    return jax.vmap(lambda T, f: outcomes.contact_pressures(surface, T, f[None], layer))(T_o_t, force)
 
 
-def _fit(
-    contacts: ContactPressure,
-    readings: Array,
-    recorded: Array,
-    sessions: np.ndarray,
-    *,
-    softness: float,
-    position: ScaleMixture,
-    limits: PressLimits,
-) -> PadModel:
-    """Condition a process on `readings`; the errors of predicting those `recorded` come from left-out touches. With the
-    softness of the pad's layer over the nominal one's, and errors (m) of where presses end.
-    """
-    process = gp.condition(contacts, readings, sessions, seed=0)
-    errors = gp.leave_one_out_errors(process) + np.asarray(recorded - readings)
-    reading_model = outcomes.linear_reading_model(process, softness)
+def _pad_model(fitted: FittedReadings, recorded: np.ndarray, position: ScaleMixture, limits: PressLimits) -> PadModel:
+    """The pad model of a reading model with its errors on left-out touches, and of errors (m) of where presses end."""
+    errors, model = fitted.left_out, fitted.model
     likelihood = belief.fit_likelihood(
-        errors, process.scale, reading_model.loads,
+        errors, model.scale, model.loads,
         overtravel=limits.overtravel, position_std=position, stiffness=limits.stiffness,
     )  # fmt: skip
     around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
     r2 = float(1 - np.sum(errors**2) / np.sum(around**2))
-    return PadModel(reading_model, likelihood, around.std(axis=0), r2, errors)
+    return PadModel(model, likelihood, around.std(axis=0), r2, errors)

@@ -13,6 +13,7 @@ Source: Ayad et al., "Imagine2touch", section II. Metres, newtons, microtesla; a
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from functools import partial
 from typing import TypeAlias
 
@@ -26,7 +27,7 @@ from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.touch_model import TouchBatch
+from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
 from i2t.recognition.site_pool import SitePools, pool_informativeness
@@ -55,6 +56,26 @@ def constant_predictor(reading: Float[np.ndarray, " c"]) -> Predictor:
     mean = np.asarray(reading, np.float32)
     model = MeanReading(mean, np.ones_like(mean))
     return Predictor(model, PATCH_WINDOW, REACH, default_force=1.0, default_depth=0.0)
+
+
+class _AtMedianForce(Predictor):
+    """Predictor that is told the median force of its training touches, whatever was measured."""
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        """Predict, as in `Predictor.predict_batch`."""
+        return super().predict_batch(touches._replace(force=np.full_like(touches.force, self.default_force)))
+
+
+def at_median_force(predictor: Predictor) -> Predictor:
+    """The same predictor without the measured force of each touch, which the paper's network does not know either.
+
+    Args:
+        predictor: Of readings.
+
+    Returns:
+        One that takes the median force of its training touches instead.
+    """
+    return _AtMedianForce(**{field.name: getattr(predictor, field.name) for field in fields(predictor)})
 
 
 # --- distances ---

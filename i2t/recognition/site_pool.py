@@ -186,7 +186,8 @@ def precompute_outcomes(
     Args:
         label: What the bar says the touches are for.
     """
-    total = len(surfaces) * len(T_w_site) * len(twist)
+    layers = {tuple(float(part) for part in model.layer) for model in reading_models}
+    total = len(layers) * len(surfaces) * len(T_w_site) * len(twist)
     with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
         return predict_outcomes(surfaces, twist, T_w_site, reading_models, overtravel=overtravel, bar=bar)
 
@@ -213,12 +214,32 @@ def predict_outcomes(
     Returns:
         For each pad the predicted touches, (sites, objects, k), on the host.
     """
-    each, T = max(BATCH_TOUCHES // len(twist), 1), np.asarray(T_w_site)
+    by_layer: dict[tuple[float, ...], list[int]] = {}  # a contact is pressed once for all pads of one layer
+    for i, model in enumerate(reading_models):
+        by_layer.setdefault(tuple(float(part) for part in model.layer), []).append(i)
+    most = max(len(some) for some in by_layer.values())
+    found: dict[int, PredictedTouch] = {}
+    for some in by_layer.values():
+        models = [reading_models[i] for i in np.resize(some, most)]  # filled up: one compilation serves all layers
+        made = _predict_on_layer(surfaces, twist, np.asarray(T_w_site), models, overtravel, bar)
+        found |= dict(zip(some, made, strict=False))
+    return [found[i] for i in range(len(reading_models))]
+
+
+def _predict_on_layer(
+    surfaces: Sequence[Surface],
+    twist: Array,
+    T: np.ndarray,
+    models: Sequence[LinearReadingModel],
+    overtravel: float,
+    bar: Progress | None,
+) -> list[PredictedTouch]:
+    each = max(BATCH_TOUCHES // len(twist), 1)
     # Sites are repeated to fill up the last batch: one compilation serves all.
     rows = np.resize(np.arange(len(T)), -(-len(T) // each) * each).reshape(-1, each)
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    made = spread(_predict, calls, shared=(twist, list(reading_models)), overtravel=overtravel)
+    made = spread(_predict, calls, shared=(twist, list(models)), overtravel=overtravel)
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, made, strict=True):
         if result is None:
@@ -237,7 +258,10 @@ def _predict(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
 ) -> list[PredictedTouch]:
     def one(T: Array, x: Array) -> list[PredictedTouch]:
-        contact = outcomes.predict_contact(surface, jnp.eye(4), x, T, reading_models[0].loads, overtravel=overtravel)
+        first = reading_models[0]
+        contact = outcomes.predict_contact(
+            surface, jnp.eye(4), x, T, first.loads, overtravel=overtravel, layer=first.layer
+        )
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)

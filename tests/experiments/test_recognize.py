@@ -19,6 +19,7 @@ from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.config import PRESETS
 from experiments.reproduce.recognition_tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
+from experiments.studies import physics
 from experiments.train import __main__ as train
 from i2t import dataset
 from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
@@ -45,7 +46,8 @@ def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
     expected = {
         "readings", "presence", "position", "readings and position", "readings and presence", "position and presence",
         "fused", "fused, oracle",
-        "Imagine2touch (paper's network, depth), votes", "same rules, Gaussian process, votes",
+        "Imagine2touch (paper's network, depth), votes", "paper's network and measured force, depth, votes",
+        "same rules, Gaussian process, votes", "same rules, Gaussian process at the median force, votes",
         "same rules, constant reading, votes", "proprioception, product",
     }  # fmt: skip
     assert expected <= set(everything["methods"])
@@ -85,8 +87,9 @@ def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained
     tools = written["sets"]["tools"]
     sources = {name.rpartition(", ")[0] for name in tools["methods"]}
     assert sources == {
-        "Imagine2touch (paper's network, depth)", "same rules, Gaussian process", "same rules, constant reading",
-        "proprioception",
+        "Imagine2touch (paper's network, depth)", "paper's network and measured force, depth",
+        "same rules, Gaussian process", "same rules, Gaussian process at the median force",
+        "same rules, constant reading", "proprioception",
     }  # fmt: skip
     assert (tools["episodes"], tools["pools"]) == (12, 6)
     everything = written["mean of the sets"]["proprioception, votes"]
@@ -183,15 +186,16 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
 @pytest.mark.full
 def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
     out = tmp_path / "study"
-    words = ["sensitivity", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    words = ["physics", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
     assert studies.main(words) == 0
     before = (out / "metrics.json").read_text()
     metrics = json.loads(before)
     assert metrics["source"] == "simulated"
-    assert set(metrics["tables"]) == set(STUDY_TABLES["sensitivity"])
+    assert set(metrics["tables"]) == set(STUDY_TABLES["physics"])
     assert metrics["episodes"] == 8
-    settings = [row[0] for row in metrics["tables"]["methods"]["rows"]]
-    assert settings == [name for name in ("default", "stop at 50 uT", "stop at 50 uT, fitted there") for _ in range(2)]
+    rows = [tuple(row[:3]) for row in metrics["tables"]["methods"]["rows"] if row[1] == "fused"]
+    assert [touches for name, _, touches in rows if name == physics.MATCHED] == ["20", physics.ALL]
+    assert [touches for name, _, touches in rows if name != physics.MATCHED] == [physics.ELSEWHERE, "20", physics.ALL]
     (out / "metrics.json").unlink()
     assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
     assert (out / "metrics.json").read_text() == before

@@ -9,7 +9,8 @@ import pytest
 from experiments.common import checks
 from experiments.common.runs import load_part, save_part
 from experiments.recognize import report
-from experiments.recognize.report import IMAGINE2TOUCH, RULES_GP, EpisodeResults
+from experiments.recognize.report import COMPARED, FAIR, IMAGINE2TOUCH, RULES_GP, EpisodeResults
+from experiments.reproduce.recognition_tables import paper_differences
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 
 NAMES = ("star", "cylinder")
@@ -107,12 +108,27 @@ def test_the_papers_last_column_weighs_every_object_alike():
         pool = np.array([f"{name} {i}" for i in range(episodes)])
         beliefs = {f"{MASK}, votes": p, f"{PROPRIOCEPTION}, votes": np.eye(objects)[truth][:, None]}
         sets[name] = EpisodeResults(tuple("abc"[:objects]), truth, beliefs, None, "pad 0", pool)
-    means, differences = report.mean_over_objects([sets])
-    found, lost = means[f"{MASK}, votes"], differences[f"{MASK}, votes - {PROPRIOCEPTION}, votes"]
+    made = report.mean_over_objects([sets])
+    found = made["mean of the sets"][f"{MASK}, votes"]
+    lost = made["differences of these means"][f"{MASK}, votes - {PROPRIOCEPTION}, votes"]
     assert found["mean"] == pytest.approx(0.58)
     assert found["low"] < 0.58 < found["high"]
     assert lost["mean"] == pytest.approx(-0.42)  # to one that is always right
     assert found["high"] - found["low"] == pytest.approx(lost["high"] - lost["low"])
+
+
+def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_independent_episodes():
+    truth = np.zeros(12, int)
+    decided = np.tile([0, 1], 6)  # half of the episodes of each pool are right
+    pool = np.repeat([f"pool {i}" for i in range(6)], 2)
+    beliefs = {"fused": np.eye(2)[decided][:, None]}
+    part = {
+        name: EpisodeResults(NAMES, truth, beliefs, None, "pad 0", np.char.add(f"{name} ", pool))
+        for name in report.PAPER_SETS
+    }
+    found = report.mean_over_objects([part])["mean of the sets"]["fused"]
+    assert found["mean"] == pytest.approx(0.5)
+    assert found["high"] - found["low"] > 2 * 1.96 * np.sqrt(0.25 / 24)
 
 
 def test_pads_of_a_study_are_chosen_by_number(tmp_path):
@@ -125,3 +141,20 @@ def test_pads_of_a_study_are_chosen_by_number(tmp_path):
     assert len(checks.chosen_runs(tmp_path, ())) == 3
     with pytest.raises(ValueError, match="has no run with pad 7; its pads are 0, 1, 2"):
         checks.chosen_runs(tmp_path, ("7",))
+
+
+def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_own():
+    """In the documents' table, where a name that was shortened too far would stand for two rows."""
+    last = {"mean": 0.1, "low": 0.0, "high": 0.2}
+    pairs = [f"{one} - {other}" for one, other in COMPARED if ", " in one and ", " in other]
+    paired = {pair: {"last": last, "pads_needed": 3} for pair in pairs}
+    sets = {name: {"paired": paired} for name in report.PAPER_SETS}
+    table = paper_differences({"sets": sets, "differences of these means": dict.fromkeys(pairs, last)})
+    names = [line.split(" | ")[0].strip("| ") for line in table.splitlines()[2:]]
+    assert len(set(names)) == len(names) == len(pairs)
+    network_with, gp_without = "mask and force - mask", "Gaussian process at the median force - depth"
+    gp_with = ["Gaussian process - Gaussian process at the median force", "Gaussian process - depth and force"]
+    for rule in ("votes", "product"):
+        found = {name.removesuffix(f" ({rule})") for name in names if name.endswith(f"({rule})")}
+        assert found >= {network_with, gp_without, *gp_with}
+    assert len([pair for pair in FAIR if pair[0] == RULES_GP]) == 3

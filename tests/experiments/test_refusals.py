@@ -11,6 +11,8 @@ REFUSED = [
     ("fidelity --dataset nowhere", "nowhere"),
     ("recognize live --prior-unknown 0.1 --num-surrogates 0", "surrogates"),
     ("recognize live --skin replay --pad nominal", "--skin replay is not known; give one of reskin"),
+    ("recognize recorded --readings nowhere --label what", "--readings nowhere: there is no such file"),
+    ("recognize recorded --label what", "--readings"),
     ("reconstruct tip --dataset nowhere", "nowhere"),
     ("reconstruct --conditions guess", "is none of random"),
     ("reconstruct --dataset nowhere", "there is no such data set"),

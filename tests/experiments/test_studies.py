@@ -10,7 +10,7 @@ import pytest
 
 from experiments.recognize.config import PRESETS
 from experiments.reproduce.recognition_tables import STUDY_TABLES, TABLES, study_table
-from experiments.studies import open_set, report, settings
+from experiments.studies import mismatch, open_set, physics, report, stopping
 from experiments.studies.run import STUDIES
 from i2t.recognition.belief import fit_likelihood
 from i2t.recognition.intervals import Estimate
@@ -48,6 +48,16 @@ def part(study: str) -> dict:
     """What a study made of one pad."""
     if study == "open_set":
         return open_set_part()
+    if study == "stopping":
+        some = {f"{kind}, {name}": beliefs(10) for name in stopping.PLACEMENTS for kind in stopping.KINDS}
+        return dict.fromkeys(physics.SETS, PLAN | some)
+    if study == "physics":
+        cases = [(name, count) for name in (physics.MATCHED, "other") for count in ("20", physics.ALL)]
+        cases.append(("other", physics.ELSEWHERE))
+        factors = [(f"{factor:g}", kind) for factor in physics.INFLATIONS for kind in physics.KINDS]
+        factors.append(("1", physics.WITHOUT))
+        some = {f"{name}/{count}/{factor}/{kind}": beliefs(10) for name, count in cases for factor, kind in factors}
+        return {"layers": np.zeros((4, 2))} | dict.fromkeys(physics.SETS, PLAN | some)
     return PLAN | {"fused, first": beliefs(10), "fused, other": beliefs(10), "position and presence": beliefs(10)}
 
 
@@ -87,32 +97,37 @@ def lab(preset: str = "debug") -> SimpleNamespace:
     return SimpleNamespace(
         args=SimpleNamespace(debug=preset == "debug"), cfg=PRESETS["paper"], pad_model=model, seed=0,
         run=SimpleNamespace(pad=nominal_pad()),
-        refit=lambda key, world: model._replace(r2=0.1),
     )  # fmt: skip
 
 
-def test_sensitivity_tells_the_belief_the_errors_and_mismatch_does_not():
+def test_the_belief_is_not_told_what_differs():
     some = lab("paper")
-    known, blind = (make(some, jax.random.key(0)) for make in (settings.sensitivity, settings.mismatch))
-    assert next(iter(known)) == "default"
+    blind = mismatch.settings(some, jax.random.key(0))
     assert next(iter(blind)) == "matched"
-    far = known["placement 2 mm, 2 deg"]
-    assert far.world.errors.placement == far.stated.placement == pytest.approx(2e-3)
-    assert known["no errors of pose"].stated.placement == settings.MIN_PLACEMENT_M
-    usual, noisy = (known[name].model.likelihood.inflation for name in ("default", "noise x 3"))
-    assert noisy == pytest.approx(3 * usual)
-    harder, fitted = (known[f"stop at 50 uT{end}"] for end in ("", ", fitted there"))
-    assert harder.world is fitted.world
-    assert harder.world.limits.skin_change == 50
-    assert fitted.model.r2 == 0.1
-    assert known["ambient every 5 touches, drift followed"].model.likelihood.drift_std == settings.FOLLOWED_DRIFT_UT
-    assert all(each.stated is some.cfg.errors for each in blind.values())
-    refitted = {name for name, each in blind.items() if each.model is not some.pad_model}
-    assert refitted == {f"{name}, fitted there" for name in settings.OTHER_PHYSICS}
-    assert all(blind[f"{name}, fitted there"].world is blind[name].world for name in settings.OTHER_PHYSICS)
-    twice = blind["placement off twice as far as stated"].world.errors
-    assert twice.placement == 2 * some.cfg.errors.placement
-    assert set(settings.mismatch(lab(), jax.random.key(0))) == set(settings.DEBUG_WORLDS)
+    assert all(each.stated is some.cfg.errors and each.model is some.pad_model for each in blind.values())
+    assert blind["arm twice as stiff"].world.limits.stiffness == 2 * some.cfg.limits.stiffness
+    assert set(mismatch.settings(lab(), jax.random.key(0))) == set(mismatch.DEBUG_WORLDS)
+
+
+def test_a_physics_left_out_is_scaled_by_the_others_alone():
+    """In the others errors of factor 2.8 fit best; in the one left out those of 0.7 would."""
+    names, best = ("bonded layer", "soft", "left out"), {"bonded layer": 2.8, "soft": 2.8, "left out": 0.7}
+    truth = PLAN["truth"]
+    knowing, guessing = (np.full((EPISODES, 2, 5), (1 - p) / 4) for p in (0.9, 0.3))
+    for p, right in ((knowing, 0.9), (guessing, 0.3)):
+        p[np.arange(EPISODES), :, truth] = right
+        p[:5] = np.roll(p[:5], 1, axis=2)  # some are wrong, so that a temperature cannot sharpen both alike
+    part = {
+        name: PLAN
+        | {
+            f"{which}/20/{factor:g}/fused": knowing if factor == best[which] else guessing
+            for which in names
+            for factor in physics.INFLATIONS
+        }
+        for name in physics.SETS
+    }
+    assert physics.leave_out([part], "left out", "20", "fused").inflation == 2.8
+    assert physics.names_of([part]) == list(names)
 
 
 def test_episodes_of_studies_are_alike_by_pad_by_sites_and_by_object():

@@ -9,8 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.prediction.model import Inputs, MemberPrediction, ModelConfig, Normalisation, apply, init, predict, prepare
-from i2t.training import Standard
+from i2t.paper import loss
+from i2t.paper.config import PaperConfig
+from i2t.prediction.model import (
+    Inputs,
+    MemberPrediction,
+    ModelConfig,
+    Normalisation,
+    apply,
+    init,
+    losses,
+    predict,
+    prepare,
+)
+from i2t.training import Batch, Standard
 
 SMALL = ModelConfig(pixels=12, encoder_width=16, decoder_width=24, auxiliary_width=20)
 EPS = float(np.finfo(np.float32).eps)
@@ -65,6 +77,22 @@ def test_forward_pass_is_the_one_written_out_by_hand() -> None:
     expected = MemberPrediction(layer("reading", decoded), log_variance, image, latent)
     # Each of at most three products in a row sums at most 145 terms of order one: rounding below 3 * 145 * eps.
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=3 * 145 * EPS, rtol=3 * 145 * EPS), got, expected)
+
+
+def test_with_a_force_that_weighs_nothing_the_network_and_its_loss_are_the_papers() -> None:
+    cfg = replace(SMALL, conditions=("force",))
+    paper = PaperConfig(pixels=12, encoder_width=16, decoder_width=24, auxiliary_width=20)
+    params = start(cfg)
+    for name, row in (("encoder", 144), ("decoder", cfg.bottleneck)):
+        params[name]["kernel"] = params[name]["kernel"].at[row].set(0)
+    without = {name: {**layer} for name, layer in params.items()}
+    for name in ("encoder", "decoder"):
+        without[name]["kernel"] = params[name]["kernel"][:-1]
+    inputs, target = examples(cfg, 5), jax.random.normal(jax.random.key(4), (5, 15))
+    weights = jnp.ones(5)
+    got = losses(params, cfg, Batch(inputs, target), weights)
+    expected = loss.losses(without, paper, Batch(inputs.image, target), weights)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5), got, expected)
 
 
 def test_weights_of_a_seed_are_those_of_earlier_versions() -> None:

@@ -21,8 +21,9 @@ SIGMAS = stats.norm.isf(1e-6 / 2)  # a false alarm of a statistical test in a mi
 STRAY = 2 * PAST + 20e-3  # m, over which a stray press may end
 
 ERRORS = np.random.default_rng(0).normal(size=(200, 15)) @ np.random.default_rng(1).normal(size=(15, 15))
-# The sample covariance, plus sensor noise of a thousandth that keeps it invertible.
-COVARIANCE = np.cov(ERRORS.T) + 1e-3 * np.eye(15)
+# The sample covariance, shrunk towards its diagonal by 15 of 215 parts, plus sensor noise of a thousandth.
+SAMPLE = np.cov(ERRORS.T)
+COVARIANCE = (200 * SAMPLE + 15 * np.diag(np.diag(SAMPLE))) / 215 + 1e-3 * np.eye(15)
 SCALE = np.linspace(5, 40, 15)
 LIKE = belief.fit_likelihood(
     ERRORS, jnp.float32(SCALE), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION

@@ -81,6 +81,12 @@ def test_the_calibration_error_of_a_calibrated_forecaster_is_that_of_chance():
     # Odds to the power 2 are too sure of themselves, by a lot.
     worse = scores.calibration_error(scores.confidence(sharper(p, 2))[:, 2], hit)
     assert worse.error > 0.05 > worse.chance_high
+    # Decisions that come in 40 clusters of 100, right or wrong together, miss by as much as 40 of them.
+    forty = scores.calibration_error(sure, hit, cluster=np.arange(4000) // 100)
+    few = scores.calibration_error(sure[::100], hit[::100])
+    assert forty.error == found.error
+    assert forty.chance > 3 * found.chance
+    assert forty.chance < few.chance
 
 
 def test_the_loss_is_proper_and_as_by_hand():

@@ -1,4 +1,4 @@
-"""Imagined touches against plane geometry, finite differences, statics and the Gaussian process they are read from.
+"""Imagined touches against plane geometry, finite differences and statics.
 
 An approach distance is a difference of places of some 0.1 m in float32, wrong by up to DELTA as in `tests.test_touch`.
 """
@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from i2t.objects.catalogue import make_object
 from i2t.objects.drawing import ball, mesh_from_solid
-from i2t.prediction import gp
-from i2t.prediction.gp import ContactPressure, GPHyperparameters
 from i2t.recognition import outcomes
 from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, PredictedContact, PredictedTouch
 from i2t.rendering.ops import element
@@ -128,46 +126,6 @@ def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
     centre = np.einsum("lij,j->l", newtons, x) / LOADS_N, np.einsum("lij,i->l", newtons, x) / LOADS_N
     # The tool's x is the world's and its y is turned over; a cell wide, the centre is known to a part of it.
     np.testing.assert_allclose(centre, np.array([[-1e-3], [2e-3]]) * np.ones(3), atol=0.25e-3)
-
-
-HYPER = GPHyperparameters(jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3), jnp.array(0.7), jnp.array(0.05))
-
-
-def spots(rng: np.random.Generator, load: np.ndarray) -> ContactPressure:
-    """Round contacts at random places."""
-    x = np.arange(PRESSURE_GRID.cells)
-    place = rng.uniform(2, PRESSURE_GRID.cells - 3, (len(load), 2, 1))
-    along = np.exp(-((x - place) ** 2) / (2 * rng.uniform(1, 2, (len(load), 1, 1)) ** 2))
-    pressure = along[:, 0, :, None] * along[:, 1, None, :]
-    pressure *= load[:, None, None] / pressure.sum((1, 2), keepdims=True)
-    return ContactPressure(jnp.float32(pressure), jnp.float32(load))
-
-
-def test_maps_give_the_mean_and_variance_of_the_gp():
-    rng = np.random.default_rng(3)
-    readings = rng.normal(size=(30, 15)) * np.linspace(5, 40, 15)
-    fitted = jax.jit(gp.fit)(HYPER, spots(rng, rng.uniform(0.3, 3, 30)), jnp.float32(readings))
-    presses = spots(np.random.default_rng(4), np.repeat(LOADS_N, 10))
-    mean, std = (np.asarray(x).reshape(3, 10, 15).swapaxes(0, 1) for x in jax.jit(gp.predict)(fitted, presses))
-    variance = std[..., 0] ** 2 / fitted.scale[0] ** 2 - HYPER.noise
-
-    skin = outcomes.linear_reading_model(fitted, 1.7)
-    newtons, blank = presses.pressure.reshape(3, 10, -1).swapaxes(0, 1), jnp.zeros(10)
-    imagined = PredictedContact(blank == 0, blank + 1e-3, jnp.zeros((10, 6)), jnp.ones((10, 3)) * 1e-3, newtons)
-    outcome = jax.jit(jax.vmap(outcomes.predict_reading, (0, None)))(imagined, skin)
-    # As in tests.test_gp: float32 solves lose a condition number of digits, at most trace K / noise.
-    trace = float(jnp.sum(fitted.cholesky**2))
-    loss = np.finfo(np.float32).eps * trace / float(HYPER.noise)
-    assert loss < 1e-3
-    assert np.abs(mean).max() > 10
-    np.testing.assert_allclose(outcome.reading, mean, atol=loss * np.abs(mean).max())
-    assert variance.max() / variance.min() > 3
-    # What is cut off below EIGENVALUE_TOLERANCE of an eigenvalue counts as lost as well.
-    own = float(jnp.max(jnp.diagonal(fitted.cholesky @ fitted.cholesky.T)))
-    lost = outcomes.EIGENVALUE_TOLERANCE * skin.root.shape[1] * own + np.finfo(np.float32).eps * trace * own
-    np.testing.assert_allclose(outcome.variance, variance, atol=lost)
-    assert lost < 0.1 * variance.max()
-    np.testing.assert_allclose(outcome.indentation, 1.7e-3, rtol=1e-6)
 
 
 # --- between loads ----------------------------------------------------------------------------------------------------

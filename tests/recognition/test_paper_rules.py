@@ -11,7 +11,7 @@ from i2t.prediction.predictor import Predictor, Reading
 from i2t.prediction.touch_model import TouchBatch, TouchModel
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
-from i2t.recognition.paper_rules import constant_predictor, paper_rules, run_loop
+from i2t.recognition.paper_rules import at_median_force, constant_predictor, paper_rules, run_loop
 from i2t.recognition.site_pool import prepare_surfaces
 
 CHANNELS = 12  # of a 4-chip board
@@ -80,6 +80,26 @@ def test_votes_averages_and_products(beliefs):
     np.testing.assert_allclose(beliefs["table, product"][0], normalised(np.exp(-np.cumsum(TAU, 0))), atol=1e-5)
     for p in beliefs.values():
         np.testing.assert_allclose(p.sum(-1), np.ones((1, 4)), atol=1e-5)
+
+
+class Weight(TouchModel):
+    """Reads the force itself in every channel."""
+
+    channels = CHANNELS
+
+    def predict_batch(self, touches: TouchBatch) -> Reading:
+        mean = np.tile(touches.force[:, None], CHANNELS)
+        return Reading(mean, np.ones_like(mean))
+
+
+def test_at_the_median_force_nothing_is_known_of_how_hard_a_touch_pressed():
+    patch = np.zeros((2, 4, 4), np.float32)
+    pressed = TouchBatch(patch, patch, 1e-3, np.array([0.1, 5.0]), np.zeros(2), np.zeros(2))
+    told = Predictor(Weight(), 17e-3, 4e-3, default_force=1.5, default_depth=0.0, std_scale=2.0)
+    np.testing.assert_allclose(told.predict_batch(pressed).mean[:, 0], [0.1, 5.0])
+    reading = at_median_force(told).with_pressure(smooth=False).predict_batch(pressed)
+    np.testing.assert_allclose(reading.mean, 1.5)
+    np.testing.assert_allclose(reading.std, 2.0)
 
 
 # Rows of the joined pools that touches must be at, by pool and hypothesis.

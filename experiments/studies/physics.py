@@ -1,0 +1,158 @@
+"""A skin of a physics that nobody modelled, to which a pad model is fitted by its own touches.
+
+Every physics is left out once: how far its readings count (an inflation of their errors, and the temperature of the
+belief) is learnt from episodes with validation objects in all others, and judged on test objects in this one. Pad
+models are fitted to a few touches of the training objects made in that physics, or to as many as the run had.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from experiments.common.runs import Part
+from experiments.studies import free_sides
+from experiments.studies.lab import StudyLab, StudyWorld
+from experiments.studies.mismatch import faulty
+from experiments.studies.report import Column, clusters_of, make_table, pool_parts
+from experiments.studies.winkler import winkler_press
+from i2t.recognition import calibrated, metrics
+from i2t.recognition.belief import TemperatureScaling
+from i2t.recognition.episodes import run_belief
+from i2t.recognition.intervals import mean_interval
+from i2t.recognition.pad_model import PadModel, inflated
+from i2t.types import Board
+
+TOUCHES = (20, 200, None)  # of the skin that a pad model is fitted to; None: as many as the run had
+DEBUG_TOUCHES = (20, None)
+INFLATIONS = (0.7, 1.0, 1.4, 2.0, 2.8)  # of the errors of readings, to choose from
+WITHOUT = "position and presence"  # the evidence of a belief without readings
+KINDS = ("fused", "readings")
+MATCHED = "bonded layer"
+REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
+ALL = "as many as the run"
+ELSEWHERE = "none"  # of its own touches: the pad model is that of the matched physics
+SETS = ("validation", "test")
+
+
+def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
+    """Physics by name; the first is that of the pad models' layer."""
+    pad, errors = lab.run.pad, lab.cfg.errors
+    chips = jnp.asarray(pad.board.chips) + jnp.asarray(REMOUNTED_M, jnp.float32)[None]
+    worn = pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization)
+    found = {
+        MATCHED: StudyWorld(),
+        "Winkler foundation": StudyWorld(law=lambda _: winkler_press),
+        "free side faces": StudyWorld(law=free_sides.press_law),
+        "soft compressible layer": StudyWorld(pad=pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))),
+        "worn pad": StudyWorld(pad=worn, errors=faulty(errors, relaxation=0.15)),
+        "skin remounted by 0.5 mm": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
+    }
+    return dict(list(found.items())[:2]) if lab.args.debug else found
+
+
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs (e, t, objects) by "set, physics, touches, inflation, evidence", and the truth of each set."""
+    key_touch, key_fit, *keys = jax.random.split(lab.key, 2 + len(SETS))
+    made, models = worlds(lab), {}
+    for i, (name, world) in enumerate(made.items()):
+        touched = lab.touch_known_objects(jax.random.fold_in(key_touch, i), world)
+        for count in DEBUG_TOUCHES if lab.args.debug else TOUCHES:
+            models[name, count] = lab.refit(jax.random.fold_in(key_fit, i), touched, world, count)
+    found: Part = {"layers": np.array([[float(x) for x in one.reading_model.layer] for one in models.values()])}
+    for name, key, objects in zip(SETS, keys, (lab.cfg.validation, lab.cfg.objects), strict=True):
+        found[name] = _evaluate_set(lab.with_objects(objects), key, made, models, name)
+    return found
+
+
+def _evaluate_set(
+    lab: StudyLab,
+    key: Array,
+    made: dict[str, StudyWorld],
+    models: dict[tuple[str, int | None], PadModel],
+    label: str,
+) -> Part:
+    key_sites, key_episodes = jax.random.split(key)
+    truth, particles = lab.truth(), lab.particles()
+    plan = lab.plan(key_sites, len(truth))
+    tables = lab.predict(plan.sites, particles, [one.reading_model for one in models.values()], label)
+    by_model = dict(zip(models, tables, strict=True))
+    found: Part = {"truth": truth, "pool": plan.pool}
+    for name, world in made.items():
+        episodes = lab.simulate(jax.random.clone(key_episodes), plan, truth, f"{label}, {name}", world=world)
+        for (where, count), model in models.items():
+            elsewhere = (where, count) == (MATCHED, None) and name != MATCHED
+            if where != name and not elsewhere:
+                continue
+            table, label = by_model[where, count], f"{name}/{ELSEWHERE if elsewhere else count or ALL}"
+            without = run_belief(table, episodes, model.likelihood, particles, [WITHOUT])
+            found[f"{label}/1/{WITHOUT}"] = without[WITHOUT]
+            for factor in INFLATIONS:
+                beliefs = run_belief(table, episodes, inflated(model, factor).likelihood, particles, KINDS)
+                found |= {f"{label}/{factor:g}/{kind}": p for kind, p in beliefs.items()}
+    return found
+
+
+class Judged(NamedTuple):
+    """Beliefs of test episodes in one physics, whose scale and temperature the others taught."""
+
+    p: np.ndarray  # (e, t, objects)
+    inflation: float
+
+
+def leave_out(parts: Sequence[Part], physics: str, touches: str, kind: str) -> Judged:
+    """Learn inflation and temperature from validation episodes in all other physics; judge test episodes in this. A pad
+    model of another physics is scaled as the same one in its own: it does not know better.
+    """
+    validation, test = (pool_parts([part[name] for part in parts]) for name in SETS)
+    taught = ALL if touches == ELSEWHERE else touches
+    others = [name for name in names_of(parts) if name != physics] if touches != ELSEWHERE else [MATCHED]
+    truth = np.tile(validation["truth"], len(others))
+    found: list[tuple[float, float, TemperatureScaling]] = []
+    for factor in (1.0,) if kind == WITHOUT else INFLATIONS:
+        p = np.concatenate([validation[f"{name}/{taught}/{factor:g}/{kind}"] for name in others]).astype(np.float64)
+        temperature = calibrated.fit_temperature(p, truth)
+        loss = metrics.log_loss(calibrated.calibrated_beliefs(p, temperature), truth).mean()
+        found.append((float(loss), factor, temperature))
+    _, factor, temperature = min(found, key=lambda one: one[0])
+    p = test[f"{physics}/{touches}/{factor:g}/{kind}"].astype(np.float64)
+    return Judged(calibrated.calibrated_beliefs(p, temperature), factor)
+
+
+def names_of(parts: Sequence[Part]) -> list[str]:
+    """Physics that were simulated."""
+    return list(dict.fromkeys(key.split("/")[0] for key in parts[0]["test"] if "/" in key))
+
+
+def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
+    """Accuracy in every physics left out, its difference to the matched one with all touches, and the log loss less
+    that of a belief without readings.
+    """
+    tests = [part["test"] for part in parts]
+    clusters, truth = clusters_of(tests, pads), np.concatenate([part["truth"] for part in tests])
+    cases = list(dict.fromkeys(tuple(key.split("/")[:2]) for key in tests[0] if "/" in key))
+    rows, inflations = [], {}
+    for kind in KINDS:
+        matched = metrics.hits(leave_out(parts, MATCHED, ALL, kind).p, truth)
+        for name, touches in cases:
+            judged = leave_out(parts, name, touches, kind)
+            hits, loss = metrics.hits(judged.p, truth), metrics.log_loss(judged.p, truth)
+            objects = judged.p.shape[-1]
+            without = (
+                leave_out(parts, name, touches, WITHOUT).p if kind == "fused" else np.full_like(judged.p, 1 / objects)
+            )
+            gained = mean_interval((loss - metrics.log_loss(without, truth)).mean(1), clusters)
+            mean = metrics.mean_accuracy(judged.p, truth, clusters=clusters)
+            lost = metrics.compare_paired(hits, matched, clusters=clusters).mean
+            rows.append([name, kind, touches, mean, lost, float(loss.mean()), gained])
+            inflations[f"{name}, {kind}, {touches}"] = judged.inflation
+    head = [
+        "physics", "evidence", "own touches", Column("mean over touches [95 %]", 2),
+        Column(f"minus {MATCHED}", 2, signed=True), Column("log loss", 2),
+        Column("log loss minus that without readings", 2, signed=True),
+    ]  # fmt: skip
+    layers, tables = np.concatenate([part["layers"] for part in parts]), {"methods": make_table(head, rows)}
+    return {"episodes": len(truth), "inflations": inflations, "layers": layers.tolist(), "tables": tables}

@@ -1,0 +1,114 @@
+"""How often a belief that stops when it is sure is wrong, where objects are placed as far off as stated, half or twice
+as far: enough episodes to tell an error of one in a hundred.
+
+Temperatures are fitted to validation objects, all placements together, because nobody knows which is the case.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from experiments.common.runs import Part
+from experiments.recognize.report import REQUESTED_ERRORS
+from experiments.studies.lab import StudyLab, StudyWorld
+from experiments.studies.mismatch import placed
+from experiments.studies.physics import SETS
+from experiments.studies.report import Column, clusters_of, make_table, pool_parts
+from i2t.recognition import calibrated, metrics
+from i2t.recognition.episodes import run_belief
+from i2t.recognition.metrics import to_json
+
+PLACEMENTS = {"as stated": 1.0, "half as far": 0.5, "twice as far": 2.0}  # errors of placement over those stated
+KINDS = ("fused", "position and presence", "position")
+# Of the likelihood, about the values that it has: tried on validation objects.
+CONSTANTS = {
+    "dof": (2.0, 4.0, 8.0, 16.0, 32.0),
+    "inflation": (0.5, 0.7, 1.0, 1.4, 2.0),
+    "indentation_error": (0.05, 0.1, 0.2, 0.4, 0.8),
+    "outlier_rate": (0.001, 0.003, 0.01, 0.03, 0.1),
+}
+
+
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs (e, t, objects) by "evidence, placement" in episodes with validation objects and with test objects."""
+    found: Part = {}
+    for name, key, objects in zip(
+        SETS, jax.random.split(lab.key, len(SETS)), (lab.cfg.validation, lab.cfg.objects), strict=True
+    ):
+        found[name] = _evaluate_set(lab.with_objects(objects), key, name)
+    return found
+
+
+def _evaluate_set(lab: StudyLab, key: Array, label: str) -> Part:
+    key_sites, key_episodes = jax.random.split(key)
+    truth, particles, model = lab.truth(), lab.particles(), lab.pad_model
+    plan = lab.plan(key_sites, len(truth))
+    (table,) = lab.predict(plan.sites, particles, [model.reading_model], label)
+    found: Part = {"truth": truth, "pool": plan.pool}
+    for name, factor in PLACEMENTS.items():
+        world = StudyWorld(errors=placed(lab.cfg.errors, factor))
+        episodes = lab.simulate(jax.random.clone(key_episodes), plan, truth, f"{label}, {name}", world=world)
+        beliefs = run_belief(table, episodes, model.likelihood, particles, KINDS)
+        found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
+        if label == SETS[0] and factor == 1:
+            for constant, value in tried():
+                other = model.likelihood._replace(**{constant: jnp.float32(value)})
+                found[f"{constant}={value:g}"] = run_belief(table, episodes, other, particles, KINDS[:1])[KINDS[0]]
+    return found
+
+
+def tried() -> list[tuple[str, float]]:
+    """Constants of the likelihood with each value that is tried."""
+    return [(constant, value) for constant, values in CONSTANTS.items() for value in values]
+
+
+def _constants(validation: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Log loss of validation episodes, at the temperature that suits them best, by value of each constant."""
+    rows = []
+    for constant, values in CONSTANTS.items():
+        losses = []
+        for value in values:
+            p = validation[f"{constant}={value:g}"].astype(np.float64)
+            temperature = calibrated.fit_temperature(p, validation["truth"])
+            scaled = calibrated.calibrated_beliefs(p, temperature)
+            losses.append(float(metrics.log_loss(scaled, validation["truth"]).mean()))
+        rows.append([constant, *(f"{value:g}: {loss:.3f}" for value, loss in zip(values, losses, strict=True))])
+    return make_table(["constant", *(f"value {i + 1}: log loss" for i in range(len(rows[0]) - 1))], rows)
+
+
+def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
+    """Errors of stopping against those asked for, by placement, and how hard both sets of objects are."""
+    validation, test = (pool_parts([part[name] for part in parts]) for name in SETS)
+    clusters = clusters_of([part["test"] for part in parts], pads)
+    known = np.concatenate([validation[f"fused, {name}"] for name in PLACEMENTS]).astype(np.float64)
+    temperature = calibrated.fit_temperature(known, np.tile(validation["truth"], len(PLACEMENTS)))
+    rows = []
+    for name in PLACEMENTS:
+        p = calibrated.calibrated_beliefs(test[f"fused, {name}"].astype(np.float64), temperature)
+        for requested in REQUESTED_ERRORS:
+            stop = metrics.stopping(p, test["truth"], requested, clusters=clusters)
+            errors = stop.stopped_error, stop.error, stop.predicted_error
+            rows.append([name, f"{requested:.0%}", stop.stopped, *errors, stop.touches])
+    head = [
+        "placement", "asked error", Column("stopped early", 0, percent=True),
+        Column("error of those", 1, percent=True), Column("error of all", 1, percent=True), Column("reported", 3),
+        Column("touches", 1),
+    ]  # fmt: skip
+    hardness = []
+    for name, found, groups in (
+        ("validation objects", validation, clusters_of([part["validation"] for part in parts], pads)),
+        ("test objects", test, clusters),
+    ):
+        scored = [found[f"{kind}, as stated"].astype(np.float64) for kind in ("position", "fused")]
+        means = [metrics.mean_accuracy(p, found["truth"], clusters=groups) for p in scored]
+        hardness.append([name, *means])
+    tables = {
+        "errors": make_table(head, rows),
+        "constants": _constants(validation),
+        "hardness": make_table(["objects", Column("position", 2), Column("fused", 2)], hardness),
+    }
+    return {"episodes": len(test["truth"]), "temperature": to_json(temperature), "tables": tables}

@@ -1,0 +1,308 @@
+"""Readings of one pad from contact pressure: a physical prior, a discrepancy, and both marginalised.
+
+For small strain a reading is linear in the pressure on the skin (`i2t.prediction.gp`) and in what a pad hides, its
+magnetization (`i2t.calibration.physics`). A touch t gives channel c, in units of that channel's signal,
+
+    y_c(t) = a Phi_c(t) . w + d_c(t) + e,    w ~ N(0, 1),    d_c ~ GP(0, r k),    e ~ N(0, v).
+
+Phi_c(t) is the reading that each weight w of the magnetization gives under the pressure of t on a nominal pad: a few
+presses tell w, and with it the response of all of the skin. The discrepancy d_c (Kennedy and O'Hagan, J. R. Stat. Soc.
+B 63, 2001) is what the nominal pad leaves: another layer, other chips, another physics. Its covariance k is that of
+`i2t.prediction.gp`, and the more touches there are, the more of it is learnt.
+
+The skin's layer decides which pressures a contact has; the one of LAYERS is taken under which touches are most probable
+as predicted from all others. The hyperparameters a, r and v are marginalised on a grid, each weighted by that density
+(pseudo-Bayesian model averaging; Gelfand and Dey, J. R. Stat. Soc. B 56, 1994), tempered, as channels and touches share
+errors. For one load all of these models are linear in the pressure, and so is their mixture: a map for the mean and a
+root for the variance, which holds the models' disagreement too.
+
+NumPy in double precision, on the host. n touches, c channels, x cells of 1 mm, k weights.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import product
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import logsumexp
+
+from i2t.batching import map_batches
+from i2t.calibration import physics
+from i2t.prediction import gp
+from i2t.prediction.gp import ContactPressure, GPHyperparameters
+from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, Layer, LinearReadingModel
+from i2t.skin.pad import POISSON_RATIO, YOUNG_PA
+from i2t.types import Board
+
+# From stiff to soft: Poisson's ratio and Young's modulus (Pa). At nu = 0 a bonded layer yields most to a flat press.
+LAYERS = tuple(
+    Layer(poisson, factor * YOUNG_PA)
+    for poisson, factor in (
+        (POISSON_RATIO, 1.7), (POISSON_RATIO, 1.0), (0.4, 1.0), (0.3, 1.0), (0.3, 0.6), (0.0, 0.6), (0.0, 0.35),
+    )
+)  # fmt: skip
+# Of the discrepancy: about the medians of fits to 900 touches of a pad in six physics.
+DISCREPANCY = GPHyperparameters(
+    jnp.array([0.05, 0.75, 0.15, 0.03, 0.02]), bend=jnp.array(0.4), width=jnp.array(1.0), noise=jnp.array(0.0)
+)
+AMPLITUDES = (0.4, 0.8, 1.6, 3.2)  # a
+DISCREPANCIES = (0.02, 0.06, 0.2, 0.6, 1.8)  # r
+NOISES = (0.1, 0.2, 0.35, 0.6)  # v
+MIDDLE = (0.8, 0.2, 0.3)  # with which layers are compared
+CHOOSING_TOUCHES = 200  # with which layers and hyperparameters are weighed
+DENSITY_EXPONENT = 0.3  # of the left-out density of all touches and channels together
+MAX_MODELS, MIN_SHARE = 6, 0.02  # of the mixture: how many are kept, and the least share
+POOLING_TOUCHES = 10.0  # touches' worth of belief that all channels have signals alike
+UNIT_N = 0.002  # on one cell, where a reading is still linear in it
+RANK = 160  # of a variance's root, the largest eigenvalues: the rest is below a per mille of it
+
+
+class PressedTouches(NamedTuple):
+    """Touches of one pad."""
+
+    pressure: ContactPressure  # on some layer, n of them
+    reading: Float[np.ndarray, "n c"]  # uT
+
+
+class FittedReadings(NamedTuple):
+    """Reading model of a pad, and how far off it is on touches left out."""
+
+    model: LinearReadingModel
+    left_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all others
+
+
+class _Weights(NamedTuple):
+    """Hyperparameters, in the symbols of the module's formula."""
+
+    a: float
+    r: float
+    v: float
+
+
+class _System(NamedTuple):
+    """Touches in the coordinates in which the discrepancy's covariance is diagonal."""
+
+    values: Float[np.ndarray, " n"]  # eigenvalues of k
+    vectors: Float[np.ndarray, "n n"]
+    features: Float[np.ndarray, "n c k"]  # rotated, in units of the channels' signals
+    reading: Float[np.ndarray, "n c"]  # likewise
+    scale: Float[np.ndarray, " c"]  # uT
+
+
+class _Posterior(NamedTuple):
+    """Weights of the magnetization under some hyperparameters."""
+
+    precision: Float[np.ndarray, " n"]  # of discrepancy and noise, in the system's coordinates
+    factor: Float[np.ndarray, "k k"]  # lower Cholesky factor of the weights' precision
+    mean: Float[np.ndarray, " k"]
+
+
+def fit_readings(
+    touches: PressedTouches, layer: Layer, board: Board, *, softness: float, loads: Sequence[float] = LOADS_N
+) -> FittedReadings:
+    """Fit the reading model of a pad to its touches.
+
+    Args:
+        touches: Pressed on the layer.
+        layer: As `choose_layer` found it.
+        board: Of the pad.
+        softness: Indentation of the pad over that of the layer.
+        loads: At which touches are to be predicted (N).
+
+    Returns:
+        The model, and its mixture's errors on touches left out.
+    """
+    maps = magnetization_maps(board, layer)
+    models, shares = _weigh_hyperparameters(_some(touches), maps)
+    system = _system(touches, maps)
+    posteriors = [_posterior(system, one) for one in models]
+    errors = [_left_out(system, one, found)[0] for one, found in zip(models, posteriors, strict=True)]
+    left_out = np.einsum("m,mnc->nc", shares, errors) * system.scale
+    mean, variance = _linear_maps(touches.pressure, system, maps, models, posteriors, shares, loads)
+    model = LinearReadingModel(
+        loads=jnp.float32(loads),
+        mean=jnp.float32(mean * system.scale),
+        root=jnp.float32(_roots(variance)),
+        scale=jnp.float32(system.scale),
+        softness=jnp.float32(softness),
+        layer=Layer(*(jnp.float32(part) for part in layer)),
+    )
+    return FittedReadings(model, left_out)
+
+
+def choose_layer(pressed: Sequence[PressedTouches], layers: Sequence[Layer], board: Board) -> int:
+    """Choose the layer under which touches are most probable as predicted from all others.
+
+    Args:
+        pressed: The same touches, pressed on each layer.
+        layers: To choose among.
+        board: Of the pad.
+
+    Returns:
+        Its place among the layers.
+    """
+    weights, densities = _Weights(*MIDDLE), []
+    for touches, layer in zip(pressed, layers, strict=True):
+        system = _system(_some(touches), magnetization_maps(board, layer))
+        densities.append(_left_out(system, weights, _posterior(system, weights))[1])
+    return int(np.argmax(densities))
+
+
+def magnetization_maps(board: Board, layer: Layer) -> Float[np.ndarray, "x c k"]:
+    """Readings of a newton on each cell, for each weight of a magnetization of prior variance 1.
+
+    Args:
+        board: Its chips' places in the plane count.
+        layer: Of the nominal pad, of the prior's median thickness.
+
+    Returns:
+        uT/N.
+    """
+    chips, rotations = (np.asarray(part, np.float32) for part in board)
+    return _maps(chips.tobytes(), rotations.tobytes(), float(layer.poisson), float(layer.young))
+
+
+@lru_cache(maxsize=32)
+def _maps(chips: bytes, rotations: bytes, poisson: float, young: float) -> np.ndarray:
+    board = Board(
+        np.frombuffer(chips, np.float32).reshape(-1, 3), np.frombuffer(rotations, np.float32).reshape(-1, 3, 3)
+    )
+    found = _cell_features(board, jnp.float32(poisson), jnp.float32(young))
+    return np.asarray(found, np.float64)
+
+
+@jax.jit
+def _cell_features(board: Board, poisson: Array, young: Array) -> Float[Array, "x c k"]:
+    layer = jax.tree.map(jnp.float32, physics.layer_prior().median)
+    pad = physics.make_pad(layer._replace(young=young), board)._replace(
+        poisson=poisson, mount_compliance=jnp.float32(0)
+    )
+    cells = PRESSURE_GRID.cells
+
+    def one(cell: Array) -> Array:
+        pressed = jnp.zeros(cells**2).at[cell].set(UNIT_N / PRESSURE_GRID.spacing**2)
+        return physics.pressure_design(pad, pressed.reshape(cells, cells), PRESSURE_GRID) / UNIT_N
+
+    designs = map_batches(one, jnp.arange(cells**2), batch_size=physics.DESIGN_BATCH)
+    return physics.weight_features(layer, designs, PRESSURE_GRID.window)
+
+
+def _some(touches: PressedTouches) -> PressedTouches:
+    """At most CHOOSING_TOUCHES of them."""
+    n = len(touches.reading)
+    rows = np.sort(np.random.default_rng(0).permutation(n)[:CHOOSING_TOUCHES])
+    return jax.tree.map(lambda x: x[rows], touches)
+
+
+def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _System:
+    reading = np.asarray(touches.reading, np.float64)
+    square = np.sum(reading**2, axis=0)
+    scale = np.sqrt((square + POOLING_TOUCHES * square.mean() / len(reading)) / (len(reading) + POOLING_TOUCHES)) + 1e-6
+    f = gp.features(touches.pressure)
+    linear = gp.inner_products(f, f)
+    covariance = gp.gram(DISCREPANCY, _units(linear), linear, touches.pressure.load, touches.pressure.load)
+    values, vectors = np.linalg.eigh(np.asarray(covariance, np.float64))
+    newtons = np.asarray(touches.pressure.pressure, np.float64).reshape(len(reading), -1)
+    features = np.tensordot(vectors.T @ newtons, maps, 1) / scale[:, None]
+    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale)
+
+
+def _units(linear: Array) -> Array:
+    """Per length, the mean variance of the touches."""
+    return jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+
+
+def _posterior(system: _System, at: _Weights) -> _Posterior:
+    precision = 1 / (at.r * system.values + at.v)
+    k = system.features.shape[-1]
+    rows = (at.a * np.sqrt(precision)[:, None, None] * system.features).reshape(-1, k)
+    factor = cholesky(rows.T @ rows + np.eye(k), lower=True)
+    told = rows.T @ (np.sqrt(precision)[:, None] * system.reading).reshape(-1)
+    half = solve_triangular(factor, told, lower=True)
+    return _Posterior(precision, factor, solve_triangular(factor, half, lower=True, trans="T"))
+
+
+def _left_out(system: _System, at: _Weights, found: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
+    """Errors of each touch as predicted from all others, in units of the channels' signals, and their log density: what
+    is left out of a normal distribution of precision K^-1 is [K^-1]_tt^-1 [K^-1 y]_t (Rasmussen and Williams, 5.12).
+    """
+    n, c, k = system.features.shape
+    weighted = system.vectors * found.precision
+    alpha = weighted @ (system.reading - at.a * system.features @ found.mean)
+    own = np.sum(weighted * system.vectors, axis=1)
+    cross = at.a * (weighted @ system.features.reshape(n, -1)).reshape(-1, k)
+    half = solve_triangular(found.factor, cross.T, lower=True).T.reshape(n, c, k)
+    block = own[:, None, None] * np.eye(c) - np.einsum("nck,ndk->ncd", half, half, optimize=True)
+    errors = np.linalg.solve(block, alpha[..., None])[..., 0]
+    log_determinant = np.linalg.slogdet(block)[1]
+    density = 0.5 * (log_determinant - np.sum(alpha * errors, axis=1)) - 0.5 * c * np.log(2 * np.pi)
+    return errors, float(np.sum(density) - n * np.sum(np.log(system.scale)))
+
+
+def _weigh_hyperparameters(
+    touches: PressedTouches, maps: Float[np.ndarray, "x c k"]
+) -> tuple[list[_Weights], Float[np.ndarray, " m"]]:
+    """The most probable points of the grid, and their shares."""
+    system = _system(touches, maps)
+    grid = [_Weights(*one) for one in product(AMPLITUDES, DISCREPANCIES, NOISES)]
+    log_share = DENSITY_EXPONENT * np.array([_left_out(system, one, _posterior(system, one))[1] for one in grid])
+    share = np.exp(log_share - logsumexp(log_share))
+    kept = [i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max()]
+    return [grid[i] for i in kept], share[kept] / share[kept].sum()
+
+
+def _linear_maps(
+    pressure: ContactPressure,
+    system: _System,
+    maps: Float[np.ndarray, "x c k"],
+    models: Sequence[_Weights],
+    posteriors: Sequence[_Posterior],
+    shares: Float[np.ndarray, " m"],
+    loads: Sequence[float],
+) -> tuple[Float[np.ndarray, "l x c"], Float[np.ndarray, "l x x"]]:
+    """Mean map and variance at some loads, in units of the channels' signals."""
+    channels, k = maps.shape[1:]
+    prior, cross = _cell_covariances(pressure)
+    scaled = maps / system.scale[:, None]
+    means, variances = [], []
+    for factor in np.asarray(gp.stiffening(DISCREPANCY, jnp.float32(loads), pressure.load), np.float64):
+        towards = (cross * factor) @ system.vectors  # (x, n), in the system's coordinates
+        mean, variance = [], []
+        for at, found in zip(models, posteriors, strict=True):
+            told = at.r * towards * found.precision
+            left = at.a * (scaled - np.tensordot(told, system.features, 1))
+            mean.append(left @ found.mean + told @ system.reading)
+            half = solve_triangular(found.factor, left.reshape(-1, k).T, lower=True).reshape(k, -1, channels)
+            shared = np.tensordot(half, half, ((0, 2), (0, 2))) / channels
+            variance.append(at.r * (prior - towards @ told.T) + shared)
+        middle = np.einsum("m,mxc->xc", shares, mean)
+        apart = np.stack(mean) - middle
+        spread = np.einsum("m,mxc,mzc->xz", shares, apart, apart, optimize=True) / channels
+        means.append(middle)
+        variances.append(np.einsum("m,mxz->xz", shares, variance) + spread)
+    return np.stack(means), np.stack(variances)
+
+
+def _cell_covariances(pressure: ContactPressure) -> tuple[Float[np.ndarray, "x x"], Float[np.ndarray, "x n"]]:
+    """Covariance of the discrepancy between newtons on two cells, and between those on a cell and touches, at one
+    load.
+    """
+    f = gp.features(pressure)
+    weights = np.asarray(DISCREPANCY.weights / _units(gp.inner_products(f, f)), np.float64)
+    root = gp.kernel_factor(pressure.pressure.shape[-1]).astype(np.float64)
+    axis = np.einsum("lij,ljk->lik", root, root)  # the kernel along one axis, for each length scale
+    newtons = np.asarray(pressure.pressure, np.float64)
+    blurred = np.einsum("lij,njk,lmk->lnim", axis, newtons, axis, optimize=True).reshape(len(axis), len(newtons), -1)
+    prior = sum(w * np.kron(a, a) for w, a in zip(weights, axis, strict=True))
+    return np.asarray(prior), np.einsum("l,lnx->xn", weights, blurred)
+
+
+def _roots(variance: Float[np.ndarray, "l x x"]) -> Float[np.ndarray, "l x rank"]:
+    """Roots of variances."""
+    values, vectors = np.linalg.eigh((variance + variance.swapaxes(1, 2)) / 2)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[:, :, -RANK:]
