@@ -88,6 +88,11 @@ def shortened(step: str, measured: Measured) -> Measured:
                     del scores[name]
     if step == "fidelity":
         measured |= {"recordings": skins.sections_of_recordings(measured["recordings"])}
+    if step == "strokes":
+        for split in measured["splits"].values():
+            split.pop("mean_paths", None)
+            for scores in split["methods"].values():
+                del scores["confusion"]
     return {"step": step, **_rounded(measured)}
 
 
