@@ -41,7 +41,6 @@ def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, librar
     np.testing.assert_allclose(posterior.centre, library.centre[TRUE, 2], atol=1e-6)
 
 
-@pytest.mark.full
 def test_the_marginal_likelihood_is_that_of_dense_matrices(press, model):
     """Nuisances are integrated out as a covariance that is written down whole and inverted."""
     reading, force, travel = press
@@ -88,7 +87,6 @@ def test_a_slant_is_no_evidence_against_a_patch(press, model):
     assert 0 < lost[0] < 0.5 * lost[1]
 
 
-@pytest.mark.full
 def test_what_was_not_measured_counts_as_not_made(press, model, library):
     reading, force, travel = press
     once = INFER(reading[0], force[0], travel[0], model=model, library=library, samples=16)
