@@ -80,8 +80,10 @@ def test_an_approach_tells_where_the_readings_begin():
     approaches = unknowns.find_approaches(height, readings)
     assert len(approaches) == 3
     np.testing.assert_allclose(approaches, 0.2504, atol=0.1e-3)
-    found = unknowns.find_height_zero(RecordedPresses(np.zeros((len(height), 2)), readings, height=height))
+    one = RecordedPresses(np.zeros((len(height), 2)), readings, height=height)
+    found = unknowns.find_height_zero(one)
     assert found.identifiable
+    assert [unknowns.find_height_zero(one, stated=found.estimate + off).wrong for off in (0, 1e-3)] == [False, True]
     assert found.estimate == np.median(approaches)
     assert not len(unknowns.find_approaches(rng.permutation(height), readings))
 
