@@ -224,12 +224,13 @@ def test_both_loads_or_no_position_or_no_load():
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_few_presses_give_finite_predictions(n):
+def test_few_presses_give_finite_predictions_of_many_kernels(n):
     read = skin(27)
     (x, d), (z, e) = drawn(28, n), drawn(29, 10)
     for loads in (d, np.zeros(n), np.full(n, 1e-3)):
         gp = fit(table(x, loads), read(x, d), chip_positions=CHIPS[None])
         mean, std = predict_population(gp, table(z, e))
+        assert len(gp.weights) == mixture.MAX_KEPT  # which so few cannot tell apart
         assert np.isfinite(mean).all()
         assert (std > 0).all()
         assert np.isfinite(interval_scaling(gp)).all()
