@@ -69,6 +69,13 @@ def test_noise_and_faults_have_the_board_s_channels():
     assert np.isfinite(felt).all()
 
 
+def test_reskins_chips_are_turned_as_one_field_was_recorded_on_them():
+    x, y, z = 18.0, -7.0, -41.0  # on chip 0, whose axes are the tool's
+    recorded = [[x, y, z], [y, -x, z], [x, y, z], [-y, x, z], [-x, -y, z]]
+    uniform = make_board("reskin").to_board(np.tile([x, y, z], (5, 1)))
+    np.testing.assert_allclose(np.reshape(uniform, (5, 3)), recorded, atol=1e-6)
+
+
 ANYSKIN_SCREEN = {"left": (-1, 0), "right": (1, 0), "up": (0, 1), "down": (0, -1)}  # where the makers' viewer has chips
 
 
