@@ -161,6 +161,17 @@ def test_heights_of_a_given_kernel_help_where_there_are_any_and_do_no_harm_where
         assert with_ > without - 5e-3 > 0.9
 
 
+def test_given_variances_are_relative_to_map_and_bend_and_given_loads_to_the_unit():
+    given = DEPTH_HYPERPARAMETERS._replace(
+        unit_load=2.0, load_offset=1.0, bend_load_width=3.0, map_variance=3.0, bend_variance=1.0, static_variance=2.0,
+        constant_variance=0.4, noise_variance=0.04,
+    )  # fmt: skip
+    found = fit_structured(given, table(*drawn(42, 5)), np.ones((5, CHANNELS))).components.kernels
+    relative = {"load_offset": 0.5, "bend_load_width": 1.5, "bend_share": 0.25, "static_variance": 0.5}
+    for name, value in (relative | {"constant_variance": 0.1, "noise_variance": 0.01}).items():
+        assert getattr(found, name) == pytest.approx(value), name
+
+
 def test_weights_go_to_the_kernel_that_the_presses_are_of():
     rng = np.random.default_rng(9)
     both = KernelPrior(KINDS._replace(far_amplitude=np.ones(2)), np.log(np.full((2, 2), 0.5)))
