@@ -64,7 +64,10 @@ def test_what_a_recording_cannot_tell_is_said():
     alike = unknowns.find_lag(RecordedPresses(np.zeros((600, 2)), readings, height=height))
     both_ways = unknowns.find_force_sign(np.random.default_rng(0).normal(size=100))
     one_height = unknowns.find_height_zero(damaged("one height", n=600))
-    for found, words in ((alike, "nearly alike"), (both_ways, "axes"), (one_height, "one height")):
+    no_height = unknowns.find_height_zero(RecordedPresses(np.zeros((600, 2)), readings))
+    for found, words in (
+        (alike, "nearly alike"), (both_ways, "axes"), (one_height, "one height"), (no_height, "no height"),
+    ):  # fmt: skip
         assert not found.identifiable
         assert not found.wrong
         assert words in found.sentence
