@@ -161,6 +161,22 @@ def test_heights_of_a_given_kernel_help_where_there_are_any_and_do_no_harm_where
         assert with_ > without - 5e-3 > 0.9
 
 
+def test_heights_that_are_not_known_widen_a_reading_by_its_slope_along_the_load():
+    """Where presses say nothing of the height: 5 mm from them, on a map that reaches so far."""
+    given = DEPTH_HYPERPARAMETERS._replace(
+        unit_load=1.0, load_offset=0.1, load_power=1.5, map_length=20e-3, height_std=0.2, height_length=1e-3
+    )
+    (x, d), (z, e), step = drawn(43, 60), drawn(44, 10), 1e-4
+    x, z = np.abs(x), -np.abs(z) * [1, 0] - [5e-3, 0]
+    gp = fit_structured(given, table(x, d), skin(45, length=20e-3)(x, d))
+    gp = gp._replace(heights=gp.heights._replace(measured=np.zeros(60)))
+    flat = gp._replace(heights=gp.heights._replace(share=0 * gp.heights.share))
+    up, down = (predict_population(flat, table(z, e + sign * step))[0] for sign in (1, -1))
+    (mean, std), (same, less) = (predict_population(one, table(z, e)) for one in (gp, flat))
+    np.testing.assert_allclose(mean, same, atol=1e-9)
+    np.testing.assert_allclose(std**2 - less**2, ((up - down) / (2 * step) * given.height_std) ** 2, rtol=1e-3)
+
+
 def test_given_variances_are_relative_to_map_and_bend_and_given_loads_to_the_unit():
     given = DEPTH_HYPERPARAMETERS._replace(
         unit_load=2.0, load_offset=1.0, bend_load_width=3.0, map_variance=3.0, bend_variance=1.0, static_variance=2.0,

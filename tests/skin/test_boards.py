@@ -9,7 +9,7 @@ import pytest
 
 from i2t.collect.stopping import nonuniform_field
 from i2t.skin import faults
-from i2t.skin.boards import BOARDS, board_note, eflesh_board, grid_board, make_board
+from i2t.skin.boards import BOARDS, board_note, eflesh_board, grid_board, make_board, name_of_board
 from i2t.skin.faults import Faults
 from i2t.skin.files import load_pad, save_pad
 from i2t.skin.noise import Noise, add_sensor_noise, drift
@@ -20,6 +20,7 @@ from i2t.types import Board
 @pytest.mark.parametrize("name", [*BOARDS, "grid-2x3"])
 def test_turning_to_the_tool_and_back_changes_nothing(name):
     board = make_board(name)
+    assert name_of_board(board) == name
     readings = np.random.default_rng(0).normal(size=(2, board.num_readings))
     field = board.to_tool(readings)
     assert field.shape == (2, board.num_chips, 3)

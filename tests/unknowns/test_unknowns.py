@@ -74,6 +74,12 @@ def test_what_a_recording_cannot_tell_is_said():
     assert one_height.estimate is None
 
 
+def test_too_few_rows_that_are_whole_tell_nothing():
+    one = damaged("sound")
+    lost = np.where(np.arange(140)[:, None] < 3, one.position, np.nan)
+    assert unknowns.estimate_unknowns(RecordedPresses(lost, one.readings, height=one.height), None) == []
+
+
 def test_an_approach_tells_where_the_readings_begin():
     rng = np.random.default_rng(2)
     down = np.concatenate([np.full(20, 2e-3), np.linspace(2e-3, -3e-3, 120)])
