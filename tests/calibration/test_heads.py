@@ -151,6 +151,8 @@ def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
 def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
     flat = presses_of_a_skin(80)
     assert 9 <= hold_out_groups(flat).max() + 1 <= 25
+    large = replace(flat, targets={"position": 6 * flat.targets["position"]})  # of 6 mm there too
+    assert hold_out_groups(large).max() + 1 > 60
     along = np.column_stack([np.linspace(0, 1e-2, 80), np.zeros(80)])
     line = replace(flat, targets={"position": along}, session=np.arange(80) // 10, time=0.1 * np.arange(80))
     np.testing.assert_array_equal(hold_out_groups(line), line.session)
