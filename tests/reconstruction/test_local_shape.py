@@ -87,6 +87,7 @@ def test_a_slant_is_no_evidence_against_a_patch(press, model):
     assert 0 < lost[0] < 0.5 * lost[1]
 
 
+@pytest.mark.full
 def test_what_was_not_measured_counts_as_not_made(press, model, library):
     reading, force, travel = press
     once = INFER(reading[0], force[0], travel[0], model=model, library=library, samples=16)
