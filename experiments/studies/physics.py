@@ -87,12 +87,12 @@ def _evaluate_set(
             elsewhere = (where, count) == (MATCHED, None) and name != MATCHED
             if where != name and not elsewhere:
                 continue
-            table, label = by_model[where, count], f"{name}/{ELSEWHERE if elsewhere else count or ALL}"
+            table, case = by_model[where, count], f"{name}/{ELSEWHERE if elsewhere else count or ALL}"
             without = run_belief(table, episodes, model.likelihood, particles, [WITHOUT])
-            found[f"{label}/1/{WITHOUT}"] = without[WITHOUT]
+            found[f"{case}/1/{WITHOUT}"] = without[WITHOUT]
             for factor in INFLATIONS:
                 beliefs = run_belief(table, episodes, inflated(model, factor).likelihood, particles, KINDS)
-                found |= {f"{label}/{factor:g}/{kind}": p for kind, p in beliefs.items()}
+                found |= {f"{case}/{factor:g}/{kind}": p for kind, p in beliefs.items()}
     return found
 
 
