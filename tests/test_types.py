@@ -8,6 +8,7 @@ from helpers.random_touches import make
 
 from i2t.objects import catalogue
 from i2t.rendering.render import prepare_surface
+from i2t.simulation.sites import Sites
 from i2t.skin.boards import make_board
 from i2t.skin.pad import nominal_pad
 from i2t.types import Patch
@@ -22,6 +23,7 @@ def test_fields_are_as_annotated():
         assert wrong_fields(value) == []
         assert len(repr(value).splitlines()) == 1
         assert len(repr(value)) < 1500
+    assert repr(Sites(jnp.zeros((9, 4, 4)), jnp.ones(9, bool))) == "Sites(T_w_t=9x4x4 float32, safe=9 bool)"
     pads = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), pad)
     assert wrong_fields(pads) == []  # a batch has a leading axis
 

@@ -20,9 +20,10 @@ from helpers.recordings import READING_NAMES, converted, refused, run, write_col
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from i2t.convert import npy
+from i2t.convert import imagine2touch, npy
 from i2t.dataset import save_dataset
 from i2t.errors import DataError
+from i2t.skin.boards import reskin_board
 from i2t.types import ReturnCode
 
 UT = 1e-3  # uT: fields of up to 2000 uT in float32, whose spacing there is 1.2e-4
@@ -335,6 +336,13 @@ def intact(tmp_path_factory):
     made_up_session(root / "eflesh" / "b", ending="csv.gz")
     presses_table(root / "presses" / TABLE)
     return root
+
+
+def test_a_damaged_touch_ends_a_conversion_unless_it_is_to_be_left_out(intact, tmp_path):
+    source = shutil.copytree(intact / "imagine2touch", tmp_path / "src")
+    stored(samples(changed=np.nan))(source / TACTILE)
+    with pytest.raises(DataError, match="item 2"):
+        imagine2touch.convert(source, board=reskin_board())
 
 
 @pytest.mark.parametrize(("command", "name", "damage", "problem"), DAMAGE)

@@ -292,7 +292,7 @@ def test_what_cannot_be_registered_is_refused():
     small = mesh._replace(vertices=0.3 * mesh.vertices)
     for given, word in (
         ((mesh, far, depth, CAMERA, T_w_c), "points lie within"),
-        ((small, lifted, depth, CAMERA, T_w_c), "near the object fit"),
+        ((small, lifted, depth, CAMERA, T_w_c), "near the object fit its surface within 3 mm, of 30 % needed"),
         ((mesh, far, depth, CAMERA, 2 * T_w_c), "T_w_c: is not a rigid"),
         ((mesh, far, depth[:-1], CAMERA, T_w_c), "has the shape"),
     ):
