@@ -6,10 +6,12 @@ import os
 import signal
 import sys
 import time
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import pytest
 
-from i2t.cli import INTERRUPTED_BY_USER, NOBODY_READS, exit_code_of
+from i2t.cli import INTERRUPTED_BY_USER, NOBODY_READS, Limits, check_options, exit_code_of
 from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
 
 WRONG = (
@@ -37,6 +39,17 @@ BROKEN = (
 )
 
 
+@dataclass
+class Group:
+    share: Annotated[float, Limits(0, 1, above=True)] = 1.0
+
+
+@dataclass
+class Options:
+    counts: tuple[Annotated[int, Limits(1)], ...] = (1, 2)
+    group: Group = field(default_factory=Group)
+
+
 def _raising(error):
     def work():
         raise error
@@ -50,6 +63,22 @@ def test_an_error_is_one_sentence_and_its_exit_code(capsys):
         for error in errors:
             assert exit_code_of(_raising(error)) == code, error
             assert capsys.readouterr() == ("", f"error: {SAID.get(str(error), str(error))}\n")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (Options(counts=(2, 0)), "--counts is 0; give at least 1"),
+        (Options(group=Group(0.0)), "--group.share is 0; give more than 0 and at most 1"),
+        (Options(group=Group(1.5)), "--group.share is 1.5; give more than 0 and at most 1"),
+        (Options(counts=()), "--counts names nothing; give one value at least, or leave it out"),
+    ],
+)
+def test_numbers_outside_the_limits_of_their_type_are_refused_by_their_flag(options, said):
+    check_options(Options(), ["--counts"])
+    with pytest.raises(ValueError) as error:  # noqa: PT011  # the whole sentence is compared
+        check_options(options, ["--counts"])
+    assert str(error.value) == said
 
 
 def test_ctrl_c_says_how_things_stand(capsys):

@@ -20,6 +20,8 @@ def test_fields_are_as_annotated():
     surface = prepare_surface(catalogue.make_object("star").mesh)
     for value in (board, pad, touches, surface, Patch(np.zeros((48, 48), np.float32), np.float32(0))):
         assert wrong_fields(value) == []
+        assert len(repr(value).splitlines()) == 1
+        assert len(repr(value)) < 1500
     pads = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), pad)
     assert wrong_fields(pads) == []  # a batch has a leading axis
 

@@ -55,7 +55,7 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
 
 
 def evaluate(lab: StudyLab) -> Part:
-    """Beliefs (e, t, objects) by "set, physics, touches, inflation, evidence", and the truth of each set."""
+    """Beliefs (e, t, objects) by set and "physics; touches; inflation; evidence", and the truth of each set."""
     key_touch, key_fit, *keys = jax.random.split(lab.key, 2 + len(SETS))
     made, models = worlds(lab), {}
     for i, (name, world) in enumerate(made.items()):
@@ -87,12 +87,12 @@ def _evaluate_set(
             elsewhere = (where, count) == (MATCHED, None) and name != MATCHED
             if where != name and not elsewhere:
                 continue
-            table, label = by_model[where, count], f"{name}/{ELSEWHERE if elsewhere else count or ALL}"
+            table, case = by_model[where, count], f"{name}; {ELSEWHERE if elsewhere else count or ALL}"
             without = run_belief(table, episodes, model.likelihood, particles, [WITHOUT])
-            found[f"{label}/1/{WITHOUT}"] = without[WITHOUT]
+            found[f"{case}; 1; {WITHOUT}"] = without[WITHOUT]
             for factor in INFLATIONS:
                 beliefs = run_belief(table, episodes, inflated(model, factor).likelihood, particles, KINDS)
-                found |= {f"{label}/{factor:g}/{kind}": p for kind, p in beliefs.items()}
+                found |= {f"{case}; {factor:g}; {kind}": p for kind, p in beliefs.items()}
     return found
 
 
@@ -113,18 +113,18 @@ def leave_out(parts: Sequence[Part], physics: str, touches: str, kind: str) -> J
     truth = np.tile(validation["truth"], len(others))
     found: list[tuple[float, float, TemperatureScaling]] = []
     for factor in (1.0,) if kind == WITHOUT else INFLATIONS:
-        p = np.concatenate([validation[f"{name}/{taught}/{factor:g}/{kind}"] for name in others]).astype(np.float64)
+        p = np.concatenate([validation[f"{name}; {taught}; {factor:g}; {kind}"] for name in others]).astype(np.float64)
         temperature = calibrated.fit_temperature(p, truth)
         loss = metrics.log_loss(calibrated.calibrated_beliefs(p, temperature), truth).mean()
         found.append((float(loss), factor, temperature))
     _, factor, temperature = min(found, key=lambda one: one[0])
-    p = test[f"{physics}/{touches}/{factor:g}/{kind}"].astype(np.float64)
+    p = test[f"{physics}; {touches}; {factor:g}; {kind}"].astype(np.float64)
     return Judged(calibrated.calibrated_beliefs(p, temperature), factor)
 
 
 def names_of(parts: Sequence[Part]) -> list[str]:
     """Physics that were simulated."""
-    return list(dict.fromkeys(key.split("/")[0] for key in parts[0]["test"] if "/" in key))
+    return list(dict.fromkeys(key.split("; ")[0] for key in parts[0]["test"] if "; " in key))
 
 
 def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     """
     tests = [part["test"] for part in parts]
     clusters, truth = clusters_of(tests, pads), np.concatenate([part["truth"] for part in tests])
-    cases = list(dict.fromkeys(tuple(key.split("/")[:2]) for key in tests[0] if "/" in key))
+    cases = list(dict.fromkeys(tuple(key.split("; ")[:2]) for key in tests[0] if "; " in key))
     rows, inflations = [], {}
     for kind in KINDS:
         matched = metrics.hits(leave_out(parts, MATCHED, ALL, kind).p, truth)

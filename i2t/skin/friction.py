@@ -176,7 +176,8 @@ def _track(grid: Grid, at: tuple, change: tuple) -> tuple[tuple, tuple]:
 
     grown = jnp.where(slipping, d_limit, 0) * towards
     moved = _yielding(kernels, grown, grid) + _yielding(d_kernels, traction, grid) - d_wanted
+    # Twice: where all cells slip nearly nothing is left of `moved`, and what rounding leaves beside it has no solution.
     turned = jax.lax.custom_linear_solve(
-        operator, -moved, lambda operator, q: conjugate_gradients(operator, allowed(q)), symmetric=True
+        operator, -moved, lambda operator, q: conjugate_gradients(operator, allowed(allowed(q))), symmetric=True
     )
     return (traction, slip), (grown + turned, moved + _yielding(kernels, turned, grid))

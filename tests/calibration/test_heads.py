@@ -12,7 +12,7 @@ from sklearn.gaussian_process.kernels import RBF, DotProduct, WhiteKernel
 from sklearn.neighbors import KNeighborsRegressor
 
 from i2t.calibration import regression as methods
-from i2t.calibration.heads import fit_head, hold_out_groups, load_head
+from i2t.calibration.heads import fit_head, hold_out_groups, load_head, target_rows
 from i2t.calibration.recordings import SkinRecording, is_stream, read_recordings
 from i2t.calibration.regression import BASELINE_HEADS, HeadBudget
 from i2t.errors import DataError, SerializationError
@@ -37,6 +37,20 @@ def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording
     validation = position_head.validation
     assert validation[position_head.method] == min(validation.values())
     assert validation[position_head.method] < 0.5 * min(validation[name] for name in BASELINE_HEADS)
+
+
+def test_a_skin_that_is_not_touched_tells_no_place(recording):
+    """Where depth or contact is not recorded, by the shear force: it is nil in air."""
+    touched = np.arange(len(recording)) % 3 > 0
+    place = {"position": recording.targets["position"]}
+    shear = np.where(touched[:, None], [[0.1, -0.2]], 0.0)
+    shear[-1] = np.nan
+    for known, rows in (
+        ({"contact": touched[:, None] * 1.0}, np.flatnonzero(touched)),
+        ({"shear": shear}, np.flatnonzero(touched)[:-1]),
+        ({"shear": shear, "depth": recording.targets["depth"]}, np.arange(len(recording))),
+    ):
+        np.testing.assert_array_equal(target_rows(replace(recording, targets=place | known), "position"), rows)
 
 
 def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_is_not_told(recording, position_head):
@@ -137,6 +151,8 @@ def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
 def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
     flat = presses_of_a_skin(80)
     assert 9 <= hold_out_groups(flat).max() + 1 <= 25
+    large = replace(flat, targets={"position": 6 * flat.targets["position"]})  # of 6 mm there too
+    assert hold_out_groups(large).max() + 1 > 60
     along = np.column_stack([np.linspace(0, 1e-2, 80), np.zeros(80)])
     line = replace(flat, targets={"position": along}, session=np.arange(80) // 10, time=0.1 * np.arange(80))
     np.testing.assert_array_equal(hold_out_groups(line), line.session)

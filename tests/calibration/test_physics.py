@@ -76,7 +76,6 @@ def test_a_pad_is_found_again_and_says_how_far_it_is_off():
     assert 0.5 * off < np.sqrt(np.mean((readings[:30] - fitted.leave_one_out) ** 2)) < 2 * off
 
 
-@pytest.mark.full
 def test_left_out_is_what_leaving_out_gives():
     rng = np.random.default_rng(3)
     phi, y, noise = rng.normal(size=(6, 15, 20)), rng.normal(size=(6, 15)), 0.5
@@ -87,6 +86,25 @@ def test_left_out_is_what_leaving_out_gives():
     np.testing.assert_allclose(whole.leave_one_out[0], expected, atol=2e-3)
     normal = stats.multivariate_normal(expected, phi[0] @ covariance @ phi[0].T + noise**2 * np.eye(15))
     np.testing.assert_allclose(whole.log_density[0], normal.logpdf(y[0]), rtol=2e-3)
+
+
+def test_a_dipoles_field_is_the_textbooks_and_every_parameter_grows_with_its_coordinate():
+    moment, point = np.array([0.3, -1.0, 2.0]), np.array([4e-3, -3e-3, 1e-3])
+    at = np.random.default_rng(4).normal(scale=2e-3, size=(3, 2, 2))
+    away = point - np.moveaxis(at, 0, -1)
+    distance = np.linalg.norm(away, axis=-1, keepdims=True)
+    expected = 1e-7 * (3 * away * (away @ moment)[..., None] / distance**5 - moment / distance**3)
+    found = np.einsum("abij,b->ija", physics._dipole_tensor(jnp.float32(point), jnp.float32(at)), moment)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+    prior = physics.layer_prior()
+    low, middle, high = (
+        physics.parameters_at(jax.tree.map(lambda x, step=step: jnp.full(x.shape, step), prior.std), prior)
+        for step in (-1.0, 0.0, 1.0)
+    )
+    jax.tree.map(np.testing.assert_array_equal, middle, prior.median)
+    jax.tree.map(np.testing.assert_array_less, low, middle)
+    jax.tree.map(np.testing.assert_array_less, middle, high)
 
 
 def test_tips_are_told_by_their_shape_and_radius():

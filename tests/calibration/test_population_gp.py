@@ -161,6 +161,33 @@ def test_heights_of_a_given_kernel_help_where_there_are_any_and_do_no_harm_where
         assert with_ > without - 5e-3 > 0.9
 
 
+def test_heights_that_are_not_known_widen_a_reading_by_its_slope_along_the_load():
+    """Where presses say nothing of the height: 5 mm from them, on a map that reaches so far."""
+    given = DEPTH_HYPERPARAMETERS._replace(
+        unit_load=1.0, load_offset=0.1, load_power=1.5, map_length=20e-3, height_std=0.2, height_length=1e-3
+    )
+    (x, d), (z, e), step = drawn(43, 60), drawn(44, 10), 1e-4
+    x, z = np.abs(x), -np.abs(z) * [1, 0] - [5e-3, 0]
+    gp = fit_structured(given, table(x, d), skin(45, length=20e-3)(x, d))
+    gp = gp._replace(heights=gp.heights._replace(measured=np.zeros(60)))
+    flat = gp._replace(heights=gp.heights._replace(share=0 * gp.heights.share))
+    up, down = (predict_population(flat, table(z, e + sign * step))[0] for sign in (1, -1))
+    (mean, std), (same, less) = (predict_population(one, table(z, e)) for one in (gp, flat))
+    np.testing.assert_allclose(mean, same, atol=1e-9)
+    np.testing.assert_allclose(std**2 - less**2, ((up - down) / (2 * step) * given.height_std) ** 2, rtol=1e-3)
+
+
+def test_given_variances_are_relative_to_map_and_bend_and_given_loads_to_the_unit():
+    given = DEPTH_HYPERPARAMETERS._replace(
+        unit_load=2.0, load_offset=1.0, bend_load_width=3.0, map_variance=3.0, bend_variance=1.0, static_variance=2.0,
+        constant_variance=0.4, noise_variance=0.04,
+    )  # fmt: skip
+    found = fit_structured(given, table(*drawn(42, 5)), np.ones((5, CHANNELS))).components.kernels
+    relative = {"load_offset": 0.5, "bend_load_width": 1.5, "bend_share": 0.25, "static_variance": 0.5}
+    for name, value in (relative | {"constant_variance": 0.1, "noise_variance": 0.01}).items():
+        assert getattr(found, name) == pytest.approx(value), name
+
+
 def test_weights_go_to_the_kernel_that_the_presses_are_of():
     rng = np.random.default_rng(9)
     both = KernelPrior(KINDS._replace(far_amplitude=np.ones(2)), np.log(np.full((2, 2), 0.5)))
@@ -224,12 +251,13 @@ def test_both_loads_or_no_position_or_no_load():
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_few_presses_give_finite_predictions(n):
+def test_few_presses_give_finite_predictions_of_many_kernels(n):
     read = skin(27)
     (x, d), (z, e) = drawn(28, n), drawn(29, 10)
     for loads in (d, np.zeros(n), np.full(n, 1e-3)):
         gp = fit(table(x, loads), read(x, d), chip_positions=CHIPS[None])
         mean, std = predict_population(gp, table(z, e))
+        assert len(gp.weights) == mixture.MAX_KEPT  # which so few cannot tell apart
         assert np.isfinite(mean).all()
         assert (std > 0).all()
         assert np.isfinite(interval_scaling(gp)).all()
@@ -268,3 +296,17 @@ def test_weights_far_from_the_presses_are_by_presses_left_out_together():
     assert near[0].min() > 0.5
     assert far is not None
     assert far[0].max() < 0.01
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_heights_count_where_those_of_neighbours_tell_a_left_out_press_its_own(smooth):
+    rng, (x, d) = np.random.default_rng(39), drawn(40, 80)
+    gp = mixture._start(table(x, d), skin(41)(x, d), ("depth",), None, load_prior())
+    square = ((x[:, None] - x) ** 2).sum(-1)
+    height = np.linalg.cholesky(0.06**2 * np.exp(-square / 2 / 4e-3**2) + 1e-8 * np.eye(80)) @ rng.normal(size=80)
+    height = height if smooth else rng.permutation(height)
+    slope = np.full((80, CHANNELS), 30.0)
+    tried = mixture.Heights(np.array([0.06]), np.array([4e-3]), np.ones(1), height, np.full(80, 5e-3**2))
+    error = slope * height[:, None] + rng.normal(size=(80, CHANNELS))
+    share = mixture._height_shares(gp, tried, error, slope)
+    assert share[0] > 0.99 if smooth else share[0] < 0.01

@@ -105,7 +105,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path):
     ("old", "new", "sentence"),
     [
         ("time_s", "date", "column time_s is missing"),
-        ("\n0.5,", "\n0.1,", "at line 202 time does not increase"),
+        ("\n0.5,", "\n0.4975,", "at line 202 time does not increase"),
         ("\n0.5,", "\nnoon,", "line 202 has 'noon' in column time_s"),
         ("", "", "nothing presses in its"),
     ],

@@ -126,6 +126,7 @@ def test_hostile_files(tmp_path):
         (png(tmp_path / "d.png", 0 * good), "no pixel"),
         (tif(tmp_path / "g.tif", -good.astype(np.float32)), "negative"),
         (tif(tmp_path / "i.tif", good[:1]), "edge"),
+        (tif(tmp_path / "k.tif", np.tile(good, (2, 1, 1))), "several images"),
         (tmp_path / "depth.exr", "PNG or TIF"),
     ):
         with pytest.raises(ValueError, match=said) as caught:

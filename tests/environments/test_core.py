@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.environments import OBJECTS, SITES, random_environment
 
-from i2t.environments.core import EnvironmentConfig, TouchAction, sensor_noise
+from i2t.environments.core import HOME_HEIGHT_M, EnvironmentConfig, TouchAction, sensor_noise
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import reskin_board
 from i2t.skin.noise import Noise, add_sensor_noise
@@ -28,6 +28,8 @@ def begun():
 
 def test_a_touch_is_that_of_the_table_and_its_reward_the_cross_entropy_of_the_prediction(begun):
     environment, params, state = begun
+    above = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, HOME_HEIGHT_M], [0, 0, 0, 1]]  # the origin, looking down
+    np.testing.assert_array_equal(state.T_w_t, np.float32(above))
     logits = np.array([1.0, -2.0, 0.5], np.float32)
     after, _, reward, _, _ = environment.step_env(jax.random.key(1), state, touch(2, logits), params)
     row, outcome = (int(state.pad), int(state.object), int(state.placement), 2), params.table.outcome

@@ -7,9 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.environments import OBJECTS, PADS, SITES, random_environment
 
+from i2t.environments import tables
 from i2t.environments.core import EnvironmentConfig, TouchAction
-from i2t.environments.press import meet, press, touch_outcome
+from i2t.environments.press import TouchOutcome, meet, press, touch_outcome
 from i2t.environments.tables import make_environment, tabulate
 from i2t.geometry import inverse
 from i2t.rendering.ops import element
@@ -71,5 +73,21 @@ def test_a_row_of_the_table_is_the_touch_pressed(made):
     )
     assert not info["refused"]
     assert exact.touches == 1
+
+
+def test_a_table_has_the_touches_of_each_object_next_to_each_other(monkeypatch):
+    environment, params = random_environment(QUIET)
+    corners = jnp.arange(float(OBJECTS))[:, None, None, None] * jnp.ones((OBJECTS, 1, 3, 3))
+    params = params._replace(surfaces=params.surfaces._replace(triangles=corners))
+
+    def touched(keys, surface, T_w_o, params, config):
+        shape = (PADS, len(T_w_o), SITES)
+        assert len(keys) == len(T_w_o) * SITES
+        return TouchOutcome(*(jnp.full(shape, surface.triangles[0, 0, 0]) for _ in TouchOutcome._fields))
+
+    monkeypatch.setattr(tables, "_touch_all", touched)
+    table = tabulate(jax.random.key(0), environment, params, 2).table
+    np.testing.assert_array_equal(table.outcome.force[1, :, 1, 4], np.arange(OBJECTS))
+    assert table.outcome.force.shape == (PADS, OBJECTS, 2, SITES)
     with pytest.raises(ValueError, match="give one of each"):
         make_environment(())

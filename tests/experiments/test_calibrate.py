@@ -15,7 +15,7 @@ from experiments.calibrate.data import hold_out, read_presses
 from experiments.calibrate.evaluate import explained, over_blocks
 from i2t import calibration, serialization
 from i2t import dataset as data
-from i2t.calibration import load_calibration, plain_gp
+from i2t.calibration import load_calibration
 from i2t.calibration.physics import PadFit, RoundTip, layer_prior
 from i2t.calibration.prior import PRIOR_KIND, KernelPrior, load_prior
 from i2t.dataset import Dataset
@@ -103,30 +103,6 @@ def test_intervals_over_blocks_are_those_of_whole_blocks():
     # Twice the error costs what the error itself explains less than all.
     gain = found["differences"][f"{methods.CALIBRATED} - {methods.PLAIN}"][20]
     np.testing.assert_allclose([gain["low"], gain["high"]], [1 - alone[1], 1 - alone[0]], rtol=1e-9)
-
-
-def test_the_plain_process_finds_the_scales_of_its_own_presses():
-    """Drawn from the process itself: lengths within a third, and better predictions than with half the length."""
-    rng = np.random.default_rng(4)
-    position, load = rng.uniform(-0.01, 0.01, (200, 2)), rng.uniform(0, 2, 200)
-    true = plain_gp.PlainScales(4e-3, 1.5, 0.01)
-    system = plain_gp._covariance(true, position, load, position, load) + 0.01 * np.eye(200)
-    readings = 30 * np.linalg.cholesky(system) @ rng.normal(size=(200, 9)) + 100
-    known = position[:120], load[:120], readings[:120]
-    found = plain_gp.fit_scales(*known)
-    assert found.length == pytest.approx(4e-3, rel=0.33)
-    assert found.width == pytest.approx(1.5, rel=0.33)
-    at = position[120:], load[120:]
-    errors = [
-        ((plain_gp.predict_plain(scales, known, at) - readings[120:]) ** 2).sum()
-        for scales in (found, found._replace(length=found.length / 2))
-    ]
-    assert errors[0] < errors[1]
-    # Of presses at one depth it is a process of positions.
-    reading = position @ rng.normal(size=(2, 6)) * 1e4
-    known = position[:12], np.zeros(12), reading[:12]
-    flat = plain_gp.predict_plain(plain_gp.fit_scales(*known), known, (position[:12], np.zeros(12)))
-    assert explained(reading[:12], ((flat - reading[:12]) ** 2).sum(1)) > 0.9
 
 
 NO_DEPTH = {"depth": np.full(60, np.nan)}

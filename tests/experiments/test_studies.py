@@ -50,13 +50,14 @@ def part(study: str) -> dict:
         return open_set_part()
     if study == "stopping":
         some = {f"{kind}, {name}": beliefs(10) for name in stopping.PLACEMENTS for kind in stopping.KINDS}
+        some |= {f"{constant}={value:g}": beliefs(10) for constant, value in stopping.tried()}
         return dict.fromkeys(physics.SETS, PLAN | some)
     if study == "physics":
         cases = [(name, count) for name in (physics.MATCHED, "other") for count in ("20", physics.ALL)]
         cases.append(("other", physics.ELSEWHERE))
         factors = [(f"{factor:g}", kind) for factor in physics.INFLATIONS for kind in physics.KINDS]
         factors.append(("1", physics.WITHOUT))
-        some = {f"{name}/{count}/{factor}/{kind}": beliefs(10) for name, count in cases for factor, kind in factors}
+        some = {f"{name}; {count}; {factor}; {kind}": beliefs(10) for name, count in cases for factor, kind in factors}
         return {"layers": np.zeros((4, 2))} | dict.fromkeys(physics.SETS, PLAN | some)
     return PLAN | {"fused, first": beliefs(10), "fused, other": beliefs(10), "position and presence": beliefs(10)}
 
@@ -120,7 +121,7 @@ def test_a_physics_left_out_is_scaled_by_the_others_alone():
     part = {
         name: PLAN
         | {
-            f"{which}/20/{factor:g}/fused": knowing if factor == best[which] else guessing
+            f"{which}; 20; {factor:g}; fused": knowing if factor == best[which] else guessing
             for which in names
             for factor in physics.INFLATIONS
         }

@@ -165,6 +165,7 @@ def test_primitives_and_tools_have_their_sizes():
     for name, ranges in SIZES.items():
         across = 1e3 * size(make_object(name).mesh)
         assert all(low <= value <= high for value, (low, high) in zip(across, ranges, strict=True)), name
+    assert size(primitives.blob(0))[2] == pytest.approx(30e-3)  # which is none of the catalogue
 
 
 def test_random_objects():

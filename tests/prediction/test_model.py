@@ -1,6 +1,7 @@
 """The network against the paper's sizes, its own parts written out by hand, and the moments of a mixture."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.paper import loss
+from i2t.paper import loss, network
 from i2t.paper.config import PaperConfig
 from i2t.prediction.model import (
     Inputs,
@@ -47,13 +48,14 @@ def test_the_papers_network_has_the_papers_sizes() -> None:
     def dense(inputs: int, outputs: int) -> int:
         return inputs * outputs + outputs
 
-    def trained_values(cfg: ModelConfig) -> int:
+    def trained_values(cfg: PaperConfig, init: Callable = init) -> int:
         shapes = jax.eval_shape(lambda: init(jax.random.key(0), cfg))
         return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
 
     readings = dense(2304, 200) + dense(200, 5) + dense(5, 500) + dense(500, 15)
     assert trained_values(ModelConfig(auxiliary=False)) == readings == 472_520
-    assert trained_values(ModelConfig()) == readings + dense(5, 2000) + dense(2000, 2304) == 5_094_824
+    whole = trained_values(ModelConfig())
+    assert whole == trained_values(PaperConfig(), network.init) == readings + dense(5, 2000) + dense(2000, 2304)
 
 
 def test_forward_pass_is_the_one_written_out_by_hand() -> None:

@@ -1,6 +1,7 @@
 """Recorded sessions as episodes: where the sites of touches lie, and what a touch that met air says."""
 
 import inspect
+from dataclasses import replace
 from unittest.mock import create_autospec
 
 import jax
@@ -78,6 +79,16 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
     ):
         with pytest.raises(DataError, match=said):
             episodes_from_dataset(data, names, count)
+
+
+def test_errors_of_a_session_and_of_the_sensor_are_none_of_a_press():
+    """Worlds that differ in these alone share what is compiled."""
+    none, usual = SimulationErrors.none(), SimulationErrors()
+    session = {name: getattr(usual, name) for name in ("placement", "placement_angle", "hand_eye", "hand_eye_angle")}
+    config = EpisodeConfig(replace(none, **session, force=0.1), PressLimits(), 2)
+    assert config.touch_errors == config.press_errors == replace(none, force=0.1)
+    noisy = replace(config, errors=replace(config.errors, noise=usual.noise, faults=usual.faults))
+    assert noisy.press_errors == config.press_errors != noisy.touch_errors
 
 
 class CountingSimulator(EpisodeSimulator):

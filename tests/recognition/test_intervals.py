@@ -1,5 +1,7 @@
 """Intervals over clusters: they cover what they claim where episodes of a cluster are alike."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -18,16 +20,25 @@ def _episodes(pads, pools, objects, each):
     return pad, pad * pools + pool, thing
 
 
-def test_one_factor_gives_the_t_interval_of_the_clusters_means():
+@pytest.mark.parametrize("factors", [1, 2, 3])
+def test_crossed_factors_give_the_t_interval_of_the_variances_of_their_clusters_means(factors):
+    """Of a balanced table: those of single factors are added, of pairs taken off, of all three added again; degrees of
+    freedom are Satterthwaite's.
+    """
     rng = np.random.default_rng(0)
-    label = np.repeat(np.arange(6), 40)
-    values = rng.normal(size=6)[label] + 0.1 * rng.normal(size=240)
-    means = values.reshape(6, 40).mean(1)
-    low, high = stats.t.interval(0.95, 5, means.mean(), stats.sem(means))
-    found = cluster_interval(values, [label], draws=20_000)
-    assert found.mean == pytest.approx(values.mean())
-    assert float(found.low) == pytest.approx(low, rel=0.03)
-    assert float(found.high) == pytest.approx(high, rel=0.03)
+    sizes, spreads = (4, 5, 6), (1.0, 0.8, 1.2)
+    parts = [spread * stats.zscore(rng.normal(size=size)) for spread, size in zip(spreads, sizes, strict=True)]
+    table = np.add.outer(np.add.outer(*parts[:2]), parts[2]) + rng.normal(size=sizes)
+    variance = degrees = 0.0
+    for some in (some for count in range(1, factors + 1) for some in combinations(range(factors), count)):
+        means = table.mean(tuple(axis for axis in range(3) if axis not in some))
+        own = means.var(ddof=1) / means.size
+        variance += (-1) ** (len(some) + 1) * own
+        degrees += own**2 / (means.size - 1) if len(some) == 1 else 0.0
+    half = stats.t.ppf(0.975, variance**2 / degrees) * np.sqrt(variance)
+    found = cluster_interval(table.ravel(), [label.ravel() for label in np.indices(sizes)[:factors]], draws=5000)
+    assert found.mean == pytest.approx(table.mean())
+    assert (found.mean - found.low, found.high - found.mean) == pytest.approx((half, half), rel=0.02)
 
 
 def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():
@@ -40,14 +51,6 @@ def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():
     pad, pool, _ = _episodes(2, 10, 1, 5)
     values = 10.0 * pad + rng.normal(size=20)[pool]
     assert cluster_interval(values, [pad, pool]) == cluster_interval(values, [pool])
-
-
-def test_crossed_factors_are_wider_than_either():
-    pad, _, thing = _episodes(8, 1, 8, 5)
-    values = np.arange(8.0)[pad] + np.arange(8.0)[thing]
-    found = [cluster_interval(values, factors) for factors in ([pad], [thing], [pad, thing])]
-    width = [float(each.high - each.low) for each in found]
-    assert width[2] > 1.2 * max(width[:2])
 
 
 @pytest.mark.parametrize(

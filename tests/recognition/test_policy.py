@@ -142,13 +142,20 @@ def test_information_on_the_object_and_on_the_place():
 # --- where a press ends -----------------------------------------------------------------------------------------------
 
 
-def test_a_power_law_stops_where_it_crosses():
+def test_a_power_law_between_loads_and_beyond_them_stops_where_it_crosses():
     rng = np.random.default_rng(6)
     n = 60
-    power, goal = rng.uniform(0.3, 1.3, n), rng.uniform(0.05, 7, n)
+    power, goal = rng.uniform(0.3, 1.3, (2, n)), rng.uniform(0.05, 7, n)
     direction = rng.normal(size=(n, 15))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    reading = CHANGE * direction[:, None] * ((LOADS[None] / goal[:, None]) ** power[:, None])[..., None]
+
+    def growth(load: np.ndarray) -> np.ndarray:
+        """Logarithm of the size, with one power below the middle load and another above."""
+        bend = np.log(load / LOADS[1])
+        return power[0] * np.minimum(bend, 0) + power[1] * np.maximum(bend, 0)
+
+    size = CHANGE * np.exp(growth(LOADS[:, None]) - growth(goal))
+    reading = direction[:, None] * size.T[..., None]
     blank = jnp.ones((n, 3))
     outcome = PredictedTouch(jnp.ones(n, bool), blank[:, 0], jnp.ones((n, 6)), blank, jnp.float32(reading), blank)
     stop = jax.jit(jax.vmap(partial(policy.stop_load, skin_change=CHANGE, force=6.0), (0, None)))

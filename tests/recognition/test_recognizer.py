@@ -189,6 +189,15 @@ def test_an_update_makes_a_new_state(leaning):
     np.testing.assert_array_equal(after.touched, np.arange(given.SITES) == 2)
 
 
+def test_an_advance_is_how_far_the_tool_went_along_the_approach_of_its_site(leaning):
+    site = ChosenSite(3, leaning.site_pose(3))
+    end = site.T_w_t @ np.array([[1, 0, 0, 2e-3], [0, 1, 0, -1e-3], [0, 0, 1, 5e-3], [0, 0, 0, 1]])
+    found = leaning.observe(site, np.arange(float(CHANNELS)), force=-0.1, T_w_t=end, contact=True)
+    assert (found.number, float(found.touch.force), bool(found.touch.contact)) == (3, 0.0, True)
+    assert float(found.touch.advance) == pytest.approx(5e-3, abs=1e-8)
+    np.testing.assert_array_equal(found.touch.reading, np.arange(CHANNELS))
+
+
 @pytest.mark.full
 def test_a_prior_is_what_is_believed_at_first(recognizer):
     info = recognizer.info(recognizer.init(np.array([2.0, 1.0])))

@@ -8,7 +8,7 @@ import pytest
 import i2t
 from i2t.reconstruction import infer_patch
 from i2t.reconstruction.library import library_of, sample_contacts
-from i2t.reconstruction.local_shape import _at_force, log_likelihood, posterior_weights, systematic_samples
+from i2t.reconstruction.local_shape import _at_force, _blurred, log_likelihood, posterior_weights, systematic_samples
 from i2t.reconstruction.press_curves import simulate_press_curve
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import render_heights
@@ -41,7 +41,6 @@ def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, librar
     np.testing.assert_allclose(posterior.centre, library.centre[TRUE, 2], atol=1e-6)
 
 
-@pytest.mark.full
 def test_the_marginal_likelihood_is_that_of_dense_matrices(press, model):
     """Nuisances are integrated out as a covariance that is written down whole and inverted."""
     reading, force, travel = press
@@ -104,6 +103,14 @@ def test_no_touch_is_certain_while_the_prior_has_a_share_and_samples_come_in_pro
     np.testing.assert_allclose(weight, [0.97, 0.01, 0.01, 0.01], atol=1e-6)
     drawn = np.asarray(systematic_samples(jnp.array([0.1, 0.6, 0.0, 0.3]), 100))
     np.testing.assert_allclose(np.bincount(drawn, minlength=4), [10, 60, 0, 30], atol=1)
+
+
+def test_a_blurred_mask_has_the_variance_of_the_blur_and_keeps_what_is_even():
+    mask = np.zeros((31, 31))
+    mask[15, 15] = 1
+    found, at = np.asarray(_blurred(jnp.float32(mask), 2.0)), np.arange(31) - 15
+    np.testing.assert_allclose([found.sum(), found.sum(0) @ at**2, found.sum(1) @ at**2], [1, 4, 4], rtol=1e-4)
+    np.testing.assert_allclose(_blurred(jnp.ones((9, 9)), 3.0), 1, rtol=1e-6)
 
 
 @pytest.mark.full

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 import trimesh
 from depth.test_patches import image
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from experiments.registration.frames import OBJECTS, frames
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, random_motion, to_twist
 from i2t.objects import make_object, read_mesh
-from i2t.registration import camera_covariance, contact_poses, register_by_depth, register_by_touch
+from i2t.registration import camera_covariance, contact_poses, register_by_depth, register_by_touch, touch
 from i2t.registration.touch import STUDENT_T_DOF
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
@@ -163,6 +164,27 @@ def test_a_wrong_touch_does_not_pull():
     assert pulled.weight[4] < 0.01
     apart = errors(pulled.T_w_o[None], without.T_w_o[None])[0]
     assert (np.abs(apart) < 0.2 * np.sqrt(np.diagonal(without.covariance))).all()
+
+
+def test_steps_follow_the_gradient_of_students_t_log_density():
+    """Of residuals that are linear in z, from a thousandth of the scale to thirty times it."""
+    rng = np.random.default_rng(8)
+    at, slope, weight = (rng.normal(size=size) for size in (9, (9, 6), 9))
+    at, weight, scale = at * np.geomspace(1e-3, 30, 9), np.abs(weight), 0.7
+
+    def linearised(z):
+        return touch._Linearised(jnp.float32(at) + jnp.float32(slope) @ z, jnp.float32(slope), jnp.ones(9))
+
+    def cost(z):
+        return touch._cost(z, linearised(z), jnp.float32(weight), jnp.float32(scale))
+
+    z = jnp.float32(0.1 * rng.normal(size=6))
+    step = jax.jit(lambda z: touch._normal_equations(z, linearised(z), jnp.float32(weight), jnp.float32(scale))[1])
+    value, gradient = jax.jit(jax.value_and_grad(cost))(z)
+    np.testing.assert_allclose(step(z), gradient, rtol=1e-4, atol=1e-4)
+    density = weight @ stats.t(STUDENT_T_DOF).logpdf((at + slope @ np.asarray(z)) / scale)
+    peak = weight.sum() * stats.t(STUDENT_T_DOF).logpdf(0)
+    assert float(value) == pytest.approx(peak - density + 0.5 * float(z @ z), rel=1e-5)
 
 
 def test_contact_of_recorded_touches():

@@ -183,14 +183,17 @@ def test_thin_wall_is_never_missed():
         np.testing.assert_array_equal(np.asarray(patch.depth) < REACH, expected)
 
 
-@pytest.mark.full
-def test_tilted_plane_and_the_axes_of_the_image():
+@pytest.mark.parametrize("cells", [2, 60])  # faces as small as pixels have a way of their own
+def test_tilted_plane_and_the_axes_of_the_image(cells):
     """Column j lies along tool x, row i along tool y, at ((k + 0.5)/n - 0.5) window, also where n is no multiple of
     8.
     """
     slope_x, slope_y, offset = 0.3, -0.15, 2e-3
-    plane = prepare_surface(sheet(lambda x, y: offset + slope_x * x + slope_y * y, 2))
-    for window, pixels, reach in ((PATCH_WINDOW, PATCH_PIXELS, REACH), (0.03, 21, np.inf)):
+    plane = prepare_surface(sheet(lambda x, y: offset + slope_x * x + slope_y * y, cells, 0.02))
+    dense = len(plane.triangles) == len(plane.boxes) * CLUSTERS_PER_GROUP * DENSE_CLUSTER_FACES
+    assert dense == (cells == 60)
+    views = (PATCH_WINDOW, PATCH_PIXELS, REACH), (0.03, 21, np.inf)
+    for window, pixels, reach in views[: 1 if dense else 2]:
         x, y = centres(window, pixels)
         z = offset + slope_x * x + slope_y * y
         patch = patch_of(plane, pose(), window=window, pixels=pixels, reach=reach)

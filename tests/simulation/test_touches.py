@@ -4,7 +4,7 @@ each other error by itself.
 True poses are drawn again from the keys, and everything seen and felt is worked out from them by other means.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 
 import jax
@@ -25,6 +25,7 @@ from i2t.simulation import sites
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import (
     CAMERA_DISTANCE_M,
+    POSE_ERRORS,
     SessionErrors,
     SimulationErrors,
     apply_camera_model,
@@ -106,6 +107,14 @@ def first_contact(solids):
 
 def behind(z: np.ndarray, nearest: float) -> np.ndarray:
     return np.clip(np.where(np.isfinite(z), z, 1.0) - nearest, 0, REACH)
+
+
+def test_every_error_of_the_lab_is_there_unless_there_are_none():
+    for errors, are in ((SimulationErrors(), 1), (SimulationErrors.none(), 0), (SimulationErrors().scaled(0.0), 0)):
+        sizes = [getattr(errors, each.name) for each in fields(errors)]
+        np.testing.assert_array_equal(np.sign(sizes[:POSE_ERRORS]), are)
+        np.testing.assert_array_equal(np.sign(sizes[POSE_ERRORS:-2]), errors.force > 0)
+    assert SimulationErrors().scaled(0.0).noise == SimulationErrors().noise != SimulationErrors.none().noise
 
 
 @pytest.mark.full

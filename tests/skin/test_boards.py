@@ -9,7 +9,7 @@ import pytest
 
 from i2t.collect.stopping import nonuniform_field
 from i2t.skin import faults
-from i2t.skin.boards import BOARDS, board_note, eflesh_board, grid_board, make_board
+from i2t.skin.boards import BOARDS, board_note, eflesh_board, grid_board, make_board, name_of_board
 from i2t.skin.faults import Faults
 from i2t.skin.files import load_pad, save_pad
 from i2t.skin.noise import Noise, add_sensor_noise, drift
@@ -20,6 +20,7 @@ from i2t.types import Board
 @pytest.mark.parametrize("name", [*BOARDS, "grid-2x3"])
 def test_turning_to_the_tool_and_back_changes_nothing(name):
     board = make_board(name)
+    assert name_of_board(board) == name
     readings = np.random.default_rng(0).normal(size=(2, board.num_readings))
     field = board.to_tool(readings)
     assert field.shape == (2, board.num_chips, 3)
@@ -67,6 +68,13 @@ def test_noise_and_faults_have_the_board_s_channels():
     felt = faults.apply(keys[2], jnp.ones((6, 12)), poses, board, kind, key_board=keys[3], rest=jnp.zeros(12))
     assert felt.shape == (6, 12)
     assert np.isfinite(felt).all()
+
+
+def test_reskins_chips_are_turned_as_one_field_was_recorded_on_them():
+    x, y, z = 18.0, -7.0, -41.0  # on chip 0, whose axes are the tool's
+    recorded = [[x, y, z], [y, -x, z], [x, y, z], [-y, x, z], [-x, -y, z]]
+    uniform = make_board("reskin").to_board(np.tile([x, y, z], (5, 1)))
+    np.testing.assert_allclose(np.reshape(uniform, (5, 3)), recorded, atol=1e-6)
 
 
 ANYSKIN_SCREEN = {"left": (-1, 0), "right": (1, 0), "up": (0, 1), "down": (0, -1)}  # where the makers' viewer has chips

@@ -43,6 +43,7 @@ def test_what_is_no_pad_is_refused_in_one_sentence(path):
         (path.unlink, "no such file"),
         (lambda: path.write_text("nonsense"), "damaged or was not written by i2t"),
         (lambda: np.savez(path, thickness=1.0), "was not written by i2t"),
+        (lambda: np.savez(path, about='{"format": "i2t pad"}'), "was not written by i2t"),
         (lambda: serialization.save(path, "i2t other", pad), "holds a i2t other, not a i2t pad"),
         (lambda: serialization.save(path, KIND, pad.board), "lacks"),
         (lambda: save_pad(path, pad._replace(gains=np.full(15, np.nan))), "gains"),

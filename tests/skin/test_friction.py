@@ -101,6 +101,19 @@ def test_what_sticks_does_not_depend_on_the_path_and_what_slips_does():
     np.testing.assert_allclose(_total(released), 0.5 * _total(slid), atol=0.05 * _total(slid)[0])
 
 
+def test_where_all_slips_traction_is_friction_times_pressure_and_its_derivative_is_the_pressure():
+    grid = Grid(8, 12, 1e-3)
+    pressure = jnp.asarray(np.pad(np.random.default_rng(1).uniform(1e4, 3e4, (4, 4)), 2), jnp.float32)
+
+    def traction(friction):
+        return shear(PAD._replace(friction=friction), pressure, jnp.asarray([3e-2, 4e-2]), grid).traction
+
+    found, slope = jax.jit(lambda friction: jax.jvp(traction, (friction,), (jnp.ones(()),)))(jnp.asarray(0.6))
+    along = np.array([0.6, 0.8])[:, None, None] * np.asarray(pressure)
+    np.testing.assert_allclose(found, 0.6 * along, atol=0.01 * along.max())
+    np.testing.assert_allclose(slope, along, atol=0.01 * along.max())
+
+
 @pytest.mark.full
 def test_derivatives_against_differences():
     small = Grid(20, 32)

@@ -64,11 +64,20 @@ def test_what_a_recording_cannot_tell_is_said():
     alike = unknowns.find_lag(RecordedPresses(np.zeros((600, 2)), readings, height=height))
     both_ways = unknowns.find_force_sign(np.random.default_rng(0).normal(size=100))
     one_height = unknowns.find_height_zero(damaged("one height", n=600))
-    for found, words in ((alike, "nearly alike"), (both_ways, "axes"), (one_height, "one height")):
+    no_height = unknowns.find_height_zero(RecordedPresses(np.zeros((600, 2)), readings))
+    for found, words in (
+        (alike, "nearly alike"), (both_ways, "axes"), (one_height, "one height"), (no_height, "no height"),
+    ):  # fmt: skip
         assert not found.identifiable
         assert not found.wrong
         assert words in found.sentence
     assert one_height.estimate is None
+
+
+def test_too_few_rows_that_are_whole_tell_nothing():
+    one = damaged("sound")
+    lost = np.where(np.arange(140)[:, None] < 3, one.position, np.nan)
+    assert unknowns.estimate_unknowns(RecordedPresses(lost, one.readings, height=one.height), None) == []
 
 
 def test_an_approach_tells_where_the_readings_begin():
@@ -80,8 +89,10 @@ def test_an_approach_tells_where_the_readings_begin():
     approaches = unknowns.find_approaches(height, readings)
     assert len(approaches) == 3
     np.testing.assert_allclose(approaches, 0.2504, atol=0.1e-3)
-    found = unknowns.find_height_zero(RecordedPresses(np.zeros((len(height), 2)), readings, height=height))
+    one = RecordedPresses(np.zeros((len(height), 2)), readings, height=height)
+    found = unknowns.find_height_zero(one)
     assert found.identifiable
+    assert [unknowns.find_height_zero(one, stated=found.estimate + off).wrong for off in (0, 1e-3)] == [False, True]
     assert found.estimate == np.median(approaches)
     assert not len(unknowns.find_approaches(rng.permutation(height), readings))
 
