@@ -57,7 +57,7 @@ STEPS = (
         "strokes",
         "-m experiments.shapes --readings magnetic_digits/strokes.csv.gz --label digit "
         "--ignore first_row last_row stroke --samples 19",
-        minutes=5,
+        minutes=10,
     ),
     Step("tsne", "-m experiments.tsne", again=OVERWRITE),
     Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again=OVERWRITE),
