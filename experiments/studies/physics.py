@@ -28,7 +28,7 @@ from i2t.types import Board
 
 TOUCHES = (20, 200, None)  # of the skin that a pad model is fitted to; None: as many as the run had
 DEBUG_TOUCHES = (20, None)
-INFLATIONS = (0.7, 1.0, 1.4, 2.0, 2.8)  # of the errors of readings, to choose from
+INFLATIONS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # of the errors of readings, to choose from
 WITHOUT = "position and presence"  # the evidence of a belief without readings
 KINDS = ("fused", "readings")
 MATCHED = "bonded layer"
