@@ -147,9 +147,10 @@ class StudyLab:
 
     def refit(self, key: Array, dataset: Dataset, world: StudyWorld, touches: int | None = None) -> PadModel:
         """The pad model as the run fitted it, but to touches in some world: all, or the first so many."""
-        of_object = dataset.touches.object
-        first = np.array([np.sum(of_object[:i] == one) for i, one in enumerate(of_object)])
-        rows = np.full(len(dataset), True) if touches is None else first < touches // len(dataset.objects)
+        each = None if touches is None else touches // len(dataset.objects)
+        rows = np.zeros(len(dataset), bool)
+        for i in range(len(dataset.objects)):
+            rows[np.flatnonzero(dataset.touches.object == i)[:each]] = True
         limits = world.limits or self.cfg.limits
         return fit_pad_model(key, dataset, rows, self.run.surfaces, errors=self.cfg.errors, limits=limits)
 

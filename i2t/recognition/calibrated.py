@@ -66,9 +66,8 @@ def fit_temperature_to_sets(
         return float(total / count)
 
     bounds = ((-2.0, 2.0), (-12.0, 1.0))
-    starts = [
-        np.array([0.0, np.log(growth)]) for growth in (0.05, 0.5)
-    ]  # touches that share few errors, and most of them
+    # Touches that share few errors, and most of them.
+    starts = [np.array([0.0, np.log(growth)]) for growth in (0.05, 0.5)]
     found = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds)
     return TemperatureScaling(float(np.exp(found.x[0])), float(np.exp(found.x[1])))
 

@@ -253,10 +253,9 @@ def _pressed_touches(
 
 def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board) -> int:
     """Choose the layer on some sessions, as every layer presses their touches."""
-    ends = np.cumsum([len(each.rows) for each in sessions])
-    order = np.random.default_rng(0).permutation(len(sessions))
-    enough = int(np.searchsorted(np.cumsum(np.diff(ends, prepend=0)[order]), CHOOSING_TOUCHES)) + 1
-    some = [sessions[i] for i in order[:enough]]
+    shuffled = [sessions[i] for i in np.random.default_rng(0).permutation(len(sessions))]
+    enough = int(np.searchsorted(np.cumsum([len(each.rows) for each in shuffled]), CHOOSING_TOUCHES)) + 1
+    some = shuffled[:enough]
     return choose_layer([_pressed_touches(some, touches, layer)[2] for layer in LAYERS], LAYERS, board)
 
 

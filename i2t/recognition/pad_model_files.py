@@ -116,6 +116,8 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
     shapes = {
         "reading_model.mean": (loads, cells, channels),
         "reading_model.scale": (channels,),
+        "reading_model.layer.poisson": (),
+        "reading_model.layer.young": (),
         "likelihood.whiten": (channels, channels),
         "likelihood.loads": (loads,),
         "reading_std": (channels,),

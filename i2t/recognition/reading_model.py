@@ -92,6 +92,7 @@ class _System(NamedTuple):
     features: Float[np.ndarray, "n c k"]  # rotated, in units of the channels' signals
     reading: Float[np.ndarray, "n c"]  # likewise
     scale: Float[np.ndarray, " c"]  # uT
+    unit: Float[np.ndarray, " lengths"]  # N^2, per length of k the mean variance of the touches
 
 
 class _Posterior(NamedTuple):
@@ -205,16 +206,12 @@ def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _Syste
     scale = np.sqrt((square + POOLING_TOUCHES * square.mean() / len(reading)) / (len(reading) + POOLING_TOUCHES)) + 1e-6
     f = gp.features(touches.pressure)
     linear = gp.inner_products(f, f)
-    covariance = gp.gram(DISCREPANCY, _units(linear), linear, touches.pressure.load, touches.pressure.load)
+    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+    covariance = gp.gram(DISCREPANCY, unit, linear, touches.pressure.load, touches.pressure.load)
     values, vectors = np.linalg.eigh(np.asarray(covariance, np.float64))
     newtons = np.asarray(touches.pressure.pressure, np.float64).reshape(len(reading), -1)
     features = np.tensordot(vectors.T @ newtons, maps, 1) / scale[:, None]
-    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale)
-
-
-def _units(linear: Array) -> Array:
-    """Per length, the mean variance of the touches."""
-    return jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, np.asarray(unit))
 
 
 def _posterior(system: _System, at: _Weights) -> _Posterior:
@@ -267,7 +264,7 @@ def _linear_maps(
 ) -> tuple[Float[np.ndarray, "l x c"], Float[np.ndarray, "l x x"]]:
     """Mean map and variance at some loads, in units of the channels' signals."""
     channels, k = maps.shape[1:]
-    prior, cross = _cell_covariances(pressure)
+    prior, cross = _cell_covariances(pressure, system.unit)
     scaled = maps / system.scale[:, None]
     means, variances = [], []
     for factor in np.asarray(gp.stiffening(DISCREPANCY, jnp.float32(loads), pressure.load), np.float64):
@@ -288,12 +285,13 @@ def _linear_maps(
     return np.stack(means), np.stack(variances)
 
 
-def _cell_covariances(pressure: ContactPressure) -> tuple[Float[np.ndarray, "x x"], Float[np.ndarray, "x n"]]:
+def _cell_covariances(
+    pressure: ContactPressure, unit: Float[np.ndarray, " lengths"]
+) -> tuple[Float[np.ndarray, "x x"], Float[np.ndarray, "x n"]]:
     """Covariance of the discrepancy between newtons on two cells, and between those on a cell and touches, at one
     load.
     """
-    f = gp.features(pressure)
-    weights = np.asarray(DISCREPANCY.weights / _units(gp.inner_products(f, f)), np.float64)
+    weights = np.asarray(DISCREPANCY.weights / unit, np.float64)
     root = gp.kernel_factor(pressure.pressure.shape[-1]).astype(np.float64)
     axis = np.einsum("lij,ljk->lik", root, root)  # the kernel along one axis, for each length scale
     newtons = np.asarray(pressure.pressure, np.float64)

@@ -8,7 +8,7 @@ import pytest
 from i2t import serialization
 from i2t.errors import DataError, SerializationError
 from i2t.recognition import belief
-from i2t.recognition.outcomes import LinearReadingModel
+from i2t.recognition.outcomes import Layer, LinearReadingModel
 from i2t.recognition.pad_model import PadModel
 from i2t.recognition.pad_model_files import (
     KnownPad,
@@ -48,9 +48,11 @@ def test_a_pad_model_comes_back_with_its_skin(known, tmp_path):
 
 def test_parts_of_different_boards_are_no_pad_model(known, tmp_path):
     path = tmp_path / "pad_model.npz"
+    soft = known.model.reading_model._replace(layer=Layer(young=np.nan))
     for broken, said in (
         (known._replace(board=boards.grid_board(2, 2)), r"reading_model.mean is not \(3, 9, 12\) finite numbers"),
         (known._replace(model=known.model._replace(reading_std=np.full(CHANNELS, np.nan))), "reading_std"),
+        (known._replace(model=known.model._replace(reading_model=soft)), r"layer.young is not \(\) finite numbers"),
     ):
         save_pad_model(path, broken)
         with pytest.raises(SerializationError, match=said):
