@@ -23,8 +23,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import QuantileTransformer, StandardScaler
 
 from experiments.common.reading_tables import count_for_training
-from i2t.recognition.belief import TemperatureScaling
-from i2t.recognition.calibrated import calibrated_beliefs, fit_temperature_to_sets
+from i2t.recognition.calibrated import TemperatureScaling, calibrated_beliefs, fit_temperature_to_sets
 from i2t.recognition.metrics import log_loss
 
 

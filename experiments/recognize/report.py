@@ -14,7 +14,8 @@ from experiments.recognize import figures
 from i2t import viz
 from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
-from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling, TouchObservation
+from i2t.recognition.belief import TouchObservation
+from i2t.recognition.calibrated import TEMPERATURE_SCALING, TemperatureScaling
 from i2t.recognition.episodes import EVIDENCE, Episodes
 from i2t.recognition.intervals import (
     MIN_CLUSTERS,

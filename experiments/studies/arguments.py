@@ -38,6 +38,6 @@ class StudyArgs(ResumableOptions):
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        if self.study in ("mismatch", "physics"):
+        if self.study == "physics":
             require_extra("skfem", "a pad with free sides")
         chosen_runs(self.trained_run, self.pads)

@@ -1,21 +1,14 @@
-"""The harness of all studies: a finished run with its pad model, objects to tell apart, and simulated episodes.
+"""The harness of all studies: a finished run with its pad model, objects to tell apart, and simulated episodes."""
 
-Most studies are a table of settings: in each, episodes are simulated in some world and judged by some belief
-(`Setting`); the same objects are touched in all of them at the same sites, with common random numbers
-(`evaluate_settings`).
-"""
-
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array
 
 from experiments.common.presets import choose_preset
-from experiments.common.runs import Part
 from experiments.recognize import trained_run
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.trained_run import TrainedRun, meshes_by_name
@@ -23,7 +16,7 @@ from experiments.studies.arguments import StudyArgs
 from i2t.dataset import Dataset
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import EpisodeConfig, Episodes, run_belief, run_episodes
+from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.pad_model import PadModel, fit_pad_model
 from i2t.recognition.site_pool import (
@@ -57,15 +50,6 @@ class StudyWorld:
     law: Callable[[Pad], PressLaw] = lambda _: press_pad
 
 
-class Setting(NamedTuple):
-    """A world in which episodes are simulated, and the belief that judges them."""
-
-    world: StudyWorld
-    kinds: Sequence[str]  # of evidence that are counted
-    model: PadModel
-    stated: SimulationErrors  # whose placement the belief is told
-
-
 @dataclass(frozen=True)
 class StudyLab:
     """One pad and seed: the finished run with its pad model, and the objects to tell apart."""
@@ -84,9 +68,9 @@ class StudyLab:
         """The pad model of the run."""
         return self.run.pad_model
 
-    def particles(self, errors: SimulationErrors | None = None) -> Particles:
-        """Pose particles of an object under some errors of placement, the lab's unless given."""
-        return pose_particles(errors or self.cfg.errors, self.cfg.num_particles, self.seed)
+    def particles(self) -> Particles:
+        """Pose particles of an object under the errors of placement that the lab states."""
+        return pose_particles(self.cfg.errors, self.cfg.num_particles, self.seed)
 
     def truth(self) -> np.ndarray:
         """Object of each episode: all in turn."""
@@ -163,49 +147,3 @@ def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
     run = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)
     surfaces = prepare_surfaces(list(meshes_by_name(cfg.objects).values()))
     return StudyLab(args, cfg, run, cfg.objects, surfaces, DEBUG_EPISODES if args.debug else args.episodes, seed, key)
-
-
-def evaluate_settings(lab: StudyLab, settings: Callable[[StudyLab, Array], Mapping[str, Setting]]) -> Part:
-    """Beliefs (e, t, objects) in every setting, by "evidence, setting".
-
-    Args:
-        lab: One pad and seed.
-        settings: Makes them by name, with a key of their own; the first is what the others are compared with. Those
-            of one world share its episodes.
-    """
-    key_sites, key_episodes, key_settings = jax.random.split(lab.key, 3)
-    truth, made = lab.truth(), settings(lab, key_settings)
-    plan = lab.plan(key_sites, len(truth))
-    found: Part = {"truth": truth, "pool": plan.pool}
-    played: dict[StudyWorld, Episodes] = {}
-    surfaces = _surfaces_of(lab, dict.fromkeys(each.world for each in made.values()))
-    tables = _predicted(lab, plan, made)
-    for name, (world, kinds, model, stated) in made.items():
-        if world not in played:
-            key = jax.random.clone(key_episodes)
-            played[world] = lab.simulate(key, plan, truth, name, surfaces=surfaces[world], world=world)
-        beliefs = run_belief(tables[name], played[world], model.likelihood, lab.particles(stated), kinds)
-        found |= {f"{kind}, {name}" if name else kind: p for kind, p in beliefs.items()}
-    return found
-
-
-def _predicted(lab: StudyLab, plan: TouchPlan, settings: Mapping[str, Setting]) -> dict[str, PredictedTouch]:
-    """Predicted touches of each setting: contacts are predicted once for each placement that is stated."""
-    placements = {name: (each.stated.placement, each.stated.placement_angle) for name, each in settings.items()}
-    found: dict[str, PredictedTouch] = {}
-    for placement in dict.fromkeys(placements.values()):
-        some = {name: each for name, each in settings.items() if placements[name] == placement}
-        models = {id(each.model.reading_model): each.model.reading_model for each in some.values()}
-        particles = lab.particles(next(iter(some.values())).stated)
-        made = lab.predict(plan.sites, particles, list(models.values()), ", ".join(some))
-        tables = dict(zip(models, made, strict=True))
-        found |= {name: tables[id(each.model.reading_model)] for name, each in some.items()}
-    return found
-
-
-def _surfaces_of(lab: StudyLab, worlds: Iterable[StudyWorld]) -> dict[StudyWorld, list[Surface]]:
-    """Surfaces of each world, those of other meshes prepared at once: they are of one size class, and compile once."""
-    meshes, worlds = list(meshes_by_name(lab.names).values()), list(worlds)
-    others = [world.mesh(mesh) for world in worlds if world.mesh for mesh in meshes]
-    prepared = iter(prepare_surfaces(others) if others else [])
-    return {world: [next(prepared) for _ in meshes] if world.mesh else lab.surfaces for world in worlds}

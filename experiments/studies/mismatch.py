@@ -1,20 +1,28 @@
-"""Worlds that differ in one thing from what the belief was fitted to, which does not know it."""
+"""Worlds that differ in one thing from what the belief was fitted to, which does not know it: the same objects are
+touched in all of them at the same sites, with common random numbers.
+"""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from experiments.studies.lab import Setting, StudyLab, StudyWorld
+from experiments.common.runs import Part
+from experiments.recognize.trained_run import meshes_by_name
+from experiments.studies.lab import StudyLab, StudyWorld
 from i2t.geometry import from_twist
 from i2t.objects import Mesh
+from i2t.recognition.episodes import run_belief
+from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation.touches import SimulationErrors
+from i2t.types import Surface
 from i2t.windows import TWIST_LEVER_M
 
-WITH_READINGS = ("fused", "readings")
+KINDS = ("fused", "readings")
 CAMERA_BIAS = np.array([0.6e-3, -0.6e-3, 0.6e-3, *(TWIST_LEVER_M * np.radians([0.6, 0.6, -0.6]))])  # 1 mm, 1 degree
 MESH_PERCENT = (-3, -1, 1, 3)
 DEBUG_WORLDS = ("matched", "chip remembers twice as much", "meshes 3 % larger")
@@ -39,10 +47,10 @@ def _shifted(mesh: Mesh) -> Mesh:
     return mesh._replace(vertices=np.asarray(mesh.vertices) @ T[:3, :3].T + T[:3, 3])
 
 
-def settings(lab: StudyLab, _: Array) -> dict[str, Setting]:
-    """Worlds of which the belief knows nothing but for the first."""
+def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
+    """Worlds by name; the first is the lab's."""
     errors, limits = lab.cfg.errors, lab.cfg.limits
-    worlds = {
+    found = {
         "matched": StudyWorld(),
         "chip remembers twice as much": StudyWorld(errors=faulty(errors, hysteresis=0.6)),
         "ambient once, before the episode": StudyWorld(errors=faulty(errors, ambient_every=0)),
@@ -56,5 +64,29 @@ def settings(lab: StudyLab, _: Array) -> dict[str, Setting]:
         },
         "camera biased by 1 mm and degree": StudyWorld(mesh=_shifted),
     }
-    found = {name: Setting(world, WITH_READINGS, lab.pad_model, errors) for name, world in worlds.items()}
     return {name: each for name, each in found.items() if name in DEBUG_WORLDS or not lab.args.debug}
+
+
+def evaluate(lab: StudyLab) -> Part:
+    """Beliefs (e, t, objects) in every world, by "evidence, world"."""
+    key_sites, key_episodes = jax.random.split(lab.key)
+    truth, particles, model = lab.truth(), lab.particles(), lab.pad_model
+    plan = lab.plan(key_sites, len(truth))
+    (table,) = lab.predict(plan.sites, particles, [model.reading_model], "possible objects")
+    found: Part = {"truth": truth, "pool": plan.pool}
+    made = worlds(lab)
+    surfaces = _surfaces_of(lab, made)
+    for name, world in made.items():
+        key = jax.random.clone(key_episodes)
+        episodes = lab.simulate(key, plan, truth, name, surfaces=surfaces[name], world=world)
+        beliefs = run_belief(table, episodes, model.likelihood, particles, KINDS)
+        found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
+    return found
+
+
+def _surfaces_of(lab: StudyLab, made: Mapping[str, StudyWorld]) -> dict[str, list[Surface]]:
+    """Surfaces of each world, those of other meshes prepared at once: they are of one size class, and compile once."""
+    meshes = list(meshes_by_name(lab.names).values())
+    others = [world.mesh(mesh) for world in made.values() if world.mesh for mesh in meshes]
+    prepared = iter(prepare_surfaces(others) if others else [])
+    return {name: [next(prepared) for _ in meshes] if world.mesh else lab.surfaces for name, world in made.items()}

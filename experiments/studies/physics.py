@@ -20,7 +20,7 @@ from experiments.studies.mismatch import faulty
 from experiments.studies.report import Column, clusters_of, make_table, pool_parts
 from experiments.studies.winkler import winkler_press
 from i2t.recognition import calibrated, metrics
-from i2t.recognition.belief import TemperatureScaling
+from i2t.recognition.calibrated import TemperatureScaling
 from i2t.recognition.episodes import run_belief
 from i2t.recognition.intervals import mean_interval
 from i2t.recognition.pad_model import PadModel, inflated

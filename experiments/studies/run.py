@@ -1,8 +1,8 @@
 """Questions about recognition by touch beyond `experiments.recognize`, each a study of its own:
 
     python -m experiments.studies open_set      is the object an unknown one?
-    python -m experiments.studies mismatch      what does it cost if the world's physics is not the belief's?
-    python -m experiments.studies physics       and if a pad model is fitted to a few touches there?
+    python -m experiments.studies mismatch      what does it cost if chip, arm or object are not as believed?
+    python -m experiments.studies physics       and if the skin's physics is not, but some of its touches are known?
     python -m experiments.studies stopping      how often is a belief wrong that stops when it is sure?
     python -m experiments.studies open_set --preset debug      a handful of episodes, to see it run
 
@@ -30,7 +30,7 @@ from experiments.recognize.config import PRESETS
 from experiments.reproduce.recognition_tables import study_table
 from experiments.studies import mismatch, open_set, physics, stopping
 from experiments.studies.arguments import StudyArgs
-from experiments.studies.lab import StudyLab, evaluate_settings, prepare_lab
+from experiments.studies.lab import StudyLab, prepare_lab
 from experiments.studies.report import report_settings
 
 
@@ -43,7 +43,7 @@ class Study(NamedTuple):
 
 STUDIES = {
     "open_set": Study(open_set.evaluate, open_set.report),
-    "mismatch": Study(partial(evaluate_settings, settings=mismatch.settings), report_settings),
+    "mismatch": Study(mismatch.evaluate, report_settings),
     "physics": Study(physics.evaluate, physics.report),
     "stopping": Study(stopping.evaluate, stopping.report),
 }

@@ -40,11 +40,10 @@ from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch, interpolate_loa
 from i2t.simulation.press import PressLimits
 from i2t.types import in_one_line
 
-TouchCount = TypeVar("TouchCount", float, np.ndarray, Array)  # number of touches so far; one number or an array
 Length = TypeVar("Length", float, Array)  # m
 
-PARTICLE_STD_RATIO = 0.5  # standard deviation of the pose about a particle, relative to that of the prior
 MIN_PROBABILITY = 1e-30  # probabilities below are treated as equal
+PARTICLE_STD_RATIO = 0.5  # standard deviation of the pose about a particle, relative to that of the prior
 # Indentations on objects that were not trained on are so far from the nominal layer's, relative to these: the most
 # probable value for the validation objects at their true places, among 0.1, 0.2, ... 0.5.
 INDENTATION_ERROR = 0.2
@@ -109,32 +108,6 @@ class Belief(NamedTuple):
     covariance: Float[Array, "objects k 6 6"]  # m^2
     bias: Float[Array, " c"]  # uT, of the sensor
     bias_variance: Float[Array, ""]  # uT^2
-
-
-class TemperatureScaling(NamedTuple):
-    """Temperature of an episode's posterior: `initial` * (1 + growth * (t - 1)) after t touches.
-
-    Errors of the pad model are shared by all touches of an episode, but the likelihood treats touches as independent;
-    the temperature grows with their number to compensate.
-    """
-
-    initial: float = 1.0
-    growth: float = 0.0
-
-    def temperature(self, touches: TouchCount) -> TouchCount:
-        """The temperature after a number of touches.
-
-        Args:
-            touches: Of the episode so far, 1 or more.
-
-        Returns:
-            What the log likelihoods are divided by.
-        """
-        return self.initial * (1 + self.growth * (touches - 1))
-
-
-# Fitted on 50 episodes with validation objects (pad 0), whose placement error was stated right, half and double.
-TEMPERATURE_SCALING = TemperatureScaling(1.2, 0.033)
 
 
 class Evidence(NamedTuple):
@@ -395,25 +368,6 @@ def posterior(belief: Belief) -> Float[Array, " objects"]:
         Probabilities that sum to 1.
     """
     return jax.nn.softmax(logsumexp(belief.log_weight, axis=1))
-
-
-def apply_temperature(
-    probability: Float[Array, "*t objects"],
-    touches: Float[Array, "*t"] | float,
-    scaling: TemperatureScaling = TEMPERATURE_SCALING,
-) -> Float[Array, "*t objects"]:
-    """Calibrate probabilities by temperature scaling (Guo and others, ICML 2017); the order of the objects stays.
-
-    Args:
-        probability: Of the objects.
-        touches: After how many touches.
-        scaling: Temperature as a function of the number of touches.
-
-    Returns:
-        Calibrated probabilities.
-    """
-    temperature = scaling.temperature(jnp.asarray(touches))
-    return jax.nn.softmax(jnp.log(jnp.maximum(probability, MIN_PROBABILITY)) / temperature[..., None], axis=-1)
 
 
 def twist_estimate(

@@ -10,19 +10,53 @@ come: `with_unknown_prior` moves a belief from one prior to another.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize
 from scipy.special import expit, logit, logsumexp, softmax
 
-from i2t.recognition import belief
-from i2t.recognition.belief import TEMPERATURE_SCALING, TemperatureScaling
+from i2t.recognition.belief import MIN_PROBABILITY
 from i2t.recognition.metrics import PROBABILITY_FLOOR
 from i2t.types import Array
 
 # --- temperature scaling of the objects ---
+
+
+class TemperatureScaling(NamedTuple):
+    """Temperature of an episode's posterior, `initial` * (1 + growth * (t - 1)) after t touches."""
+
+    initial: float = 1.0
+    growth: float = 0.0
+
+    def temperature(self, touches: Array | float) -> Any:
+        """What log probabilities are divided by.
+
+        Args:
+            touches: Of the episode so far, 1 or more.
+
+        Returns:
+            The temperature after as many touches.
+        """
+        return self.initial * (1 + self.growth * (touches - 1))
+
+    def apply(self, p: Float[Array, "*shape c"], touches: Array | float) -> Float[np.ndarray, "*shape c"]:
+        """Calibrated probabilities; the order of the classes stays.
+
+        Args:
+            p: Of the classes.
+            touches: How many each belief has seen, broadcast against all but the last axis.
+
+        Returns:
+            Probabilities of the same shape.
+        """
+        divisor = np.asarray(self.temperature(touches), np.float64)[..., None]
+        return softmax(_logs(p) / divisor, axis=-1)
+
+
+# Fitted on 50 episodes with validation objects (pad 0), whose placement error was stated right, half and double.
+TEMPERATURE_SCALING = TemperatureScaling(1.2, 0.033)
 
 
 def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> TemperatureScaling:
@@ -51,10 +85,7 @@ def fit_temperature_to_sets(
     Returns:
         The one temperature with the least mean log loss over all episodes and touches.
     """
-    ready = [
-        (np.log(np.maximum(np.asarray(p, np.float64), belief.MIN_PROBABILITY)), np.asarray(truth)[:, None, None])
-        for p, truth in sets
-    ]
+    ready = [(_logs(p), np.asarray(truth)[:, None, None]) for p, truth in sets]
     count = sum(logs.shape[0] * logs.shape[1] for logs, _ in ready)
 
     def loss(x: np.ndarray) -> float:
@@ -84,8 +115,11 @@ def calibrated_beliefs(
     Returns:
         Beliefs of the same shape.
     """
-    divisor = temperature.temperature(np.arange(1, p.shape[1] + 1.0))[None, :, None]
-    return softmax(np.log(np.maximum(np.asarray(p, np.float64), belief.MIN_PROBABILITY)) / divisor, axis=-1)
+    return temperature.apply(p, np.arange(1, p.shape[1] + 1.0))
+
+
+def _logs(p: Float[Array, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    return np.log(np.maximum(np.asarray(p, np.float64), MIN_PROBABILITY))
 
 
 # --- the unknown class ---

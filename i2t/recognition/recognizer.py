@@ -399,7 +399,7 @@ class ObjectRecognizer:
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
         """Calibrated probabilities of the known objects from those of all, surrogates included."""
         known = len(self.names)
-        named = np.asarray(_apply_temperature(p[:known], jnp.float32(touches)), np.float64)
+        named = calibrated.TEMPERATURE_SCALING.apply(p[:known], touches)
         if self._objects == known:
             return named
         everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown
@@ -410,9 +410,6 @@ class ObjectRecognizer:
         shares = named[None] * (1 - read)[:, None]
         _, unknown = calibrated.with_unknown_prior(shares, read, CALIBRATION_PRIOR_UNKNOWN, prior)
         return named * (1 - float(unknown[0]))
-
-
-_apply_temperature = jax.jit(belief.apply_temperature)
 
 
 @jax.jit

@@ -3,8 +3,6 @@
 import json
 from types import SimpleNamespace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,10 +10,7 @@ from experiments.recognize.config import PRESETS
 from experiments.reproduce.recognition_tables import STUDY_TABLES, TABLES, study_table
 from experiments.studies import mismatch, open_set, physics, report, stopping
 from experiments.studies.run import STUDIES
-from i2t.recognition.belief import fit_likelihood
 from i2t.recognition.intervals import Estimate
-from i2t.recognition.pad_model import PadModel
-from i2t.skin.pad import nominal_pad
 
 EPISODES = 50
 RNG = np.random.default_rng(0)
@@ -91,23 +86,14 @@ def test_settings_are_compared_with_the_first_and_counted_as_by_hand():
         report.report_settings([one, {name: one[name] for name in one if name != "fused, usual"}], ["0", "1"])
 
 
-def lab(preset: str = "debug") -> SimpleNamespace:
-    """As much of a lab as settings ask for, which fits no pad model."""
-    likelihood = fit_likelihood(RNG.normal(size=(50, 3)), jnp.ones(3), jnp.ones(3), overtravel=6e-3, position_std=1e-4)
-    model = PadModel(None, likelihood, np.ones(3), 0.5, np.ones((4, 3)))
-    return SimpleNamespace(
-        args=SimpleNamespace(debug=preset == "debug"), cfg=PRESETS["paper"], pad_model=model, seed=0,
-        run=SimpleNamespace(pad=nominal_pad()),
-    )  # fmt: skip
-
-
-def test_the_belief_is_not_told_what_differs():
-    some = lab("paper")
-    blind = mismatch.settings(some, jax.random.key(0))
-    assert next(iter(blind)) == "matched"
-    assert all(each.stated is some.cfg.errors and each.model is some.pad_model for each in blind.values())
-    assert blind["arm twice as stiff"].world.limits.stiffness == 2 * some.cfg.limits.stiffness
-    assert set(mismatch.settings(lab(), jax.random.key(0))) == set(mismatch.DEBUG_WORLDS)
+def test_a_world_differs_in_what_its_name_says():
+    lab = SimpleNamespace(args=SimpleNamespace(debug=False), cfg=PRESETS["paper"])
+    made = mismatch.worlds(lab)
+    assert next(iter(made)) == "matched"
+    assert made["arm twice as stiff"].limits.stiffness == 2 * lab.cfg.limits.stiffness
+    assert made["chip remembers twice as much"].errors.faults.hysteresis == 2 * lab.cfg.errors.faults.hysteresis
+    lab.args.debug = True
+    assert set(mismatch.worlds(lab)) == set(mismatch.DEBUG_WORLDS)
 
 
 def test_a_physics_left_out_is_scaled_by_the_others_alone():

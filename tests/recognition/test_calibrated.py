@@ -1,12 +1,11 @@
 """Calibrated beliefs: known temperatures and logit scalings are found again; priors are moved by Bayes' rule."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import expit, logsumexp
 
 from i2t.recognition import calibrated, metrics
-from i2t.recognition.belief import TemperatureScaling, apply_temperature
+from i2t.recognition.calibrated import TemperatureScaling
 
 
 def test_the_temperature_of_beliefs_that_count_touches_twice_is_found():
@@ -24,10 +23,9 @@ def test_the_temperature_of_beliefs_that_count_touches_twice_is_found():
         found = calibrated.fit_temperature(p, truth)
         assert found.initial == pytest.approx(wanted.initial, abs=0.06)
         assert found.growth == pytest.approx(wanted.growth, abs=0.03)
-        at = np.broadcast_to(t, p.shape[:2]).astype(np.float32)
-        sober = np.asarray(apply_temperature(jnp.float32(p), jnp.asarray(at), found))
+        sober = calibrated.calibrated_beliefs(p, found)
         assert (sober.argmax(-1) == p.argmax(-1)).mean() > 0.9999
-        assert metrics.log_loss(sober.astype(np.float64), truth).mean() <= metrics.log_loss(p, truth).mean() + 1e-4
+        assert metrics.log_loss(sober, truth).mean() <= metrics.log_loss(p, truth).mean() + 1e-4
 
 
 def test_log_odds_with_a_wrong_slope_and_offset_are_put_right():
