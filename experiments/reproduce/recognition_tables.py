@@ -128,6 +128,26 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
     return render
 
 
+def physics_by_touches(kind: str) -> Table:
+    """One row for each physics, one column for each number of own touches: the mean over touches of some evidence with
+    its difference to the matched physics, or, as "log loss", that of the fused belief less that without readings.
+    """
+    shown_kind = "fused" if kind == "log loss" else kind
+
+    def render(measured: Measured) -> str:
+        cells: dict[str, dict[str, str]] = {}
+        for physics, evidence, touches, mean, lost, _, gained in measured["tables"]["methods"]["rows"]:
+            if evidence == shown_kind:
+                less = estimate(lost, 2, sign=True)
+                text = estimate(gained, 2, sign=True) if kind == "log loss" else f"{number(mean['mean'], 2)}: {less}"
+                cells.setdefault(physics, {})[touches] = text
+        columns = max(cells.values(), key=len)
+        rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
+        return markdown(["own touches", *columns], rows)
+
+    return render
+
+
 def study_table(name: str) -> Table:
     """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`)."""
 
@@ -206,8 +226,9 @@ STUDY_TABLES = {
     "physics": ("methods",),
     "stopping": ("errors", "constants", "hardness"),
 }
-SETTINGS = {
-    "mismatch": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ")),
+OWN_TABLES: dict[str, dict[str, Table]] = {
+    "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm "))},
+    "physics": {kind: physics_by_touches(kind) for kind in ("readings", "fused", "log loss")},
 }
 
 
@@ -224,7 +245,7 @@ TABLES: dict[str, dict[str, Table]] = {
     "active_touch": {"policies": policies},
     "grasps": {"rules": rules_of_readings, "doubts": doubts_about_readings},
     **{
-        step: {name: study_table(name) for name in names} | ({"settings": SETTINGS[step]} if step in SETTINGS else {})
+        step: {name: study_table(name) for name in names} | OWN_TABLES.get(step, {})
         for step, names in STUDY_TABLES.items()
     },
 }
