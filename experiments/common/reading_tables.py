@@ -15,6 +15,9 @@ from jaxtyping import Bool, Float, Int
 from i2t.convert.tables import beginning_of, open_text_table
 from i2t.errors import DataError
 
+SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
+OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
+
 
 class ReadingTable(NamedTuple):
     """Readings, the label of each, and the group within which it is compared with others."""
@@ -148,37 +151,23 @@ def _in_order(texts: Sequence[str]) -> tuple[str, ...]:
 # --- splits ---
 
 
-def split_in_order(table: ReadingTable, share: float) -> Bool[np.ndarray, " n"]:
-    """Split within each group: the first rows of each label are for training, the later ones for testing.
+def training_rows(table: ReadingTable, share: float, seed: int) -> dict[str, Bool[np.ndarray, " n"]]:
+    """Which rows are for training, by split: the first of each label in each group (`IN_ORDER`), or as many at random.
 
     Args:
         table: Of n rows.
         share: Of a label's rows that are for training; at least one is on either side where there are two.
-
-    Returns:
-        Whether a row is for training.
-    """
-    train = np.zeros(len(table.label), bool)
-    for rows in rows_of_labels(table):
-        train[rows[: count_for_training(len(rows), share)]] = True
-    return train
-
-
-def split_at_random(table: ReadingTable, share: float, seed: int) -> Bool[np.ndarray, " n"]:
-    """The same with as many rows of each label, drawn at random.
-
-    Args:
-        table: Of n rows.
-        share: Of a label's rows that are for training.
         seed: Of the draw.
 
     Returns:
         Whether a row is for training.
     """
     rng = np.random.default_rng(seed)
-    train = np.zeros(len(table.label), bool)
+    train = {IN_ORDER: np.zeros(len(table.label), bool), AT_RANDOM: np.zeros(len(table.label), bool)}
     for rows in rows_of_labels(table):
-        train[rng.permutation(rows)[: count_for_training(len(rows), share)]] = True
+        count = count_for_training(len(rows), share)
+        train[IN_ORDER][rows[:count]] = True
+        train[AT_RANDOM][rng.permutation(rows)[:count]] = True
     return train
 
 
@@ -193,6 +182,18 @@ def rows_of_labels(table: ReadingTable) -> list[Int[np.ndarray, " k"]]:
     """
     pair = table.group * len(table.labels) + table.label
     return [np.flatnonzero(pair == each) for each in np.unique(pair)]
+
+
+def with_outliers(p: Float[np.ndarray, "n labels"]) -> Float[np.ndarray, "n labels"]:
+    """Probabilities of which the share `OUTLIERS` is the same for all labels.
+
+    Args:
+        p: Of a classifier.
+
+    Returns:
+        The mixture.
+    """
+    return (1 - OUTLIERS) * p + OUTLIERS / p.shape[1]
 
 
 def require_rows(table: ReadingTable, least: int) -> None:

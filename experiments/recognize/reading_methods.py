@@ -22,7 +22,7 @@ from sklearn.neighbors import KNeighborsClassifier, NearestNeighbors
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import QuantileTransformer, StandardScaler
 
-from experiments.common.reading_tables import count_for_training
+from experiments.common.reading_tables import count_for_training, with_outliers
 from i2t.recognition.calibrated import TemperatureScaling, calibrated_beliefs, fit_temperature_to_sets
 from i2t.recognition.metrics import log_loss
 
@@ -31,7 +31,6 @@ from i2t.recognition.metrics import log_loss
 class Fixed:
     """What was fixed before testing."""
 
-    outliers: float = 0.01  # share of touches that any label may give, so that none rules a label out
     trees: int = 200
     neighbours: int = 5
     quantiles: int = 100  # to which the columns are mapped for the logistic regression
@@ -108,7 +107,7 @@ def folds_in_time(label: Int[np.ndarray, " n"], share: float) -> Iterator[tuple[
 
 
 def log_probabilities(name: str, train: Labelled, reading: Float[np.ndarray, "n d"], seed: int) -> LogP:
-    """log p(label | reading) of a classifier, of which a share `FIXED.outliers` is the same for all labels.
+    """log p(label | reading) of a classifier, with a share of outliers.
 
     Args:
         name: One of `CANDIDATES`.
@@ -136,7 +135,7 @@ def log_probabilities(name: str, train: Labelled, reading: Float[np.ndarray, "n 
         ),
     }[name]()  # fmt: skip
     p = model.fit(train.reading, train.label).predict_proba(reading)
-    return np.log((1 - FIXED.outliers) * p + FIXED.outliers / p.shape[1])
+    return np.log(with_outliers(p))
 
 
 def novelty(train: Labelled, reading: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:

@@ -20,11 +20,13 @@ import numpy as np
 
 from experiments.common.intervals import with_interval
 from experiments.common.reading_tables import (
+    AT_RANDOM,
+    IN_ORDER,
+    SPLITS,
     ReadingTable,
     read_reading_table,
     require_rows,
-    split_at_random,
-    split_in_order,
+    training_rows,
 )
 from experiments.common.runs import METRICS, Part, begin, load_part, save_part, write_json
 from experiments.common.tables import text_table
@@ -53,7 +55,6 @@ from i2t.recognition.metrics import to_json
 LEAST_ROWS = 5  # of a label in a group: three that teach, two to recognise
 REQUESTED_ERRORS = (0.01, 0.05, 0.10)
 SHOWN_TOUCHES = (1, 3, 5, 10)
-SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
 VOTES, AVERAGE, PRODUCT, BELIEF = "votes", "average", "product", "calibrated belief"
 NEIGHBOURS, NOVELTY = "nearest neighbours", "distance from what was taught"
 
@@ -117,9 +118,8 @@ def read_table(args: RecordedArgs) -> ReadingTable:
 def group_of(table: ReadingTable, split: str, i: int, args: RecordedArgs) -> Group:
     """One group with its own labels; rows in file order, or shuffled where the split is at random."""
     rows = np.flatnonzero(table.group == i)
-    train = split_in_order(table, args.train_share)
+    train = training_rows(table, args.train_share, args.seed)[split]
     if split == AT_RANDOM:
-        train = split_at_random(table, args.train_share, args.seed)
         rows = np.random.default_rng(args.seed).permutation(rows)
     labels, own = np.unique(table.label[rows], return_inverse=True)
     data = Labelled(table.reading[rows], own)

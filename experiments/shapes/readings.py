@@ -25,11 +25,12 @@ from sklearn.preprocessing import StandardScaler
 
 from experiments.common.intervals import with_interval
 from experiments.common.reading_tables import (
+    SPLITS,
     ReadingTable,
     read_reading_table,
     require_rows,
-    split_at_random,
-    split_in_order,
+    training_rows,
+    with_outliers,
 )
 from experiments.common.runs import begin, write_json
 from experiments.common.tables import text_table
@@ -50,12 +51,10 @@ JUDGED = (2, 3, 4)
 MIN_ROWS = 10  # of a label
 TREES = 500
 PANELS = 5  # of a line of the figure of paths
-OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
 AMBIENT, RECORDED, CHANGES = "median over time alone", "as recorded", "less ambient"
 WARPED, PATH = "time-warped strokes", "time-warped paths in a plane"
 SATURATIONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 PENALTIES = (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
-SPLITS = ("in file order", "at random")
 
 Rows = Int[np.ndarray, " k"]
 Probabilities = Float[np.ndarray, "q classes"]
@@ -89,7 +88,7 @@ def run(args: ShapesArgs, cfg: Methods) -> dict[str, Any]:
     started = time.perf_counter()
     n, t, d = data.reading.shape
     print(f"{n} rows of {len(data.labels)} labels, {t} sample{'s' if t > 1 else ''} of {d} values each")
-    train = {SPLITS[0]: split_in_order(table, SHARE), SPLITS[1]: split_at_random(table, SHARE, args.seed)}
+    train = training_rows(table, SHARE, args.seed)
     tasks = []
     for name, taught in train.items():
         path = args.out / f"{name.replace(' ', '-')}.json"
@@ -234,11 +233,6 @@ def rolling_blocks(label: Int[np.ndarray, " n"], train: Rows) -> Iterator[tuple[
         block[rows] = np.arange(len(rows)) * BLOCKS // len(rows)
     for judged in JUDGED:
         yield train[block < judged], train[block == judged]
-
-
-def with_outliers(p: Probabilities) -> Probabilities:
-    """Probabilities of which a share is the same for all labels."""
-    return (1 - OUTLIERS) * p + OUTLIERS / p.shape[1]
 
 
 # --- scores ---

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from experiments.common.reading_tables import (
+    AT_RANDOM,
+    IN_ORDER,
     read_reading_table,
     require_rows,
     rows_of_labels,
-    split_at_random,
-    split_in_order,
+    training_rows,
 )
 from i2t.errors import DataError
 
@@ -82,14 +83,14 @@ def test_tables_of_other_columns_and_columns_named_twice_are_refused(tmp_path):
 
 def test_training_rows_come_first_and_a_random_split_has_as_many(tmp_path):
     table = table_of(tmp_path)
-    first, random = split_in_order(table, 0.6), split_at_random(table, 0.6, seed=0)
-    none, all_but_none = split_in_order(table, 0.01), split_in_order(table, 0.99)
+    first, random = training_rows(table, 0.6, seed=0).values()
+    none, all_but_none = (training_rows(table, share, seed=0)[IN_ORDER] for share in (0.01, 0.99))
     for rows in rows_of_labels(table):
         np.testing.assert_array_equal(first[rows], [1, 1, 1, 0, 0])
         assert random[rows].sum() == 3
         assert (none[rows].sum(), all_but_none[rows].sum()) == (1, 4)  # one at least on either side
     assert (first != random).any()
-    np.testing.assert_array_equal(random, split_at_random(table, 0.6, seed=0))
+    np.testing.assert_array_equal(random, training_rows(table, 0.6, seed=0)[AT_RANDOM])
 
 
 def test_labels_of_few_rows_and_groups_of_one_label_are_refused(tmp_path):

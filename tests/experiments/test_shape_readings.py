@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sklearn.ensemble import ExtraTreesClassifier
 
-from experiments.common.reading_tables import read_reading_table, split_in_order
+from experiments.common.reading_tables import IN_ORDER, read_reading_table, training_rows
 from experiments.shapes import __main__ as command
 from experiments.shapes import readings, strokes
 from experiments.shapes.arguments import ShapesArgs
@@ -150,7 +150,8 @@ def test_later_digits_are_told_better_by_their_warped_paths_than_by_trees(shared
         pytest.skip(f"{path} is not there")
     table = read_reading_table([path], label="digit", ignore=("first_row", "last_row", "stroke"))
     data = readings.as_strokes(table, 19, path)
-    train, test = (np.flatnonzero(rows) for rows in (split_in_order(table, 0.6), ~split_in_order(table, 0.6)))
+    taught = training_rows(table, 0.6, seed=0)[IN_ORDER]
+    train, test = np.flatnonzero(taught), np.flatnonzero(~taught)
     kernel = readings.WarpedStrokes(data, train).kernel(1.0, paths=False)
     ours = strokes.classify(kernel, data.label, train, test, penalty=300.0).argmax(1) == data.label[test]
     flat = strokes.less_ambient(data.reading).reshape(len(data.label), -1)
