@@ -55,8 +55,9 @@ class TemperatureScaling(NamedTuple):
         return softmax(_logs(p) / divisor, axis=-1)
 
 
-# Fitted on 50 episodes with validation objects (pad 0), whose placement error was stated right, half and double.
-TEMPERATURE_SCALING = TemperatureScaling(1.2, 0.033)
+# Fitted to 1020 episodes with validation objects that stood twice as far off as stated (six pads, simulated;
+# `experiments.studies stopping`): an episode that stops then errs as seldom as asked, or nearly, in any placement.
+TEMPERATURE_SCALING = TemperatureScaling(1.88, 0.22)
 
 
 def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> TemperatureScaling:
