@@ -257,8 +257,10 @@ def test_what_is_beyond_the_limits_is_refused_before_anything_is_sent(above):
 
 def test_an_approach_ends_on_force(above):
     _, arm = above
+    begun = arm.state(STATE_TIMEOUT).T_b_t
     done = arm.approach(0.02, SPEED, force=4.0)
     assert done.reason == "force"
+    np.testing.assert_allclose(done.distance, begun[2, 3] - done.state.T_b_t[2, 3], atol=1e-9)  # straight down
     reached = STIFFNESS * (PLANE - done.state.T_b_t[2, 3])
     assert np.linalg.norm(done.trigger.wrench[:3]) > 4.0
     assert done.trigger.wrench[2] < 0  # pushes the tool back
