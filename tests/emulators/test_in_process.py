@@ -8,7 +8,7 @@ from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, QUIET, WALL
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
-from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
+from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedLab, SimulatedSkin, SkinInLab, VirtualClock
 from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, SpringPlane, _meet
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.rig import Rig
@@ -157,6 +157,14 @@ def test_noise_at_rest_has_the_size_that_real_boards_have():
     np.testing.assert_allclose(spread, [3.1, 3.1, 4.6], rtol=0.15)
     steps = samples.reading.reshape(-1, 5, 3) / [0.150, 0.150, 0.242]
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+def test_a_sample_is_the_nearest_count_of_the_converter():
+    skin = SkinInLab(SpringPlane(HEIGHT, 10e3, GAIN, NOISY, boards.reskin_board()))
+    skin.recording, skin._noise = True, [(np.zeros(15), np.zeros(5))]
+    skin.measure(0.0, np.eye(3))
+    exact = skin.contact_model.at_rest(np.eye(3)) + skin.contact_model.reading
+    assert (abs(skin.samples[0][2] - exact) <= np.tile([0.0751, 0.0751, 0.1211], 5)).all()
 
 
 def test_a_late_arm_overshoots_by_what_it_is_late():

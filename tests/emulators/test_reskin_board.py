@@ -6,7 +6,15 @@ import struct
 import numpy as np
 import pytest
 
-from i2t.emulators.reskin_board import _newest_field
+from i2t.emulators.reskin_board import (
+    BOARD_TEMPERATURE_C,
+    PRESS_PERIOD_S,
+    PRESS_UT,
+    STEPS_UT,
+    TEMPERATURE_STEP_C,
+    Readings,
+    _newest_field,
+)
 
 
 def test_the_newest_field_counts_and_one_of_another_board_ends_the_board():
@@ -22,3 +30,10 @@ def test_the_newest_field_counts_and_one_of_another_board_ends_the_board():
         sender.send(struct.pack("<12f", *[1.0] * 12))
         with pytest.raises(SystemExit, match="a field has 12 values, and this board 15; name the same --board"):
             _newest_field(inbox, before)
+
+
+def test_a_quiet_board_tells_its_presses_and_its_temperature():
+    quiet = Readings(noise=0.0, press=2.0, seed=0)
+    (rest, celsius), (pressed, _) = (quiet.at(now) for now in (0.0, PRESS_PERIOD_S / 4))
+    assert (abs(pressed - rest - 2 * PRESS_UT.ravel()) <= np.tile(STEPS_UT, 5) + 1e-9).all()  # half a count each
+    np.testing.assert_allclose(celsius, BOARD_TEMPERATURE_C, atol=0.51 * TEMPERATURE_STEP_C)

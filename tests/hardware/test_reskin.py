@@ -1,6 +1,7 @@
 """The skin's driver against a board in another process."""
 
 import contextlib
+import errno
 import os
 import re
 import socket
@@ -119,6 +120,12 @@ def test_what_cannot_be_opened_says_why(tmp_path):
         ):
             with pytest.raises(DeviceError, match=why):
                 skin.connect()
+    for error, why in (
+        (OSError(errno.EBUSY, "Device or resource busy"), "in use by another program"),
+        (OSError("Could not exclusively lock port"), "in use by another program"),
+        (OSError(errno.EACCES, "Permission denied"), "may not be opened"),
+    ):
+        assert why in ReSkin(port)._why_closed(port, error)
 
 
 def test_the_queue_lets_go_of_the_oldest():
