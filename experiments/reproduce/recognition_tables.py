@@ -57,12 +57,14 @@ def paper_methods(measured: Measured) -> str:
 
 def paper_differences(measured: Measured) -> str:
     """Paired differences on the paper's two sets with how many pads would tell them within 3 points, and of the means
-    over all objects.
+    over all objects; by product only those from the paper's baseline.
     """
     sets, means = measured["sets"], measured["differences of these means"]
     rows = []
     for pair in next(iter(sets.values()))["paired"]:
         found = (each["paired"][pair] for each in sets.values())
+        if pair.endswith(", product") and "proprioception" not in pair:
+            continue
         cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
         _, _, rule = pair.rpartition(", ")
         brief = re.sub(r"Imagine2touch \(paper's network, (.*?)\)", r"\1", pair)
@@ -83,27 +85,6 @@ def sets_of_the_paper(measured: Measured) -> str:
         if shown(method, ", ")
     ]
     return markdown(["after 10 touches [95 %]", *names, *(["mean of the five"] if means else [])], rows)
-
-
-def stopping_of_set(name: str, method: str) -> Table:
-    """Errors of the stopping rule against those asked for."""
-
-    def render(measured: Measured) -> str:
-        rows = [
-            [
-                f"{100 * found['requested_error']:.0f} %", percent(found["stopped"], 0),
-                percent(found["stopped_error"]), f"{100 * found['stopped_predicted_error']:.1f} %",
-                percent(found["error"]), f"{100 * found['predicted_error']:.1f} %", estimate(found["touches"], 1),
-            ]
-            for found in measured["sets"][name]["methods"][method]["stopping"]
-        ]  # fmt: skip
-        return markdown(
-            ["asked error", "stopped early", "of those: observed error", "reported", "all episodes: observed error",
-             "reported", "mean touches"],
-            rows,
-        )  # fmt: skip
-
-    return render
 
 
 def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
@@ -240,7 +221,6 @@ TABLES: dict[str, dict[str, Table]] = {
     "recognize": {
         "all": methods_of_set("all"),
         "sets of the paper": sets_of_the_paper,
-        "stopping": stopping_of_set("all", "fused"),
     },
     "active_touch": {"policies": policies},
     "grasps": {"rules": rules_of_readings, "doubts": doubts_about_readings},

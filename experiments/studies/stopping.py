@@ -108,7 +108,7 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     groups = clusters_of([part["validation"] for part in parts], pads), clusters
     hardness = []
     for objects, found, cluster in zip(("validation objects", "test objects"), (validation, test), groups, strict=True):
-        for name in PLACEMENTS:
+        for name in PLACEMENTS if found is test else ["as stated"]:
             position, fused = (found[f"{kind}, {name}"].astype(np.float64) for kind in ("position", "fused"))
             means = [metrics.mean_accuracy(p, found["truth"], clusters=cluster) for p in (position, fused)]
             last = estimate_at(metrics.accuracy(fused, found["truth"], clusters=cluster), -1)
