@@ -11,6 +11,7 @@ from i2t.emulators.reskin_board import (
     PRESS_PERIOD_S,
     PRESS_UT,
     STEPS_UT,
+    TEMPERATURE_NOISE_C,
     TEMPERATURE_STEP_C,
     Readings,
     _newest_field,
@@ -37,3 +38,5 @@ def test_a_quiet_board_tells_its_presses_and_its_temperature():
     (rest, celsius), (pressed, _) = (quiet.at(now) for now in (0.0, PRESS_PERIOD_S / 4))
     assert (abs(pressed - rest - 2 * PRESS_UT.ravel()) <= np.tile(STEPS_UT, 5) + 1e-9).all()  # half a count each
     np.testing.assert_allclose(celsius, BOARD_TEMPERATURE_C, atol=0.51 * TEMPERATURE_STEP_C)
+    noisy = Readings(noise=1.0, press=0.0, seed=0)
+    assert np.std([noisy.at(0.0)[1] for _ in range(200)]) == pytest.approx(TEMPERATURE_NOISE_C, rel=0.1)
