@@ -78,8 +78,9 @@ def test_the_skin_that_is_further_out_feels_the_press_stops_it_and_has_the_force
     assert np.isnan(silent.force) or silent.force == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(right.T_w_s, touch.T_w_t @ beside(out_by), atol=1e-12)
     np.testing.assert_allclose(right.seen.nearest, right.T_w_s[2, 3] - HEIGHT, atol=1e-9)
-    events = [text for _, text in dataset.read_touch(touches_in(tmp_path)[0]).events]
-    assert f"stopped by skin {'left' if out_by < 0 else 'right'}" in events
+    record = dataset.read_touch(touches_in(tmp_path)[0])
+    assert f"stopped by skin {'left' if out_by < 0 else 'right'}" in [text for _, text in record.events]
+    assert [name for name in record.counters if "seen" in name] == ["skin right seen percent"]
 
 
 def test_two_skins_that_feel_a_press_share_its_force_which_is_then_unknown_for_each(tmp_path):
