@@ -62,9 +62,9 @@ def paper_differences(measured: Measured) -> str:
     sets, means = measured["sets"], measured["differences of these means"]
     rows = []
     for pair in next(iter(sets.values()))["paired"]:
-        found = (each["paired"][pair] for each in sets.values())
         if pair.endswith(", product") and "proprioception" not in pair:
             continue
+        found = (each["paired"][pair] for each in sets.values())
         cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
         _, _, rule = pair.rpartition(", ")
         brief = re.sub(r"Imagine2touch \(paper's network, (.*?)\)", r"\1", pair)

@@ -17,7 +17,7 @@ from experiments.reproduce.readme_table import summary
 
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 README_TABLE = ("all", "summary")  # of all steps
-KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss", "stopping")
+KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss")
 KEPT_OF_STUDIES = ("source", "pads", "runs", "episodes", "touches", "tables")
 DECIMALS = 6  # of what is kept: fewer would be rounded twice in a table, .3146 to .315 and to .32
 

@@ -115,28 +115,30 @@ class StudyLab:
 
     def with_objects(self, names: Sequence[str]) -> "StudyLab":
         """The lab with other objects of the catalogue to tell apart."""
+        if tuple(names) == self.names:
+            return self
         surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
         return replace(self, names=tuple(names), surfaces=surfaces)
 
     def touch_known_objects(self, key: Array, world: StudyWorld) -> Dataset:
-        """As many touches of the training objects as the run had, with pad, limits and law of some world."""
-        pad, limits = world.pad or self.run.pad, world.limits or self.cfg.limits
+        """As many touches of the training objects as the run had, with pad, errors and law of some world."""
+        pad = world.pad or self.run.pad
         which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
         names = tuple(self.run.dataset.objects[i] for i in which)
         made = simulation.simulate_touches(
             key, [self.run.surfaces[name] for name in names], pad, world.errors or self.cfg.errors, counts.tolist(),
-            limits=limits, law=world.law(pad),
+            limits=self.cfg.limits, law=world.law(pad),
         )  # fmt: skip
         return Dataset.simulated(made, names, pad)
 
-    def refit(self, key: Array, dataset: Dataset, world: StudyWorld, touches: int | None = None) -> PadModel:
-        """The pad model as the run fitted it, but to touches in some world: all, or the first so many."""
+    def refit(self, key: Array, dataset: Dataset, touches: int | None = None) -> PadModel:
+        """The pad model as the run fitted it, but to other touches: all, or the first so many."""
         each = None if touches is None else touches // len(dataset.objects)
         rows = np.zeros(len(dataset), bool)
         for i in range(len(dataset.objects)):
             rows[np.flatnonzero(dataset.touches.object == i)[:each]] = True
-        limits = world.limits or self.cfg.limits
-        return fit_pad_model(key, dataset, rows, self.run.surfaces, errors=self.cfg.errors, limits=limits)
+        cfg = self.cfg
+        return fit_pad_model(key, dataset, rows, self.run.surfaces, errors=cfg.errors, limits=cfg.limits)
 
 
 def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:

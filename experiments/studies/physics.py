@@ -63,7 +63,7 @@ def evaluate(lab: StudyLab) -> Part:
     for i, (name, world) in enumerate(made.items()):
         touched = lab.touch_known_objects(jax.random.fold_in(key_touch, i), world)
         for count in DEBUG_TOUCHES if lab.args.debug else TOUCHES:
-            model = lab.refit(jax.random.fold_in(key_fit, i), touched, world, count)
+            model = lab.refit(jax.random.fold_in(key_fit, i), touched, count)
             models[name, ALL if count is None else str(count)] = model
         models[name, ORACLE] = fit_oracle_pad_model(touched, np.ones(len(touched), bool), model, lab.cfg.limits)
     found: Part = {"layers": np.array([[float(x) for x in one.reading_model.layer] for one in models.values()])}

@@ -26,7 +26,7 @@ from i2t.recognition.metrics import to_json
 
 LARGEST = "twice as far"
 PLACEMENTS = {"as stated": 1.0, "half as far": 0.5, LARGEST: 2.0}  # errors of placement over those stated
-KINDS = ("fused", "position and presence", "position")
+KINDS = ("fused", "position")
 # Of the likelihood, about the values that it has: tried on validation objects.
 CONSTANTS = {
     "dof": (2.0, 4.0, 8.0, 16.0, 32.0),
