@@ -57,13 +57,11 @@ def paper_methods(measured: Measured) -> str:
 
 def paper_differences(measured: Measured) -> str:
     """Paired differences on the paper's two sets with how many pads would tell them within 3 points, and of the means
-    over all objects; by product only those from the paper's baseline.
+    over all objects.
     """
     sets, means = measured["sets"], measured["differences of these means"]
     rows = []
     for pair in next(iter(sets.values()))["paired"]:
-        if pair.endswith(", product") and "proprioception" not in pair:
-            continue
         found = (each["paired"][pair] for each in sets.values())
         cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
         _, _, rule = pair.rpartition(", ")
