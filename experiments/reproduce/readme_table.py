@@ -51,11 +51,13 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
     votes = ", ".join(f"{name} {number(paper[method]['mean'], 2)}" for name, method in VOTES.items())
     fused, readings_alone = (at(belief[evidence]["accuracy"], -1) for evidence in ("fused", "readings"))
     _, _, others = estimate(belief["fused"]["last_other_objects"], 2).partition(" ")
-    means = {(row[0], row[1]): number(row[4]["mean"], 2) for row in results["mismatch"]["tables"]["methods"]["rows"]}
-    readings, refitted, together = (
-        " / ".join(means[name + ending, evidence] for name in OTHER_PHYSICS)
-        for evidence, ending in (("readings", ""), ("readings", ", fitted there"), ("fused", ""))
+    rows = results["physics"]["tables"]["methods"]["rows"]
+    means = {tuple(row[:3]): number(row[3]["mean"], 2) for row in rows}
+    readings, taught, together = (
+        " / ".join(means[name, evidence, touches] for name in OTHER_PHYSICS)
+        for evidence, touches in (("readings", "none"), ("readings", "200"), ("fused", "200"))
     )
+    matched, both = (means["bonded layer", evidence, "as many as the run"] for evidence in ("readings", "fused"))
     return [
         [
             "the paper's recognition, mean of its five objects, chance .40",
@@ -68,9 +70,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "not yet",
             f"{estimate(fused, 2)} on five pads; for objects like these {others}; from readings alone "
             f"{number(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            "in other physics, over all touches, three pads: readings alone fall from "
-            f"{means['matched', 'readings']} to {readings}, fitted there to {refitted}; fused from "
-            f"{means['matched', 'fused']} to {together}",
+            f"in other physics, over all touches: readings alone fall from {matched} to {readings}, after 200 touches "
+            f"there to {taught}; fused from {both} to {together}",
         ],
     ]
 

@@ -108,15 +108,14 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
 
 
 def physics_by_touches(kind: str) -> Table:
-    """One row for each physics, one column for each number of own touches: the mean over touches of some evidence with
-    its difference to the matched physics, or, as "log loss", that of the fused belief less that without readings.
+    """One row for each physics, one column for each number of own touches: the mean over touches of readings alone
+    with its difference to the matched physics, or, as "log loss", that of the fused belief less that without readings.
     """
-    shown_kind = "fused" if kind == "log loss" else kind
 
     def render(measured: Measured) -> str:
         cells: dict[str, dict[str, str]] = {}
         for physics, evidence, touches, mean, lost, _, gained in measured["tables"]["methods"]["rows"]:
-            if evidence == shown_kind:
+            if evidence == ("fused" if kind == "log loss" else kind):
                 less = estimate(lost, 2, sign=True)
                 text = estimate(gained, 2, sign=True) if kind == "log loss" else f"{number(mean['mean'], 2)}: {less}"
                 cells.setdefault(physics, {})[touches] = text
@@ -207,7 +206,7 @@ STUDY_TABLES = {
 }
 OWN_TABLES: dict[str, dict[str, Table]] = {
     "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm "))},
-    "physics": {kind: physics_by_touches(kind) for kind in ("readings", "fused", "log loss")},
+    "physics": {kind: physics_by_touches(kind) for kind in ("readings", "log loss")},
 }
 
 
