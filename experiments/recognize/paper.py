@@ -17,7 +17,7 @@ Every method drives its own episodes by its own scores:
 
 Methods meet the same objects in the same places with the same errors, so their differences are paired. Each five
 episodes have a pool of sites of their own. Intervals are over pads and pools, for these objects. Everything is
-simulated; a touch costs about 1/30 s on two cores, and five pads with 200 episodes of each object a few hours.
+simulated; a touch costs about 1/30 s on two cores, and six pads with 100 episodes of each object a few hours.
 """
 
 from collections.abc import Mapping, Sequence

@@ -46,6 +46,7 @@ from experiments.recognize.reading_methods import (
     novelty,
     product,
 )
+from experiments.recognize.report import REQUESTED_ERRORS
 from i2t import viz
 from i2t.paper import loop
 from i2t.recognition import metrics
@@ -53,7 +54,6 @@ from i2t.recognition.calibrated import calibrated_beliefs
 from i2t.recognition.metrics import to_json
 
 LEAST_ROWS = 5  # of a label in a group: three that teach, two to recognise
-REQUESTED_ERRORS = (0.01, 0.05, 0.10)
 SHOWN_TOUCHES = (1, 3, 5, 10)
 VOTES, AVERAGE, PRODUCT, BELIEF = "votes", "average", "product", "calibrated belief"
 NEIGHBOURS, NOVELTY = "nearest neighbours", "distance from what was taught"

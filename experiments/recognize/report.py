@@ -153,8 +153,8 @@ def pads_of(parts: Sequence[Results], pools: str = "pools of sites") -> dict[str
 def calibrate(parts: Sequence[Results]) -> tuple[list[Results], dict[str, TemperatureScaling]]:
     """Beliefs after temperature scaling, and the temperature of each method.
 
-    Temperatures are fitted to the validation objects of all pads; without validation objects they are those of earlier
-    ones. The paper's rules stay as they are.
+    Temperatures are fitted to the validation objects of all pads; without validation objects all have that of the
+    fused belief (`TEMPERATURE_SCALING`). The paper's rules stay as they are.
     """
     methods = [method for method in next(iter(parts[0].values())).beliefs if method.split(", ")[0] in EVIDENCE]
     temperatures = dict.fromkeys(methods, TEMPERATURE_SCALING)

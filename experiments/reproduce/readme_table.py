@@ -70,8 +70,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "not yet",
             f"{estimate(fused, 2)} on five pads; for objects like these {others}; from readings alone "
             f"{number(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            f"in other physics, over all touches: readings alone fall from {matched} to {readings}, after 200 touches "
-            f"there to {taught}; fused from {both} to {together}",
+            f"skins with free sides / soft / of springs, mean of touches 1 to 10: readings alone {readings} for "
+            f"{matched}, after 200 touches there {taught}; fused then {together} for {both}",
         ],
     ]
 

@@ -87,43 +87,34 @@ def sets_of_the_paper(measured: Measured) -> str:
 
 def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
     """One row for each setting of a study (rows of `experiments.studies.report`): for some kinds of evidence the
-    accuracy and its difference to the first setting, after the last touch for a single kind and over all touches.
+    accuracy over all touches, its difference to the first setting, and log loss.
     """
 
     def render(measured: Measured) -> str:
         found = measured["tables"]["methods"]
-        _, _, last, *_ = names = [column["name"] for column in found["columns"]]
+        names = [column["name"] for column in found["columns"]][4:]
         by_setting: dict[str, list[str]] = {}
-        for setting, evidence, after, _, whole, less, log_loss in found["rows"]:
-            if (evidence in kinds or setting == "-") and shown(setting, *hidden):
-                lost = "-" if setting == "-" else estimate(less, 2, sign=True)  # it has no other setting
-                cells = [estimate(whole, 2), lost, number(log_loss, 2)]
-                cells = [estimate(after, 2), *cells] if len(kinds) == 1 else cells
-                by_setting.setdefault(evidence if setting == "-" else setting, []).extend(cells)
-        few = names[4:] if len(kinds) > 1 else [last, *names[4:]]
-        head = [f"{kind}: {name}" for kind in kinds for name in few]
+        for setting, evidence, _, _, whole, less, log_loss in found["rows"]:
+            if evidence in kinds and shown(setting, *hidden):
+                cells = [estimate(whole, 2), estimate(less, 2, sign=True), number(log_loss, 2)]
+                by_setting.setdefault(setting, []).extend(cells)
+        head = [f"{kind}: {name}" for kind in kinds for name in names]
         return markdown(["setting", *head], [[setting, *cells] for setting, cells in by_setting.items()])
 
     return render
 
 
-def physics_by_touches(kind: str) -> Table:
-    """One row for each physics, one column for each number of own touches: the mean over touches of readings alone
-    with its difference to the matched physics, or, as "log loss", that of the fused belief less that without readings.
+def physics_by_touches(measured: Measured) -> str:
+    """One row for each physics, one column for each number of own touches: the mean over touches of readings alone,
+    with its difference to the matched physics.
     """
-
-    def render(measured: Measured) -> str:
-        cells: dict[str, dict[str, str]] = {}
-        for physics, evidence, touches, mean, lost, _, gained in measured["tables"]["methods"]["rows"]:
-            if evidence == ("fused" if kind == "log loss" else kind):
-                less = estimate(lost, 2, sign=True)
-                text = estimate(gained, 2, sign=True) if kind == "log loss" else f"{number(mean['mean'], 2)}: {less}"
-                cells.setdefault(physics, {})[touches] = text
-        columns = max(cells.values(), key=len)
-        rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
-        return markdown(["own touches", *columns], rows)
-
-    return render
+    cells: dict[str, dict[str, str]] = {}
+    for physics, evidence, touches, mean, lost, *_ in measured["tables"]["methods"]["rows"]:
+        if evidence == "readings":
+            cells.setdefault(physics, {})[touches] = f"{number(mean['mean'], 2)}: {estimate(lost, 2, sign=True)}"
+    columns = max(cells.values(), key=len)
+    rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
+    return markdown(["own touches", *columns], rows)
 
 
 def study_table(name: str) -> Table:
@@ -206,7 +197,7 @@ STUDY_TABLES = {
 }
 OWN_TABLES: dict[str, dict[str, Table]] = {
     "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm "))},
-    "physics": {kind: physics_by_touches(kind) for kind in ("readings", "log loss")},
+    "physics": {"readings": physics_by_touches},
 }
 
 

@@ -35,7 +35,7 @@ from i2t.types import Pad, Surface
 
 MAX_PARTICLES = 64  # of each object: with 64 to 512 accuracies are the same within 0.01
 DEBUG_EPISODES = 2  # of each object
-SHARED_BY = 5  # episodes that touch the same sites: one with each of five objects
+SETS = ("validation", "test")
 FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 
 
@@ -79,7 +79,13 @@ class StudyLab:
     def plan(self, key: Array, episodes: int) -> TouchPlan:
         """Random sites, at which `SHARED_BY` episodes one after the other touch."""
         return plan_random_touches(
-            key, self.surfaces, self.names, episodes, self.cfg.touches, limits=self.cfg.site_limits, share=SHARED_BY
+            key,
+            self.surfaces,
+            self.names,
+            episodes,
+            self.cfg.touches,
+            limits=self.cfg.site_limits,
+            share=self.cfg.pool_episodes,
         )
 
     def predict(

@@ -1,9 +1,9 @@
-"""A skin of a physics that nobody modelled, to which a pad model is fitted by its own touches.
+"""A skin of another physics than the pad model's, to which one is fitted by its own touches.
 
 Every physics is left out once: how far its readings count (an inflation of their errors, and the temperature of the
 belief) is learnt from episodes with validation objects in all others, and judged on test objects in this one. Pad
 models are fitted to a few touches of the training objects made in that physics, or to as many as the run had; what
-is to be had there at best is told by an oracle, fitted to these touches without any error of pose or reading.
+errors of pose and reading cost is told by an oracle, fitted to as many touches without any.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from jaxtyping import Array
 
 from experiments.common.runs import Part
 from experiments.studies import free_sides
-from experiments.studies.lab import StudyLab, StudyWorld
+from experiments.studies.lab import SETS, StudyLab, StudyWorld
 from experiments.studies.mismatch import faulty
 from experiments.studies.report import Column, clusters_of, make_table, pool_parts
 from experiments.studies.winkler import winkler_press
@@ -37,7 +37,6 @@ REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the sk
 ALL = "as many as the run"
 ELSEWHERE = "none"  # of its own touches: the pad model is that of the matched physics
 ORACLE = "oracle"
-SETS = ("validation", "test")
 
 
 def worlds(lab: StudyLab) -> dict[str, StudyWorld]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments.common.runs import Part
 from i2t.recognition import metrics
+from i2t.recognition.calibrated import calibrated_beliefs
 from i2t.recognition.intervals import MIN_CLUSTERS, estimate_at
 from i2t.recognition.metrics import to_json
 
@@ -62,19 +63,20 @@ def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
 
 
 def report_settings(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
-    """Accuracy of every "evidence, setting" on the same episodes, and its paired difference to the first setting."""
+    """Accuracy of every "evidence, setting" on the same episodes, and its paired difference to the first setting; the
+    temperature is that of the recogniser."""
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth, _ = columns.pop("truth"), columns.pop("pool")
     first: dict[str, np.ndarray] = {}  # whether right, by evidence, in the first setting
     rows: list[list[Any]] = []
     for name, beliefs in columns.items():
-        p = beliefs.astype(np.float64)
+        p = calibrated_beliefs(beliefs.astype(np.float64))
         evidence, _, setting = name.partition(", ")
         hits = metrics.hits(p, truth)
         lost = metrics.compare_paired(hits, first.setdefault(evidence, hits), clusters=clusters)
         accuracy, mean = (rate(p, truth, clusters=clusters) for rate in (metrics.accuracy, metrics.mean_accuracy))
         log_loss = float(metrics.log_loss(p, truth).mean(0).mean())
-        rows.append([setting or "-", evidence, estimate_at(accuracy, -1), lost.last, mean, lost.mean, log_loss])
+        rows.append([setting, evidence, estimate_at(accuracy, -1), lost.last, mean, lost.mean, log_loss])
     touches, reference = p.shape[1], rows[0][0]
     head = [
         "setting", "evidence", Column(f"after {touches} [95 %]"), Column(f"minus {reference}", signed=True),

@@ -15,9 +15,8 @@ from jaxtyping import Array
 
 from experiments.common.runs import Part
 from experiments.recognize.report import REQUESTED_ERRORS
-from experiments.studies.lab import StudyLab, StudyWorld
+from experiments.studies.lab import SETS, StudyLab, StudyWorld
 from experiments.studies.mismatch import placed
-from experiments.studies.physics import SETS
 from experiments.studies.report import Column, clusters_of, make_table, pool_parts
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import run_belief

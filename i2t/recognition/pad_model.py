@@ -59,7 +59,7 @@ class PadModel(NamedTuple):
     reading_model: LinearReadingModel  # the reading of a contact
     likelihood: Likelihood  # of readings and positions
     reading_std: Float[np.ndarray, " c"]  # uT, of the readings
-    r2: float  # of held-out touches; NaN where there were none
+    r2: float  # of touches left out one at a time; other touches of their sessions stay
     held_out_errors: Float[np.ndarray, "n c"]  # uT, measured minus predicted
 
 

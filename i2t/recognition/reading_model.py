@@ -76,7 +76,7 @@ class FittedReadings(NamedTuple):
     left_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all others
 
 
-class _Weights(NamedTuple):
+class _Hyperparameters(NamedTuple):
     """Hyperparameters, in the symbols of the module's formula."""
 
     a: float
@@ -147,7 +147,7 @@ def choose_layer(pressed: Sequence[PressedTouches], layers: Sequence[Layer], boa
     Returns:
         Its place among the layers.
     """
-    weights, densities = _Weights(*MIDDLE), []
+    weights, densities = _Hyperparameters(*MIDDLE), []
     for touches, layer in zip(pressed, layers, strict=True):
         system = _system(_some(touches), magnetization_maps(board, layer))
         densities.append(_left_out(system, weights, _posterior(system, weights))[1])
@@ -214,7 +214,7 @@ def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _Syste
     return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, np.asarray(unit))
 
 
-def _posterior(system: _System, at: _Weights) -> _Posterior:
+def _posterior(system: _System, at: _Hyperparameters) -> _Posterior:
     precision = 1 / (at.r * system.values + at.v)
     k = system.features.shape[-1]
     rows = (at.a * np.sqrt(precision)[:, None, None] * system.features).reshape(-1, k)
@@ -224,7 +224,7 @@ def _posterior(system: _System, at: _Weights) -> _Posterior:
     return _Posterior(precision, factor, solve_triangular(factor, half, lower=True, trans="T"))
 
 
-def _left_out(system: _System, at: _Weights, found: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
+def _left_out(system: _System, at: _Hyperparameters, found: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
     """Errors of each touch as predicted from all others, in units of the channels' signals, and their log density: what
     is left out of a normal distribution of precision K^-1 is [K^-1]_tt^-1 [K^-1 y]_t (Rasmussen and Williams, 5.12).
     """
@@ -243,10 +243,10 @@ def _left_out(system: _System, at: _Weights, found: _Posterior) -> tuple[Float[n
 
 def _weigh_hyperparameters(
     touches: PressedTouches, maps: Float[np.ndarray, "x c k"]
-) -> tuple[list[_Weights], Float[np.ndarray, " m"]]:
+) -> tuple[list[_Hyperparameters], Float[np.ndarray, " m"]]:
     """The most probable points of the grid, and their shares."""
     system = _system(touches, maps)
-    grid = [_Weights(*one) for one in product(AMPLITUDES, DISCREPANCIES, NOISES)]
+    grid = [_Hyperparameters(*one) for one in product(AMPLITUDES, DISCREPANCIES, NOISES)]
     log_share = DENSITY_EXPONENT * np.array([_left_out(system, one, _posterior(system, one))[1] for one in grid])
     share = np.exp(log_share - logsumexp(log_share))
     kept = [i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max()]
@@ -257,7 +257,7 @@ def _linear_maps(
     pressure: ContactPressure,
     system: _System,
     maps: Float[np.ndarray, "x c k"],
-    models: Sequence[_Weights],
+    models: Sequence[_Hyperparameters],
     posteriors: Sequence[_Posterior],
     shares: Float[np.ndarray, " m"],
     loads: Sequence[float],
