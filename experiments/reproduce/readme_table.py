@@ -70,7 +70,7 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "not yet",
             f"{estimate(fused, 2)} on five pads; for objects like these {others}; from readings alone "
             f"{number(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            f"skins with free sides / soft / of springs, mean of touches 1 to 10: readings alone {readings} for "
+            f"skins with free sides / soft / of springs, over all touches: readings alone {readings} for "
             f"{matched}, after 200 touches there {taught}; fused then {together} for {both}",
         ],
     ]
