@@ -34,8 +34,9 @@ METHOD_CELLS: tuple[Cell, ...] = (
 
 
 def methods_of_set(name: str) -> Table:
-    """Accuracy of every method on a set of objects, of the paper's rules by votes."""
-    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=(", product",))
+    """Accuracy of every evidence on a set of objects and, of the paper's rules, by votes with masks and with the GP."""
+    others = (", product", "depth", "measured force", "median force", "constant")  # in the paper's own table
+    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=others)
 
 
 def paper_methods(measured: Measured) -> str:
@@ -73,16 +74,11 @@ def paper_differences(measured: Measured) -> str:
 
 
 def sets_of_the_paper(measured: Measured) -> str:
-    """Accuracy of the belief after the last touch on the paper's two sets and, where it was kept, on their objects."""
+    """Accuracy of the belief after the last touch on the paper's two sets."""
     names = [name for name in ("primitives", "tools") if name in measured["sets"]]
     sets = [measured["sets"][name]["methods"] for name in names]
-    means = measured.get("mean of the sets", {})
-    rows = [
-        [method, *(last(each[method]) for each in sets), *([estimate(means[method])] if means else [])]
-        for method in sets[0]
-        if shown(method, ", ")
-    ]
-    return markdown(["after 10 touches [95 %]", *names, *(["mean of the five"] if means else [])], rows)
+    rows = [[method, *(last(each[method]) for each in sets)] for method in ("readings", "position", "fused")]
+    return markdown(["after 10 touches [95 %]", *names], rows)
 
 
 def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
