@@ -15,7 +15,7 @@ from i2t.skin.boards import reskin_board
 from i2t.skin.dipoles import response
 
 CELLS, CHANNELS, WEIGHTS = PRESSURE_GRID.cells, 3, 4
-AT = reading_model._Weights(a=0.7, r=0.4, v=0.2)
+AT = reading_model._Hyperparameters(a=0.7, r=0.4, v=0.2)
 LOADS = (0.5, 2.0)
 
 
