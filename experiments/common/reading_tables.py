@@ -5,6 +5,7 @@ in the order of the file or at random: touches that follow one another share err
 sides, so that it says more than a later session would (Roberts et al., Ecography 40, 2017).
 """
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from i2t.convert.tables import beginning_of, open_text_table
 from i2t.errors import DataError
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
+MAX_VALUE = 1e30  # of a reading: classifiers count in single precision
 OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
 
 
@@ -55,8 +57,11 @@ def read_reading_table(
 
     Raises:
         DataError: A file cannot be read, lacks a column, or holds what is no number or no label.
-        ValueError: One column is named for two purposes.
+        ValueError: One column is named for two purposes, or one file is given twice.
     """
+    known = [path.resolve() for path in paths]
+    if repeated := [path for i, path in enumerate(paths) if known[i] in known[:i]]:
+        raise ValueError(f"{repeated[0]} is given twice; give each table once")
     special = [label, *([] if group is None else [group]), *ignore]
     if twice := sorted({name for name in special if special.count(name) > 1}):
         raise ValueError(f"column {twice[0]} is named twice among label, group and ignored ones; name it once")
@@ -80,9 +85,17 @@ def read_reading_table(
         for text in part.groups
     ]
     groups = tuple(dict.fromkeys(grouped))
+    reading = np.concatenate([part.reading for part in parts])
+    label_of = np.array([labels.index(text) for text in texts])
+    if repeats := len(reading) - len(np.unique(np.column_stack([reading, label_of]), axis=0)):
+        warnings.warn(
+            f"{paths[0]}: {repeats} of {len(reading)} rows repeat another exactly; if they are copies, remove them: a "
+            "method that was taught one knows the other",
+            stacklevel=2,
+        )
     return ReadingTable(
-        reading=np.concatenate([part.reading for part in parts]),
-        label=np.array([labels.index(text) for text in texts]),
+        reading=reading,
+        label=label_of,
         labels=labels,
         group=np.array([groups.index(text) for text in grouped]),
         groups=groups,
@@ -122,12 +135,13 @@ def _name(path: Path, line: int, column: str, text: str) -> str:
 def _reading(path: Path, line: int, columns: Sequence[str], texts: Sequence[str]) -> np.ndarray:
     try:
         values = np.array(texts, np.float64)
-        if np.isfinite(values).all():
+        if (np.abs(values) <= MAX_VALUE).all():
             return values
     except ValueError:
         pass
-    column, text = next((c, t) for c, t in zip(columns, texts, strict=True) if not _is_finite(t))
-    what = f"has {text.strip()!r} in column {column}, which is no number" if text.strip() else f"lacks column {column}"
+    column, text = next((c, t) for c, t in zip(columns, texts, strict=True) if not _is_value(t))
+    wrong = "is no number" if not _is_finite(text) else f"is beyond {MAX_VALUE:g}"
+    what = f"has {text.strip()!r} in column {column}, which {wrong}" if text.strip() else f"lacks column {column}"
     raise DataError(f"{path}: line {line} {what}; correct or remove the row, or leave the column out (--ignore)")
 
 
@@ -136,6 +150,10 @@ def _is_finite(text: str) -> bool:
         return bool(np.isfinite(float(text)))
     except ValueError:
         return False
+
+
+def _is_value(text: str) -> bool:
+    return _is_finite(text) and abs(float(text)) <= MAX_VALUE
 
 
 def _twice(names: Sequence[str]) -> str:
@@ -196,12 +214,13 @@ def with_outliers(p: Float[np.ndarray, "n labels"]) -> Float[np.ndarray, "n labe
     return (1 - OUTLIERS) * p + OUTLIERS / p.shape[1]
 
 
-def require_rows(table: ReadingTable, least: int) -> None:
+def require_rows(table: ReadingTable, least: int, path: Path) -> None:
     """Refuse a table with too few rows of a label in a group, or with a group of one label.
 
     Args:
         table: Any.
         least: How many rows are enough.
+        path: Of the file, or the first one, for messages.
 
     Raises:
         DataError: There are fewer.
@@ -210,12 +229,12 @@ def require_rows(table: ReadingTable, least: int) -> None:
         if len(rows) < least:
             label, group = table.labels[table.label[rows[0]]], table.groups[table.group[rows[0]]]
             raise DataError(
-                f"label {label} has {len(rows)} rows in group {group}, and {least} are needed; add rows, remove the "
-                "label, or take larger groups"
+                f"{path}: label {label} has {len(rows)} of the {least} rows that are needed in group {group}; add "
+                "some, remove the label, or take larger groups"
             )
     for i, name in enumerate(table.groups):
         if len(np.unique(table.label[table.group == i])) < 2:
-            raise DataError(f"group {name} holds one label only; groups are what labels are told apart within")
+            raise DataError(f"{path}: group {name} holds one label only; remove its rows, or take larger groups")
 
 
 def count_for_training(rows: int, share: float) -> int:

@@ -4,11 +4,12 @@ appear whole or not at all.
 
 import atexit
 import contextlib
+import hashlib
 import json
 import math
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -57,13 +58,18 @@ def settings(args: Any) -> dict[str, Any]:
     }
 
 
-def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite: bool) -> None:
+def begin(
+    out: Path, args: Any, experiment: Any, resume: bool | None, overwrite: bool, *, inputs: Sequence[Path] = ()
+) -> None:
     """Make the folder of a run, or refuse one that is in use (ValueError); note what is run and with which versions.
 
     `args` and `experiment` are dataclasses. An unfinished run of the same settings goes on with `resume` (None: this
-    experiment cannot); what is there is replaced with `overwrite`, once this run has made something.
+    experiment cannot); what is there is replaced with `overwrite`, once this run has made something. What files of
+    `inputs` hold counts as a setting.
     """
     config = settings(args) | {"experiment": asdict(experiment)}
+    if inputs:
+        config["inputs"] = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs}
     path = out / CONFIG
     check_out(out, resume, overwrite, kind=type(args).__name__)
     config["kind"] = type(args).__name__
@@ -71,7 +77,7 @@ def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite:
         before = json.loads(path.read_text())
         same = json.loads(json.dumps(config, default=str))
         if {**before, "versions": None, "kind": None} != {**same, "versions": None, "kind": None}:
-            raise ValueError(f"{out} was begun with other settings ({path}); pass those, or --overwrite")
+            raise ValueError(f"{out} was begun with other settings or data ({path}); pass those, or --overwrite")
     place = out.resolve()
     if path.exists() and overwrite:
         shutil.rmtree(_aside(place), ignore_errors=True)

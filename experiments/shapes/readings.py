@@ -82,9 +82,9 @@ def run(args: ShapesArgs, cfg: Methods) -> dict[str, Any]:
     assert args.readings is not None
     assert args.label is not None
     table = read_reading_table([args.readings], label=args.label, ignore=args.ignore)
-    require_rows(table, MIN_ROWS)
+    require_rows(table, MIN_ROWS, args.readings)
     data = as_strokes(table, args.samples, args.readings)
-    begin(args.out, args, cfg, args.resume, args.overwrite)
+    begin(args.out, args, cfg, args.resume, args.overwrite, inputs=[args.readings])
     started = time.perf_counter()
     n, t, d = data.reading.shape
     print(f"{n} rows of {len(data.labels)} labels, {t} sample{'s' if t > 1 else ''} of {d} values each")
@@ -212,9 +212,11 @@ class WarpedStrokes:
 
 
 def told_by(fit: Callable[..., Probabilities], label: np.ndarray, train: Rows, test: Rows) -> Told:
-    """Probabilities of the test rows at the temperature that suits rolling blocks of the training rows."""
+    """Probabilities of the test rows at the temperature that suits rolling blocks of the training rows, as if one row
+    more had been of any label.
+    """
     p, truth = judge(fit, label, train)
-    temperature = fit_temperature(p[:, None], truth)
+    temperature = fit_temperature(p[:, None], truth, smoothing=1 / (1 + len(truth)))
     return Told(calibrated_beliefs(with_outliers(fit(train, test))[:, None], temperature)[:, 0], temperature)
 
 

@@ -61,17 +61,18 @@ class TemperatureScaling(NamedTuple):
 TEMPERATURE_SCALING = TemperatureScaling(1.88, 0.22)
 
 
-def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> TemperatureScaling:
+def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, smoothing: float = 0.0) -> TemperatureScaling:
     """Temperature of the least log loss of these beliefs over all touches.
 
     Args:
         p: Beliefs of validation episodes.
         truth: Classes that were there.
+        smoothing: As of `fit_temperature_to_sets`.
 
     Returns:
         The temperature as a function of the number of touches.
     """
-    return fit_temperature_to_sets([(p, truth)])
+    return fit_temperature_to_sets([(p, truth)], smoothing=smoothing)
 
 
 def fit_temperature_to_sets(
@@ -98,7 +99,7 @@ def fit_temperature_to_sets(
             total += np.sum(logsumexp(scaled, axis=-1) - right)
         return float(total / count)
 
-    bounds = ((-2.0, 2.0), (-12.0, 1.0))
+    bounds = ((-4.0, 4.0), (-12.0, 1.0))
     # Touches that share few errors, and most of them.
     starts = [np.array([0.0, np.log(growth)]) for growth in (0.05, 0.5)]
     found = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds)

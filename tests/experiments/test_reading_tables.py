@@ -58,6 +58,7 @@ def test_several_files_are_groups_and_those_of_one_name_are_told_apart(tmp_path)
     [
         ("what,u\na,1\nb,\n", "line 3 lacks column u"),
         ("what,u\na,1\nb,nan\n", "line 3 has 'nan' in column u, which is no number"),
+        ("what,u\na,1\nb,-1e31\n", "line 3 has '-1e31' in column u, which is beyond 1e\\+30"),
         ("what,u\na,soft\nb,2\n", "line 2 has 'soft' in column u"),
         ("what,u\na,1\n ,2\n", "line 3 has nothing in column what"),
         ("what,u\na,1\nb,2,3\n", "line 3 has 3 fields for 2 columns"),
@@ -94,13 +95,26 @@ def test_training_rows_come_first_and_a_random_split_has_as_many(tmp_path):
 
 
 def test_labels_of_few_rows_and_groups_of_one_label_are_refused(tmp_path):
-    require_rows(table_of(tmp_path), 5)
-    with pytest.raises(DataError, match="label a has 5 rows in group x, and 6 are needed"):
-        require_rows(table_of(tmp_path), 6)
+    path = tmp_path / "t.csv"
+    require_rows(table_of(tmp_path), 5, path)
+    with pytest.raises(DataError, match=r"t\.csv: label a has 5 of the 6 rows that are needed in group x"):
+        require_rows(table_of(tmp_path), 6, path)
     text = "what,day,u\na,x,1\nb,y,2\n"
     alone = read_reading_table([written(tmp_path / "t.csv", text)], label="what", group="day")
     with pytest.raises(DataError, match="group x holds one label"):
-        require_rows(alone, 1)
+        require_rows(alone, 1, path)
+
+
+def test_one_table_given_twice_is_refused_and_copies_of_rows_are_told(tmp_path):
+    """By another name too; either would be taught and tested."""
+    first = written(tmp_path / "t.csv", "what,u\nb,1\na,2\nb,3\n")
+    (tmp_path / "link.csv").symlink_to(first)
+    for again in (first, tmp_path / "." / "t.csv", tmp_path / "link.csv"):
+        with pytest.raises(ValueError, match="is given twice"):
+            read_reading_table([first, again], label="what")
+    copies = written(tmp_path / "copies.csv", "what,u\nb,1\na,2\nb,1\na,1\n")
+    with pytest.warns(UserWarning, match="1 of 4 rows repeat another exactly"):
+        read_reading_table([copies], label="what")
 
 
 @pytest.mark.skipif(not GRASPS.is_dir(), reason="needs the real grasps in I2T_DATA")

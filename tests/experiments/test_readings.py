@@ -172,5 +172,5 @@ def test_a_label_of_few_rows_is_refused_and_nothing_is_made(tmp_path, capsys):
     write_table(tmp_path / "t.csv", "xy", rows=4)
     words = ["recorded", "--readings", str(tmp_path / "t.csv"), "--label", "Stück", "--out", str(tmp_path / "out")]
     assert main(words) == 2
-    assert "label x has 4 rows in group t, and 5 are needed" in capsys.readouterr().err
+    assert "label x has 4 of the 5 rows that are needed in group t" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -47,6 +47,16 @@ def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings
         begun(Path("run"))
 
 
+def test_a_run_does_not_go_on_with_other_data_under_the_same_name(tmp_path):
+    table, out = tmp_path / "t.csv", tmp_path / "run"
+    table.write_text("what,u")
+    begin(out, _Args(out), _Experiment(), resume=False, overwrite=False, inputs=[table])
+    begin(out, _Args(out), _Experiment(), resume=True, overwrite=False, inputs=[table])
+    table.write_text("what,v")
+    with pytest.raises(ValueError, match="other settings or data"):
+        begin(out, _Args(out), _Experiment(), resume=True, overwrite=False, inputs=[table])
+
+
 def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):
     """Nothing made: no folder that blocks the next run; an earlier run stays as it was, also with --overwrite."""
     out = tmp_path / "run"

@@ -63,6 +63,15 @@ def test_a_mean_path_has_equal_steps_whatever_the_pace():
     np.testing.assert_allclose(np.diff(found[:, 0]), 1 / (strokes.PATH_POINTS - 1))
 
 
+def test_who_was_always_right_is_as_sure_as_the_number_of_judged_rows_allows():
+    """As if one more row had been of any label (Platt's targets), whatever the classifier claims."""
+    label = np.tile([0, 1], 20)
+    train, test = np.arange(30), np.arange(30, 40)
+    told = readings.told_by(lambda _, rows: np.eye(2)[label[rows]], label, train, test)
+    judged = sum(len(block) for _, block in readings.rolling_blocks(label, train))
+    np.testing.assert_allclose(told.p.max(1), 1 - 0.5 / (1 + judged), rtol=1e-3)
+
+
 def test_a_block_is_judged_by_what_came_before_it():
     label = np.random.default_rng(0).integers(0, 3, 60)
     train = np.flatnonzero(np.arange(60) % 3 > 0)
