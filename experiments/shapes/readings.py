@@ -212,11 +212,11 @@ class WarpedStrokes:
 
 
 def told_by(fit: Callable[..., Probabilities], label: np.ndarray, train: Rows, test: Rows) -> Told:
-    """Probabilities of the test rows at the temperature that suits rolling blocks of the training rows, as if one row
-    more had been of any label.
+    """Probabilities of the test rows at the temperature that suits rolling blocks of the training rows, as if half a
+    row more had been of any label (Jeffreys).
     """
     p, truth = judge(fit, label, train)
-    temperature = fit_temperature(p[:, None], truth, smoothing=1 / (1 + len(truth)))
+    temperature = fit_temperature(p[:, None], truth, smoothing=0.5 / (0.5 + len(truth)))
     return Told(calibrated_beliefs(with_outliers(fit(train, test))[:, None], temperature)[:, 0], temperature)
 
 
