@@ -64,12 +64,12 @@ def test_a_mean_path_has_equal_steps_whatever_the_pace():
 
 
 def test_who_was_always_right_is_as_sure_as_the_number_of_judged_rows_allows():
-    """As if one more row had been of any label (Platt's targets), whatever the classifier claims."""
+    """As if half a row more had been of any label (Jeffreys), whatever the classifier claims."""
     label = np.tile([0, 1], 20)
     train, test = np.arange(30), np.arange(30, 40)
     told = readings.told_by(lambda _, rows: np.eye(2)[label[rows]], label, train, test)
     judged = sum(len(block) for _, block in readings.rolling_blocks(label, train))
-    np.testing.assert_allclose(told.p.max(1), 1 - 0.5 / (1 + judged), rtol=1e-3)
+    np.testing.assert_allclose(told.p.max(1), 1 - 0.25 / (0.5 + judged), rtol=1e-3)
 
 
 def test_a_block_is_judged_by_what_came_before_it():
