@@ -46,9 +46,10 @@ from i2t.simulation.press import PressLimits
 from i2t.types import in_one_line
 
 MAX_EMPTY_DRAWS = 10  # of candidates among which no site is allowed, after which no touch is chosen
-# Calibration of the unknown class, fitted on validation objects and others where half of all were unknown.
+# Calibration of the unknown class, fitted on validation objects and others where half of all were unknown
+# (`experiments.studies open_set`).
 CALIBRATION_PRIOR_UNKNOWN = 0.5
-UNKNOWN_SCALING = calibrated.PlattScaling(-0.04, 0.62, 0.19)
+UNKNOWN_SCALING = calibrated.PlattScaling(0.40, 0.65, 0.18)
 POSE_STD_M, POSE_STD_RAD = 1e-3, float(np.radians(1.0))  # of an object's pose unless it is given
 
 
