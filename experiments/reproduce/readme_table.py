@@ -68,7 +68,7 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "recognition by the belief, ten touches, chance .20",
             "not yet",
-            f"{estimate(fused, 2)} on five pads; for objects like these {others}; from readings alone "
+            f"{estimate(fused, 2)} on six pads; for objects like these {others}; from readings alone "
             f"{number(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
             f"skins with free sides / soft / of springs, over all touches: readings alone {readings} for "
             f"{matched}, after 200 touches there {taught}; fused then {together} for {both}",

@@ -42,7 +42,7 @@ STEPS = (
     Step("paper", "-m experiments.recognize simulate --method paper --paper-episodes 100", uses="study", minutes=85),
     Step(
         "recognize",
-        "-m experiments.recognize simulate --pads 0 1 2 3 4 --episodes 10 --paper-episodes 10",
+        "-m experiments.recognize simulate --pads 0 1 2 3 4 5 --episodes 10 --paper-episodes 10",
         uses="study",
         minutes=60,
     ),
