@@ -133,27 +133,22 @@ def _name(path: Path, line: int, column: str, text: str) -> str:
 
 
 def _reading(path: Path, line: int, columns: Sequence[str], texts: Sequence[str]) -> np.ndarray:
-    try:
-        values = np.array(texts, np.float64)
-        if (np.abs(values) <= MAX_VALUE).all():
-            return values
-    except ValueError:
-        pass
-    column, text = next((c, t) for c, t in zip(columns, texts, strict=True) if not _is_value(t))
-    wrong = "is no number" if not _is_finite(text) else f"is beyond {MAX_VALUE:g}"
-    what = f"has {text.strip()!r} in column {column}, which {wrong}" if text.strip() else f"lacks column {column}"
+    values = np.array([_number(text) for text in texts])
+    good = np.abs(values) <= MAX_VALUE
+    if good.all():
+        return values
+    at = int(good.argmin())
+    column, text = columns[at], texts[at].strip()
+    wrong = f"is beyond {MAX_VALUE:g}" if np.isfinite(values[at]) else "is no number"
+    what = f"has {text!r} in column {column}, which {wrong}" if text else f"lacks column {column}"
     raise DataError(f"{path}: line {line} {what}; correct or remove the row, or leave the column out (--ignore)")
 
 
-def _is_finite(text: str) -> bool:
+def _number(text: str) -> float:
     try:
-        return bool(np.isfinite(float(text)))
+        return float(text)
     except ValueError:
-        return False
-
-
-def _is_value(text: str) -> bool:
-    return _is_finite(text) and abs(float(text)) <= MAX_VALUE
+        return np.nan
 
 
 def _twice(names: Sequence[str]) -> str:
@@ -163,7 +158,7 @@ def _twice(names: Sequence[str]) -> str:
 def _in_order(texts: Sequence[str]) -> tuple[str, ...]:
     """Different texts: numbers by size where all are numbers, else by the alphabet."""
     different = sorted(set(texts))
-    return tuple(sorted(different, key=float) if all(map(_is_finite, different)) else different)
+    return tuple(sorted(different, key=float) if np.isfinite([*map(_number, different)]).all() else different)
 
 
 # --- splits ---

@@ -9,7 +9,7 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -50,33 +50,37 @@ def _interrupted(resumable: Path | None) -> str:
 
 
 def settings(args: Any) -> dict[str, Any]:
-    """Options of a run, from a dataclass, and package versions; paths, workers and resuming are no settings."""
+    """Options of a run, from a dataclass, what the files that they name hold, and package versions; where results go,
+    workers and resuming are no settings.
+    """
     kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite", "tasks")}
+    named = [each for value in kept.values() for each in (value if isinstance(value, tuple) else (value,))]
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
+        "files": {str(path): _digest(path) for path in named if isinstance(path, Path) and path.is_file()},
         "versions": {"python": sys.version.split()[0], **{name: version(name) for name in PACKAGES}},
     }
 
 
-def begin(
-    out: Path, args: Any, experiment: Any, resume: bool | None, overwrite: bool, *, inputs: Sequence[Path] = ()
-) -> None:
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite: bool) -> None:
     """Make the folder of a run, or refuse one that is in use (ValueError); note what is run and with which versions.
 
     `args` and `experiment` are dataclasses. An unfinished run of the same settings goes on with `resume` (None: this
-    experiment cannot); what is there is replaced with `overwrite`, once this run has made something. What files of
-    `inputs` hold counts as a setting.
+    experiment cannot); what is there is replaced with `overwrite`, once this run has made something.
     """
     config = settings(args) | {"experiment": asdict(experiment)}
-    if inputs:
-        config["inputs"] = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs}
     path = out / CONFIG
     check_out(out, resume, overwrite, kind=type(args).__name__)
     config["kind"] = type(args).__name__
     if path.exists() and not overwrite:
         before = json.loads(path.read_text())
         same = json.loads(json.dumps(config, default=str))
-        if {**before, "versions": None, "kind": None} != {**same, "versions": None, "kind": None}:
+        if {"files": {}, **before, "versions": None, "kind": None} != {**same, "versions": None, "kind": None}:
             raise ValueError(f"{out} was begun with other settings or data ({path}); pass those, or --overwrite")
     place = out.resolve()
     if path.exists() and overwrite:

@@ -79,7 +79,7 @@ def run(args: RecordedArgs) -> dict[str, Any]:
     """Recognise in file order and at random, and unknown labels."""
     table = read_table(args)
     require_rows(table, LEAST_ROWS, args.readings[0])
-    begin(args.out, args, FIXED, args.resume, args.overwrite, inputs=args.readings)
+    begin(args.out, args, FIXED, args.resume, args.overwrite)
     print(
         f"{len(table.label)} readings of {len(table.columns)} values, {len(table.labels)} labels in "
         f"{len(table.groups)} groups; the first {args.train_share:.0%} of each label's rows teach"

@@ -84,7 +84,7 @@ def run(args: ShapesArgs, cfg: Methods) -> dict[str, Any]:
     table = read_reading_table([args.readings], label=args.label, ignore=args.ignore)
     require_rows(table, MIN_ROWS, args.readings)
     data = as_strokes(table, args.samples, args.readings)
-    begin(args.out, args, cfg, args.resume, args.overwrite, inputs=[args.readings])
+    begin(args.out, args, cfg, args.resume, args.overwrite)
     started = time.perf_counter()
     n, t, d = data.reading.shape
     print(f"{n} rows of {len(data.labels)} labels, {t} sample{'s' if t > 1 else ''} of {d} values each")

@@ -78,14 +78,9 @@ class StudyLab:
 
     def plan(self, key: Array, episodes: int) -> TouchPlan:
         """Random sites, at which `SHARED_BY` episodes one after the other touch."""
+        cfg, limits = self.cfg, self.cfg.site_limits
         return plan_random_touches(
-            key,
-            self.surfaces,
-            self.names,
-            episodes,
-            self.cfg.touches,
-            limits=self.cfg.site_limits,
-            share=self.cfg.pool_episodes,
+            key, self.surfaces, self.names, episodes, cfg.touches, limits=limits, share=cfg.pool_episodes
         )
 
     def predict(

@@ -64,7 +64,8 @@ def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
 
 def report_settings(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     """Accuracy of every "evidence, setting" on the same episodes, and its paired difference to the first setting; the
-    temperature is that of the recogniser."""
+    temperature is that of the recogniser.
+    """
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth, _ = columns.pop("truth"), columns.pop("pool")
     first: dict[str, np.ndarray] = {}  # whether right, by evidence, in the first setting

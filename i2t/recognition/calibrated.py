@@ -56,8 +56,7 @@ class TemperatureScaling(NamedTuple):
 
 
 # Fitted to 1020 episodes with validation objects that stood twice as far off as stated (six pads, simulated;
-# `experiments.studies stopping`): up to that far off an episode that stops then errs about as seldom
-# as asked.
+# `experiments.studies stopping`): up to that far off an episode that stops then errs about as seldom as asked.
 TEMPERATURE_SCALING = TemperatureScaling(1.88, 0.22)
 
 

@@ -147,10 +147,10 @@ def choose_layer(pressed: Sequence[PressedTouches], layers: Sequence[Layer], boa
     Returns:
         Its place among the layers.
     """
-    weights, densities = _Hyperparameters(*MIDDLE), []
+    middle, densities = _Hyperparameters(*MIDDLE), []
     for touches, layer in zip(pressed, layers, strict=True):
         system = _system(_some(touches), magnetization_maps(board, layer))
-        densities.append(_left_out(system, weights, _posterior(system, weights))[1])
+        densities.append(_left_out(system, middle, _posterior(system, middle))[1])
     return int(np.argmax(densities))
 
 

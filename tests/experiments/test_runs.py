@@ -17,6 +17,12 @@ class _Args:
 
 
 @dataclass(frozen=True)
+class _TableArgs:
+    out: Path
+    tables: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
 class _OtherArgs:
     out: Path
 
@@ -50,11 +56,12 @@ def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings
 def test_a_run_does_not_go_on_with_other_data_under_the_same_name(tmp_path):
     table, out = tmp_path / "t.csv", tmp_path / "run"
     table.write_text("what,u")
-    begin(out, _Args(out), _Experiment(), resume=False, overwrite=False, inputs=[table])
-    begin(out, _Args(out), _Experiment(), resume=True, overwrite=False, inputs=[table])
+    args = _TableArgs(out, (table,))
+    begin(out, args, _Experiment(), resume=False, overwrite=False)
+    begin(out, args, _Experiment(), resume=True, overwrite=False)
     table.write_text("what,v")
     with pytest.raises(ValueError, match="other settings or data"):
-        begin(out, _Args(out), _Experiment(), resume=True, overwrite=False, inputs=[table])
+        begin(out, args, _Experiment(), resume=True, overwrite=False)
 
 
 def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):
