@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import softmax
 from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.neighbors import KNeighborsClassifier, NearestNeighbors
@@ -162,9 +163,7 @@ def all_log_probabilities(train: Labelled, reading: Float[np.ndarray, "n d"], se
 
 def product(log_p: Float[np.ndarray, "e t classes"]) -> Float[np.ndarray, "e t classes"]:
     """Normalised product of the probabilities of the touches so far."""
-    total = np.cumsum(log_p, 1)
-    p = np.exp(total - total.max(-1, keepdims=True))
-    return p / p.sum(-1, keepdims=True)
+    return softmax(np.cumsum(log_p, axis=1), axis=-1)
 
 
 class Fold(NamedTuple):
