@@ -9,8 +9,9 @@ import numpy as np
 
 import i2t
 from i2t.objects import random_object
+from i2t.reconstruction.evidence import contact_evidence
 from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
-from i2t.reconstruction.surface import SurfaceConfig, contact_evidence, estimate_surface, init, surface_model, update
+from i2t.reconstruction.surface import SurfaceConfig, estimate_surface, init, surface_model, update
 from i2t.simulation.sites import press_along
 
 

@@ -1,12 +1,14 @@
 """Options that experiments share: a dataclass of options inherits them. This module imports nothing large."""
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from experiments.common.tasks import TaskOptions
 from i2t.cli import Seed
+
+UnitName = Literal["m", "cm", "mm", "inch"]  # of the coordinates in mesh files
 
 
 @dataclass(frozen=True, kw_only=True)

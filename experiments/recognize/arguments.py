@@ -7,13 +7,12 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
-from experiments.common.options import ResumableOptions
+from experiments.common.options import ResumableOptions, UnitName
 from i2t.cli import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import require_extra
 
 PresetName = Literal["paper", "debug"]
-UnitName = Literal["m", "cm", "mm", "inch"]
 NOT_REAL = ("simulated", "emulated")
 
 

@@ -5,28 +5,31 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.common.checks import require_dataset
-from experiments.common.options import RunOptions
+from experiments.common.options import RunOptions, UnitName
 from experiments.common.presets import choose_preset
 from i2t.cli import Count, require_path, require_with
 from i2t.errors import require_extra
+
+Felt = Literal["reading", "pose", "patch"]  # what a touch tells: what its reading says, no more than its pose, or all
 
 
 @dataclass(frozen=True)
 class ReconstructSizes:
     """Sizes of the experiment."""
 
-    train: int = 80  # shapes of the library
-    validation: int = 6  # objects, in neither, on which the width of the bands is chosen
-    test: int = 4  # unseen objects
+    train: int = 200  # shapes of the library
+    validation: int = 10  # objects, in neither, on which the width of the bands is chosen
+    test: int = 40  # unseen objects
     touches: int = 20  # on each
     pads: int = 3  # simulated skins, in turn
-    patches: int = 600  # of the library of local surfaces
-    samples: int = 8000  # points of a surface, by which distances between surfaces are measured
+    patches: int = 2400  # of the library of local surfaces
+    samples: int = 60_000  # points of a surface, by which distances between surfaces are measured
 
 
+MAX_ACROSS_MM = 300.0
 SURFACE_PRESETS = {
     "paper": ReconstructSizes(),
-    "debug": ReconstructSizes(train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=2000),
+    "debug": ReconstructSizes(train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=16_000),
 }
 
 
@@ -34,16 +37,23 @@ SURFACE_PRESETS = {
 class ExplorationCondition:
     """One way to explore and to read touches."""
 
-    policy: Literal["random", "uncertainty", "reduction"] = "reduction"  # of `i2t.reconstruction.exploration`
-    reading: bool = True  # whether a touch says more than where it was
+    policy: Literal["random", "uncertainty", "reduction", "oracle"] = "reduction"  # the last knows the true object
+    felt: Felt = "reading"
+    view: bool = False  # whether a depth camera saw the object from one side before the first touch
 
 
+READING, POSE, PATCH = "reading", "contact pose only", "perfect patch"
+RANDOM, ORACLE, VIEW = "random sites", "oracle", "after a view"
 CONDITIONS = {
-    "random": ExplorationCondition("random"),
+    READING: ExplorationCondition(),
+    POSE: ExplorationCondition(felt="pose"),
+    PATCH: ExplorationCondition(felt="patch"),
+    RANDOM: ExplorationCondition("random"),
     "uncertainty": ExplorationCondition("uncertainty"),
-    "reduction": ExplorationCondition("reduction"),
-    "contact pose only": ExplorationCondition(reading=False),
+    ORACLE: ExplorationCondition("oracle"),
+    VIEW: ExplorationCondition(view=True),
 }
+USUAL = (READING, POSE, PATCH, VIEW)  # the rest compares policies
 
 
 @dataclass(frozen=True)
@@ -52,33 +62,50 @@ class ReconstructArgs(RunOptions):
 
     out: Path = Path("runs/reconstruct")  # folder for what is made
     preset: Literal["paper", "debug"] = "paper"
+    objects: Path | None = None  # folder of closed meshes to learn from and to test on, instead of random objects
+    unit: UnitName | None = None  # of --objects
+    across_mm: tuple[float, float] | None = None  # to which the largest edges of --objects are scaled, at random
     dataset: Path | None = None  # recorded touches of an object, whose surface is reconstructed in place of all else
     object: str | None = None  # of --dataset, where it holds several
     name: str = "reconstructed"  # of the mesh that is made of --dataset
-    test: Count | None = None  # unseen objects, instead of the preset's 4
+    train: Count | None = None  # shapes of the library, instead of the preset's 200
+    test: Count | None = None  # unseen objects, instead of the preset's 40
     touches: Count | None = None  # on each, instead of the preset's 20
-    conditions: tuple[str, ...] = ()  # the names of those to run; all without it
+    conditions: tuple[str, ...] = ()  # the names of those to run; without it those that differ in what is known
 
     def check(self) -> None:
         """Refuse what does not go together, what is not there, and conditions that there are not."""
         require_dataset("--dataset", self.dataset)
-        recorded = self.dataset is not None
+        recorded, folder = self.dataset is not None, self.objects is not None
+        if self.objects is not None:
+            require_path("--objects", self.objects, "folder")
         require_with("--object", self.object is not None, "--dataset", recorded)
         require_with("--name", self.name != "reconstructed", "--dataset", recorded)
-        require_with("--touches", self.touches is not None, "simulated objects (no --dataset)", not recorded)
-        for flag, given in (("--test", self.test is not None), ("--conditions", bool(self.conditions))):
-            require_with(flag, given, "simulated objects (no --dataset)", not recorded)
+        require_with("--unit", self.unit is not None, "--objects", folder)
+        require_with("--objects", folder, "--unit", self.unit is not None)
+        require_with("--across-mm", self.across_mm is not None, "--objects", folder)
+        if self.across_mm is not None and not 0 < self.across_mm[0] <= self.across_mm[1] < MAX_ACROSS_MM:
+            raise ValueError(
+                f"--across-mm {self.across_mm}: give two sizes between 0 and {MAX_ACROSS_MM:g} mm, ascending"
+            )
+        for flag, given in (
+            ("--touches", self.touches),
+            ("--test", self.test),
+            ("--conditions", self.conditions or None),
+        ):
+            require_with(flag, given is not None, "simulated objects (no --dataset)", not recorded)
         if not self.name or Path(self.name).name != self.name:
             raise ValueError(f"--name {self.name}: is no name of a file; give a word")
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):
             raise ValueError(f"--conditions {unknown[0]}: is none of {', '.join(CONDITIONS)}")
         require_extra("skimage", "a surface")
-        require_extra("manifold3d", "a library of random objects")
+        if not folder:
+            require_extra("manifold3d", "a library of random objects")
 
     @property
     def sizes(self) -> ReconstructSizes:
         """Sizes of the preset, except those given."""
-        return choose_preset(SURFACE_PRESETS, self.preset, test=self.test, touches=self.touches)
+        return choose_preset(SURFACE_PRESETS, self.preset, train=self.train, test=self.test, touches=self.touches)
 
 
 @dataclass(frozen=True)

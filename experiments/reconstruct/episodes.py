@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from experiments.reconstruct.world import MM_PER_M, Session, hidden_points
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
     VoxelGrid,
@@ -22,18 +23,20 @@ from i2t.reconstruction.surface import (
 
 REPORTED = (0, 1, 5, 10, 20)  # touches after which surfaces are judged
 F_SCORE_SHARE = 0.01  # of the diagonal, within which a point counts as found
+ASKED_STRIDE = 8  # of samples of a surface whose distance to the other one is asked
 ERROR_STRIDE = 10  # of the points of which errors are kept
-MM_PER_M = 1e3
-SCORES = ("chamfer_mm", "iou", "f_score", "coverage", "band_mm")
+OUTER_M = 1.5e-3  # from the true surface, within which a point of a mesh is not inside another body of it
+SCORES = ("chamfer_mm", "iou", "f_score", "coverage", "band_mm", "hidden_mm")
 
 
 class TrueShape(NamedTuple):
     """The true shape, to compare reconstructions with."""
 
     points: np.ndarray  # (n, 3) m, of the surface
-    tree: cKDTree
+    tree: cKDTree  # of more of them
     inside: np.ndarray  # (g,) of the grid
     diagonal: float  # m
+    hidden: np.ndarray  # (n,) which points a camera on one side does not see
     floor_mm: float  # Chamfer distance of the true signed distance, put on the grid and taken off it again
 
 
@@ -61,19 +64,29 @@ class Episode:
         self.errors[done] = SurfaceErrors(*(part[::ERROR_STRIDE] for part in errors))
 
 
-def true_shape(mesh: Mesh, grid: VoxelGrid, samples: int) -> TrueShape:
-    """The true shape, and how near the grid itself allows a reconstruction to come."""
-    points, _ = sample_surface(mesh, samples)
+def true_shape(session: Session, grid: VoxelGrid, samples: int) -> TrueShape:
+    """The true shape where it stands, and how near the grid itself allows a reconstruction to come."""
+    mesh = session.mesh
     distance = signed_distance_grid(mesh, grid)
+    drawn, _ = sample_surface(mesh, samples)
+    outer = drawn[np.abs(interpolate(grid, distance, drawn)) < OUTER_M]  # not where bodies overlap
+    points = outer[::ASKED_STRIDE]
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    shape = TrueShape(points, cKDTree(points), distance < 0, diagonal, 0.0)
-    there, back = _distances(extract_mesh(grid, distance), shape)
+    hidden = hidden_points(points, session.view()[1])
+    shape = TrueShape(points, cKDTree(outer), distance < 0, diagonal, hidden, 0.0)
+    there, back = distances(extract_mesh(grid, distance), shape)
     return shape._replace(floor_mm=MM_PER_M * 0.5 * (there.mean() + back.mean()))
+
+
+def chamfer_mm(mesh: Mesh, truth: TrueShape) -> float:
+    """Chamfer distance of an estimated surface."""
+    there, back = distances(mesh, truth)
+    return MM_PER_M * 0.5 * float(there.mean() + back.mean())
 
 
 def judge(estimate: SurfaceEstimate, truth: TrueShape, errors: SurfaceErrors) -> dict[str, float]:
     """All scores of one reconstruction."""
-    there, back = _distances(estimate.mesh, truth)
+    there, back = distances(estimate.mesh, truth)
     within = F_SCORE_SHARE * truth.diagonal
     precision, recall = (there < within).mean(), (back < within).mean()
     found = estimate.distance < 0
@@ -83,6 +96,7 @@ def judge(estimate: SurfaceEstimate, truth: TrueShape, errors: SurfaceErrors) ->
         "f_score": float(2 * precision * recall / max(precision + recall, 1e-9)),
         "coverage": float((errors.distance / errors.std < Z_90).mean()),
         "band_mm": MM_PER_M * Z_90 * float(errors.std.mean()),
+        "hidden_mm": MM_PER_M * float(back[truth.hidden].mean()),
     }
 
 
@@ -92,11 +106,12 @@ def surface_errors(estimate: SurfaceEstimate, truth: TrueShape) -> SurfaceErrors
     return SurfaceErrors(np.abs(distance), std)
 
 
-def _distances(mesh: Mesh, truth: TrueShape) -> tuple[np.ndarray, np.ndarray]:
-    """Distances from the estimated surface to the true one, and back; where nothing was estimated, the object's
-    diagonal.
+def distances(mesh: Mesh, truth: TrueShape) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the estimated surface to the true one, and back from its points; where nothing was estimated, the
+    object's diagonal.
     """
     if not len(mesh.faces):
-        return np.full(1, truth.diagonal), np.full(1, truth.diagonal)
-    points, _ = sample_surface(mesh, len(truth.points))
-    return truth.tree.query(points[::4])[0], cKDTree(points).query(truth.points[::4])[0]
+        return np.full(1, truth.diagonal), np.full(len(truth.points), truth.diagonal)
+    # Sampled densely, so that the nearest sample is nearly the nearest point.
+    points, _ = sample_surface(mesh, truth.tree.n)
+    return truth.tree.query(points[::ASKED_STRIDE])[0], cKDTree(points).query(truth.points)[0]

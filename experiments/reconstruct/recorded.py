@@ -12,23 +12,16 @@ from jaxtyping import Float
 
 from experiments.common.runs import begin, write_json
 from experiments.reconstruct.arguments import ReconstructArgs
-from experiments.reconstruct.episodes import MM_PER_M
 from experiments.reconstruct.report import shown_surface
-from experiments.reconstruct.world import split_objects
+from experiments.reconstruct.world import MM_PER_M, split_objects
 from i2t import viz
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.files import replacing
 from i2t.geometry import inverse
 from i2t.objects.solids import Mesh, place_on_table
-from i2t.reconstruction.surface import (
-    SurfaceModel,
-    contact_evidence,
-    estimate_surface,
-    init,
-    surface_model,
-    update,
-)
+from i2t.reconstruction.evidence import contact_evidence
+from i2t.reconstruction.surface import SurfaceModel, estimate_surface, init, surface_model, update
 from i2t.registration.touch import contact_poses
 from i2t.types import ReturnCode
 from i2t.windows import STANDOFF
@@ -49,7 +42,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     for pose, contact in zip(T_o_t, hit, strict=True):
         state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=STANDOFF))
     estimate = estimate_surface(model, state)
-    surface = shown_surface(estimate, state.touches)
+    surface = shown_surface(estimate, state.evidence)
     if not len(surface.faces):
         raise DataError(f"{path}: no surface comes out of its {hit.sum()} contacts with {name}")
     std_mm = MM_PER_M * surface.std
@@ -59,7 +52,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         "contacts": int(hit.sum()),
         "in_air": int((~hit).sum()),
         "surface_std_mm": {"median": float(np.median(std_mm)), "p90": float(np.quantile(std_mm, 0.9))},
-        "library": model.library.shape[1],
+        "library": model.library.size,
     }
     standing = place_on_table(Mesh(surface.vertices, surface.faces))
     result["frame_shift_mm"] = (MM_PER_M * (surface.vertices[0] - standing.vertices[0])).tolist()
@@ -107,10 +100,10 @@ def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
 
 
 def prior_of(contacts: Float[np.ndarray, "n 4 4"], args: ReconstructArgs) -> SurfaceModel:
-    """Prior of the surface: shapes of the catalogue's random objects, on a grid about the contacts."""
+    """Prior of the surface: random objects of the catalogue or those of --objects, on a grid about the contacts."""
     at = contacts[:, :3, 3]
     low, high = np.minimum(at.min(0) - ROOM_M, [-40e-3, -40e-3, 0.0]), np.maximum(at.max(0) + ROOM_M, [40e-3] * 3)
-    return surface_model([each.mesh for each in split_objects(args.sizes, args.seed).train], low=low, high=high)
+    return surface_model(list(split_objects(args).train.values()), low=low, high=high)
 
 
 def report(result: dict[str, Any], path: Path) -> None:

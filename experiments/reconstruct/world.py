@@ -1,83 +1,159 @@
-"""Objects that are touched, and the simulated arm and skin that touch them."""
+"""Objects that are touched, and the simulated arm, skin and camera that meet them."""
 
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from itertools import islice
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from experiments.reconstruct.arguments import ReconstructSizes
+from experiments.reconstruct.arguments import Felt, ReconstructArgs, ReconstructSizes
+from i2t.depth.camera import Camera
+from i2t.depth.distortion import project
+from i2t.geometry import contact_frame, inverse, random_motion
 from i2t.objects.catalogue import random_object
-from i2t.objects.solids import Object
+from i2t.objects.mesh_files import load_mesh
+from i2t.objects.solids import Mesh
+from i2t.reconstruction.evidence import (
+    SurfaceEvidence,
+    contact_evidence,
+    reading_evidence,
+    view_evidence,
+    with_surface_points,
+)
 from i2t.reconstruction.library import ContactSampling, build_library
 from i2t.reconstruction.local_shape import PatchLibrary, PressModel, infer_patch
+from i2t.reconstruction.press_curves import simulate_press_curve
 from i2t.reconstruction.press_models import imagine_presses
-from i2t.reconstruction.surface import TouchEvidence, contact_evidence, posterior_evidence
 from i2t.rendering.ops import element
-from i2t.rendering.render import prepare_surface, stack_surfaces
+from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
+from i2t.simulation.depth_camera import add_depth_noise, render_view
 from i2t.simulation.press import PressLimits
-from i2t.simulation.touches import SimulationErrors, sample_session_errors, simulate_touch
-from i2t.skin.noise import add_sensor_noise
+from i2t.simulation.sites import press_along
+from i2t.simulation.touches import SimulationErrors, sample_session_errors
+from i2t.skin.contact import GRID
 from i2t.skin.pad import numbered_pad
-from i2t.types import Pad, ReturnCode, Surface
+from i2t.types import Array, Pad, Surface
+from i2t.windows import PAD_WINDOW, PATCH_WINDOW, REACH
 
 APPROACH_M, EXPLORING_OVERTRAVEL_M = 0.1, 10e-3  # straight way before a site, and beyond it
-PATCH_SHAPES = 40  # of which the library of local surfaces is made
 PATCH_TILT_RAD = (0.0, 0.35)  # an estimated surface lies up to so far from the true one
+PATCHES_OF_A_SHAPE = 30  # of the library of local surfaces
+LATTICE = 8  # heights of a perfect patch along each edge
+PERFECT_STD_M = 0.3e-3
 ERRORS = SimulationErrors()
+CAMERA = Camera(160, 120, 200.0, 200.0, 79.5, 59.5)
+CAMERA_M, CAMERA_DIRECTION = 0.35, np.array([0.7, 0.0, 0.7])  # where it is, seen from the object
+T_W_CAMERA = contact_frame(CAMERA_M * CAMERA_DIRECTION, CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION), 0.0)
+VISIBLE_M = 2e-3  # behind what was seen there, a point is hidden
+MM_PER_M = 1e3
+MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 
 
 class ObjectSplit(NamedTuple):
-    """Objects, none of which is in two of these."""
+    """Meshes by name, the middle of each box at the origin; none is in two of these."""
 
-    test: list[Object]
-    validation: list[Object]
-    train: list[Object]
+    test: dict[str, Mesh]
+    validation: dict[str, Mesh]
+    train: dict[str, Mesh]
 
 
 class Reality(NamedTuple):
     """Facts that only the simulation knows, and what each skin is imagined to read."""
 
-    objects: list[Object]
+    meshes: list[Mesh]
     surfaces: Surface  # stacked
     pads: list[Pad]
     models: list[PressModel]  # of the pads
     library: PatchLibrary
 
 
-def split_objects(sizes: ReconstructSizes, seed: int) -> ObjectSplit:
-    """Random objects of the catalogue."""
-    first = 100_000 * seed
-    ends = np.cumsum([0, sizes.test, sizes.validation, sizes.train])
-    return ObjectSplit(*([random_object(first + i) for i in range(low, high)] for low, high in pairwise(ends)))
+class Met(NamedTuple):
+    """Where a pad met an object."""
+
+    T_o_t: Array  # pose at contact, seen from where the object really is
+    advanced: Array  # m past the site
+    hit: Array
+    heights: Array  # (g, g) m, over the cells of the pad
+    patch: Array  # (8, 8) m, on a lattice over the patch's window
 
 
-def make_reality(key: jax.Array, split: ObjectSplit, sizes: ReconstructSizes) -> Reality:
+def split_objects(args: ReconstructArgs) -> ObjectSplit:
+    """Random objects of the catalogue, or those of a folder: of ten files in order one is to test, one to validate."""
+    sizes, found = args.sizes, ObjectSplit({}, {}, {})
+    counts = sizes.test, sizes.validation, sizes.train
+    if args.objects is None:
+        seeds = iter(range(100_000 * args.seed, 100_000 * (args.seed + 1)))
+        for part, count in zip(found, counts, strict=True):
+            part.update((each.name, centred(each.mesh)) for each in map(random_object, islice(seeds, count)))
+        return found
+    files = sorted(path for path in args.objects.rglob("*") if path.suffix.lower() in MESH_SUFFIXES)
+    rows = np.arange(len(files)) % 10
+    for part, own, count in zip(found, (rows == 0, rows == 1, rows > 1), counts, strict=True):
+        for number in np.flatnonzero(own):
+            if len(part) == count:
+                break
+            try:
+                part[files[number].stem] = _scaled(
+                    load_mesh(files[number], args.unit or "m", largest=False), args, int(number)
+                )
+            except ValueError as error:
+                print(f"left out: {error}", flush=True)
+    if not all(found):
+        raise ValueError(f"{args.objects}: holds {len(files)} meshes; ten or more are needed to hold some out")
+    return found
+
+
+def centred(mesh: Mesh) -> Mesh:
+    """The mesh with the middle of its box at the origin."""
+    return Mesh(mesh.vertices - 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0)), mesh.faces)
+
+
+def _scaled(mesh: Mesh, args: ReconstructArgs, number: int) -> Mesh:
+    """A mesh of the folder, centred, of a random size if that is wanted."""
+    mesh = centred(mesh)
+    if args.across_mm is None:
+        return mesh
+    across = np.random.default_rng([args.seed, number]).uniform(*args.across_mm) / MM_PER_M
+    return Mesh(mesh.vertices * across / np.ptp(mesh.vertices, axis=0).max(), mesh.faces)
+
+
+def make_reality(key: Array, split: ObjectSplit, sizes: ReconstructSizes) -> Reality:
     """The objects of validation and test, and skins of which it is known what they read at patches of known shapes."""
-    shapes = [prepare_surface(item.mesh) for item in split.train[:PATCH_SHAPES]]
+    shapes = [prepare_surface(mesh) for mesh in list(split.train.values())[: sizes.patches // PATCHES_OF_A_SHAPE]]
     library = build_library(key, shapes, sizes.patches, sampling=ContactSampling(tilt=PATCH_TILT_RAD, limits=None))
     pads = [numbered_pad(number) for number in range(sizes.pads)]
-    objects = split.validation + split.test
-    surfaces = stack_surfaces([prepare_surface(item.mesh) for item in objects])
-    return Reality(objects, surfaces, pads, [imagine_presses(pad, library) for pad in pads], library)
+    meshes = [*split.validation.values(), *split.test.values()]
+    surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
+    return Reality(meshes, surfaces, pads, [imagine_presses(pad, library) for pad in pads], jax.device_put(library))
 
 
 @jax.jit
-def _touch(key: Any, surface: Surface, site: Any, session: Any, pad: Pad) -> Any:
-    key_touch, key_noise = jax.random.split(key)
-    limits = PressLimits(approach_distance=APPROACH_M, overtravel=EXPLORING_OVERTRAVEL_M)
-    touch = simulate_touch(key_touch, surface, jnp.eye(4), site, session=session, pad=pad, errors=ERRORS, limits=limits)
-    return touch._replace(reading=add_sensor_noise(key_noise, touch.reading, pad.board, ERRORS.noise))
+def _meet(key: Array, surface: Surface, T_w_o: Array, T_w_site: Array) -> Met:
+    """Approach a site along its z to first contact, with the errors of the arm."""
+    key_arm, key_tilt = jax.random.split(key)
+    moved = random_motion(key_arm, ERRORS.repeatability, 0.0) @ random_motion(key_tilt, 0.0, ERRORS.approach_angle)
+    start = inverse(T_w_o) @ T_w_site @ moved @ jnp.eye(4).at[2, 3].set(-APPROACH_M)
+    T_o_t, hit = press_along(surface, start, start[:3, 2], max_distance=APPROACH_M + EXPLORING_OVERTRAVEL_M)
+    heights, patch = (
+        render_heights(surface, inverse(T_o_t), window, cells)
+        for window, cells in ((PAD_WINDOW, GRID.cells), (PATCH_WINDOW, LATTICE))
+    )
+    advanced = jnp.linalg.norm(T_o_t[:3, 3] - start[:3, 3]) - APPROACH_M
+    return Met(T_o_t, advanced, hit & jnp.isfinite(jnp.min(heights)), heights, patch)
 
 
+_press = jax.jit(partial(simulate_press_curve, errors=ERRORS, limits=PressLimits()))
 _infer = jax.jit(infer_patch, static_argnames=("samples",))
+_meet_all = jax.jit(jax.vmap(_meet, (None, None, None, 0)))
 
 
 @dataclass
 class Session:
-    """One object, put down once within the errors of its placement, before one pad."""
+    """One object, held once within the errors of its placement, before one pad."""
 
     reality: Reality
     number: int  # of the object
@@ -85,23 +161,67 @@ class Session:
     touches: int = 0  # so far
 
     def __post_init__(self) -> None:
-        key = jax.random.fold_in(jax.random.key(self.seed), self.number)
-        key_session, self.key_touches, _ = jax.random.split(key, 3)  # one more than is used: the draws of a seed stay
+        key_session, self.key_touches, key_view = jax.random.split(_key(self.seed, self.number), 3)
         self.surface = element(self.reality.surfaces, self.number)
-        self.errors = sample_session_errors(key_session, ERRORS)
+        self.T_w_o = sample_session_errors(key_session, ERRORS).T_o_placed  # it is believed at the world's origin
+        self.view_seed = int(jax.random.bits(key_view))
 
-    def touch(self, site: np.ndarray, reading: bool) -> TouchEvidence:
-        """Touch a site: where it was met, and what the reading says besides if it is asked."""
-        pad = (self.number + self.seed) % len(self.reality.pads)
-        key, at = jax.random.fold_in(self.key_touches, self.touches), jnp.asarray(site, jnp.float32)
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The object where it is."""
+        mesh, placed = self.reality.meshes[self.number], np.asarray(self.T_w_o, np.float64)
+        return Mesh(mesh.vertices @ placed[:3, :3].T + placed[:3, 3], mesh.faces)
+
+    def touch(self, site: Float[np.ndarray, "4 4"], felt: Felt) -> SurfaceEvidence:
+        """Touch a site: where it was met, and what is felt there."""
+        key_meet, key_press = jax.random.split(jax.random.fold_in(self.key_touches, self.touches))
         self.touches += 1
-        touch = jax.device_get(_touch(key, self.surface, at, self.errors, self.reality.pads[pad]))
-        T_o_t = np.asarray(touch.T_w_t, np.float64)  # the object is believed at the world's origin
-        if int(touch.code) == ReturnCode.AIR:
-            return contact_evidence(T_o_t, hit=False, swept=APPROACH_M)
-        T_o_t[:3, 3] -= float(touch.depth) * T_o_t[:3, 2]  # back to first contact
-        if not reading:
-            return contact_evidence(T_o_t, swept=APPROACH_M)
-        model, library = self.reality.models[pad], self.reality.library
-        found = _infer(touch.reading, touch.force, touch.depth, model=model, library=library)
-        return posterior_evidence(T_o_t, np.asarray(found.patch), swept=APPROACH_M)
+        met = jax.device_get(_meet(key_meet, self.surface, self.T_w_o, jnp.asarray(site, jnp.float32)))
+        T_w_t = site.copy()
+        T_w_t[:3, 3] += float(met.advanced) * site[:3, 2]  # as the arm reports it
+        if felt == "pose" or not met.hit:
+            return contact_evidence(T_w_t, hit=bool(met.hit), swept=APPROACH_M)
+        if felt == "patch":
+            return perfect_evidence(T_w_t, met)
+        pad = (self.number + self.seed) % len(self.reality.pads)
+        model = self.reality.models[pad]
+        press = _press(key_press, self.reality.pads[pad], met.heights)
+        found = _infer(press.reading, press.force, press.travel, model=model, library=self.reality.library)
+        return reading_evidence(T_w_t, jax.device_get(found), swept=APPROACH_M)
+
+    def foresee(self, sites: Float[np.ndarray, "n 4 4"]) -> list[SurfaceEvidence]:
+        """Evidence of touches that are not made: the point that each would meet."""
+        met = jax.device_get(_meet_all(self.key_touches, self.surface, self.T_w_o, jnp.asarray(sites, jnp.float32)))
+        return [perfect_evidence(site, element(met, i), nearest_only=True) for i, site in enumerate(sites)]
+
+    def view(self) -> tuple[SurfaceEvidence, Float[np.ndarray, "h w"]]:
+        """What a depth camera sees of the object from one side above it, and its true depths (m)."""
+        depth, _ = render_view(self.mesh.vertices[self.mesh.faces], T_W_CAMERA, CAMERA)
+        seen = add_depth_noise(depth, ERRORS, np.random.default_rng(self.view_seed))
+        return view_evidence(np.asarray(np.where(np.isinf(depth), depth, seen)), CAMERA, T_W_CAMERA), depth
+
+
+def perfect_evidence(T_w_t: Float[np.ndarray, "4 4"], met: Met, *, nearest_only: bool = False) -> SurfaceEvidence:
+    """Evidence of a touch that feels all of the patch before it, or only its point of contact."""
+    touch = contact_evidence(T_w_t, hit=bool(met.hit), swept=APPROACH_M)
+    heights, window = (met.heights, PAD_WINDOW) if nearest_only else (met.patch, PATCH_WINDOW)
+    at = ((np.arange(len(heights)) + 0.5) / len(heights) - 0.5) * window
+    y, x = np.meshgrid(at, at, indexing="ij")
+    felt = heights <= heights.min() if nearest_only else heights < REACH
+    if not met.hit or not felt.any():
+        return touch
+    local = np.stack([x[felt], y[felt], heights[felt]], -1)
+    points = local @ T_w_t[:3, :3].T + T_w_t[:3, 3]
+    return with_surface_points(touch, points, np.full(len(points), PERFECT_STD_M))
+
+
+def _key(seed: int, number: int) -> Array:
+    return jax.random.fold_in(jax.random.key(seed), number)
+
+
+def hidden_points(points: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, "h w"]) -> np.ndarray:
+    """Which points of the true surface the camera did not see."""
+    local = (points - T_W_CAMERA[:3, 3]) @ T_W_CAMERA[:3, :3]
+    column, row = np.rint(np.asarray(project(CAMERA, jnp.asarray(local)))).astype(int).T
+    nearest = depth[np.clip(row, 0, CAMERA.height - 1), np.clip(column, 0, CAMERA.width - 1)]
+    return local[:, 2] > nearest + VISIBLE_M

@@ -21,11 +21,22 @@ from i2t.types import ReturnCode
 @pytest.mark.full
 def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
     out = tmp_path / "run"
-    words = ["--preset", "debug", "--out", str(out), "--conditions", "random", "contact pose only"]
+    words = [
+        "--preset",
+        "debug",
+        "--out",
+        str(out),
+        "--conditions",
+        "reading",
+        "contact pose only",
+        "oracle",
+        "random sites",
+        "after a view",
+    ]
     assert main(words) == 0
     report = json.loads((out / "metrics.json").read_text())
     assert report["source"] == "simulated"
-    assert set(report["conditions"]) == {"random", "contact pose only"}
+    assert set(report["conditions"]) == {"reading", "contact pose only", "oracle", "random sites", "after a view"}
     assert report["episodes_of_each_condition"] == report["test_objects"] == 2
     for found in report["conditions"].values():
         after = found["after"]
@@ -33,7 +44,9 @@ def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
         assert all(0 <= each["coverage"][0] <= 1 and each["chamfer_mm"][0] > 0 for each in after.values())
         assert set(after) == {"0", "1", "2"}
     start = {name: found["after"]["0"]["chamfer_mm"][0] for name, found in report["conditions"].items()}
-    assert start["random"] == start["contact pose only"]
+    assert start["reading"] == start["contact pose only"] != start["after a view"]
+    assert set(report["less_than_pose"]) == {"reading"}
+    assert set(report["share_of_oracles_gap"]) == {"reading"}
     assert {"errors.png", "growing.png"} <= {path.name for path in out.iterdir()}
     assert "grid floor" in capsys.readouterr().out
     assert main(words) == 2

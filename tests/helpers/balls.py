@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from i2t.reconstruction.shape_library import STEP_M, ShapeLibrary
 from i2t.reconstruction.signed_distances import VoxelGrid
 from i2t.reconstruction.surface import SurfaceConfig, SurfaceModel
 
@@ -9,8 +10,9 @@ from i2t.reconstruction.surface import SurfaceConfig, SurfaceModel
 def ball_model(grid: VoxelGrid, radii: np.ndarray, centre: np.ndarray, **changes) -> SurfaceModel:
     """A model whose library are balls of some radii (m) around a point."""
     points = grid.points()
-    library = (np.linalg.norm(points - centre, axis=-1)[:, None] - radii).astype(np.float16)
-    return SurfaceModel(grid, points, library, SurfaceConfig(**changes))
+    distance = np.linalg.norm(points - centre, axis=-1)[:, None] - radii
+    steps = np.clip(np.rint(distance / STEP_M), -127, 127).astype(np.int8)
+    return SurfaceModel(grid, points, ShapeLibrary(grid, steps), SurfaceConfig(**changes))
 
 
 def from_above(z: float, x: float = 0.0, y: float = 0.0) -> np.ndarray:

@@ -7,17 +7,18 @@ import pytest
 from helpers.balls import ball_model, from_above
 
 from i2t.reconstruction import exploration
+from i2t.reconstruction.evidence import contact_evidence
 from i2t.reconstruction.exploration import AROUND_LIMITS, POLICY_NAMES, ExplorationConfig, choose_touch
 from i2t.reconstruction.signed_distances import grid_around
 from i2t.reconstruction.surface import (
     SurfaceEstimate,
     condition_on,
-    contact_evidence,
     estimate_surface,
     init,
     posterior_covariance,
     predict,
     update,
+    weighted_prior,
 )
 from i2t.simulation.site_limits import SiteLimits
 
@@ -90,10 +91,9 @@ def test_uncertainty_goes_where_it_is_greatest(touched):
 
 def test_the_expected_reduction_is_what_a_measurement_takes_off_the_variance():
     """Against a measurement that is made: the regression with one more point."""
-    model = _balls(free_tolerance=1.0, inside_std=1e9)
+    model = _balls(free_tolerance=1.0)
     seen = CENTRE + 25e-3 * np.array([[0, 0, 1.0], [1.0, 0, 0]])
-    shapes = np.arange(model.library.shape[1])
-    weigh = partial(condition_on, model, shapes, np.full(len(shapes), 1 / len(shapes)))
+    weigh = partial(condition_on, model, weighted_prior(model, init(model)[0]))
     places = CENTRE + 25e-3 * np.array([[0, 1.0, 0], [0.1, 0, 0.995], [-1.0, 0, 0]])
     probes = CENTRE + 25e-3 * np.array([[0, 0.8, 0.6], [-0.6, 0.8, 0], [0.6, 0, 0.8]])
     posterior = weigh(points=seen, values=np.zeros(2), std=np.full(2, 1e-3))

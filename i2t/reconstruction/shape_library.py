@@ -1,0 +1,137 @@
+"""A library of shapes: their signed distances on one grid, standing on any side, turned and mirrored about z.
+
+Each shape is held once for each side on which it may stand, its box centred on the z axis and its lowest point at
+z = 0. The eight turns and mirrors of the square about z are not held: with R such a turn, the turned shape is
+f(R x), so the points are turned in place of the shapes, and the values of all shapes at one point lie side by side.
+"""
+
+from collections.abc import Sequence
+from itertools import permutations, product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Int8
+
+from i2t.objects.solids import Mesh
+from i2t.reconstruction.signed_distances import VoxelGrid, grid_around, signed_distance_grid
+
+STEP_M = 0.25e-3  # of the distances that are held
+FARTHEST = 127  # steps; what is farther away is held as this
+
+
+def _signed_permutations(axes: int) -> Int[np.ndarray, "t a a"]:
+    """All matrices that exchange and mirror axes."""
+    found = [
+        np.diag(signs)[list(order)] for order in permutations(range(axes)) for signs in product((1, -1), repeat=axes)
+    ]
+    return np.stack(found)
+
+
+TURNS = np.pad(_signed_permutations(2), ((0, 0), (0, 1), (0, 1)))
+TURNS[:, 2, 2] = 1  # (8, 3, 3), about z
+# Which axis is up, and which of its ends: what is left of the 48 turns and mirrors of a cube.
+STANCES = np.stack(
+    [np.roll(np.eye(3, dtype=int), axis, axis=1) * (1, 1, sign) for axis in range(3) for sign in (1, -1)]
+)
+
+
+class ShapeLibrary(NamedTuple):
+    """Signed distances of k shapes; with their turns, there are 8 k shapes, turn after turn."""
+
+    grid: VoxelGrid
+    steps: Int8[np.ndarray, "g k"]  # of `STEP_M`
+
+    @property
+    def size(self) -> int:
+        """Number of shapes, turns included."""
+        return len(TURNS) * self.steps.shape[1]
+
+    def near(self, points: Float[np.ndarray, "n 3"], turn: int) -> Float[np.ndarray, "n k"]:
+        """Distances of all shapes in one turn.
+
+        Args:
+            points: m; those outside the grid are moved to its nearest face.
+            turn: Number of the turn.
+
+        Returns:
+            m, those of the nearest points of the grid.
+        """
+        last = np.array(self.grid.shape) - 1
+        place = np.clip(np.rint((points @ TURNS[turn].T - self.grid.low) / self.grid.spacing), 0, last).astype(int)
+        return self.steps[np.ravel_multi_index(tuple(place.T), self.grid.shape)] * np.float32(STEP_M)
+
+    def fields(self, shapes: Int[np.ndarray, " m"]) -> Float[np.ndarray, "g m"]:
+        """Distances of some shapes at all points of the grid.
+
+        Args:
+            shapes: Their numbers, turns included.
+
+        Returns:
+            m.
+        """
+        turns, columns = np.divmod(shapes, max(self.steps.shape[1], 1))
+        found = np.empty((len(self.steps), len(shapes)), np.float32)
+        for i, (turn, steps) in enumerate(zip(turns, self.steps.T[columns], strict=True)):
+            found[:, i] = _turned(steps.reshape(self.grid.shape), TURNS[turn]).ravel()
+        found *= np.float32(STEP_M)
+        return found
+
+
+def shape_library(
+    meshes: Sequence[Mesh],
+    *,
+    across: int,
+    margin: float,
+    low: np.ndarray,
+    high: np.ndarray,
+    on_table: bool = True,
+    on_any_side: bool = True,
+) -> ShapeLibrary:
+    """Signed distances of shapes on a grid that holds them in every stance.
+
+    Args:
+        meshes: Closed meshes in metres; bodies may overlap.
+        across: Points of the grid along x, and along y.
+        margin: m, of the grid around the shapes.
+        low: (3,) m, lowest corner of what the grid must hold besides.
+        high: (3,) m, its highest corner.
+        on_table: Whether shapes stand on z = 0, their box about the z axis; if not, it is about the origin.
+        on_any_side: Whether shapes stand on all their sides, or only as they are given.
+
+    Returns:
+        The library.
+    """
+    stances = STANCES if on_any_side else STANCES[:1]
+    sizes = np.array([np.ptp(mesh.vertices, axis=0) for mesh in meshes]).reshape(-1, 3)
+    stood = np.abs(stances).transpose(0, 2, 1) @ sizes.T  # (stances, 3, meshes) m, of the box of each
+    half = stood.max((0, 2)) / 2 if len(meshes) else np.zeros(3)
+    up = np.array([0, 0, half[2] if on_table else 0.0])
+    grid = grid_around(np.minimum(low, up - half), np.maximum(high, up + half), across=across, margin=margin)
+    steps = np.empty((int(np.prod(grid.shape)), len(meshes), len(stances)), np.int8)
+    cube = VoxelGrid(
+        (grid.low[0],) * 3, grid.spacing, (across,) * 3
+    )  # about the origin, so that turns map it to itself
+    levels = grid.low[2] + grid.spacing * np.arange(grid.shape[2])
+    for i, mesh in enumerate(meshes):
+        middle = 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))
+        field = signed_distance_grid(Mesh(mesh.vertices - middle, mesh.faces), cube).reshape(cube.shape)
+        for j, stance in enumerate(stances):
+            lift = stood[j, 2, i] / 2 if on_table else 0.0
+            stands = _at_heights(_turned(field, stance), (levels - lift - cube.low[2]) / grid.spacing, grid.spacing)
+            steps[:, i, j] = np.clip(np.rint(stands.ravel() / STEP_M), -FARTHEST, FARTHEST)
+    return ShapeLibrary(grid, steps.reshape(len(steps), -1))
+
+
+def _turned(field: np.ndarray, turn: Int[np.ndarray, "3 3"]) -> np.ndarray:
+    """The field f(R x) of a field f on a grid that R maps to itself."""
+    # The row of R that picks an axis says where that axis of the field comes from, and which way round.
+    flipped = np.flip(field, tuple(axis for axis in range(3) if turn[axis].sum() < 0))
+    return flipped.transpose(np.argsort(np.abs(turn).argmax(1)))
+
+
+def _at_heights(field: np.ndarray, places: np.ndarray, spacing: float) -> np.ndarray:
+    """Interpolate a field along z at places (points of its grid); beyond its ends it grows by the way from there."""
+    inner = np.clip(places, 0, field.shape[2] - 1)
+    base = np.minimum(inner.astype(int), field.shape[2] - 2)
+    part = inner - base
+    return (1 - part) * field[:, :, base] + part * field[:, :, base + 1] + spacing * np.abs(places - inner)
