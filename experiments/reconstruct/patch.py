@@ -36,7 +36,7 @@ from i2t.viz import style
 from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 
 PRIOR, FIRST_STOP, CURVE = "prior", "by imagination, 25 uT", "by imagination, press curve"
-RELATIVE_ERRORS, TEMPERATURES = (0.04, 0.08, 0.15), (0.25, 0.5, 1.0)  # what is chosen among
+RELATIVE_ERRORS, TEMPERATURES = (0.08, 0.15, 0.25), (0.25, 0.5, 1.0)  # what is chosen among
 DOFS, BLURS = (3.0, 8.0, 30.0), (0.0, 1.0, 2.0)
 CATALOGUE, DRAWN = "catalogue", "drawn at random"  # where test objects come from
 DRAWN_PRESSES = 5

@@ -20,7 +20,7 @@ class Step(NamedTuple):
     def needs(self) -> str | None:
         """Recording that is not part of the project, a folder or the first of its files, as the command names it."""
         words = shlex.split(self.command)
-        return next((path for flag, path in pairwise(words) if flag in ("--dataset", "--data", "--readings")), None)
+        return next((path for flag, path in pairwise(words) if flag in ("--dataset", "--data", "--readings", "--objects")), None)
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
         """The command's words after `python`.
@@ -76,7 +76,20 @@ STEPS = (
     ),
     Step("registration_frames", "-m experiments.registration frames --data DATA", minutes=1, again=OVERWRITE),
     Step("active_touch", "-m experiments.active_touch", minutes=10, again=OVERWRITE),
-    Step("reconstruct", "-m experiments.reconstruct --test 10", minutes=15, again=OVERWRITE),
+    Step("reconstruct", "-m experiments.reconstruct", minutes=25, again=OVERWRITE),
+    Step(
+        "reconstruct_objects",
+        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800",
+        minutes=30,
+        again=OVERWRITE,
+    ),
+    Step(
+        "reconstruct_policies",
+        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 100 "
+        "--touches 5 --conditions \"random sites\" uncertainty reading oracle",
+        minutes=60,
+        again=OVERWRITE,
+    ),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
     Step("reconstruct_tip", "-m experiments.reconstruct tip --dataset eflesh/spatial", minutes=10, again=OVERWRITE),
     Step(

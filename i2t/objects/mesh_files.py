@@ -211,7 +211,8 @@ def clean_mesh(mesh: Mesh, path: str = "mesh", largest: bool = True) -> tuple[Me
     wound = work.faces.copy()
     if not work.is_winding_consistent:
         work.faces = _wound_alike(work.faces)
-    trimesh.repair.fix_inversion(work, multibody=not largest)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a flat body has no volume
+        trimesh.repair.fix_inversion(work, multibody=not largest)
     turned = int((wound != work.faces).any(1).sum())
     uses = np.unique(_edges(work.faces), axis=0, return_counts=True)[1]
     size = np.ptp(work.vertices, axis=0)

@@ -11,9 +11,9 @@ where r_i is interpolated at the measured force and the columns of U_i are nuisa
 of the press along two axes (friction, the same at all its stops), the error of each force, and that of first contact.
 With z = D^-1/2 (y - r_i), V = D^-1/2 U_i and A = I + V'V,
 
-    log w_i = T [ -1/2 log |A| - (k + m)/2 log(1 + (z'z - z'V A^-1 V'z) / k) ]
+    log w_i = T / S [ -1/2 log |A| - (k + m)/2 log(1 + (z'z - z'V A^-1 V'z) / k) ]
 
-with k degrees of freedom, m measured values, and T a temperature: patches of a library are not the truth, and what a
+with k degrees of freedom, m measured values at S stops, and T a temperature: patches are not the truth, and what a
 model errs is alike in all channels. A share of the prior stays mixed in, so that no touch is certain. Posterior samples
 are drawn from the weights systematically and are alike in weight.
 
@@ -61,7 +61,7 @@ class PatchLikelihood(NamedTuple):
     contact_std: Float[Array, ""] | float = 0.1e-3  # m, of first contact, the same at all stops of a press
     relative_error: Float[Array, ""] | float = 0.1  # of the reading's norm, by which imagined readings err
     dof: Float[Array, ""] | float = 6.0  # of Student's t
-    temperature: Float[Array, ""] | float = 1.0
+    temperature: Float[Array, ""] | float = 0.5  # T, divided by the number of stops, whose errors are alike
     prior_share: Float[Array, ""] | float = 0.02  # of the prior in the weights
     blur: Float[Array, ""] | float = 1.0  # pixels, by which probabilities of masks are smoothed
 
@@ -131,7 +131,8 @@ def infer_patch(
     if len(reading) == 1:  # a loop of one step is none to the compiler, see `log_likelihood`
         reading = jnp.concatenate([reading, jnp.full_like(reading, jnp.nan)])
         force, travel = jnp.tile(force, 2), jnp.tile(travel, 2)
-    weight = posterior_weights(log_likelihood(reading, force, travel, model=model), model.likelihood)
+    stops = jnp.sum(jnp.all(jnp.isfinite(reading), axis=1))
+    weight = posterior_weights(log_likelihood(reading, force, travel, model=model), model.likelihood, stops)
     return summarize(weight, last, library=library, blur=model.likelihood.blur, samples=samples)
 
 
@@ -175,17 +176,20 @@ def log_likelihood(
     return -0.5 * log_det - 0.5 * (what.dof + measured) * jnp.log1p(distance / what.dof)
 
 
-def posterior_weights(log_likelihood: Float[Array, " n"], likelihood: PatchLikelihood) -> Float[Array, " n"]:
+def posterior_weights(
+    log_likelihood: Float[Array, " n"], likelihood: PatchLikelihood, stops: Int[Array, ""] | int = 1
+) -> Float[Array, " n"]:
     """Weights of the library's patches, tempered, with a share of the prior.
 
     Args:
         log_likelihood: Of each.
         likelihood: Says temperature and share.
+        stops: Number of stops of the press.
 
     Returns:
         Weights that sum to 1.
     """
-    weight = jax.nn.softmax(likelihood.temperature * log_likelihood)
+    weight = jax.nn.softmax(likelihood.temperature / jnp.maximum(stops, 1) * log_likelihood)
     return (1 - likelihood.prior_share) * weight + likelihood.prior_share / len(weight)
 
 
