@@ -1,16 +1,15 @@
-"""`python -m experiments.reconstruct --help`, and `patch --help` and `tip --help` of its other parts."""
+"""`python -m experiments.reconstruct --help`, and `patch --help` of its other part."""
 
 import sys
 
 from experiments.common.commands import command_of_parts
-from experiments.reconstruct.arguments import PatchArgs, ReconstructArgs, TipArgs
+from experiments.reconstruct.arguments import PatchArgs, ReconstructArgs
 
 main = command_of_parts(
     "experiments.reconstruct",
     {
         "surface": (ReconstructArgs, "experiments.reconstruct.surface"),
         "patch": (PatchArgs, "experiments.reconstruct.patch"),
-        "tip": (TipArgs, "experiments.reconstruct.tip"),
     },
 )
 

@@ -1,4 +1,4 @@
-"""The options and presets of `python -m experiments.reconstruct` and of its parts `patch` and `tip`, without JAX."""
+"""The options and presets of `python -m experiments.reconstruct` and of its part `patch`, without JAX."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,28 +132,3 @@ class PatchArgs(RunOptions):
 
     out: Path = Path("runs/reconstruct_patch")  # folder for what is made
     preset: Literal["paper", "short", "debug"] = "paper"
-
-
-@dataclass(frozen=True)
-class TipSizes:
-    """Largest numbers of recorded presses."""
-
-    learnt: int = 800  # of which the skin is calibrated, with those by which constants are chosen
-    test: int = 1200  # of all parts
-    folds: int = 4  # parts of the blocks, each judged by what was learned in the others
-
-
-TIP_PRESETS = {"paper": TipSizes(), "short": TipSizes(300, 600), "debug": TipSizes(60, 24, folds=2)}
-
-
-@dataclass(frozen=True)
-class TipArgs(RunOptions):
-    """Tell from single readings where a skin's calibration tip was, on recorded presses."""
-
-    dataset: Path  # recorded presses of one tip: a set, sessions of eFlesh, or a table
-    out: Path = Path("runs/reconstruct_tip")  # folder for what is made
-    preset: Literal["paper", "short", "debug"] = "paper"
-
-    def check(self) -> None:
-        """Refuse a recording that is not there."""
-        require_path("--dataset", self.dataset, "path")

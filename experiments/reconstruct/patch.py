@@ -42,7 +42,7 @@ CATALOGUE, DRAWN = "catalogue", "drawn at random"  # where test objects come fro
 DRAWN_PRESSES = 5
 COLUMNS = {
     "mask_iou": "mask IoU", "mask_skill": "skill", "contact_iou": "contact IoU", "centre_mm_median": "centre mm",
-    "centre_mm_90": "at 90 %", "crps_ratio": "CRPS / prior's", "coverage_90": "cover 90 %",
+    "centre_mm_90": "at 90 %", "edge_degrees_median": "edge, deg", "edge_mm_median": "edge, mm", "crps_ratio": "CRPS / prior's", "coverage_90": "cover 90 %",
 }  # fmt: skip
 Scores = dict[str, np.ndarray]
 
@@ -102,10 +102,12 @@ def run(args: PatchArgs) -> dict[str, Any]:
 
 
 def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLikelihood:
-    """The likelihood by which press curves of validation objects have the least CRPS, and their masks the best IoU."""
+    """The likelihood by which validation objects have the least CRPS, at one stop and at both, and the best masks."""
 
     def scored(likelihood: PatchLikelihood) -> Scores:
-        return score_touches(_bayes, [trial.with_likelihood(likelihood) for trial in trials], library)
+        some = [trial.with_likelihood(likelihood) for trial in trials]
+        parts = [score_touches(infer, some, library) for infer in (_bayes_first, _bayes)]
+        return {name: np.concatenate([part[name] for part in parts]) for name in ("crps_mm", "mask")}
 
     def best(options: list[PatchLikelihood]) -> PatchLikelihood:
         return min(options, key=lambda each: float(np.mean(scored(each)["crps_mm"])))

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,6 +18,8 @@ from i2t.windows import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WIN
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
 COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage
 DRAWS = 64  # samples of which these are computed
+EDGE_ANGLES, EDGE_OFFSETS = 120, 69  # tried, of a half-plane: 3 degrees and a quarter of a millimetre apart
+STRAIGHT, EDGE_SHARE = 0.95, 0.1  # a mask that a half-plane explains so far, and that leaves so much on either side
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the intervals whose coverage is counted
 MM = 1e3
 
@@ -40,8 +43,40 @@ def score_touch(
         "contact": _ious(found.contact_probability.ravel(), truth.contact),
         "crps_mm": MM * jnp.mean(crps),
         "covered": _coverage(inside, truth.contact),
+        "edge": _edge_errors(found.mask_probability[::COARSE, ::COARSE], true <= CONTACT_TOLERANCE_M),
         "centre_mm": MM * jnp.linalg.norm(found.centre - truth.centre),
     }
+
+
+def edge_of(mask: Array) -> tuple[Array, Array, Array]:
+    """The half-plane that a mask, or the probability of one, resembles most.
+
+    Returns:
+        Direction (rad) of its outward normal in the tool frame, offset (m) of its edge from the middle along that, and
+        how much of the window it explains: 1 for a mask that is a half-plane.
+    """
+    at = ((jnp.arange(len(mask)) + 0.5) / len(mask) - 0.5) * PATCH_WINDOW
+    angles = jnp.linspace(0, 2 * jnp.pi, EDGE_ANGLES, endpoint=False)
+    along = jnp.cos(angles)[:, None, None] * at[None, None, :] + jnp.sin(angles)[:, None, None] * at[None, :, None]
+    offsets = jnp.linspace(-0.5, 0.5, EDGE_OFFSETS) * PATCH_WINDOW
+
+    def explained(offset: Array) -> Array:
+        inside = along <= offset
+        return jnp.mean(jnp.where(inside, mask, 1 - mask), axis=(1, 2))
+
+    found = jax.lax.map(explained, offsets)
+    offset, angle = jnp.unravel_index(jnp.argmax(found), found.shape)
+    return angles[angle], offsets[offset], jnp.max(found)
+
+
+def _edge_errors(probability: Array, true: Array) -> Array:
+    """Errors of direction (degrees) and offset (mm) of an edge; NaN where what was met is no straight edge."""
+    angle, offset, straight = edge_of(true.astype(jnp.float32))
+    found_angle, found_offset, _ = edge_of(probability)
+    turn = jnp.abs((found_angle - angle + jnp.pi) % (2 * jnp.pi) - jnp.pi)
+    share = jnp.mean(true)
+    is_edge = (straight > STRAIGHT) & (share > EDGE_SHARE) & (share < 1 - EDGE_SHARE)
+    return jnp.where(is_edge, jnp.stack([jnp.degrees(turn), MM * jnp.abs(found_offset - offset)]), jnp.nan)
 
 
 def _ious(probability: Array, true: Array) -> Array:
@@ -96,16 +131,21 @@ def report_of(
         """Share of what the prior leaves open."""
         return (weight @ (mask - mask_prior)) / (weight @ (1 - mask_prior))
 
-    def quantile(level: float) -> list[float]:
-        values = scores["centre_mm"]
-        return numbers(bootstrap_clusters(partial(weighted_quantile, values, level), clusters, len(values)))
+    def quantile(values: np.ndarray, level: float = 0.5) -> list[float]:
+        rows = np.isfinite(values)
+        if not rows.any():
+            return [float("nan")] * 3
+        labels = [label[rows] for label in clusters]
+        return numbers(bootstrap_clusters(partial(weighted_quantile, values[rows], level), labels, int(rows.sum())))
 
     return {
         "mask_iou": mean(mask),
         "mask_skill": numbers(bootstrap_clusters(skill, clusters, len(mask))),
         "contact_iou": mean(scores["contact"][:, chosen["contact"]]),
-        "centre_mm_median": quantile(0.5),
-        "centre_mm_90": quantile(0.9),
+        "centre_mm_median": quantile(scores["centre_mm"]),
+        "centre_mm_90": quantile(scores["centre_mm"], 0.9),
+        "edge_degrees_median": quantile(scores["edge"][:, 0]),
+        "edge_mm_median": quantile(scores["edge"][:, 1]),
         "crps_ratio": numbers(bootstrap_clusters(ratio, clusters, len(scores["crps_mm"]))),
         **{f"coverage_{100 * level:.0f}": mean(scores["covered"][:, i]) for i, level in enumerate(LEVELS)},
     }

@@ -5,7 +5,6 @@
     python -m experiments.reconstruct --preset debug                  once through everything, too small to mean much
     python -m experiments.reconstruct --dataset DATA --object NAME    one object from recorded touches, as a mesh
     python -m experiments.reconstruct patch --help                    what one press met
-    python -m experiments.reconstruct tip --help                      where a tip pressed, on recorded presses
 
 Unseen objects, held so that the tool reaches them from everywhere, are touched by a simulated arm with a simulated
 skin: the object is displaced by 1 mm and 1 degree per axis, the arm repeats to .05 mm, readings are noisy; each press

@@ -1,7 +1,7 @@
 """Cells and rows of tables in Markdown, made of what was measured."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial, reduce
+from functools import reduce
 from typing import Any
 
 from experiments.common.tables import markdown
@@ -70,12 +70,6 @@ def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False, 
 def numbers_of(keys: Sequence[str], decimals: int = 2) -> tuple[Cell, ...]:
     """Cells of single scores."""
     return tuple(lambda scores, key=key: number(scores[key], decimals) for key in keys)
-
-
-def scores_of(*scores: tuple[str, str, int]) -> Table:
-    """Scores of every method, each by its name, its title and its decimals; nothing where a method has none."""
-    head = ["method", *(title for _, title, _ in scores)]
-    return rows_over("methods", head, *(partial(span, name, decimals) for name, _, decimals in scores))
 
 
 def span(name: str, decimals: int, scores: Mapping[str, Any]) -> str:

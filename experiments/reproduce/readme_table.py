@@ -77,7 +77,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
 
 
 def _others(results: Mapping[str, Measured]) -> list[list[str]]:
-    tip = results["reconstruct_tip"]["methods"]["by imagination, with the head"]["position_mm_median"][0]
+    heads = results["fidelity"]["recordings"]["20250316_155729_probe"]["Heads"]["heads"]
+    tip = heads["position"]["whole blocks or strokes"]["kept"]["median"]
     later = {
         name: found["accuracy"] for name, found in results["strokes"]["splits"]["in file order"]["methods"].items()
     }
@@ -103,7 +104,7 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         ],
         [
             "touch to shape",
-            f"a tip's place, not shape: median {number(tip, 1)} mm ([local shape](docs/local_shape.md))",
+            f"a tip's place, not shape: median {number(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
             "surfaces under a press and of whole objects ([reconstruction](docs/reconstruction.md))",
             "edges; after 20 touches about half of the error is left",
         ],

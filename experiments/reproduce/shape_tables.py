@@ -1,7 +1,7 @@
-"""Tables of shapes from touches: surfaces, the surface below one press, and the place of a tip."""
+"""Tables of shapes from touches: surfaces, and the surface below one press."""
 
 from experiments.common.tables import markdown
-from experiments.reproduce.cells import Measured, Table, estimate, number, scores_of, span
+from experiments.reproduce.cells import Measured, Table, estimate, number, span
 
 _ENDS = (("iou", 2), ("f_score", 2), ("coverage", 2), ("band_mm", 1))  # scores after the last touch, and decimals
 SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "in the 90 % band": "0.88 to 0.92"}
@@ -73,10 +73,6 @@ def _surfaces(measured: Measured) -> tuple[list[str], list[list[str]]]:
     return ["condition", "start, mm", *map(_touches, counts), "IoU", "F-score", "in the 90 % band", "band, mm"], rows
 
 
-TIPS = scores_of(
-    ("position_mm_median", "position, median mm", 2), ("position_mm_90", "position, 90 % mm", 1),
-    ("depth_error", "depth, mean mm", 2), ("coverage_90", "90 % covers", 2),
-)  # fmt: skip
 PATCH_SCORES = (
     ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
     ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
@@ -158,5 +154,4 @@ TABLES: dict[str, dict[str, Table]] = {
     "reconstruct_objects": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
     "reconstruct_policies": {"policies": policies},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
-    "reconstruct_tip": {"methods": TIPS},
 }

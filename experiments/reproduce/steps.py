@@ -20,7 +20,8 @@ class Step(NamedTuple):
     def needs(self) -> str | None:
         """Recording that is not part of the project, a folder or the first of its files, as the command names it."""
         words = shlex.split(self.command)
-        return next((path for flag, path in pairwise(words) if flag in ("--dataset", "--data", "--readings", "--objects")), None)
+        flags = "--dataset", "--data", "--readings", "--objects"
+        return next((path for flag, path in pairwise(words) if flag in flags), None)
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
         """The command's words after `python`.
@@ -86,12 +87,11 @@ STEPS = (
     Step(
         "reconstruct_policies",
         "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 100 "
-        "--touches 5 --conditions \"random sites\" uncertainty reading oracle",
+        '--touches 5 --conditions "random sites" uncertainty reading oracle',
         minutes=60,
         again=OVERWRITE,
     ),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
-    Step("reconstruct_tip", "-m experiments.reconstruct tip --dataset eflesh/spatial", minutes=10, again=OVERWRITE),
     Step(
         "grasps",
         "-m experiments.recognize recorded --label object --ignore slipped --readings biotac_sp/bts3v2_palm_45.csv.gz "

@@ -13,8 +13,7 @@ REFUSED = [
     ("recognize live --skin replay --pad nominal", "--skin replay is not known; give one of reskin"),
     ("recognize recorded --readings nowhere --label what", "--readings nowhere: there is no such file"),
     ("recognize recorded --label what", "--readings"),
-    ("reconstruct tip --dataset nowhere", "nowhere"),
-    ("reconstruct --conditions guess", "is none of random"),
+    ("reconstruct --conditions guess", "is none of reading"),
     ("reconstruct --dataset nowhere", "there is no such data set"),
     ("reconstruct --name mine", "--name has no effect without --dataset"),
 ]

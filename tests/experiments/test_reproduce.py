@@ -91,15 +91,15 @@ def test_a_table_is_written_where_it_was_measured_and_only_there(tmp_path):
     page.write_text("<!-- table: paper nothing -->\n<!-- end of table -->\n")
     with pytest.raises(ValueError, match="no table 'nothing' of paper"):
         write_tables(tmp_path)
-    page.write_text("<!-- table: reconstruct_tip methods -->\n<!-- end of table -->\n")
-    with pytest.raises(ValueError, match="reproduce --only reconstruct_tip"):
+    page.write_text("<!-- table: reconstruct_policies policies -->\n<!-- end of table -->\n")
+    with pytest.raises(ValueError, match="reproduce --only reconstruct_policies"):
         write_tables(tmp_path)
     results.mkdir()
-    measured = {"methods": {"head": {"depth_error": [0.5, 0.4, 0.6]}}}
-    (results / "reconstruct_tip.json").write_text(json.dumps(shortened("reconstruct_tip", measured)))
-    assert write_tables(tmp_path) == ["page.md: reconstruct_tip methods"]
+    measured = {"share_of_oracles_gap": {"uncertainty": {"5": [0.5, 0.4, 0.6]}}}
+    (results / "reconstruct_policies.json").write_text(json.dumps(shortened("reconstruct_policies", measured)))
+    assert write_tables(tmp_path) == ["page.md: reconstruct_policies policies"]
     before = page.read_text()
-    assert "| head |  |  | 0.50 [0.40, 0.60] |  |" in before
+    assert "| uncertainty | 0.50 [0.40, 0.60] |" in before
     write_tables(tmp_path)
     assert page.read_text() == before
 
