@@ -42,7 +42,8 @@ CATALOGUE, DRAWN = "catalogue", "drawn at random"  # where test objects come fro
 DRAWN_PRESSES = 5
 COLUMNS = {
     "mask_iou": "mask IoU", "mask_skill": "skill", "contact_iou": "contact IoU", "centre_mm_median": "centre mm",
-    "centre_mm_90": "at 90 %", "edge_degrees_median": "edge, deg", "edge_mm_median": "edge, mm", "crps_ratio": "CRPS / prior's", "coverage_90": "cover 90 %",
+    "centre_mm_90": "at 90 %", "edge_degrees_median": "edge, deg", "edge_mm_median": "edge, mm",
+    "crps_ratio": "CRPS / prior's", "coverage_90": "cover 90 %",
 }  # fmt: skip
 Scores = dict[str, np.ndarray]
 

@@ -17,6 +17,7 @@ from i2t.reconstruction.surface import SurfaceEstimate
 from i2t.types import Array
 from i2t.viz.style import COLOURS, GREY, Picture, titled
 
+COMPARED_POLICIES = (CONDITIONS[READING], CONDITIONS["uncertainty"])  # with random sites and the oracle
 Episodes = dict[str, dict[int, Episode]]  # by condition, and by the number of the object
 
 
@@ -41,7 +42,7 @@ def summarize(episodes: Episodes, pads: int) -> dict[str, Any]:
                 pads,
             )
             for name in courses
-            if RANDOM in courses and ORACLE in courses and CONDITIONS[name].policy in ("uncertainty", "reduction")
+            if {RANDOM, ORACLE} <= set(courses) and CONDITIONS[name] in COMPARED_POLICIES
         },
     }
 

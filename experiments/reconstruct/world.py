@@ -103,7 +103,8 @@ def split_objects(args: ReconstructArgs) -> ObjectSplit:
             except ValueError as error:
                 print(f"left out: {error}", flush=True)
     if not all(found):
-        raise ValueError(f"{args.objects}: holds {len(files)} meshes; ten or more are needed to hold some out")
+        count = sum(map(len, found))
+        raise ValueError(f"{args.objects}: holds {count} meshes that can be used; ten or more leave some to hold out")
     return found
 
 
@@ -191,7 +192,8 @@ class Session:
 
     def foresee(self, sites: Float[np.ndarray, "n 4 4"]) -> list[SurfaceEvidence]:
         """Evidence of touches that are not made: the point that each would meet."""
-        met = jax.device_get(_meet_all(self.key_touches, self.surface, self.T_w_o, jnp.asarray(sites, jnp.float32)))
+        key = jax.random.clone(self.key_touches)  # the errors of all touches are folded out of it
+        met = jax.device_get(_meet_all(key, self.surface, self.T_w_o, jnp.asarray(sites, jnp.float32)))
         return [perfect_evidence(site, element(met, i), nearest_only=True) for i, site in enumerate(sites)]
 
     def view(self) -> tuple[SurfaceEvidence, Float[np.ndarray, "h w"]]:

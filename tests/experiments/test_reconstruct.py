@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import trimesh
 from helpers import random_touches
 
 from experiments.reconstruct.__main__ import main
@@ -50,6 +51,34 @@ def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
     assert {"errors.png", "growing.png"} <= {path.name for path in out.iterdir()}
     assert "grid floor" in capsys.readouterr().out
     assert main(words) == 2
+
+
+@pytest.mark.full
+def test_meshes_of_a_folder_are_learnt_from_and_tested_on(tmp_path, capsys):
+    folder = tmp_path / "meshes"
+    for number in range(12):
+        box = trimesh.creation.box((30 + number, 20, 40 - number))
+        (folder / f"{number:02}").mkdir(parents=True)
+        box.export(folder / f"{number:02}" / f"box{number:02}.stl")
+    (folder / "05" / "box05.stl").write_bytes(b"no mesh")
+    words = ["--objects", str(folder), "--unit", "mm", "--across-mm", "50", "60", "--preset", "debug", "--touches", "1"]
+    out = tmp_path / "run"
+    assert main([*words, "--out", str(out), "--conditions", "contact pose only"]) == 0
+    said = capsys.readouterr().out
+    assert "left out" in said
+    assert "box05.stl" in said
+    assert "box00: " in said
+    report = json.loads((out / "metrics.json").read_text())
+    assert report["objects"] == {"validation": ["box01"], "test": ["box00", "box10"]}
+    assert report["library"]["shapes"] == 4
+    (folder / "00" / "box00.stl").unlink()
+    (folder / "10" / "box10.stl").unlink()
+    (folder / "01" / "box01.stl").unlink()
+    for number in range(2, 10):
+        (folder / f"{number:02}" / f"box{number:02}.stl").unlink()
+    assert main([*words, "--out", str(tmp_path / "few")]) == 2
+    assert "holds 1 meshes that can be used" in capsys.readouterr().err
+    assert not (tmp_path / "few").exists()
 
 
 @pytest.mark.full
