@@ -21,6 +21,7 @@ from i2t.reconstruction.surface import (
     SurfaceState,
 )
 
+START = -1  # before the first touch, and before a view
 REPORTED = (0, 1, 5, 10, 20)  # touches after which surfaces are judged
 F_SCORE_SHARE = 0.01  # of the diagonal, within which a point counts as found
 ASKED_STRIDE = 8  # of samples of a surface whose distance to the other one is asked
@@ -72,10 +73,9 @@ def true_shape(session: Session, grid: VoxelGrid, samples: int) -> TrueShape:
     outer = drawn[np.abs(interpolate(grid, distance, drawn)) < OUTER_M]  # not where bodies overlap
     points = outer[::ASKED_STRIDE]
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    hidden = hidden_points(points, session.view()[1])
+    hidden = hidden_points(points, mesh)
     shape = TrueShape(points, cKDTree(outer), distance < 0, diagonal, hidden, 0.0)
-    there, back = distances(extract_mesh(grid, distance), shape)
-    return shape._replace(floor_mm=MM_PER_M * 0.5 * (there.mean() + back.mean()))
+    return shape._replace(floor_mm=chamfer_mm(extract_mesh(grid, distance), shape))
 
 
 def chamfer_mm(mesh: Mesh, truth: TrueShape) -> float:

@@ -36,8 +36,8 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     path, dataset = args.dataset, load_dataset(args.dataset, missing_chips=True)
     name = choose_object(dataset, args.object, path)
     T_o_t, hit = read_touches(dataset, name)
-    begin(args.out, args, args.sizes, None, args.overwrite)  # a data set that cannot be used leaves no folder behind
     model = prior_of(T_o_t[hit], args)
+    begin(args.out, args, args.sizes, None, args.overwrite)  # data that cannot be used leave no folder behind
     state, _ = init(model)
     for pose, contact in zip(T_o_t, hit, strict=True):
         state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=STANDOFF))

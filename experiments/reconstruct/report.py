@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from experiments.reconstruct.arguments import CONDITIONS, ORACLE, PATCH, POSE, RANDOM, READING
-from experiments.reconstruct.episodes import SCORES, Episode
+from experiments.reconstruct.episodes import SCORES, START, Episode
 from i2t import viz
 from i2t.objects.solids import Mesh
 from i2t.recognition.intervals import Estimate, bootstrap_clusters, mean_interval
@@ -61,7 +61,7 @@ def _compared(
 ) -> dict[str, list[float]]:
     """A statistic of the mean distances of three conditions on the same objects, after each number of touches."""
     compared = {}
-    for count in sorted(set.intersection(*map(set, courses)) - {0}):
+    for count in sorted(count for count in set.intersection(*map(set, courses)) if count > 0):
         numbers = np.array(sorted(set.intersection(*(set(course[count]) for course in courses))))
         values = np.array([[course[count][number] for number in numbers] for course in courses])
 
@@ -74,28 +74,30 @@ def _compared(
 
 
 def _condition(found: dict[int, Episode], pads: int) -> dict[str, Any]:
-    counts = sorted({count for each in found.values() for count in each.scores})
-    evidence = [each.hit for found_one in found.values() for each in found_one.state.evidence]
+    counts = sorted({count for each in found.values() for count in each.scores} - {START})
+    hits = [touch.is_contact for each in found.values() for touch in touches_of(each)]
     return {
         "stopped": sum(each.stopped for each in found.values()),
-        "hits": float(np.mean(evidence)),
+        "hits": float(np.mean(hits)),
         "after": {str(count): _after(found, count, pads) for count in counts},
     }
 
 
 def _after(found: dict[int, Episode], count: int, pads: int) -> dict[str, list[float]]:
-    """Means with 95 % intervals over objects and pads; ratios to the start are those of means."""
+    """Means with 95 % intervals over objects and pads; ratios of means are to the start, and of the hidden surface to what
+    a view left of it.
+    """
     kept = {number: each for number, each in found.items() if count in each.scores}
     numbers = np.array(list(kept))
     clusters = [numbers, numbers % pads]
 
-    def ratio(name: str) -> Estimate:
-        now, begun = (np.array([each.scores[done][name] for each in kept.values()]) for done in (count, 0))
-        return bootstrap_clusters(lambda weights: (weights @ now) / (weights @ begun), clusters, len(numbers))
+    def ratio(name: str, begun: int) -> Estimate:
+        now, before = (np.array([each.scores[done][name] for each in kept.values()]) for done in (count, begun))
+        return bootstrap_clusters(lambda weights: (weights @ now) / (weights @ before), clusters, len(numbers))
 
     values = {name: np.array([each.scores[count][name] for each in kept.values()]) for name in SCORES}
     means = {name: mean_interval(value, clusters) for name, value in values.items()}
-    means |= {"ratio": ratio("chamfer_mm"), "hidden_ratio": ratio("hidden_mm")}
+    means |= {"ratio": ratio("chamfer_mm", START), "hidden_ratio": ratio("hidden_mm", 0)}
     return {name: [float(found.mean), float(found.low), float(found.high)] for name, found in means.items()}
 
 
@@ -104,7 +106,7 @@ def draw_errors(report: dict[str, Any]) -> Picture:
     figure = Picture(figsize=(6.5, 4), layout="constrained")
     axes = figure.subplots()
     for colour, (name, found) in zip(COLOURS, report["conditions"].items(), strict=False):
-        touches = sorted(int(count) for count in found["after"])
+        touches = sorted(map(int, found["after"]))
         rows = np.array([found["after"][str(count)]["chamfer_mm"] for count in touches])
         axes.plot(touches, rows[:, 0], "o-", color=colour, label=name, ms=4)
         axes.fill_between(touches, rows[:, 1], rows[:, 2], color=colour, alpha=0.12, lw=0)
@@ -115,13 +117,19 @@ def draw_errors(report: dict[str, Any]) -> Picture:
     return figure
 
 
+def touches_of(episode: Episode) -> list[SurfaceEvidence]:
+    """Evidence of the touches of an episode, without that of a view."""
+    return [each for each in episode.state.evidence if isinstance(each.region, Sweep)]
+
+
 def draw_episode(out: Path, episode: Episode, name: str, mesh: Mesh, seconds: float) -> None:
     """Draw the stages of one episode and the truth, and say what came out."""
-    touches = [each for each in episode.state.evidence if isinstance(each.region, Sweep)]
-    stages = [shown_surface(estimate, touches[:count]) for count, estimate in sorted(episode.estimates.items())]
+    touches = touches_of(episode)
+    shown = sorted((count, estimate) for count, estimate in episode.estimates.items() if count > START)
+    stages = [shown_surface(estimate, touches[:count]) for count, estimate in shown]
     title = f"An unseen object ({name}) under touches"
     viz.save_figure(viz.plot_growing_surface(stages, (mesh.vertices, mesh.faces), title, True), out / "growing.png")
-    first, last = (episode.scores[count]["chamfer_mm"] for count in (0, max(episode.scores)))
+    first, last = (episode.scores[count]["chamfer_mm"] for count in (START, max(episode.scores)))
     print(
         f"{name}: {first:.1f} mm from the true surface before the first touch, {last:.1f} mm after {len(touches)} "
         f"(simulated; after {seconds:.0f} s); {out / 'growing.png'} shows it",
@@ -134,7 +142,7 @@ def shown_surface(estimate: SurfaceEstimate, touches: Sequence[SurfaceEvidence])
     mesh = estimate.mesh
     std = interpolate(estimate.grid, estimate.std, mesh.vertices)
     poses = np.array(
-        [touch.region.T_o_t for touch in touches if touch.hit and isinstance(touch.region, Sweep)]
+        [touch.region.T_o_t for touch in touches if touch.is_contact and isinstance(touch.region, Sweep)]
     ).reshape(-1, 4, 4)
     label = f"{len(touches)} touch" if len(touches) == 1 else f"{len(touches)} touches"
     return viz.ShownSurface(label, mesh.vertices, mesh.faces, std, poses)

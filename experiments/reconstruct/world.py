@@ -22,6 +22,7 @@ from i2t.reconstruction.evidence import (
     contact_evidence,
     reading_evidence,
     view_evidence,
+    with_free_patch,
     with_surface_points,
 )
 from i2t.reconstruction.library import ContactSampling, build_library
@@ -46,8 +47,9 @@ LATTICE = 8  # heights of a perfect patch along each edge
 PERFECT_STD_M = 0.3e-3
 ERRORS = SimulationErrors()
 CAMERA = Camera(160, 120, 200.0, 200.0, 79.5, 59.5)
-CAMERA_M, CAMERA_DIRECTION = 0.35, np.array([0.7, 0.0, 0.7])  # where it is, seen from the object
+CAMERA_M, CAMERA_DIRECTION = 0.22, np.array([0.7, 0.0, 0.7])  # where it is, seen from the object
 T_W_CAMERA = contact_frame(CAMERA_M * CAMERA_DIRECTION, CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION), 0.0)
+WALL_M = 1.0  # from the camera, behind the object
 VISIBLE_M = 2e-3  # behind what was seen there, a point is hidden
 MM_PER_M = 1e3
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
@@ -74,7 +76,6 @@ class Reality(NamedTuple):
 class Met(NamedTuple):
     """Where a pad met an object."""
 
-    T_o_t: Array  # pose at contact, seen from where the object really is
     advanced: Array  # m past the site
     hit: Array
     heights: Array  # (g, g) m, over the cells of the pad
@@ -97,11 +98,12 @@ def split_objects(args: ReconstructArgs) -> ObjectSplit:
             if len(part) == count:
                 break
             try:
-                part[files[number].stem] = _scaled(
-                    load_mesh(files[number], args.unit or "m", largest=False), args, int(number)
-                )
+                name = str(files[number].relative_to(args.objects).with_suffix(""))
+                part[name] = _scaled(load_mesh(files[number], args.unit or "m", largest=False), args, int(number))
             except ValueError as error:
                 print(f"left out: {error}", flush=True)
+    if len({name for part in found for name in part}) < sum(map(len, found)):
+        raise ValueError(f"{args.objects}: two files have one name but for their endings; leave one of each")
     if not all(found):
         count = sum(map(len, found))
         raise ValueError(f"{args.objects}: holds {count} meshes that can be used; ten or more leave some to hold out")
@@ -144,7 +146,7 @@ def _meet(key: Array, surface: Surface, T_w_o: Array, T_w_site: Array) -> Met:
         for window, cells in ((PAD_WINDOW, GRID.cells), (PATCH_WINDOW, LATTICE))
     )
     advanced = jnp.linalg.norm(T_o_t[:3, 3] - start[:3, 3]) - APPROACH_M
-    return Met(T_o_t, advanced, hit & jnp.isfinite(jnp.min(heights)), heights, patch)
+    return Met(advanced, hit & jnp.isfinite(jnp.min(heights)), heights, patch)
 
 
 _press = jax.jit(partial(simulate_press_curve, errors=ERRORS, limits=PressLimits()))
@@ -164,7 +166,7 @@ class Session:
     def __post_init__(self) -> None:
         key_session, self.key_touches, key_view = jax.random.split(_key(self.seed, self.number), 3)
         self.surface = element(self.reality.surfaces, self.number)
-        self.T_w_o = sample_session_errors(key_session, ERRORS).T_o_placed  # it is believed at the world's origin
+        self.T_w_o, self.camera_error = sample_session_errors(key_session, ERRORS)  # believed at the world's origin
         self.view_seed = int(jax.random.bits(key_view))
 
     @cached_property
@@ -178,8 +180,7 @@ class Session:
         key_meet, key_press = jax.random.split(jax.random.fold_in(self.key_touches, self.touches))
         self.touches += 1
         met = jax.device_get(_meet(key_meet, self.surface, self.T_w_o, jnp.asarray(site, jnp.float32)))
-        T_w_t = site.copy()
-        T_w_t[:3, 3] += float(met.advanced) * site[:3, 2]  # as the arm reports it
+        T_w_t = reported_pose(site, met)
         if felt == "pose" or not met.hit:
             return contact_evidence(T_w_t, hit=bool(met.hit), swept=APPROACH_M)
         if felt == "patch":
@@ -191,38 +192,52 @@ class Session:
         return reading_evidence(T_w_t, jax.device_get(found), swept=APPROACH_M)
 
     def foresee(self, sites: Float[np.ndarray, "n 4 4"]) -> list[SurfaceEvidence]:
-        """Evidence of touches that are not made: the point that each would meet."""
+        """Evidence of touches that are not made, each of which would feel all before it."""
         key = jax.random.clone(self.key_touches)  # the errors of all touches are folded out of it
         met = jax.device_get(_meet_all(key, self.surface, self.T_w_o, jnp.asarray(sites, jnp.float32)))
-        return [perfect_evidence(site, element(met, i), nearest_only=True) for i, site in enumerate(sites)]
+        each = (element(met, i) for i in range(len(sites)))
+        return [perfect_evidence(reported_pose(site, one), one) for site, one in zip(sites, each, strict=True)]
 
-    def view(self) -> tuple[SurfaceEvidence, Float[np.ndarray, "h w"]]:
-        """What a depth camera sees of the object from one side above it, and its true depths (m)."""
-        depth, _ = render_view(self.mesh.vertices[self.mesh.faces], T_W_CAMERA, CAMERA)
-        seen = add_depth_noise(depth, ERRORS, np.random.default_rng(self.view_seed))
-        return view_evidence(np.asarray(np.where(np.isinf(depth), depth, seen)), CAMERA, T_W_CAMERA), depth
+    def view(self) -> SurfaceEvidence:
+        """What a depth camera sees of the object from one side above it, with the errors of its pose and image."""
+        depth = true_view(self.mesh, T_W_CAMERA @ np.asarray(self.camera_error, np.float64))
+        wall = np.where(np.isfinite(depth), depth, WALL_M)
+        seen = add_depth_noise(wall, ERRORS, np.random.default_rng(self.view_seed))
+        return view_evidence(np.where(seen > WALL_M / 2, np.inf, seen), CAMERA, T_W_CAMERA)
 
 
-def perfect_evidence(T_w_t: Float[np.ndarray, "4 4"], met: Met, *, nearest_only: bool = False) -> SurfaceEvidence:
-    """Evidence of a touch that feels all of the patch before it, or only its point of contact."""
+def reported_pose(site: Float[np.ndarray, "4 4"], met: Met) -> Float[np.ndarray, "4 4"]:
+    """Pose of contact, or of the end of the way, as the arm reports it."""
+    T_w_t = site.copy()
+    T_w_t[:3, 3] += float(met.advanced) * site[:3, 2]
+    return T_w_t
+
+
+def perfect_evidence(T_w_t: Float[np.ndarray, "4 4"], met: Met) -> SurfaceEvidence:
+    """Evidence of a touch that feels all of the patch before it, as far as a patch reaches."""
     touch = contact_evidence(T_w_t, hit=bool(met.hit), swept=APPROACH_M)
-    heights, window = (met.heights, PAD_WINDOW) if nearest_only else (met.patch, PATCH_WINDOW)
-    at = ((np.arange(len(heights)) + 0.5) / len(heights) - 0.5) * window
+    at = ((np.arange(LATTICE) + 0.5) / LATTICE - 0.5) * PATCH_WINDOW
     y, x = np.meshgrid(at, at, indexing="ij")
-    felt = heights <= heights.min() if nearest_only else heights < REACH
-    if not met.hit or not felt.any():
+    felt = met.patch < REACH
+    if not met.hit:
         return touch
-    local = np.stack([x[felt], y[felt], heights[felt]], -1)
-    points = local @ T_w_t[:3, :3].T + T_w_t[:3, 3]
-    return with_surface_points(touch, points, np.full(len(points), PERFECT_STD_M))
+    touch = with_free_patch(touch, np.minimum(met.patch, REACH))
+    local = np.stack([x[felt], y[felt], met.patch[felt]], -1)
+    return with_surface_points(touch, local, np.full(len(local), PERFECT_STD_M)) if len(local) else touch
+
+
+def true_view(mesh: Mesh, T_w_c: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "h w"]:
+    """Depths (m) without errors; infinite where there is nothing."""
+    return render_view(mesh.vertices[mesh.faces], T_w_c, CAMERA)[0]
 
 
 def _key(seed: int, number: int) -> Array:
     return jax.random.fold_in(jax.random.key(seed), number)
 
 
-def hidden_points(points: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, "h w"]) -> np.ndarray:
-    """Which points of the true surface the camera did not see."""
+def hidden_points(points: Float[np.ndarray, "n 3"], mesh: Mesh) -> np.ndarray:
+    """Which points of the true surface a camera at that place does not see."""
+    depth = true_view(mesh, T_W_CAMERA)
     local = (points - T_W_CAMERA[:3, 3]) @ T_W_CAMERA[:3, :3]
     column, row = np.rint(np.asarray(project(CAMERA, jnp.asarray(local)))).astype(int).T
     nearest = depth[np.clip(row, 0, CAMERA.height - 1), np.clip(column, 0, CAMERA.width - 1)]

@@ -66,7 +66,7 @@ def _surfaces(measured: Measured) -> tuple[list[str], list[list[str]]]:
     rows = []
     for name, found in conditions.items():
         after = found["after"]
-        begun = number(after["0"]["chamfer_mm"][0], 2)
+        begun = number(after["0"]["chamfer_mm"][0] / after["0"]["ratio"][0], 2)
         course = [estimate(after[str(count)]["ratio"], 2) if str(count) in after else "" for count in counts]
         last = after[max(after, key=int)]
         rows.append([name, begun, *course, *(number(last[score][0], decimals) for score, decimals in _ENDS)])

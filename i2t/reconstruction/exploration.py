@@ -1,8 +1,8 @@
 """Next touch of an unknown object.
 
 Sites are proposed on the surface as it is estimated now, each with the tool along the estimated normal; those that the
-limits of `i2t.simulation.site_limits` forbid are struck out, judged on the estimate and its uncertainty, since nothing
-else is known. A policy chooses among the rest; where nothing is left, nothing is chosen and the caller stops.
+limits of `i2t.simulation.site_limits` forbid are struck out, judged on the estimate, since nothing else is known. A
+policy chooses among the rest; where nothing is left, nothing is chosen and the caller stops.
 
   random       any of them
   uncertainty  the one whose surface is least certain
@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from i2t.geometry import contact_frame
-from i2t.reconstruction.signed_distances import VoxelGrid, interpolate
+from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import (
     SurfaceEstimate,
     SurfaceModel,
@@ -38,7 +38,7 @@ PolicyName = Literal["random", "uncertainty", "reduction"]
 POLICY_NAMES: tuple[PolicyName, ...] = ("random", "uncertainty", "reduction")
 SITES_AT_A_TIME = 16  # sites whose limits are checked at a time
 # An object held so that the tool reaches it from everywhere: no table, no flange, any direction.
-AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
+AROUND_LIMITS = SiteLimits(min_cos=-1.01, table=-1.0)  # also straight from below, whose cosine is not above -1
 
 
 @dataclass(frozen=True)
@@ -185,13 +185,7 @@ def _unoccluded(estimate: SurfaceEstimate, T_o_t: np.ndarray, limits: SiteLimits
     local = np.stack([x, y, z], -1)
     places = np.einsum("nij,kj->nki", T_o_t[:, :3, :3], local) + T_o_t[:, None, :3, 3]
     found = interpolate(estimate.grid, estimate.distance, places.reshape(-1, 3)).reshape(len(T_o_t), -1)
-    inside = (found < 0) & _within(estimate.grid, places)
-    return np.asarray(~inside.any(-1))
-
-
-def _within(grid: VoxelGrid, points: np.ndarray) -> np.ndarray:
-    high = np.array(grid.low) + grid.spacing * (np.array(grid.shape) - 1)
-    return np.asarray(((points >= grid.low) & (points <= high)).all(-1))
+    return np.asarray((found >= 0).all(-1))  # false of NaN
 
 
 def _scores(

@@ -6,7 +6,7 @@ f(R x), so the points are turned in place of the shapes, and the values of all s
 """
 
 from collections.abc import Sequence
-from itertools import permutations, product
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -19,16 +19,10 @@ STEP_M = 0.25e-3  # of the distances that are held
 FARTHEST = 127  # steps; what is farther away is held as this
 
 
-def _signed_permutations(axes: int) -> Int[np.ndarray, "t a a"]:
-    """All matrices that exchange and mirror axes."""
-    found = [
-        np.diag(signs)[list(order)] for order in permutations(range(axes)) for signs in product((1, -1), repeat=axes)
-    ]
-    return np.stack(found)
-
-
-TURNS = np.pad(_signed_permutations(2), ((0, 0), (0, 1), (0, 1)))
-TURNS[:, 2, 2] = 1  # (8, 3, 3), about z
+# The turns of a square about z, and their mirror images.
+TURNS = np.zeros((8, 3, 3), int)
+TURNS[:, :2, :2] = [np.diag(signs)[list(order)] for order in ((0, 1), (1, 0)) for signs in product((1, -1), repeat=2)]
+TURNS[:, 2, 2] = 1
 # Which axis is up, and which of its ends: what is left of the 48 turns and mirrors of a cube.
 STANCES = np.stack(
     [np.roll(np.eye(3, dtype=int), axis, axis=1) * (1, 1, sign) for axis in range(3) for sign in (1, -1)]
@@ -85,7 +79,6 @@ def shape_library(
     low: np.ndarray,
     high: np.ndarray,
     on_table: bool = True,
-    on_any_side: bool = True,
 ) -> ShapeLibrary:
     """Signed distances of shapes on a grid that holds them in every stance.
 
@@ -96,18 +89,16 @@ def shape_library(
         low: (3,) m, lowest corner of what the grid must hold besides.
         high: (3,) m, its highest corner.
         on_table: Whether shapes stand on z = 0, their box about the z axis; if not, it is about the origin.
-        on_any_side: Whether shapes stand on all their sides, or only as they are given.
 
     Returns:
         The library.
     """
-    stances = STANCES if on_any_side else STANCES[:1]
     sizes = np.array([np.ptp(mesh.vertices, axis=0) for mesh in meshes]).reshape(-1, 3)
-    stood = np.abs(stances).transpose(0, 2, 1) @ sizes.T  # (stances, 3, meshes) m, of the box of each
+    stood = np.abs(STANCES).transpose(0, 2, 1) @ sizes.T  # (stances, 3, meshes) m, of the box of each
     half = stood.max((0, 2)) / 2 if len(meshes) else np.zeros(3)
     up = np.array([0, 0, half[2] if on_table else 0.0])
     grid = grid_around(np.minimum(low, up - half), np.maximum(high, up + half), across=across, margin=margin)
-    steps = np.empty((int(np.prod(grid.shape)), len(meshes), len(stances)), np.int8)
+    steps = np.empty((int(np.prod(grid.shape)), len(meshes), len(STANCES)), np.int8)
     cube = VoxelGrid(
         (grid.low[0],) * 3, grid.spacing, (across,) * 3
     )  # about the origin, so that turns map it to itself
@@ -115,7 +106,7 @@ def shape_library(
     for i, mesh in enumerate(meshes):
         middle = 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))
         field = signed_distance_grid(Mesh(mesh.vertices - middle, mesh.faces), cube).reshape(cube.shape)
-        for j, stance in enumerate(stances):
+        for j, stance in enumerate(STANCES):
             lift = stood[j, 2, i] / 2 if on_table else 0.0
             stands = _at_heights(_turned(field, stance), (levels - lift - cube.low[2]) / grid.spacing, grid.spacing)
             steps[:, i, j] = np.clip(np.rint(stands.ravel() / STEP_M), -FARTHEST, FARTHEST)

@@ -7,7 +7,7 @@ part for what the library does not hold; a library of none leaves a prior of smo
     f = sum_k w_k f_k + residual,   cov = sum_k w_k (f_k - m)(f_k - m)' + s^2 Matern_{5/2}(r / l)
 
 A touch or a view is evidence of up to three kinds (`i2t.reconstruction.evidence`): points whose signed distance is
-known, a square of which some point lies on the surface, and space that is free. The library's weights follow from how
+known, a pad of which some point lies on the surface, and space that is free. The library's weights follow from how
 well each shape agrees (a Student's t likelihood, tempered, since a touch's points are not independent). What is left is
 a linear regression on the points, with points of free space where the mean would break in; in the end space that is
 known to be free is carved out exactly. Frames as in `i2t.types`, O the object.
@@ -31,13 +31,12 @@ from scipy.special import logsumexp
 
 from i2t.errors import require_extra
 from i2t.objects.solids import Mesh
-from i2t.reconstruction.evidence import SurfaceEvidence, with_surface_points
+from i2t.reconstruction.evidence import SurfaceEvidence, Sweep, with_surface_points
 from i2t.reconstruction.shape_library import TURNS, ShapeLibrary, shape_library
-from i2t.reconstruction.signed_distances import VoxelGrid, corners_of, extract_mesh, interpolate
+from i2t.reconstruction.signed_distances import VoxelGrid, corners_of, extract_mesh
 from i2t.types import Array
 
 Z_90 = 1.645  # standard deviations of a band of 90 %
-FREE_STRIDE = 2  # of the grid on which the mean is compared with free space
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,6 @@ class SurfaceConfig:
     across: int = 32  # points of the grid along x and along y
     margin: float = 6e-3  # m, of the grid around the shapes
     on_table: bool = True  # whether objects stand on z = 0, or their box is about the origin
-    on_any_side: bool = True  # whether shapes of the library stand on all their sides
     shapes: int = 128  # of the library that have most weight; the rest is left out
     temperature: float = 2.0  # by which log likelihoods of shapes are divided
     misfit: float = 1.5e-3  # m, by which a known shape may miss an unknown object and still be like it
@@ -58,7 +56,7 @@ class SurfaceConfig:
     smooth_length: float = 25e-3  # m
     radius: float = 30e-3  # m, of the ball that stands for a library of none
     pose_std: float = 0.3e-3  # m, of every point, from what the tool's pose is uncertain by
-    contact_std: float = 2e-3  # m, more, where the point of contact in the pad's square is a guess
+    contact_std: float = 2e-3  # m, where the point of contact in the pad's square is a guess
     free_tolerance: float = 0.5e-3  # m by which the mean may break into free space
     free_std: float = 1e-3  # m
     free_points: int = 4  # of a touch or view, at most, that hold the mean out of free space
@@ -150,7 +148,6 @@ def surface_model(
         low=np.asarray(low, float),
         high=np.asarray(high, float),
         on_table=config.on_table,
-        on_any_side=config.on_any_side,
     )
     return SurfaceModel(library.grid, library.grid.points(), library, config)
 
@@ -180,7 +177,7 @@ def update(model: SurfaceModel, state: SurfaceState, evidence: SurfaceEvidence) 
         The new state, and how well each shape of the library agrees.
     """
     found = _log_likelihood(model, evidence)
-    bound = np.maximum(state.bound, evidence.region.bound(model.points))
+    bound = np.maximum(state.bound, evidence.region.lower_bound(model.points))
     after = SurfaceState(state.log_weights + found, (*state.evidence, evidence), bound)
     return after, SurfaceInfo(found, _effective(model, after))
 
@@ -197,19 +194,15 @@ def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
     """
     prior = weighted_prior(model, state)
     points, values, std = _known_points(model, state, prior)
-    free = np.concatenate([each.free for each in state.evidence]) if state.evidence else np.zeros((0, 3))
-    bound = np.concatenate([each.bound for each in state.evidence]) if state.evidence else np.zeros(0)
-    ends = np.cumsum([len(each.bound) for each in state.evidence])[:-1]
     posterior = condition_on(model, prior, points=points, values=values, std=std)
-    grid, rows = coarse_grid(model, FREE_STRIDE)
-    for _ in range(2 if len(free) else 0):  # where the mean breaks into free space it is held out; then once more
-        mean, _ = predict(model, posterior, rows, spread=False)
-        worst = _worst(np.split(interpolate(grid, mean, free) - bound, ends), model.config)
-        if not len(worst):
+    for _ in range(2):  # where the mean breaks into free space it is held out; then once more
+        broken = [_broken(model, posterior, each) for each in state.evidence]
+        if not sum(map(len, broken)):
             break
-        points = np.concatenate([points, free[worst]])
-        values = np.concatenate([values, bound[worst]])
-        std = np.concatenate([std, np.full(len(worst), model.config.free_std)])
+        for each, rows in zip(state.evidence, broken, strict=True):
+            points = np.concatenate([points, each.free[rows]])
+            values = np.concatenate([values, each.free_bound[rows]])
+            std = np.concatenate([std, np.full(len(rows), model.config.free_std)])
         posterior = condition_on(model, prior, points=points, values=values, std=std)
     return posterior
 
@@ -363,15 +356,15 @@ def _student(x: np.ndarray, dof: float) -> np.ndarray:
 def _log_likelihood(model: SurfaceModel, evidence: SurfaceEvidence) -> np.ndarray:
     """Log likelihood of evidence under each shape of the library, turn after turn."""
     config, total = model.config, []
-    every = np.concatenate([evidence.free, evidence.square, evidence.points])
-    parts = np.cumsum([len(evidence.free), len(evidence.square)])
+    every = np.concatenate([evidence.free, evidence.pad_points, evidence.points])
+    parts = np.cumsum([len(evidence.free), len(evidence.pad_points)])
     for turn in range(len(TURNS)):
-        free, square, known = np.split(model.library.near(every, turn), parts)
+        free, pad, known = np.split(model.library.near(every, turn), parts)
         found = np.zeros(known.shape[1])
         if len(free):
-            found += _student(np.minimum(free - evidence.bound[:, None], 0).min(0) / config.misfit, config.dof)
-        if len(square):
-            found += _student(square.min(0) / config.misfit, config.dof)
+            found += _student(np.minimum(free - evidence.free_bound[:, None], 0).min(0) / config.misfit, config.dof)
+        if len(pad):  # also where a reading says more: nothing of the surface lies behind the pad's plane
+            found += _student(pad.min(0) / config.misfit, config.dof)
         if len(known):
             scale = np.hypot(config.misfit, evidence.std)[:, None]
             error = (known - evidence.values[:, None]) / scale
@@ -435,20 +428,24 @@ def _known_points(
     config = model.config
     points, values, std = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
     for each in state.evidence:
-        if not len(each.points) and len(each.square):
-            nearest = each.square[[int(_prior_at(model, prior, each.square)[0].argmin())]]
-            each = with_surface_points(each, nearest, np.array([config.contact_std]))
+        if not len(each.points) and each.is_contact:
+            each = _with_guess(model, prior, each)
         points.append(each.points)
         values.append(each.values)
         std.append(np.hypot(each.std, config.pose_std))
     return np.concatenate(points), np.concatenate(values), np.concatenate(std)
 
 
-def _worst(excess: Sequence[np.ndarray], config: SurfaceConfig) -> np.ndarray:
-    """Numbers of the free points that the mean violates most: a few of each touch."""
-    chosen, start = [], 0
-    for part in excess:
-        worst = np.argsort(part)[: config.free_points]
-        chosen.append(start + worst[part[worst] < -config.free_tolerance])
-        start += len(part)
-    return np.concatenate(chosen)
+def _with_guess(model: SurfaceModel, prior: SurfacePrior, touch: SurfaceEvidence) -> SurfaceEvidence:
+    """A touch that does not know where its pad met the surface, with the point where the shapes expect it."""
+    assert isinstance(touch.region, Sweep)
+    nearest = touch.pad_points[[int(_prior_at(model, prior, touch.pad_points)[0].argmin())]]
+    local = (nearest - touch.region.T_o_t[:3, 3]) @ touch.region.T_o_t[:3, :3]
+    return with_surface_points(touch, local, np.array([model.config.contact_std]))
+
+
+def _broken(model: SurfaceModel, posterior: SurfacePosterior, evidence: SurfaceEvidence) -> Int[np.ndarray, " r"]:
+    """Rows of the free points that the mean violates most: a few of each touch or view."""
+    excess = predict(model, posterior, evidence.free, spread=False)[0] - evidence.free_bound
+    worst = np.argsort(excess)[: model.config.free_points]
+    return worst[excess[worst] < -model.config.free_tolerance]

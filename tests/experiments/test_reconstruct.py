@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -12,11 +13,13 @@ from helpers import random_touches
 
 from experiments.reconstruct.__main__ import main
 from experiments.reconstruct.patch import CURVE, METHODS, PRIOR
+from experiments.reconstruct.patch_scores import edge_of
 from experiments.reconstruct.recorded import choose_object, read_touches
 from i2t.dataset import save_dataset
 from i2t.errors import DataError
 from i2t.objects.mesh_files import load_object
 from i2t.types import ReturnCode
+from i2t.windows import PATCH_WINDOW
 
 
 @pytest.mark.full
@@ -99,6 +102,20 @@ def test_presses_of_unseen_shapes_are_told_and_scored_by_every_method(tmp_path, 
         assert all(0 <= found[name][0] <= 1 for name in ("mask_iou", "contact_iou", "coverage_90"))
     assert (out / "posteriors.png").exists()
     assert "simulated" in capsys.readouterr().out
+
+
+def test_edges_of_masks_are_those_of_half_planes():
+    at = ((np.arange(24) + 0.5) / 24 - 0.5) * PATCH_WINDOW
+    x, y = np.meshgrid(at, at)
+    find = jax.jit(edge_of)
+    for degrees, offset in ((20.0, 2e-3), (160.0, -3e-3), (275.0, 0.0)):
+        angle = np.radians(degrees)
+        mask = np.cos(angle) * x + np.sin(angle) * y <= offset
+        found, where, straight = find(jnp.float32(mask))
+        assert abs(np.degrees(found) - degrees) < 2
+        assert abs(where - offset) < 0.3e-3
+        assert straight > 0.98
+    assert find(jnp.float32(np.hypot(x, y) < 4e-3))[2] < 0.95  # a disk has no edge
 
 
 def _recorded(name):

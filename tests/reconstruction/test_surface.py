@@ -109,7 +109,7 @@ def test_what_a_pad_swept_is_free_and_nothing_else_is_carved():
     assert (estimate.distance[swept] > 0).all()
     assert np.isneginf(state.bound[~swept]).all()
     at = np.array([[0, 0, 4e-3], [8e-3, 0, 40e-3]])
-    np.testing.assert_allclose(state.evidence[0].region.bound(at), [4e-3, 2e-3])
+    np.testing.assert_allclose(state.evidence[0].region.lower_bound(at), [4e-3, 2e-3])
 
 
 def test_a_contact_chooses_among_known_shapes_and_narrows_the_band():
@@ -170,9 +170,7 @@ def test_a_floor_is_what_no_touch_takes_away():
         model = _smooth(smooth_length=60e-3, band_floor=floor, pose_std=0.1e-3)
         state, _ = init(model)
         for x in np.linspace(-8e-3, 8e-3, 12):
-            touch = with_surface_points(
-                contact_evidence(from_above(20e-3, x)), top + np.array([x, 0, 0]), np.array([0.1e-3])
-            )
+            touch = with_surface_points(contact_evidence(from_above(20e-3, x)), np.zeros((1, 3)), np.array([0.1e-3]))
             state, _ = update(model, state, touch)
         return predict(model, regress(model, state), top)[1][0]
 
@@ -185,7 +183,9 @@ def test_points_that_a_touch_felt_are_points_of_the_surface():
     model = _balls()
     x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
     cap = np.stack([x, y, np.sqrt(25e-3**2 - x**2 - y**2)], -1)
-    evidence = with_surface_points(contact_evidence(from_above(25e-3)), cap, np.full(25, 0.1e-3))
+    evidence = with_surface_points(
+        contact_evidence(from_above(25e-3)), cap * (1, -1, -1) + (0, 0, 25e-3), np.full(25, 0.1e-3)
+    )
     state, info = update(model, init(model)[0], evidence)
     assert RADII[info.log_likelihood.argmax() % len(RADII)] == 25e-3
     assert abs(predict(model, regress(model, state), cap[[6]])[0][0]) < 1e-3
@@ -216,7 +216,7 @@ def test_a_view_shows_a_surface_and_carves_what_it_looked_through():
     assert (seen.points[:, 2] > 0).all()
     assert isinstance(seen.region, SeenThrough)
     asked = np.array([[0, 0, 30e-3], [35e-3, 0, 0], [0, 0, 0], [0, 0, 0.3]])  # before it, beside, inside, not seen
-    np.testing.assert_array_equal(seen.region.bound(asked), [0, 0, -np.inf, -np.inf])
+    np.testing.assert_array_equal(seen.region.lower_bound(asked), [0, 0, -np.inf, -np.inf])
     state, info = update(_balls(), init(_balls())[0], seen)
     assert RADII[info.log_likelihood.argmax() % len(RADII)] == 25e-3
     estimate = estimate_surface(_balls(), state)
