@@ -84,8 +84,8 @@ def _condition(found: dict[int, Episode], pads: int) -> dict[str, Any]:
 
 
 def _after(found: dict[int, Episode], count: int, pads: int) -> dict[str, list[float]]:
-    """Means with 95 % intervals over objects and pads; ratios of means are to the start, and of the hidden surface to what
-    a view left of it.
+    """Means with 95 % intervals over objects and pads; ratios of means are to the start, of the hidden surface to
+    what a view left of it.
     """
     kept = {number: each for number, each in found.items() if count in each.scores}
     numbers = np.array(list(kept))

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import logsumexp
 
 from i2t.errors import require_extra
@@ -67,10 +67,14 @@ class SurfaceConfig:
 class SurfaceModel(NamedTuple):
     """Prior knowledge of the surface."""
 
-    grid: VoxelGrid
-    points: Float[np.ndarray, "g 3"]  # m, of the grid
     library: ShapeLibrary
+    points: Float[np.ndarray, "g 3"]  # m, of its grid
     config: SurfaceConfig
+
+    @property
+    def grid(self) -> VoxelGrid:
+        """The grid of all signed distances."""
+        return self.library.grid
 
 
 class SurfaceState(NamedTuple):
@@ -114,8 +118,8 @@ class SurfacePosterior(NamedTuple):
     prior: SurfacePrior
     points: Float[np.ndarray, "n 3"]  # m, that were regressed on
     deviations: Float[np.ndarray, "n m"]  # the prior's at them
-    factor: tuple[np.ndarray, bool]  # Cholesky factor of their covariance
-    residual: Float[np.ndarray, " n"]  # 1/m, solved by that factor
+    factor: Float[np.ndarray, "n n"]  # lower Cholesky factor of their covariance
+    alpha: Float[np.ndarray, " n"]  # 1/m, what the prior missed there, solved by that factor
 
 
 def surface_model(
@@ -149,7 +153,7 @@ def surface_model(
         high=np.asarray(high, float),
         on_table=config.on_table,
     )
-    return SurfaceModel(library.grid, library.grid.points(), library, config)
+    return SurfaceModel(library, library.grid.points(), config)
 
 
 def init(model: SurfaceModel) -> tuple[SurfaceState, SurfaceInfo]:
@@ -256,14 +260,10 @@ def condition_on(
         A posterior to ask with `predict`.
     """
     mean, deviations = _prior_at(model, prior, points)
-    if not len(points):
-        return SurfacePosterior(
-            prior, points, deviations, (np.zeros((0, 0), np.float32), True), np.zeros(0, np.float32)
-        )
     cov = (deviations @ deviations.T + _matern(model, points, points)).astype(np.float64) + np.diag(std**2 + 1e-9)
-    factor, lower = cho_factor(cov, lower=True, check_finite=False)
-    residual = cho_solve((factor, lower), values - mean, check_finite=False)
-    return SurfacePosterior(prior, points, deviations, (factor.astype(np.float32), lower), residual.astype(np.float32))
+    factor = np.linalg.cholesky(cov)
+    alpha = cho_solve((factor, True), values - mean, check_finite=False) if len(points) else np.zeros(0)
+    return SurfacePosterior(prior, points, deviations, factor.astype(np.float32), alpha.astype(np.float32))
 
 
 def predict(
@@ -285,7 +285,7 @@ def predict(
         Means and standard deviations (m); zeros in place of the latter where they are not wanted.
     """
     prior, deviations, cross = _prior_and_cross(model, posterior, points)
-    mean = prior + cross @ posterior.residual
+    mean = prior + cross @ posterior.alpha
     if not spread:
         return mean, np.zeros(len(points))
     config = model.config
@@ -416,7 +416,7 @@ def _whitened(posterior: SurfacePosterior, cross: np.ndarray) -> np.ndarray:
     """Covariances (n, q) with the points regressed on, whitened by theirs."""
     if not len(posterior.points):
         return np.zeros((0, len(cross)), np.float32)
-    return solve_triangular(posterior.factor[0], cross.T, lower=True, check_finite=False)
+    return solve_triangular(posterior.factor, cross.T, lower=True, check_finite=False)
 
 
 def _known_points(

@@ -10,14 +10,19 @@ import numpy as np
 import pytest
 import trimesh
 from helpers import random_touches
+from scipy.spatial import cKDTree
 
 from experiments.reconstruct.__main__ import main
 from experiments.reconstruct.patch import CURVE, METHODS, PRIOR
 from experiments.reconstruct.patch_scores import edge_of
 from experiments.reconstruct.recorded import choose_object, read_touches
+from experiments.reconstruct.world import Reality, Session, centred
 from i2t.dataset import save_dataset
 from i2t.errors import DataError
+from i2t.objects import make_object
 from i2t.objects.mesh_files import load_object
+from i2t.reconstruction.signed_distances import sample_surface
+from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.types import ReturnCode
 from i2t.windows import PATCH_WINDOW
 
@@ -54,6 +59,23 @@ def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
     assert {"errors.png", "growing.png"} <= {path.name for path in out.iterdir()}
     assert "grid floor" in capsys.readouterr().out
     assert main(words) == 2
+
+
+def test_what_is_foreseen_is_what_a_perfect_touch_would_feel_on_the_true_object():
+    mesh = centred(make_object("stamp-cross").mesh)
+    reality = Reality([mesh], stack_surfaces([prepare_surface(mesh)]), [], [], None)
+    session = Session(reality, 0, 0)
+    site = np.diag([1.0, -1, -1, 1])
+    site[2, 3] = mesh.vertices[:, 2].max() - 5e-3  # it is met before
+    (foreseen,) = session.foresee(site[None])
+    touched = session.touch(site, "patch")
+    tops = session.mesh.vertices[:, 2].max()
+    assert abs(touched.region.T_o_t[2, 3] - tops) < 0.3e-3
+    np.testing.assert_allclose(foreseen.region.T_o_t, touched.region.T_o_t, atol=0.3e-3)  # the arm repeats to so much
+    felt = foreseen.points[:-1]
+    assert len(felt) > 4
+    closest = cKDTree(sample_surface(session.mesh, 100_000)[0]).query(felt)[0]
+    assert np.median(closest) < 0.3e-3
 
 
 @pytest.mark.full

@@ -12,7 +12,7 @@ def ball_model(grid: VoxelGrid, radii: np.ndarray, centre: np.ndarray, **changes
     points = grid.points()
     distance = np.linalg.norm(points - centre, axis=-1)[:, None] - radii
     steps = np.clip(np.rint(distance / STEP_M), -127, 127).astype(np.int8)
-    return SurfaceModel(grid, points, ShapeLibrary(grid, steps), SurfaceConfig(**changes))
+    return SurfaceModel(ShapeLibrary(grid, steps), points, SurfaceConfig(**changes))
 
 
 def from_above(z: float, x: float = 0.0, y: float = 0.0) -> np.ndarray:

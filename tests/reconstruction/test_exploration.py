@@ -76,6 +76,8 @@ def test_a_site_below_an_overhang_or_whose_overtravel_meets_the_table_is_not_saf
     on_floor[0, 3] = on_top[0, 3] = 15e-3
     safe = exploration.safe_sites(estimate, np.stack([on_floor, on_top]), config=_config(limits=AROUND_LIMITS))
     assert safe.tolist() == [False, True]
+    unknown = estimate._replace(distance=np.full_like(estimate.distance, np.nan))
+    assert not exploration.safe_sites(unknown, on_top[None], config=_config(limits=AROUND_LIMITS)).any()
     empty = estimate._replace(distance=np.ones_like(estimate.distance))
     for overtravel, allowed in ((2e-3, True), (10e-3, False)):
         config = _config(limits=SiteLimits(), overtravel=overtravel)

@@ -112,6 +112,17 @@ def test_what_a_pad_swept_is_free_and_nothing_else_is_carved():
     np.testing.assert_allclose(state.evidence[0].region.lower_bound(at), [4e-3, 2e-3])
 
 
+def test_only_what_was_swept_is_free_and_a_pose_that_is_not_known_is_refused():
+    short = contact_evidence(from_above(0.0), swept=4e-3)
+    assert (short.free[:, 2] < 4e-3).all()
+    assert (short.free_bound > 0).all()
+    lost = from_above(0.0)
+    lost[0, 3] = np.nan
+    for pose, swept in ((lost, 0.1), (from_above(0.0), np.nan)):
+        with pytest.raises(ValueError, match="must be finite"):
+            contact_evidence(pose, swept=swept)
+
+
 def test_a_contact_chooses_among_known_shapes_and_narrows_the_band():
     model = _balls()
     state, before = init(model)
@@ -221,5 +232,7 @@ def test_a_view_shows_a_surface_and_carves_what_it_looked_through():
     assert RADII[info.log_likelihood.argmax() % len(RADII)] == 25e-3
     estimate = estimate_surface(_balls(), state)
     assert abs(interpolate(GRID, estimate.distance, np.array([[0, 0, 25e-3]]))[0]) < 1e-3
+    with pytest.raises(ValueError, match="shows nothing above the table"):
+        view_evidence(np.full((60, 80), np.inf), Camera(80, 60, 120.0, 120.0, 39.5, 29.5), T_o_c)
     high = view_evidence(depth, Camera(80, 60, 120.0, 120.0, 39.5, 29.5), T_o_c, table=20e-3)
     assert (high.points[:, 2] > 22e-3).all()
