@@ -29,8 +29,8 @@ from experiments.reconstruct.patch_world import MetSurface, Trial, list_names, m
 from i2t import viz
 from i2t.recognition.intervals import rows_of
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
-from i2t.reconstruction.press_curves import PressCurve
 from i2t.rendering.ops import element
+from i2t.simulation.press_curves import PressCurve
 from i2t.types import Array
 from i2t.viz import style
 from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH

@@ -38,7 +38,15 @@ from experiments.reconstruct.arguments import (
 )
 from experiments.reconstruct.episodes import REPORTED, START, Episode, SurfaceErrors, TrueShape, chamfer_mm, true_shape
 from experiments.reconstruct.report import Episodes, draw_episode, draw_errors, summarize
-from experiments.reconstruct.world import EXPLORING_OVERTRAVEL_M, Reality, Session, make_reality, split_objects
+from experiments.reconstruct.world import (
+    EXPLORING_OVERTRAVEL_M,
+    MM_PER_M,
+    ObjectSplit,
+    Reality,
+    Session,
+    make_reality,
+    split_objects,
+)
 from experiments.reproduce.shape_tables import reconstructions
 from i2t import viz
 from i2t.progress import progress
@@ -93,8 +101,9 @@ class Explorer:
             site = self.choose(number, done, condition, session, episode) if done < touches else None
             episode.stopped = site is None and done < touches
             # Of one that stopped, what is known then counts for all touches to come.
-            for count in [each for each in (*REPORTED, touches) if each == done or (episode.stopped and each > done)]:
-                episode.judge(count, self.estimate(episode), truth)
+            for count in {each for each in REPORTED if each < touches} | {touches}:
+                if count == done or (episode.stopped and count > done):
+                    episode.judge(count, self.estimate(episode), truth)
             if site is None:
                 break
             episode.state, _ = update(model, episode.state, session.touch(site, condition.felt))
@@ -132,6 +141,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     begin(args.out, args, sizes, None, args.overwrite)
     print(f"a library of {len(split.train)} shapes, and what {sizes.pads} skins read", flush=True)
     known = surface_model(list(split.train.values()), config=SurfaceConfig(on_table=False), low=LOW_M, high=HIGH_M)
+    require_room(split, known)
     reality = make_reality(jax.random.key(args.seed), split, sizes)
     shapes = [
         true_shape(Session(reality, number, args.seed), known.grid, sizes.samples)
@@ -163,6 +173,15 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     viz.save_figure(draw_errors(report), args.out / "errors.png")
     print(f"{reconstructions(report)}\n\ngrid floor: {report['grid_floor_mm']:.2f} mm")
     return report
+
+
+def require_room(split: ObjectSplit, model: SurfaceModel) -> None:
+    """Refuse objects that the grid, which is as large as the library's shapes, does not hold (ValueError)."""
+    low, high = model.points.min(0), model.points.max(0)
+    for name, mesh in (split.test | split.validation).items():
+        if not ((mesh.vertices > low) & (mesh.vertices < high)).all():
+            across = MM_PER_M * np.ptp(mesh.vertices, axis=0).max()
+            raise ValueError(f"{name}: {across:.0f} mm across, larger than all that is learnt from; pass --across-mm")
 
 
 def choose_band(explorer: Explorer, numbers: Sequence[int]) -> Band:

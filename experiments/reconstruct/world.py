@@ -27,12 +27,12 @@ from i2t.reconstruction.evidence import (
 )
 from i2t.reconstruction.library import ContactSampling, build_library
 from i2t.reconstruction.local_shape import PatchLibrary, PressModel, infer_patch
-from i2t.reconstruction.press_curves import simulate_press_curve
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation.depth_camera import add_depth_noise, render_view
 from i2t.simulation.press import PressLimits
+from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors, sample_session_errors
 from i2t.skin.contact import GRID

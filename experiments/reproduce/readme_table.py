@@ -78,6 +78,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
 
 def _others(results: Mapping[str, Measured]) -> list[list[str]]:
     heads = results["fidelity"]["recordings"]["20250316_155729_probe"]["Heads"]["heads"]
+    conditions = results["reconstruct_objects"]["conditions"]
+    after, posed = conditions["reading"]["after"], conditions["contact pose only"]["after"]
     tip = heads["position"]["whole blocks or strokes"]["kept"]["median"]
     later = {
         name: found["accuracy"] for name, found in results["strokes"]["splits"]["in file order"]["methods"].items()
@@ -105,8 +107,10 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "touch to shape",
             f"a tip's place, not shape: median {number(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
-            "surfaces under a press and of whole objects ([reconstruction](docs/reconstruction.md))",
-            "edges; after 20 touches about half of the error is left",
+            f"forty unseen objects: {estimate(after['5']['ratio'], 2)} of the distance is left after 5 touches, "
+            f"{number(after['20']['ratio'][0], 2)} after 20; by pose alone {number(posed['5']['ratio'][0], 2)} and "
+            f"{number(posed['20']['ratio'][0], 2)} ([reconstruction](docs/reconstruction.md))",
+            "needs a library of like objects, and where the object's middle is; edges under one press",
         ],
         [
             "drivers: ReSkin, UR arm, RealSense",

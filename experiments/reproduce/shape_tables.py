@@ -75,7 +75,8 @@ def _surfaces(measured: Measured) -> tuple[list[str], list[list[str]]]:
 
 PATCH_SCORES = (
     ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
-    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
+    ("centre_mm_median", "centre, median mm"), ("edge_degrees_median", "edge, median degrees"),
+    ("edge_mm_median", "edge, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
 )  # fmt: skip
 CRPS_GOALS = ("", "0.65", "0.52")  # of the prior, one stop and the press curve
 STOPS = ("prior", "one stop", "press curve")

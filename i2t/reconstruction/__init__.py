@@ -2,8 +2,8 @@
 
 from i2t.reconstruction.library import build_library, sample_contacts
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PatchPosterior, PressModel, infer_patch
-from i2t.reconstruction.press_curves import simulate_press_curve
 from i2t.reconstruction.press_models import imagine_presses
+from i2t.simulation.press_curves import simulate_press_curve
 
 __all__ = [
     "PatchLibrary",

@@ -97,7 +97,13 @@ def choose_touch(
     proposals = propose_sites(estimate, rng, config=config)
     if not proposals.safe.any():
         return TouchChoice(None, float("nan"), proposals)
-    scores = _scores(model, estimate, proposals, posterior=posterior, rng=rng, config=config)
+    if config.policy == "random":
+        scores = rng.random(len(proposals.std))
+    elif config.policy == "uncertainty":
+        scores = proposals.std
+    else:
+        at = proposals.T_o_t[:, :3, 3]
+        scores = expected_reduction(model, posterior, estimate, at, rng=rng, config=config)
     scores = np.where(proposals.safe, scores, -np.inf)
     best = int(scores.argmax())
     return TouchChoice(proposals.T_o_t[best], float(scores[best]), proposals)
@@ -186,23 +192,6 @@ def _unoccluded(estimate: SurfaceEstimate, T_o_t: np.ndarray, limits: SiteLimits
     places = np.einsum("nij,kj->nki", T_o_t[:, :3, :3], local) + T_o_t[:, None, :3, 3]
     found = interpolate(estimate.grid, estimate.distance, places.reshape(-1, 3)).reshape(len(T_o_t), -1)
     return np.asarray((found >= 0).all(-1))  # false of NaN
-
-
-def _scores(
-    model: SurfaceModel,
-    estimate: SurfaceEstimate,
-    proposals: SiteProposals,
-    *,
-    posterior: SurfacePosterior,
-    rng: np.random.Generator,
-    config: ExplorationConfig,
-) -> np.ndarray:
-    """The policy's score of each proposal; the greatest is chosen."""
-    if config.policy == "random":
-        return rng.random(len(proposals.std))
-    if config.policy == "uncertainty":
-        return proposals.std
-    return expected_reduction(model, posterior, estimate, proposals.T_o_t[:, :3, 3], rng=rng, config=config)
 
 
 def expected_reduction(

@@ -26,12 +26,11 @@ from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.site_limits import SiteLimits
-from i2t.skin.contact import GRID, Grid, solve_force
+from i2t.skin.contact import CELL_GRID, GRID, solve_force
 from i2t.skin.pad import nominal_pad
 from i2t.types import Pad, Surface
 from i2t.windows import PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 
-CELL_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm: pressures of a library, and its readings
 LIBRARY_LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
 TILT_RANGE_RAD = (math.radians(1.0), math.radians(6.0))
 CHAIN_TOLERANCE = 1e-3  # of contacts: far below what separates two patches of a library

@@ -33,11 +33,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from i2t.skin.contact import CONTACT_NEWTONS
 from i2t.windows import CONTACT_TOLERANCE_M
 
 SAMPLES = 256
 SMALLEST_FORCE_N = 0.02  # a noisy wrench sensor says less
-CONTACT_NEWTONS = 1e-3  # on a cell of 1 mm (1 kPa), above which it counts as contact
 
 
 class PatchLibrary(NamedTuple):
@@ -93,7 +93,6 @@ class PatchPosterior(NamedTuple):
     contact_probability: Float[Array, "g g"]  # of pressure on each cell of 1 mm at the last stop
     centre: Float[Array, "2"]  # m, centre of pressure (x, y) at the last stop
     centre_covariance: Float[Array, "2 2"]  # m^2
-    bits: Float[Array, ""]  # by which the weights differ from those before the touch (Kullback-Leibler)
 
 
 def infer_patch(
@@ -232,7 +231,6 @@ def summarize(
         contact_probability=_blurred(contact, blur * cells / patch.shape[-1]),
         centre=middle,
         centre_covariance=about.T @ about / samples,
-        bits=jnp.sum(jax.scipy.special.xlogy(weight, weight * len(weight))) / jnp.log(2.0),
     )
 
 

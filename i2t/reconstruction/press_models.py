@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.batching import map_batches
-from i2t.reconstruction.library import BATCH, CELL_GRID, pressure_chain
+from i2t.reconstruction.library import BATCH, pressure_chain
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
+from i2t.skin.contact import CELL_GRID
 from i2t.skin.dipoles import response
 from i2t.skin.friction import Shear, rest, shear
 from i2t.skin.noise import Noise

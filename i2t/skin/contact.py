@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from i2t.skin.elasticity import CELL_GRID as CELL_GRID
 from i2t.skin.elasticity import FINE_GRID as FINE_GRID
 from i2t.skin.elasticity import GRID, Grid, clamped_shape, compliance, convolve
 from i2t.types import Pad
@@ -38,6 +39,7 @@ CONTACT_TOLERANCE = (
     1e-5  # of the deepest deflection: about ten roundings of float32, a hundredth of the 0.1 % asked of a force
 )
 MAX_STEPS = 200
+CONTACT_NEWTONS = 1e-3  # on a cell of 1 mm (1 kPa), above which it counts as contact
 LINEAR_STEPS = 100  # at most, of the conjugate gradients for a derivative; about 20 are enough
 
 

@@ -83,6 +83,7 @@ class Grid:
 
 
 GRID = Grid()
+CELL_GRID = Grid(20, 32)  # cells of 1 mm: pressures that need not be fine, computed for many contacts
 FINE_GRID = Grid(80, 128)  # where sharp edges matter more than speed: see `docs/physics.md`
 
 

@@ -9,10 +9,10 @@ import i2t
 from i2t.reconstruction import infer_patch
 from i2t.reconstruction.library import library_of, sample_contacts
 from i2t.reconstruction.local_shape import _at_force, _blurred, log_likelihood, posterior_weights, systematic_samples
-from i2t.reconstruction.press_curves import simulate_press_curve
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import render_heights
 from i2t.simulation.press import PressLimits
+from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
 from i2t.windows import PAD_WINDOW
 
@@ -36,7 +36,6 @@ def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, librar
     posterior = INFER(*press, model=model, library=library, samples=64)
     assert int(jnp.argmax(posterior.weight)) == TRUE
     assert float(posterior.weight[TRUE]) > 0.99
-    assert float(posterior.bits) == pytest.approx(np.log2(24), abs=0.1)
     np.testing.assert_allclose(posterior.mean, library.patch[TRUE], atol=1e-5)
     np.testing.assert_allclose(posterior.centre, library.centre[TRUE, 2], atol=1e-6)
 

@@ -15,11 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Key
 
-from i2t.reconstruction.library import CELL_GRID
-from i2t.reconstruction.local_shape import CONTACT_NEWTONS
 from i2t.simulation.press import PressLimits, press_to_stop
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import GRID, Grid, solve
+from i2t.skin.contact import CELL_GRID, CONTACT_NEWTONS, GRID, Grid, solve
 from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import Press, friction_response
 from i2t.skin.pad import press as press_pad
