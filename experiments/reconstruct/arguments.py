@@ -7,7 +7,7 @@ from typing import Literal
 from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions, UnitName
 from experiments.common.presets import choose_preset
-from i2t.cli import Count, require_path, require_with
+from i2t.cli import Count, require_with
 from i2t.errors import require_extra
 
 Felt = Literal["reading", "pose", "patch"]  # what a touch tells: what its reading says, no more than its pose, or all
@@ -26,7 +26,8 @@ class ReconstructSizes:
     samples: int = 60_000  # points of a surface, by which distances between surfaces are measured
 
 
-MAX_ACROSS_MM = 300.0
+MIN_ACROSS_MM, MAX_ACROSS_MM = 10.0, 300.0
+MAX_NAME = 100
 SURFACE_PRESETS = {
     "paper": ReconstructSizes(),
     "debug": ReconstructSizes(train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=16_000),
@@ -77,16 +78,16 @@ class ReconstructArgs(RunOptions):
         """Refuse what does not go together, what is not there, and conditions that there are not."""
         require_dataset("--dataset", self.dataset)
         recorded, folder = self.dataset is not None, self.objects is not None
-        if self.objects is not None:
-            require_path("--objects", self.objects, "folder")
+        if self.objects is not None and not self.objects.is_dir():
+            raise ValueError(f"--objects {self.objects}: there is no such folder; check the name")
         require_with("--object", self.object is not None, "--dataset", recorded)
         require_with("--name", self.name != "reconstructed", "--dataset", recorded)
         require_with("--unit", self.unit is not None, "--objects", folder)
         require_with("--objects", folder, "--unit", self.unit is not None)
         require_with("--across-mm", self.across_mm is not None, "--objects", folder)
-        if self.across_mm is not None and not 0 < self.across_mm[0] <= self.across_mm[1] < MAX_ACROSS_MM:
+        if self.across_mm is not None and not MIN_ACROSS_MM <= self.across_mm[0] <= self.across_mm[1] <= MAX_ACROSS_MM:
             raise ValueError(
-                f"--across-mm {self.across_mm}: give two sizes between 0 and {MAX_ACROSS_MM:g} mm, ascending"
+                f"--across-mm {self.across_mm}: give two sizes of {MIN_ACROSS_MM:g} to {MAX_ACROSS_MM:g} mm, ascending"
             )
         for flag, given in (
             ("--touches", self.touches),
@@ -94,7 +95,7 @@ class ReconstructArgs(RunOptions):
             ("--conditions", self.conditions or None),
         ):
             require_with(flag, given is not None, "simulated objects (no --dataset)", not recorded)
-        if not self.name or Path(self.name).name != self.name:
+        if Path(self.name).name != self.name or not 0 < len(self.name.strip(".")) <= MAX_NAME:
             raise ValueError(f"--name {self.name}: is no name of a file; give a word")
         if unknown := sorted(set(self.conditions) - set(CONDITIONS)):
             raise ValueError(f"--conditions {unknown[0]}: is none of {', '.join(CONDITIONS)}")

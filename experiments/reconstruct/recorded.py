@@ -27,6 +27,7 @@ from i2t.types import ReturnCode
 from i2t.windows import STANDOFF
 
 MIN_CONTACTS = 3  # fewer say almost nothing of a shape
+MAX_ACROSS_M, LOWEST_M = 0.35, 15e-3  # of contacts with one object that stands on z = 0
 ROOM_M = 10e-3  # about the contacts, in which the surface is sought
 
 
@@ -96,7 +97,16 @@ def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
             f"{name}: {int((kept & hit).sum())} touches met it at known poses of tool and object; a surface "
             f"needs {MIN_CONTACTS} or more"
         )
-    return RecordedTouches(inverse(touches.T_w_o[kept].astype(float)) @ T_w_t[kept].astype(float), hit[kept])
+    T_o_t = inverse(touches.T_w_o[kept].astype(float)) @ T_w_t[kept].astype(float)
+    met = T_o_t[hit[kept], :3, 3]
+    if not (
+        np.ptp(met, axis=0).max() < MAX_ACROSS_M and met[:, 2].min() > -LOWEST_M and met[:, 2].max() < MAX_ACROSS_M
+    ):
+        raise DataError(
+            f"{name}: contacts lie {np.ptp(met, axis=0).max():.2f} m apart, {met[:, 2].min():.2f} to "
+            f"{met[:, 2].max():.2f} m above where it stands; check T_w_t, T_w_o and their units"
+        )
+    return RecordedTouches(T_o_t, hit[kept])
 
 
 def prior_of(contacts: Float[np.ndarray, "n 4 4"], args: ReconstructArgs) -> SurfaceModel:

@@ -176,12 +176,16 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
 
 
 def require_room(split: ObjectSplit, model: SurfaceModel) -> None:
-    """Refuse objects that the grid, which is as large as the library's shapes, does not hold (ValueError)."""
+    """Refuse objects that the grid, which is as large as the library's shapes, cannot hold (ValueError)."""
     low, high = model.points.min(0), model.points.max(0)
     for name, mesh in (split.test | split.validation).items():
         if not ((mesh.vertices > low) & (mesh.vertices < high)).all():
             across = MM_PER_M * np.ptp(mesh.vertices, axis=0).max()
             raise ValueError(f"{name}: {across:.0f} mm across, larger than all that is learnt from; pass --across-mm")
+        thick = np.ptp(mesh.vertices, axis=0).min()
+        if not thick > model.grid.spacing:
+            least = MM_PER_M * model.grid.spacing
+            raise ValueError(f"{name}: {MM_PER_M * thick:.1f} mm thick, less than the grid holds ({least:.1f} mm)")
 
 
 def choose_band(explorer: Explorer, numbers: Sequence[int]) -> Band:

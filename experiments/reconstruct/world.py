@@ -100,13 +100,14 @@ def split_objects(args: ReconstructArgs) -> ObjectSplit:
             try:
                 name = str(files[number].relative_to(args.objects).with_suffix(""))
                 part[name] = _scaled(load_mesh(files[number], args.unit or "m", largest=False), args, int(number))
-            except ValueError as error:
+            except (ValueError, OSError) as error:
                 print(f"left out: {error}", flush=True)
     if len({name for part in found for name in part}) < sum(map(len, found)):
         raise ValueError(f"{args.objects}: two files have one name but for their endings; leave one of each")
     if not all(found):
         count = sum(map(len, found))
-        raise ValueError(f"{args.objects}: holds {count} meshes that can be used; ten or more leave some to hold out")
+        endings = ", ".join(MESH_SUFFIXES)
+        raise ValueError(f"{args.objects}: holds {count} usable meshes ({endings}); ten or more leave some to hold out")
     return found
 
 

@@ -18,6 +18,7 @@ from scipy.ndimage import minimum_filter
 
 from i2t.depth import distortion
 from i2t.depth.camera import Camera
+from i2t.geometry import is_rigid
 from i2t.reconstruction.local_shape import PatchPosterior
 from i2t.types import Array
 from i2t.windows import PAD_WINDOW, PATCH_WINDOW, STANDOFF
@@ -33,6 +34,7 @@ VIEW_POINTS, VIEW_FREE_POINTS, VIEW_FREE_M = 150, 300, 40e-3  # of a view; free 
 VIEW_OBSERVATIONS = 15.0  # independent ones that a view counts as
 VIEW_STD_M, VIEW_MARGIN_M = 1.5e-3, 3e-3  # of its points; before them space counts as free
 TABLE_MARGIN_M = 2e-3
+MAX_SWEPT_M = 10.0
 OUTLINE_PIXELS = 3  # across: what is seen past the edge of a surface counts from so far beside it
 
 
@@ -98,11 +100,11 @@ def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: flo
         The evidence: the surface lies somewhere on the pad's square, and what was swept is free.
 
     Raises:
-        ValueError: The pose or the way is not finite.
+        ValueError: The pose is not rigid and finite, or the way no way.
     """
     T_o_t = np.asarray(T_o_t, np.float64)
-    if not (np.isfinite(T_o_t).all() and np.isfinite(swept)):
-        raise ValueError("T_o_t and swept of a touch must be finite; leave out touches whose pose is not known")
+    if T_o_t.shape != (4, 4) or not is_rigid(T_o_t) or not 0 < swept < MAX_SWEPT_M:
+        raise ValueError("T_o_t of a touch must be a finite rigid 4x4 pose, and swept a way in metres; leave it out")
     sweep = Sweep(T_o_t, float(swept))
     edge = 0.9 * PAD_WINDOW * (np.arange(SWEPT_EDGE) / (SWEPT_EDGE - 1) - 0.5)
     free = _to_object(T_o_t, _grid(edge, edge, -np.array(SWEPT_DEPTHS_M)))
@@ -126,7 +128,7 @@ def reading_evidence(
         The evidence: the centre of pressure lies on the surface, and what nearly all patches leave free is free.
 
     Raises:
-        ValueError: The pose or the way is not finite.
+        ValueError: The pose is not rigid and finite, or the way no way.
     """
     touch = contact_evidence(T_o_t, swept=swept)
     centre = np.append(np.asarray(posterior.centre, float), 0.0)
@@ -150,6 +152,8 @@ def with_surface_points(
         The evidence.
     """
     assert isinstance(touch.region, Sweep)
+    if not (len(local) and np.isfinite(local).all() and (std > 0).all()):
+        raise ValueError("points of a touch must be finite, one or more, with standard deviations above 0")
     behind = local[[int(std.argmin())]] + [0, 0, INSIDE_DEPTH_M]
     return touch._replace(
         points=_to_object(touch.region.T_o_t, np.concatenate([local, behind])),
@@ -189,7 +193,7 @@ def view_evidence(
     """Evidence of a view of the object by a depth camera.
 
     Args:
-        depth: m along the camera's axis, +inf where nothing was there, NaN where nothing is known.
+        depth: m along the camera's axis, +inf where nothing was there, NaN or 0 where nothing is known.
         camera: Its intrinsics.
         T_o_c: Pose of the camera (z forwards).
         table: m, height of what the object stands on; what is no more than 2 mm above it is not the object.
@@ -201,6 +205,7 @@ def view_evidence(
         ValueError: The view shows nothing above the table.
     """
     rng = np.random.default_rng(0)
+    depth = np.where(depth > 0, depth, np.nan)
     row, column = np.nonzero(np.isfinite(depth))
     pixels = jnp.stack([column, row], -1).astype(jnp.float32)
     points = _to_object(T_o_c, np.asarray(distortion.deproject(camera, pixels, jnp.asarray(depth[row, column]))))

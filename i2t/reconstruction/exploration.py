@@ -36,9 +36,10 @@ from i2t.simulation.sites import is_above_table, is_upward
 
 PolicyName = Literal["random", "uncertainty", "reduction"]
 POLICY_NAMES: tuple[PolicyName, ...] = ("random", "uncertainty", "reduction")
+MAX_OVERTRAVEL_M = 0.1
 SITES_AT_A_TIME = 16  # sites whose limits are checked at a time
 # An object held so that the tool reaches it from everywhere: no table, no flange, any direction.
-AROUND_LIMITS = SiteLimits(min_cos=-1.01, table=-1.0)  # also straight from below, whose cosine is not above -1
+AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,12 @@ class ExplorationConfig:
     overtravel: float = 10e-3  # m beyond a site, before a touch counts as one of air
     noise: float = 2e-3  # m, of the measurement that is expected
     probes: int = 400  # points of the surface whose error counts
+
+    def __post_init__(self) -> None:
+        if self.policy not in POLICY_NAMES:
+            raise ValueError(f"policy {self.policy!r}: is none of {', '.join(POLICY_NAMES)}")
+        if not 0 <= self.overtravel <= MAX_OVERTRAVEL_M:
+            raise ValueError(f"overtravel {self.overtravel!r} m: give 0 to {MAX_OVERTRAVEL_M:g} m")
 
 
 class SiteProposals(NamedTuple):
@@ -162,16 +169,17 @@ def safe_sites(
         config: The limits and the overtravel.
 
     Returns:
-        Whether each is safe.
+        Whether each is safe; a pose that is not finite is not.
     """
-    limits = config.limits
+    limits, finite = config.limits, np.isfinite(T_o_t).all((1, 2))
+    T_o_t = np.where(finite[:, None, None], T_o_t, np.eye(4))
     here = np.resize(T_o_t, (-(-len(T_o_t) // SITES_AT_A_TIME) * SITES_AT_A_TIME, 4, 4)).astype(
         np.float32
     )  # few sizes, few compilations
     deepest = here.copy()
     deepest[:, :3, 3] += np.float32(config.overtravel) * here[:, :3, 2]
     clear = np.asarray(_stand_clear(here, deepest, limits))[: len(T_o_t)]
-    return clear & _unoccluded(estimate, T_o_t, limits)
+    return finite & clear & _unoccluded(estimate, T_o_t, limits)
 
 
 @partial(jax.jit, static_argnums=2)

@@ -108,7 +108,7 @@ def infer_patch(
 
     Args:
         reading: uT, at the one stop of a press (c,) or at several (s, c), in the board's order and axes; a stop with
-            a NaN counts as not made.
+            a value that is not finite, or of unknown force, counts as not made.
         force: N, at each.
         travel: m past first contact, at each; NaN where it was not measured.
         model: What the pad reads at the library's patches.
@@ -124,14 +124,17 @@ def infer_patch(
         posterior.mean, posterior.mask_probability, jnp.quantile(posterior.patch, 0.9, axis=0)
     """
     reading = jnp.atleast_2d(jnp.asarray(reading))
-    force = jnp.maximum(jnp.atleast_1d(jnp.asarray(force)), SMALLEST_FORCE_N)
+    force = jnp.atleast_1d(jnp.asarray(force, reading.dtype))
+    made = jnp.all(jnp.isfinite(reading), axis=1) & jnp.isfinite(force)
+    reading = jnp.where(made[:, None], reading, jnp.nan)
+    force = jnp.maximum(jnp.where(made, force, 0.0), SMALLEST_FORCE_N)
     travel = jnp.broadcast_to(jnp.asarray(travel, reading.dtype), force.shape)
-    last = force[-1]
+    last = force[jnp.max(jnp.where(made, jnp.arange(len(force)), 0))]
     if len(reading) == 1:  # a loop of one step is none to the compiler, see `log_likelihood`
         reading = jnp.concatenate([reading, jnp.full_like(reading, jnp.nan)])
         force, travel = jnp.tile(force, 2), jnp.tile(travel, 2)
-    stops = jnp.sum(jnp.all(jnp.isfinite(reading), axis=1))
-    weight = posterior_weights(log_likelihood(reading, force, travel, model=model), model.likelihood, stops)
+    judged = log_likelihood(reading, force, travel, model=model)
+    weight = posterior_weights(judged, model.likelihood, jnp.sum(made))
     return summarize(weight, last, library=library, blur=model.likelihood.blur, samples=samples)
 
 

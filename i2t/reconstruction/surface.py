@@ -36,6 +36,7 @@ from i2t.reconstruction.shape_library import TURNS, ShapeLibrary, shape_library
 from i2t.reconstruction.signed_distances import VoxelGrid, corners_of, extract_mesh
 from i2t.types import Array
 
+MIN_ACROSS_M, MAX_ACROSS_M = 2e-3, 1.0  # of a shape of the library
 Z_90 = 1.645  # standard deviations of a band of 90 %
 
 
@@ -141,10 +142,18 @@ def surface_model(
         The model.
 
     Raises:
+        ValueError: A mesh is empty, not finite, or of no size to touch.
         MissingExtraError: scikit-image is missing, which makes the surface in the end.
     """
     require_extra("skimage", "a mesh of signed distances")  # here, and not after all touches
     config = config or SurfaceConfig()
+    for number, mesh in enumerate(meshes):
+        across = np.ptp(mesh.vertices, axis=0).max() if len(mesh.faces) else 0.0
+        if not MIN_ACROSS_M < across < MAX_ACROSS_M:
+            raise ValueError(
+                f"mesh {number} of the library is {across:g} m across; {MIN_ACROSS_M:g} to {MAX_ACROSS_M:g} m are "
+                "allowed: check its unit, and that it has faces"
+            )
     library = shape_library(
         meshes,
         across=config.across,
@@ -179,7 +188,17 @@ def update(model: SurfaceModel, state: SurfaceState, evidence: SurfaceEvidence) 
 
     Returns:
         The new state, and how well each shape of the library agrees.
+
+    Raises:
+        ValueError: What was met lies outside the box that objects are known to be in.
     """
+    met = evidence.pad_points if evidence.is_contact else evidence.points
+    low, high = model.points.min(0), model.points.max(0)
+    if len(met) and not ((met > low) & (met < high)).all(1).any():
+        raise ValueError(
+            f"a touch or view met something about {np.round(met.mean(0), 3)} m, outside the box of the surface, "
+            f"{np.round(low, 3)} to {np.round(high, 3)} m; check its pose and unit, or give a larger box (low, high)"
+        )
     found = _log_likelihood(model, evidence)
     bound = np.maximum(state.bound, evidence.region.lower_bound(model.points))
     after = SurfaceState(state.log_weights + found, (*state.evidence, evidence), bound)

@@ -1,7 +1,7 @@
 """Safety limits of touch sites, without JAX, so that command lines can offer them."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, get_type_hints
 
 from i2t.cli import Limits
 from i2t.windows import PAD_WINDOW
@@ -25,5 +25,9 @@ class SiteLimits:
     clearance: Annotated[float, Limits(0, 0.1)] = 1e-3  # m, that mount and flange keep above the table
 
     def __post_init__(self) -> None:
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            value, (limits,) = getattr(self, name), hint.__metadata__
+            if not limits.allow(value):
+                raise ValueError(f"sites.{name}, {value!r}, must be {limits}")
         if self.flange_far < self.flange_near:
             raise ValueError(f"sites.flange_far, {self.flange_far:g} m, lies before sites.flange_near; make it larger")

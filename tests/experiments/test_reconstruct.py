@@ -102,7 +102,7 @@ def test_meshes_of_a_folder_are_learnt_from_and_tested_on(tmp_path, capsys):
     for number in range(2, 10):
         (folder / f"{number:02}" / f"box{number:02}.stl").unlink()
     assert main([*words, "--out", str(tmp_path / "few")]) == 2
-    assert "holds 1 meshes that can be used" in capsys.readouterr().err
+    assert "holds 1 usable meshes" in capsys.readouterr().err
     assert not (tmp_path / "few").exists()
 
 
@@ -179,5 +179,10 @@ def test_touches_of_a_data_set_are_taken_back_to_first_contact_in_the_objects_fr
     np.testing.assert_allclose(found.T_o_t[:, :3, 3], [[0, 0, 0.021]] * 3 + [[0, 0, 0.02]], atol=1e-6)
     with pytest.raises(DataError, match="a surface needs 3 or more"):
         read_touches(dataset.select(np.array([0, 1, 3])), "thing")
+    shifted = dataset.touches.T_w_t.copy()
+    shifted[:2, 0, 3] += 20.0  # millimetres taken for metres
+    far = replace(dataset, touches=dataset.touches._replace(T_w_t=shifted))
+    with pytest.raises(DataError, match=r"contacts lie 20\.00 m apart"):
+        read_touches(far, "thing")
     with pytest.raises(DataError, match="holds no touch of other; pass --object with one of thing"):
         choose_object(dataset, "other", Path("DATA"))

@@ -18,7 +18,7 @@ REFUSED = [
     ("reconstruct --objects nowhere --unit mm", "there is no such folder"),
     ("reconstruct --objects .", "--objects has no effect without --unit"),
     ("reconstruct --unit mm", "--unit has no effect without --objects"),
-    ("reconstruct --objects . --unit mm --across-mm 70 50", "give two sizes between 0 and 300 mm"),
+    ("reconstruct --objects . --unit mm --across-mm 70 50", "give two sizes of 10 to 300 mm"),
     ("reconstruct --name mine", "--name has no effect without --dataset"),
 ]
 

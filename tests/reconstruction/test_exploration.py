@@ -76,12 +76,28 @@ def test_a_site_below_an_overhang_or_whose_overtravel_meets_the_table_is_not_saf
     on_floor[0, 3] = on_top[0, 3] = 15e-3
     safe = exploration.safe_sites(estimate, np.stack([on_floor, on_top]), config=_config(limits=AROUND_LIMITS))
     assert safe.tolist() == [False, True]
+    lost = np.stack([on_top, on_top * np.nan])
+    assert exploration.safe_sites(estimate, lost, config=_config(limits=AROUND_LIMITS)).tolist() == [True, False]
     unknown = estimate._replace(distance=np.full_like(estimate.distance, np.nan))
     assert not exploration.safe_sites(unknown, on_top[None], config=_config(limits=AROUND_LIMITS)).any()
     empty = estimate._replace(distance=np.ones_like(estimate.distance))
     for overtravel, allowed in ((2e-3, True), (10e-3, False)):
         config = _config(limits=SiteLimits(), overtravel=overtravel)
         assert exploration.safe_sites(empty, from_above(5e-3)[None], config=config).tolist() == [allowed]
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (lambda: ExplorationConfig(overtravel=-1.0), "overtravel"),
+        (lambda: ExplorationConfig(overtravel=np.nan), "overtravel"),
+        (lambda: SiteLimits(clearance=-1.0), "sites.clearance"),
+        (lambda: SiteLimits(flange=np.nan), "sites.flange"),
+    ],
+)
+def test_options_that_would_loosen_what_is_safe_are_refused(make, problem):
+    with pytest.raises(ValueError, match=problem):
+        make()
 
 
 def test_uncertainty_goes_where_it_is_greatest(touched):

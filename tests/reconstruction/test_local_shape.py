@@ -40,6 +40,19 @@ def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, librar
     np.testing.assert_allclose(posterior.centre, library.centre[TRUE, 2], atol=1e-6)
 
 
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_a_stop_of_unknown_force_or_reading_counts_as_not_made(press, model, library, lost):
+    reading, force, travel = press
+    alone = INFER(reading[0], force[0], travel[0], model=model, library=library)
+    unread = INFER(reading.at[1, 2].set(lost), force, travel, model=model, library=library)
+    unweighed = INFER(reading, force.at[1].set(lost), travel, model=model, library=library)
+    nothing = INFER(reading, force * lost, travel, model=model, library=library)
+    for found in (unread, unweighed):
+        np.testing.assert_allclose(found.weight, alone.weight, atol=1e-6)
+        np.testing.assert_allclose(found.centre, alone.centre, atol=1e-6)
+    np.testing.assert_allclose(nothing.weight, 1 / 24, atol=1e-6)
+
+
 def test_the_marginal_likelihood_is_that_of_dense_matrices(press, model):
     """Nuisances are integrated out as a covariance that is written down whole and inverted."""
     reading, force, travel = press

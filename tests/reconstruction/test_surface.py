@@ -119,8 +119,21 @@ def test_only_what_was_swept_is_free_and_a_pose_that_is_not_known_is_refused():
     lost = from_above(0.0)
     lost[0, 3] = np.nan
     for pose, swept in ((lost, 0.1), (from_above(0.0), np.nan)):
-        with pytest.raises(ValueError, match="must be finite"):
+        with pytest.raises(ValueError, match="must be a finite rigid 4x4 pose"):
             contact_evidence(pose, swept=swept)
+    with pytest.raises(ValueError, match="must be a finite rigid 4x4 pose"):
+        contact_evidence(np.diag([-1.0, 1, 1, 1]))
+    with pytest.raises(ValueError, match="points of a touch must be finite"):
+        with_surface_points(short, np.zeros((1, 3)), np.array([np.nan]))
+
+
+def test_what_lies_outside_the_box_of_the_surface_is_refused():
+    model = _balls()
+    with pytest.raises(ValueError, match="outside the box of the surface"):
+        update(model, init(model)[0], contact_evidence(from_above(30.0)))  # millimetres taken for metres
+    update(model, init(model)[0], contact_evidence(from_above(0.2), hit=False))  # air may be anywhere
+    with pytest.raises(ValueError, match="mesh 1 of the library is 60 m across"):
+        surface_model([_ball(30e-3), _ball(30.0)])
 
 
 def test_a_contact_chooses_among_known_shapes_and_narrows_the_band():
