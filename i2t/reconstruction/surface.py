@@ -303,10 +303,13 @@ def predict(
     Returns:
         Means and standard deviations (m); zeros in place of the latter where they are not wanted.
     """
-    prior, deviations, cross = _prior_and_cross(model, posterior, points)
-    mean = prior + cross @ posterior.alpha
+    prior, deviations = _prior_at(model, posterior.prior, points)
+    matern = _matern(model, model.points[points] if points.ndim == 1 else points, posterior.points)
     if not spread:
-        return mean, np.zeros(len(points))
+        found = matern @ posterior.alpha + deviations @ (posterior.deviations.T @ posterior.alpha)
+        return prior + found, np.zeros(len(points))
+    cross = matern + deviations @ posterior.deviations.T
+    mean = prior + cross @ posterior.alpha
     config = model.config
     variance = np.einsum("qm,qm->q", deviations, deviations) + _residual(model)[0] ** 2
     variance = variance - (_whitened(posterior, cross) ** 2).sum(0)
@@ -328,9 +331,12 @@ def posterior_covariance(
     Returns:
         m^2.
     """
-    _, left, cross_a = _prior_and_cross(model, posterior, a)
-    _, right, cross_b = _prior_and_cross(model, posterior, b)
-    found = left @ right.T + _matern(model, a, b) - _whitened(posterior, cross_a).T @ _whitened(posterior, cross_b)
+    (_, left), (_, right) = (_prior_at(model, posterior.prior, points) for points in (a, b))
+    known_a, known_b = (
+        _whitened(posterior, _matern(model, points, posterior.points) + deviations @ posterior.deviations.T)
+        for points, deviations in ((a, left), (b, right))
+    )
+    found = left @ right.T + _matern(model, a, b) - known_a.T @ known_b
     return found * model.config.band_scale**2
 
 
@@ -420,15 +426,6 @@ def _prior_at(model: SurfaceModel, prior: SurfacePrior, points: np.ndarray) -> t
         return prior.mean[points], prior.deviations[points]
     index, weight = corners_of(model.grid, points)
     return (prior.mean[index] * weight).sum(1), np.einsum("ncm,nc->nm", prior.deviations[index], weight)
-
-
-def _prior_and_cross(
-    model: SurfaceModel, posterior: SurfacePosterior, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Prior mean at points, deviations of the shapes there, and covariance with the points regressed on."""
-    mean, deviations = _prior_at(model, posterior.prior, points)
-    cross = _matern(model, model.points[points] if points.ndim == 1 else points, posterior.points)
-    return mean, deviations, cross + deviations @ posterior.deviations.T
 
 
 def _whitened(posterior: SurfacePosterior, cross: np.ndarray) -> np.ndarray:
