@@ -107,10 +107,9 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "touch to shape",
             f"a tip's place, not shape: median {number(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
-            f"forty unseen objects: {estimate(after['5']['ratio'], 2)} of the distance is left after 5 touches, "
-            f"{number(after['20']['ratio'][0], 2)} after 20; by pose alone {number(posed['5']['ratio'][0], 2)} and "
-            f"{number(posed['20']['ratio'][0], 2)} ([reconstruction](docs/reconstruction.md))",
-            "needs a library of like objects, and where the object's middle is; edges under one press",
+            f"40 unseen objects: {estimate(after['5']['ratio'], 2)} of the distance left after 5 touches, by pose alone "
+            f"{number(posed['5']['ratio'][0], 2)} ([reconstruction](docs/reconstruction.md))",
+            "needs a library of like objects; edges",
         ],
         [
             "drivers: ReSkin, UR arm, RealSense",

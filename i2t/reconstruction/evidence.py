@@ -45,7 +45,14 @@ class Sweep(NamedTuple):
     length: float  # m of the way behind that pose
 
     def lower_bound(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
-        """Depth (m) of points in the swept space, to whose end no surface is nearer; -inf outside."""
+        """Lower bound of the signed distance of points: their depth in the swept space.
+
+        Args:
+            points: m.
+
+        Returns:
+            m; -inf for points that were not swept.
+        """
         x, y, z = ((points - self.T_o_t[:3, 3]) @ self.T_o_t[:3, :3]).T
         half = PAD_WINDOW / 2
         depth = np.minimum(np.minimum(half - np.abs(x), half - np.abs(y)), np.minimum(-z, z + self.length))
@@ -60,7 +67,14 @@ class SeenThrough(NamedTuple):
     T_o_c: Float[np.ndarray, "4 4"]
 
     def lower_bound(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
-        """Zero for points that lie before what was seen; -inf elsewhere."""
+        """Lower bound of the signed distance of points: zero before what was seen.
+
+        Args:
+            points: m.
+
+        Returns:
+            m; -inf for points that the camera did not look through.
+        """
         local = (points - self.T_o_c[:3, 3]) @ self.T_o_c[:3, :3]
         before = local[:, 2] > 0
         at = np.rint(distortion.project(self.camera, jnp.asarray(np.where(before[:, None], local, 1.0))))
