@@ -107,9 +107,9 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "touch to shape",
             f"a tip's place, not shape: median {number(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
-            f"40 unseen objects: {estimate(after['5']['ratio'], 2)} of the distance left after 5 touches, by pose alone "
-            f"{number(posed['5']['ratio'][0], 2)} ([reconstruction](docs/reconstruction.md))",
-            "needs a library of like objects; edges",
+            f"40 unseen objects: {estimate(after['5']['ratio'], 2)} of the distance left after 5 touches, without "
+            f"readings {number(posed['5']['ratio'][0], 2)} ([reconstruction](docs/reconstruction.md))",
+            "library of like objects; edges",
         ],
         [
             "drivers: ReSkin, UR arm, RealSense",
