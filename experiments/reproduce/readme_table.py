@@ -109,7 +109,7 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             f"a tip's place, not shape: median {number(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
             f"40 unseen objects: {estimate(after['5']['ratio'], 2)} of the distance left after 5 touches, without "
             f"readings {number(posed['5']['ratio'][0], 2)} ([reconstruction](docs/reconstruction.md))",
-            "library of like objects; edges",
+            "needs like objects; edges",
         ],
         [
             "drivers: ReSkin, UR arm, RealSense",
