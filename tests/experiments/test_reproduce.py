@@ -13,6 +13,7 @@ import pytest
 from experiments.common.tables import markdown
 from experiments.reproduce import __main__ as reproduce
 from experiments.reproduce.cells import estimate
+from experiments.reproduce.shape_tables import PATCH_SCORES
 from experiments.reproduce.skin_tables import CALIBRATED, GAIN, NEIGHBOURS, PLAIN, SESSIONS
 from experiments.reproduce.steps import STEPS
 from experiments.reproduce.tables import TABLES, shortened, write_tables
@@ -91,15 +92,15 @@ def test_a_table_is_written_where_it_was_measured_and_only_there(tmp_path):
     page.write_text("<!-- table: paper nothing -->\n<!-- end of table -->\n")
     with pytest.raises(ValueError, match="no table 'nothing' of paper"):
         write_tables(tmp_path)
-    page.write_text("<!-- table: reconstruct_policies policies -->\n<!-- end of table -->\n")
-    with pytest.raises(ValueError, match="reproduce --only reconstruct_policies"):
+    page.write_text("<!-- table: reconstruct_objects savings -->\n<!-- end of table -->\n")
+    with pytest.raises(ValueError, match="reproduce --only reconstruct_objects"):
         write_tables(tmp_path)
     results.mkdir()
-    measured = {"share_of_oracles_gap": {"uncertainty": {"5": [0.5, 0.4, 0.6]}}}
-    (results / "reconstruct_policies.json").write_text(json.dumps(shortened("reconstruct_policies", measured)))
-    assert write_tables(tmp_path) == ["page.md: reconstruct_policies policies"]
+    measured = {"less_than_pose": {"reading": {"5": [0.5, 0.4, 0.6]}}}
+    (results / "reconstruct_objects.json").write_text(json.dumps(shortened("reconstruct_objects", measured)))
+    assert write_tables(tmp_path) == ["page.md: reconstruct_objects savings"]
     before = page.read_text()
-    assert "| uncertainty | 0.50 [0.40, 0.60] |" in before
+    assert "| reading | 0.50 [0.40, 0.60] |" in before
     write_tables(tmp_path)
     assert page.read_text() == before
 
@@ -113,14 +114,16 @@ def test_a_study_s_own_tables_are_kept_with_few_decimals_and_written():
 
 
 def test_local_shapes_are_shown_by_source_and_beside_their_goal():
-    names = ("mask_iou", "mask_skill", "contact_iou", "centre_mm_median", "coverage_90", "crps_ratio")
+    names = [name for name, _ in PATCH_SCORES]
     methods = {name: dict.fromkeys(names, (value, -0.1, 1.1)) for name, value in (("p", 0.2), ("f", 0.3), ("c", 0.4))}
     measured = {"methods": methods, "sources": {"catalogue": {"objects": 6, "touches": 30, "methods": methods}}}
     prior, first, curve = (f"{value} [-0.10, 1.10]" for value in ("0.20", "0.30", "0.40"))
     by_source = TABLES["reconstruct_patch"]["by source"](measured).splitlines()
     assert by_source[2] == "| " + " | ".join(["catalogue (6)", prior, first, curve, first, curve]) + " |"
     assert len(by_source) == 3
-    assert TABLES["reconstruct_patch"]["methods"](measured).endswith("| press curve |" + f" {curve} |" * 6 + " 0.52 |")
+    assert TABLES["reconstruct_patch"]["methods"](measured).endswith(
+        "| press curve |" + f" {curve} |" * len(PATCH_SCORES) + " 0.52 |"
+    )
 
 
 def test_policies_are_shown_after_some_touches():
