@@ -165,7 +165,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         "library": {"shapes": len(split.train), "patches": len(reality.library.object)},
         "band": band._asdict(),
         "grid_points": list(known.grid.shape),
-        "grid_spacing_mm": 1e3 * known.grid.spacing,
+        "grid_spacing_mm": MM_PER_M * known.grid.spacing,
         "seconds": {"preparing": prepared, "all": time.monotonic() - started},
         "seed": args.seed,
     }
@@ -214,4 +214,5 @@ def explore_all(explorer: Explorer, conditions: dict[str, ExplorationCondition],
     found: Episodes = {name: {} for name in conditions}
     for name, number in progress([(name, number) for name in conditions for number in numbers], desc="episodes"):
         found[name][number] = explorer.explore(number, conditions[name])
+        found[name][number].estimates.clear()  # megabytes each, and only those of the first are drawn
     return found

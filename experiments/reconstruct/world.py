@@ -16,7 +16,7 @@ from i2t.depth.distortion import project
 from i2t.geometry import contact_frame, inverse, random_motion
 from i2t.objects.catalogue import random_object
 from i2t.objects.mesh_files import load_mesh
-from i2t.objects.solids import Mesh
+from i2t.objects.solids import Mesh, centre_box
 from i2t.reconstruction.evidence import (
     SurfaceEvidence,
     contact_evidence,
@@ -89,21 +89,22 @@ def split_objects(args: ReconstructArgs) -> ObjectSplit:
     if args.objects is None:
         seeds = iter(range(100_000 * args.seed, 100_000 * (args.seed + 1)))
         for part, count in zip(found, counts, strict=True):
-            part.update((each.name, centred(each.mesh)) for each in map(random_object, islice(seeds, count)))
+            part.update((each.name, centre_box(each.mesh)) for each in map(random_object, islice(seeds, count)))
         return found
     files = sorted(path for path in args.objects.rglob("*") if path.suffix.lower() in MESH_SUFFIXES)
+    names = [str(path.relative_to(args.objects).with_suffix("")) for path in files]
+    if len(set(names)) < len(names):
+        raise ValueError(f"{args.objects}: two files have one name but for their endings; leave one of each")
     rows = np.arange(len(files)) % 10
     for part, own, count in zip(found, (rows == 0, rows == 1, rows > 1), counts, strict=True):
         for number in np.flatnonzero(own):
             if len(part) == count:
                 break
             try:
-                name = str(files[number].relative_to(args.objects).with_suffix(""))
-                part[name] = _scaled(load_mesh(files[number], args.unit or "m", largest=False), args, int(number))
+                mesh = load_mesh(files[number], args.unit or "m", largest=False)
+                part[names[number]] = _scaled(mesh, args, int(number))
             except (ValueError, OSError) as error:
                 print(f"left out: {error}", flush=True)
-    if len({name for part in found for name in part}) < sum(map(len, found)):
-        raise ValueError(f"{args.objects}: two files have one name but for their endings; leave one of each")
     if not all(found):
         count = sum(map(len, found))
         endings = ", ".join(MESH_SUFFIXES)
@@ -111,14 +112,9 @@ def split_objects(args: ReconstructArgs) -> ObjectSplit:
     return found
 
 
-def centred(mesh: Mesh) -> Mesh:
-    """The mesh with the middle of its box at the origin."""
-    return Mesh(mesh.vertices - 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0)), mesh.faces)
-
-
 def _scaled(mesh: Mesh, args: ReconstructArgs, number: int) -> Mesh:
     """A mesh of the folder, centred, of a random size if that is wanted."""
-    mesh = centred(mesh)
+    mesh = centre_box(mesh)
     if args.across_mm is None:
         return mesh
     across = np.random.default_rng([args.seed, number]).uniform(*args.across_mm) / MM_PER_M

@@ -52,6 +52,18 @@ def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
     return Mesh(mesh.vertices @ T[:3, :3].T + T[:3, 3], faces)
 
 
+def centre_box(mesh: Mesh) -> Mesh:
+    """Shift a mesh, without turning it.
+
+    Args:
+        mesh: Any mesh.
+
+    Returns:
+        The mesh with the middle of its box at the origin.
+    """
+    return Mesh(mesh.vertices - 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0)), mesh.faces)
+
+
 def place_on_table(mesh: Mesh) -> Mesh:
     """Shift a mesh, without turning it.
 

@@ -1,8 +1,9 @@
 """A library of shapes: their signed distances on one grid, standing on any side, turned and mirrored about z.
 
 Each shape is held once for each side on which it may stand, its box centred on the z axis and its lowest point at
-z = 0. The eight turns and mirrors of the square about z are not held: with R such a turn, the turned shape is
-f(R x), so the points are turned in place of the shapes, and the values of all shapes at one point lie side by side.
+z = 0, or its box about the origin where objects are held. The eight turns and mirrors of the square about z are not
+held: with R such a turn, the turned shape is f(R x), so the points are turned in place of the shapes, and the values of
+all shapes at one point lie side by side.
 """
 
 from collections.abc import Sequence
@@ -12,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
-from i2t.objects.solids import Mesh
+from i2t.objects.solids import Mesh, centre_box
 from i2t.reconstruction.signed_distances import VoxelGrid, grid_around, signed_distance_grid
 
 STEP_M = 0.25e-3  # of the distances that are held
 FARTHEST = 127  # steps; what is farther away is held as this
-
 
 # The turns of a square about z, and their mirror images.
 TURNS = np.zeros((8, 3, 3), int)
@@ -99,13 +99,11 @@ def shape_library(
     up = np.array([0, 0, half[2] if on_table else 0.0])
     grid = grid_around(np.minimum(low, up - half), np.maximum(high, up + half), across=across, margin=margin)
     steps = np.empty((int(np.prod(grid.shape)), len(meshes), len(STANCES)), np.int8)
-    cube = VoxelGrid(
-        (grid.low[0],) * 3, grid.spacing, (across,) * 3
-    )  # about the origin, so that turns map it to itself
+    # About the origin, so that turns map it to itself.
+    cube = VoxelGrid((grid.low[0],) * 3, grid.spacing, (across,) * 3)
     levels = grid.low[2] + grid.spacing * np.arange(grid.shape[2])
     for i, mesh in enumerate(meshes):
-        middle = 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))
-        field = signed_distance_grid(Mesh(mesh.vertices - middle, mesh.faces), cube).reshape(cube.shape)
+        field = signed_distance_grid(centre_box(mesh), cube).reshape(cube.shape)
         for j, stance in enumerate(STANCES):
             lift = stood[j, 2, i] / 2 if on_table else 0.0
             stands = _at_heights(_turned(field, stance), (levels - lift - cube.low[2]) / grid.spacing, grid.spacing)

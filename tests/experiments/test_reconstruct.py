@@ -16,11 +16,12 @@ from experiments.reconstruct.__main__ import main
 from experiments.reconstruct.patch import CURVE, METHODS, PRIOR
 from experiments.reconstruct.patch_scores import edge_of
 from experiments.reconstruct.recorded import choose_object, read_touches
-from experiments.reconstruct.world import Reality, Session, centred
+from experiments.reconstruct.world import Reality, Session
 from i2t.dataset import save_dataset
 from i2t.errors import DataError
 from i2t.objects import make_object
 from i2t.objects.mesh_files import load_object
+from i2t.objects.solids import centre_box
 from i2t.reconstruction.signed_distances import sample_surface
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.types import ReturnCode
@@ -63,7 +64,7 @@ def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
 
 
 def test_what_is_foreseen_is_what_a_perfect_touch_would_feel_on_the_true_object():
-    mesh = centred(make_object("stamp-cross").mesh)
+    mesh = centre_box(make_object("stamp-cross").mesh)
     reality = Reality([mesh], stack_surfaces([prepare_surface(mesh)]), [], [], None)
     session = Session(reality, 0, 0)
     site = np.diag([1.0, -1, -1, 1])
@@ -97,6 +98,10 @@ def test_meshes_of_a_folder_are_learnt_from_and_tested_on(tmp_path, capsys):
     report = json.loads((out / "metrics.json").read_text())
     assert report["objects"] == {"validation": ["01/box01"], "test": ["00/box00", "10/box10"]}
     assert report["library"]["shapes"] == 4
+    box.export(folder / "00" / "box00.obj")
+    assert main([*words, "--out", str(tmp_path / "twice")]) == 2
+    assert "two files have one name" in capsys.readouterr().err
+    (folder / "00" / "box00.obj").unlink()
     (folder / "00" / "box00.stl").unlink()
     (folder / "10" / "box10.stl").unlink()
     (folder / "01" / "box01.stl").unlink()
