@@ -111,7 +111,7 @@ def draw_errors(report: dict[str, Any]) -> Picture:
         axes.plot(touches, rows[:, 0], "o-", color=colour, label=name, ms=4)
         axes.fill_between(touches, rows[:, 1], rows[:, 2], color=colour, alpha=0.12, lw=0)
     axes.axhline(report["grid_floor_mm"], color=GREY, ls=":", lw=1)
-    axes.set(xlabel="touches", ylabel="Chamfer distance, mm", ylim=(0, None))
+    axes.set(xlabel="touches", ylabel="Chamfer distance, mm", ylim=(0, None), xticks=touches)
     axes.legend(fontsize=8)
     figure.suptitle(titled("Distance to the true surface, 95 % intervals; dotted: the grid's floor", True), fontsize=11)
     return figure
