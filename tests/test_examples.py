@@ -130,7 +130,7 @@ def test_a_surface_grows_under_touches():
 @pytest.mark.full
 def test_a_press_tells_of_the_surface():
     after, before = _load(9).main()  # with fewer patches none of them may be like what was met
-    assert after < before
+    assert after < 0.9 * before
 
 
 @pytest.mark.full

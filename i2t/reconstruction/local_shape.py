@@ -215,6 +215,7 @@ def summarize(
     Returns:
         The posterior.
     """
+    library = jax.tree.map(jnp.asarray, library)
     rows = systematic_samples(weight, samples)
     patch = library.patch[rows]
     load = jnp.argmin(jnp.abs(jnp.log(library.loads) - jnp.log(force)))
