@@ -21,7 +21,7 @@ class ReconstructSizes:
     validation: int = 10  # objects, in neither, on which the width of the bands is chosen
     test: int = 40  # unseen objects
     touches: int = 20  # on each
-    pads: int = 3  # simulated skins, in turn
+    pads: int = 10  # simulated skins, in turn
     patches: int = 2400  # of the library of local surfaces
     samples: int = 60_000  # points of a surface, by which distances between surfaces are measured
 

@@ -71,6 +71,7 @@ def true_shape(session: Session, grid: VoxelGrid, samples: int) -> TrueShape:
     distance = signed_distance_grid(mesh, grid)
     drawn, _ = sample_surface(mesh, samples)
     outer = drawn[np.abs(interpolate(grid, distance, drawn)) < OUTER_M]  # not where bodies overlap
+    outer = outer if len(outer) else drawn
     points = outer[::ASKED_STRIDE]
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     hidden = hidden_points(points, mesh)
@@ -78,15 +79,15 @@ def true_shape(session: Session, grid: VoxelGrid, samples: int) -> TrueShape:
     return shape._replace(floor_mm=chamfer_mm(extract_mesh(grid, distance), shape))
 
 
-def chamfer_mm(mesh: Mesh, truth: TrueShape) -> float:
-    """Chamfer distance of an estimated surface."""
-    there, back = distances(mesh, truth)
+def chamfer_mm(mesh: Mesh, truth: TrueShape, samples: int | None = None) -> float:
+    """Chamfer distance of an estimated surface, by so many samples of it; without a number by as many as usual."""
+    there, back = distances(mesh, truth, samples or truth.tree.n)
     return MM_PER_M * 0.5 * float(there.mean() + back.mean())
 
 
 def judge(estimate: SurfaceEstimate, truth: TrueShape, errors: SurfaceErrors) -> dict[str, float]:
     """All scores of one reconstruction."""
-    there, back = distances(estimate.mesh, truth)
+    there, back = distances(estimate.mesh, truth, truth.tree.n)
     within = F_SCORE_SHARE * truth.diagonal
     precision, recall = (there < within).mean(), (back < within).mean()
     found = estimate.distance < 0
@@ -106,12 +107,12 @@ def surface_errors(estimate: SurfaceEstimate, truth: TrueShape) -> SurfaceErrors
     return SurfaceErrors(np.abs(distance), std)
 
 
-def distances(mesh: Mesh, truth: TrueShape) -> tuple[np.ndarray, np.ndarray]:
+def distances(mesh: Mesh, truth: TrueShape, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Distances from the estimated surface to the true one, and back from its points; where nothing was estimated, the
     object's diagonal.
     """
     if not len(mesh.faces):
         return np.full(1, truth.diagonal), np.full(len(truth.points), truth.diagonal)
     # Sampled densely, so that the nearest sample is nearly the nearest point.
-    points, _ = sample_surface(mesh, truth.tree.n)
+    points, _ = sample_surface(mesh, samples)
     return truth.tree.query(points[::ASKED_STRIDE])[0], cKDTree(points).query(truth.points)[0]

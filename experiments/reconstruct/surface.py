@@ -19,8 +19,9 @@ start's distance to the true surface after 5 touches.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -41,7 +42,6 @@ from experiments.reconstruct.report import Episodes, draw_episode, draw_errors, 
 from experiments.reconstruct.world import (
     EXPLORING_OVERTRAVEL_M,
     MM_PER_M,
-    ObjectSplit,
     Reality,
     Session,
     make_reality,
@@ -64,6 +64,8 @@ from i2t.reconstruction.surface import (
 
 LOW_M, HIGH_M = (-30e-3,) * 3, (30e-3,) * 3  # of the box that holds any object; larger ones of the library enlarge it
 FORESEEN = 12  # sites among which the oracle chooses
+FORESEEN_STRIDE, FORESEEN_SAMPLES = 2, 8000  # of what it foresees: coarser, as only differences count
+MAX_FLOOR = 0.5  # of the grid's spacing: what the grid holds less well is left out
 BAND = 0.9  # that a band should hold of the surface
 BAND_FLOORS_M = tuple(np.arange(9) * 0.25e-3)  # what is chosen among
 
@@ -83,15 +85,30 @@ class Explorer:
     """What all episodes of a run share."""
 
     model: SurfaceModel
-    shapes: list[TrueShape]  # of the reality's objects
+    truth: Callable[[int], TrueShape]  # of the reality's objects, each made when it is first asked for
+    names: list[str]  # of the same objects
     reality: Reality
     sizes: ReconstructSizes
     seed: int
     band: Band = UNSCALED
 
+    def holds(self, number: int) -> bool:
+        """Whether the grid can hold an object; one that it cannot is named, and left out of all conditions."""
+        vertices, grid = self.reality.meshes[number].vertices, self.model.grid
+        low, high = self.model.points.min(0), self.model.points.max(0)
+        across, most = MM_PER_M * np.ptp(vertices, axis=0).max(), MM_PER_M * MAX_FLOOR * grid.spacing
+        if not ((vertices > low) & (vertices < high)).all():
+            fault = f"{across:.0f} mm across, larger than all that is learnt from; pass --across-mm"
+        elif not self.truth(number).floor_mm <= most:
+            fault = f"open, or too thin for a grid of {MM_PER_M * grid.spacing:.1f} mm"
+        else:
+            return True
+        print(f"left out: {self.names[number]}: {fault}", flush=True)
+        return False
+
     def explore(self, number: int, condition: ExplorationCondition) -> Episode:
         """Touch one object, whose errors of the lab depend on object and seed only: conditions share them."""
-        model, truth, touches = self.model, self.shapes[number], self.sizes.touches
+        model, truth, touches = self.model, self.truth(number), self.sizes.touches
         session = Session(self.reality, number, self.seed)
         episode = Episode(init(model)[0])
         episode.judge(START, self.estimate(episode), truth)
@@ -128,7 +145,8 @@ class Explorer:
         if not len(sites):
             return None
         after = (update(self.model, episode.state, each)[0] for each in session.foresee(sites))
-        left = [chamfer_mm(estimate_surface(self.model, each).mesh, self.shapes[number]) for each in after]
+        foreseen = (estimate_surface(self.model, each, stride=FORESEEN_STRIDE) for each in after)
+        left = [chamfer_mm(each.mesh, self.truth(number), FORESEEN_SAMPLES) for each in foreseen]
         return sites[int(np.argmin(left))]
 
 
@@ -141,27 +159,31 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     begin(args.out, args, sizes, None, args.overwrite)
     print(f"a library of {len(split.train)} shapes, and what {sizes.pads} skins read", flush=True)
     known = surface_model(list(split.train.values()), config=SurfaceConfig(on_table=False), low=LOW_M, high=HIGH_M)
-    require_room(split, known)
     reality = make_reality(jax.random.key(args.seed), split, sizes)
-    shapes = [
-        true_shape(Session(reality, number, args.seed), known.grid, sizes.samples)
-        for number in range(len(reality.meshes))
-    ]
-    explorer = Explorer(known, shapes, reality, sizes, args.seed)
+
+    @cache
+    def truth(number: int) -> TrueShape:
+        return true_shape(Session(reality, number, args.seed), known.grid, sizes.samples)
+
+    names, seen = [*split.validation, *split.test], len(split.validation)
+    explorer = Explorer(known, truth, names, reality, sizes, args.seed)
     prepared = time.monotonic() - started
 
     chosen = {name: CONDITIONS[name] for name in args.conditions or USUAL}
-    unseen = range(len(split.validation), len(shapes))
-    first = explorer.explore(unseen[0], next(iter(chosen.values())))
-    draw_episode(args.out, first, next(iter(split.test)), reality.meshes[unseen[0]], time.monotonic() - started)
-    band = choose_band(explorer, range(len(split.validation)))
-    episodes = explore_all(replace(explorer, band=band), chosen, unseen)
+    unseen = filter(explorer.holds, range(seen, len(names)))
+    first = require_one(unseen, "test")
+    episode = explorer.explore(first, next(iter(chosen.values())))
+    draw_episode(args.out, episode, names[first], reality.meshes[first], time.monotonic() - started)
+    validation = filter(explorer.holds, range(seen))
+    numbers = {"validation": [require_one(validation, "validation"), *validation], "test": [first, *unseen]}
+    band = choose_band(explorer, numbers["validation"])
+    episodes = explore_all(replace(explorer, band=band), chosen, numbers["test"])
     report = {
         "source": "simulated",
         **summarize(episodes, sizes.pads),
-        "grid_floor_mm": float(np.mean([shapes[number].floor_mm for number in unseen])),
+        "grid_floor_mm": float(np.mean([truth(number).floor_mm for number in numbers["test"]])),
         "preset": args.preset,
-        "objects": {part: list(getattr(split, part)) for part in ("validation", "test")},
+        "objects": {part: [names[number] for number in some] for part, some in numbers.items()},
         "library": {"shapes": len(split.train), "patches": len(reality.library.object)},
         "band": band._asdict(),
         "grid_points": list(known.grid.shape),
@@ -175,17 +197,11 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     return report
 
 
-def require_room(split: ObjectSplit, model: SurfaceModel) -> None:
-    """Refuse objects that the grid, which is as large as the library's shapes, cannot hold (ValueError)."""
-    low, high = model.points.min(0), model.points.max(0)
-    for name, mesh in (split.test | split.validation).items():
-        if not ((mesh.vertices > low) & (mesh.vertices < high)).all():
-            across = MM_PER_M * np.ptp(mesh.vertices, axis=0).max()
-            raise ValueError(f"{name}: {across:.0f} mm across, larger than all that is learnt from; pass --across-mm")
-        thick = np.ptp(mesh.vertices, axis=0).min()
-        if not thick > model.grid.spacing:
-            least = MM_PER_M * model.grid.spacing
-            raise ValueError(f"{name}: {MM_PER_M * thick:.1f} mm thick, less than the grid holds ({least:.1f} mm)")
+def require_one(numbers: Iterator[int], part: str) -> int:
+    """The first of the objects of a part that the grid can hold."""
+    for number in numbers:
+        return number
+    raise ValueError(f"no object of {part} is left; give objects like those that are learnt from, and their --unit")
 
 
 def choose_band(explorer: Explorer, numbers: Sequence[int]) -> Band:

@@ -1,7 +1,8 @@
 """Objects that are touched, and the simulated arm, skin and camera that meet them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import islice
 from typing import NamedTuple
 
@@ -63,14 +64,20 @@ class ObjectSplit(NamedTuple):
     train: dict[str, Mesh]
 
 
+class Skin(NamedTuple):
+    """A simulated skin, and what it is imagined to read at the library of local surfaces."""
+
+    pad: Pad
+    model: PressModel
+
+
 class Reality(NamedTuple):
-    """Facts that only the simulation knows, and what each skin is imagined to read."""
+    """Facts that only the simulation knows, and the skins."""
 
     meshes: list[Mesh]
     surfaces: Surface  # stacked
-    pads: list[Pad]
-    models: list[PressModel]  # of the pads
     library: PatchLibrary
+    skins: list[Callable[[], Skin]]  # each made when it is first asked for
 
 
 class Met(NamedTuple):
@@ -124,11 +131,16 @@ def _scaled(mesh: Mesh, args: ReconstructArgs, number: int) -> Mesh:
 def make_reality(key: Array, split: ObjectSplit, sizes: ReconstructSizes) -> Reality:
     """The objects of validation and test, and skins of which it is known what they read at patches of known shapes."""
     shapes = [prepare_surface(mesh) for mesh in list(split.train.values())[: sizes.patches // PATCHES_OF_A_SHAPE]]
-    library = build_library(key, shapes, sizes.patches, sampling=ContactSampling(tilt=PATCH_TILT_RAD, limits=None))
-    pads = [numbered_pad(number) for number in range(sizes.pads)]
+    sampling = ContactSampling(tilt=PATCH_TILT_RAD, limits=None)
+    library = jax.device_put(build_library(key, shapes, sizes.patches, sampling=sampling))
+
+    def skin(number: int) -> Skin:
+        pad = numbered_pad(number)
+        return Skin(pad, imagine_presses(pad, library))
+
     meshes = [*split.validation.values(), *split.test.values()]
     surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
-    return Reality(meshes, surfaces, pads, [imagine_presses(pad, library) for pad in pads], jax.device_put(library))
+    return Reality(meshes, surfaces, library, [cache(partial(skin, number)) for number in range(sizes.pads)])
 
 
 @jax.jit
@@ -182,10 +194,9 @@ class Session:
             return contact_evidence(T_w_t, hit=bool(met.hit), swept=APPROACH_M)
         if felt == "patch":
             return perfect_evidence(T_w_t, met)
-        pad = (self.number + self.seed) % len(self.reality.pads)
-        model = self.reality.models[pad]
-        press = _press(key_press, self.reality.pads[pad], met.heights)
-        found = _infer(press.reading, press.force, press.travel, model=model, library=self.reality.library)
+        skin = self.reality.skins[(self.number + self.seed) % len(self.reality.skins)]()
+        press = _press(key_press, skin.pad, met.heights)
+        found = _infer(press.reading, press.force, press.travel, model=skin.model, library=self.reality.library)
         return reading_evidence(T_w_t, jax.device_get(found), swept=APPROACH_M)
 
     def foresee(self, sites: Float[np.ndarray, "n 4 4"]) -> list[SurfaceEvidence]:

@@ -65,7 +65,7 @@ def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
 
 def test_what_is_foreseen_is_what_a_perfect_touch_would_feel_on_the_true_object():
     mesh = centre_box(make_object("stamp-cross").mesh)
-    reality = Reality([mesh], stack_surfaces([prepare_surface(mesh)]), [], [], None)
+    reality = Reality([mesh], stack_surfaces([prepare_surface(mesh)]), None, [])
     session = Session(reality, 0, 0)
     site = np.diag([1.0, -1, -1, 1])
     site[2, 3] = mesh.vertices[:, 2].max() - 5e-3  # it is met before
