@@ -133,3 +133,4 @@ class PatchArgs(RunOptions):
 
     out: Path = Path("runs/reconstruct_patch")  # folder for what is made
     preset: Literal["paper", "short", "debug"] = "paper"
+    exact: bool = False  # presses without noise, slant or any other error: what is left is what a pad cannot feel

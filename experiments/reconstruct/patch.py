@@ -3,6 +3,7 @@
     python -m experiments.reconstruct patch                      12 000 patches, 160 contacts of unseen objects, 3 pads
     python -m experiments.reconstruct patch --preset short       a third of that
     python -m experiments.reconstruct patch --preset debug       too few to mean anything
+    python -m experiments.reconstruct patch --exact              presses without any error: what no pad like it feels
 
 Objects of the catalogue and drawn ones, from a stamp's size to a hand's, are split by object into those of the library,
 those on which everything is chosen (validation) and those that are judged (test). Each is met at random safe sites, the
@@ -31,6 +32,8 @@ from i2t.recognition.intervals import rows_of
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
 from i2t.rendering.ops import element
 from i2t.simulation.press_curves import PressCurve
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin.contact import CELL_GRID
 from i2t.types import Array
 from i2t.viz import style
 from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
@@ -58,7 +61,8 @@ def run(args: PatchArgs) -> dict[str, Any]:
     key_parts, key_presses, _ = jax.random.split(jax.random.key(args.seed), 3)  # as many as results were made with
     parts = make_parts(key_parts, sizes)
     library = jax.tree.map(jnp.asarray, parts["train"].library)
-    trials = press_parts(key_presses, parts, library, sizes.pads)
+    errors = SimulationErrors.none() if args.exact else SimulationErrors()
+    trials = press_parts(key_presses, parts, library, sizes.pads, errors)
     likelihood = choose_likelihood(trials["validation"], library)
     trials = {name: [trial.with_likelihood(likelihood) for trial in some] for name, some in trials.items()}
     chosen: dict[str, Any] = {"likelihood": {name: float(value) for name, value in likelihood._asdict().items()}}
@@ -89,6 +93,8 @@ def run(args: PatchArgs) -> dict[str, Any]:
         "objects": {name: len(np.unique(part.library.object)) for name, part in parts.items()},
         "pads": sizes.pads,
         "seed": args.seed,
+        "exact": args.exact,
+        "edges": int(np.isfinite(found[PRIOR]["edge"][:, 0]).sum()),
         "chosen": chosen,
         "touches": len(clusters[0]),
         "methods": reported(np.ones_like(known))["methods"],
@@ -184,11 +190,16 @@ def draw_posteriors(trial: Trial, library: PatchLibrary) -> Figure:
         at, met = np.linspace(extent[0], extent[1], len(patch)), patch <= CONTACT_TOLERANCE_M
         if met.any() and not met.all():
             row[5].contour(at, at, patch, levels=[CONTACT_TOLERANCE_M], colors=style.RED, linewidths=1)
+        pressed = trial.truth.contact[number].reshape(CELL_GRID.cells, -1)
+        row[1].contour(1e3 * CELL_GRID.centres, 1e3 * CELL_GRID.centres, pressed, [0.5], colors=style.RED, linewidths=1)
+        row[1].set(xlim=extent[:2], ylim=extent[2:])
         for axis in row[1:]:
             axis.set(xticks=[], yticks=[], xlabel="", ylabel="")
     for axis, title in zip(axes[0], titles, strict=True):
         axis.set_title(title, fontsize=10)
     figure.colorbar(image, ax=axes[:, 1:5], label="depth beyond first contact (mm)", location="bottom", aspect=60)
     figure.colorbar(mask, ax=axes[:, 5], label="line: true outline", location="bottom", aspect=14)
-    figure.suptitle("What one press says of the surface: 17 x 17 mm, objects never seen (simulated)")
+    figure.suptitle(
+        "What one press says of the surface: 17 x 17 mm, objects never seen (simulated); red: where the pad pressed"
+    )
     return figure

@@ -20,6 +20,7 @@ COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage
 DRAWS = 64  # samples of which these are computed
 EDGE_ANGLES, EDGE_OFFSETS = 120, 69  # tried, of a half-plane: 3 degrees and a quarter of a millimetre apart
 STRAIGHT, EDGE_SHARE = 0.95, 0.1  # a mask that a half-plane explains so far, and that leaves so much on either side
+SLOPE_SHARE = 0.1  # of the window, that lies on the way down: more is a tilted plane, and no edge
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the intervals whose coverage is counted
 MM = 1e3
 
@@ -43,7 +44,7 @@ def score_touch(
         "contact": _ious(found.contact_probability.ravel(), truth.contact),
         "crps_mm": MM * jnp.mean(crps),
         "covered": _coverage(inside, truth.contact),
-        "edge": _edge_errors(found.mask_probability[::COARSE, ::COARSE], true <= CONTACT_TOLERANCE_M),
+        "edge": _edge_errors(found.mask_probability[::COARSE, ::COARSE], true),
         "centre_mm": MM * jnp.linalg.norm(found.centre - truth.centre),
     }
 
@@ -69,13 +70,15 @@ def edge_of(mask: Array) -> tuple[Array, Array, Array]:
     return angles[angle], offsets[offset], jnp.max(found)
 
 
-def _edge_errors(probability: Array, true: Array) -> Array:
-    """Errors of direction (degrees) and offset (mm) of an edge; NaN where what was met is no straight edge."""
+def _edge_errors(probability: Array, depth: Array) -> Array:
+    """Errors of direction (degrees) and offset (mm) of an edge; NaN where what was met is no straight, steep edge."""
+    true = depth <= CONTACT_TOLERANCE_M
     angle, offset, straight = edge_of(true.astype(jnp.float32))
     found_angle, found_offset, _ = edge_of(probability)
     turn = jnp.abs((found_angle - angle + jnp.pi) % (2 * jnp.pi) - jnp.pi)
     share = jnp.mean(true)
-    is_edge = (straight > STRAIGHT) & (share > EDGE_SHARE) & (share < 1 - EDGE_SHARE)
+    is_steep = jnp.mean(~true & (depth <= 2 * CONTACT_TOLERANCE_M)) < SLOPE_SHARE
+    is_edge = (straight > STRAIGHT) & is_steep & (share > EDGE_SHARE) & (share < 1 - EDGE_SHARE)
     return jnp.where(is_edge, jnp.stack([jnp.degrees(turn), MM * jnp.abs(found_offset - offset)]), jnp.nan)
 
 

@@ -1,5 +1,6 @@
 """Shapes that presses meet, split by object, and the presses of simulated skins into them."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -104,7 +105,9 @@ def draw_shape(seed: int) -> Mesh:
     return primitives.stamp(region)
 
 
-def press_parts(key: Array, parts: dict[str, Part], library: PatchLibrary, pads: int) -> dict[str, list[Trial]]:
+def press_parts(
+    key: Array, parts: dict[str, Part], library: PatchLibrary, pads: int, errors: SimulationErrors
+) -> dict[str, list[Trial]]:
     """Every contact of validation and test, pressed with every pad; and every pad imagined at the library."""
     trials: dict[str, list[Trial]] = {"validation": [], "test": []}
     for number in progress(range(pads), desc="pads"):
@@ -113,17 +116,17 @@ def press_parts(key: Array, parts: dict[str, Part], library: PatchLibrary, pads:
         for which, (name, some) in enumerate(trials.items()):
             heights, patch = jnp.asarray(parts[name].heights), np.asarray(parts[name].library.patch, np.float32)
             keys = jax.random.split(jax.random.fold_in(key, 2 * number + which), len(heights))
-            presses = jax.device_get(press_all(keys, pad, heights))
+            presses = jax.device_get(press_all(keys, pad, heights, errors))
             truth = MetSurface(patch, np.asarray(presses.contact[:, -1]), np.asarray(presses.centre[:, -1]))
             some.append(Trial(model, presses, truth))
     return trials
 
 
-@jax.jit
-def press_all(keys: Array, pad: Pad, heights: Array) -> PressCurve:
+@partial(jax.jit, static_argnames=("errors",))
+def press_all(keys: Array, pad: Pad, heights: Array, errors: SimulationErrors) -> PressCurve:
     """Press a pad onto every surface, with two stops."""
 
     def one(each: tuple[Array, Array]) -> PressCurve:
-        return simulate_press_curve(each[0], pad, each[1], errors=SimulationErrors(), limits=PressLimits())
+        return simulate_press_curve(each[0], pad, each[1], errors=errors, limits=PressLimits())
 
     return map_batches(one, (keys, heights), batch_size=PRESSES_AT_ONCE)

@@ -151,6 +151,8 @@ def strokes(measured: Measured) -> str:
 TABLES: dict[str, dict[str, Table]] = {
     "strokes": {"methods": strokes},
     "shapes": {"stamps": stamps},
+    "reconstruct": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
     "reconstruct_objects": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
+    "reconstruct_policies": {"policies": policies},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
 }

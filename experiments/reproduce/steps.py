@@ -77,9 +77,17 @@ STEPS = (
     ),
     Step("registration_frames", "-m experiments.registration frames --data DATA", minutes=1, again=OVERWRITE),
     Step("active_touch", "-m experiments.active_touch", minutes=10, again=OVERWRITE),
+    Step("reconstruct", "-m experiments.reconstruct", minutes=25, again=OVERWRITE),
     Step(
         "reconstruct_objects",
-        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800",
+        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 54",
+        minutes=30,
+        again=OVERWRITE,
+    ),
+    Step(
+        "reconstruct_policies",
+        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 100 "
+        '--touches 5 --conditions "random sites" uncertainty reading oracle',
         minutes=30,
         again=OVERWRITE,
     ),
