@@ -1,6 +1,6 @@
 """Question: what does one press of a skin with five chips say of the surface that it met, and is its doubt honest?
 
-    python -m experiments.reconstruct patch                      12 000 patches, 160 contacts of unseen objects, 3 pads
+    python -m experiments.reconstruct patch                      160 contacts of unseen objects, 3 pads
     python -m experiments.reconstruct patch --preset short       a third of that
     python -m experiments.reconstruct patch --preset debug       too few to mean anything
     python -m experiments.reconstruct patch --exact              presses without any error: what no pad like it feels
@@ -39,8 +39,8 @@ from i2t.viz import style
 from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 
 PRIOR, FIRST_STOP, CURVE = "prior", "by imagination, 25 uT", "by imagination, press curve"
-RELATIVE_ERRORS, TEMPERATURES = (0.08, 0.15, 0.25), (0.25, 0.5, 1.0)  # what is chosen among
-DOFS, BLURS = (3.0, 8.0, 30.0), (0.0, 1.0, 2.0)
+RELATIVE_ERRORS, TEMPERATURES = (0.05, 0.1, 0.2), (1.0, 2.0, 4.0)  # what is chosen among
+DOFS, BLURS = (3.0, 6.0, 30.0), (0.0, 1.0, 2.0, 3.0)
 CATALOGUE, DRAWN = "catalogue", "drawn at random"  # where test objects come from
 DRAWN_PRESSES = 5
 COLUMNS = {

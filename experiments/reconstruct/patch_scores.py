@@ -15,7 +15,7 @@ from i2t.reconstruction.local_shape import PatchLibrary, summarize
 from i2t.types import Array
 from i2t.windows import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW
 
-THRESHOLDS = (0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
+THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
 COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage
 DRAWS = 64  # samples of which these are computed
 EDGE_ANGLES, EDGE_OFFSETS = 120, 69  # tried, of a half-plane: 3 degrees and a quarter of a millimetre apart
@@ -37,7 +37,8 @@ def score_touch(
     rank = 2 * jnp.arange(DRAWS) - DRAWS + 1
     spread = jnp.einsum("k,kij->ij", rank.astype(jnp.float32), draws) / DRAWS**2
     crps = jnp.mean(jnp.abs(draws - true[None]), axis=0) - spread
-    ends = [round((1 - level) / 2 * (DRAWS - 1)) for level in LEVELS]
+    # Between the order statistics e and n - 1 - e of n draws lies another with probability (n - 1 - 2 e) / (n + 1).
+    ends = [round((1 - level) / 2 * (DRAWS + 1) - 1) for level in LEVELS]
     inside = jnp.stack([(draws[e] - 1e-5 <= true) & (true <= draws[DRAWS - 1 - e] + 1e-5) for e in ends])
     return {
         "mask": _ious(found.mask_probability, truth.patch <= CONTACT_TOLERANCE_M),

@@ -3,6 +3,7 @@
 The mesh that is made may be named to `--objects` of recognition and of collection.
 """
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ from i2t.windows import STANDOFF
 
 MIN_CONTACTS = 3  # fewer say almost nothing of a shape
 MAX_ACROSS_M, LOWEST_M = 0.35, 15e-3  # of contacts with one object that stands on z = 0
+LEAST_WAY_M = 2e-3  # that a session's `prepare` may be
 ROOM_M = 10e-3  # about the contacts, in which the surface is sought
 
 
@@ -40,8 +42,9 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     model = prior_of(T_o_t[hit], args)
     begin(args.out, args, args.sizes, None, args.overwrite)  # data that cannot be used leave no folder behind
     state, _ = init(model)
+    way = swept_way(dataset)
     for pose, contact in zip(T_o_t, hit, strict=True):
-        state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=STANDOFF))
+        state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=way))
     estimate = estimate_surface(model, state)
     surface = shown_surface(estimate, state.evidence)
     if not len(surface.faces):
@@ -109,11 +112,19 @@ def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
     return RecordedTouches(T_o_t, hit[kept])
 
 
+def swept_way(dataset: Dataset) -> float:
+    """Metres before each contact that its pad surely swept in a straight line: as the notes of the sessions say, or the
+    least that a session may have.
+    """
+    said = re.findall(r'"prepare": ([0-9.e-]+)', dataset.meta.get("settings", ""))
+    return min(map(float, said), default=STANDOFF if dataset.source == "simulated" else LEAST_WAY_M)
+
+
 def prior_of(contacts: Float[np.ndarray, "n 4 4"], args: ReconstructArgs) -> SurfaceModel:
     """Prior of the surface: random objects of the catalogue or those of --objects, on a grid about the contacts."""
     at = contacts[:, :3, 3]
     low, high = np.minimum(at.min(0) - ROOM_M, [-40e-3, -40e-3, 0.0]), np.maximum(at.max(0) + ROOM_M, [40e-3] * 3)
-    return surface_model(list(split_objects(args).train.values()), low=low, high=high)
+    return surface_model(list(split_objects(args, hold_out=False).train.values()), low=low, high=high)
 
 
 def report(result: dict[str, Any], path: Path) -> None:
@@ -122,7 +133,7 @@ def report(result: dict[str, Any], path: Path) -> None:
     simulated = ", simulated" if result["source"] == "simulated" else ""
     print(
         f"{result['object']}: {result['contacts']} contacts and {result['in_air']} touches in air{simulated}; the "
-        f"surface is known to {std['median']:.1f} mm (median standard deviation; a tenth worse than {std['p90']:.1f})"
+        f"surface is known to {std['median']:.1f} mm (median standard deviation; of a tenth it is above {std['p90']:.1f})"
     )
     shift = ", ".join(f"{value:+.1f}" for value in result["frame_shift_mm"])
     print(

@@ -89,10 +89,12 @@ class Met(NamedTuple):
     patch: Array  # (8, 8) m, on a lattice over the patch's window
 
 
-def split_objects(args: ReconstructArgs) -> ObjectSplit:
-    """Random objects of the catalogue, or those of a folder: of ten files in order one is to test, one to validate."""
+def split_objects(args: ReconstructArgs, *, hold_out: bool = True) -> ObjectSplit:
+    """Random objects of the catalogue, or those of a folder: of ten files in order one is to test, one to validate; or
+    all to learn from.
+    """
     sizes, found = args.sizes, ObjectSplit({}, {}, {})
-    counts = sizes.test, sizes.validation, sizes.train
+    counts = (sizes.test if hold_out else 0, sizes.validation if hold_out else 0, sizes.train)
     if args.objects is None:
         seeds = iter(range(100_000 * args.seed, 100_000 * (args.seed + 1)))
         for part, count in zip(found, counts, strict=True):
@@ -102,7 +104,7 @@ def split_objects(args: ReconstructArgs) -> ObjectSplit:
     names = [str(path.relative_to(args.objects).with_suffix("")) for path in files]
     if len(set(names)) < len(names):
         raise ValueError(f"{args.objects}: two files have one name but for their endings; leave one of each")
-    rows = np.arange(len(files)) % 10
+    rows = np.arange(len(files)) % 10 if hold_out else np.full(len(files), 2)
     for part, own, count in zip(found, (rows == 0, rows == 1, rows > 1), counts, strict=True):
         for number in np.flatnonzero(own):
             if len(part) == count:
@@ -112,10 +114,10 @@ def split_objects(args: ReconstructArgs) -> ObjectSplit:
                 part[names[number]] = _scaled(mesh, args, int(number))
             except (ValueError, OSError) as error:
                 print(f"left out: {error}", flush=True)
-    if not all(found):
+    if not (all(found) if hold_out else found.train):
         count = sum(map(len, found))
         endings = ", ".join(MESH_SUFFIXES)
-        raise ValueError(f"{args.objects}: holds {count} usable meshes ({endings}); ten or more leave some to hold out")
+        raise ValueError(f"{args.objects}: holds {count} usable meshes ({endings}); give ten or more")
     return found
 
 

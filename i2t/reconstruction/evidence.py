@@ -203,6 +203,7 @@ def view_evidence(
     T_o_c: Float[np.ndarray, "4 4"],
     *,
     table: float = -np.inf,
+    box: tuple[Array, Array] | None = None,
 ) -> SurfaceEvidence:
     """Evidence of a view of the object by a depth camera.
 
@@ -211,21 +212,34 @@ def view_evidence(
         camera: Its intrinsics.
         T_o_c: Pose of the camera (z forwards).
         table: m, height of what the object stands on; what is no more than 2 mm above it is not the object.
+        box: (3,) m each, lowest and highest corner of the box that the object is known to be in; what is seen outside
+            of it is not the object.
 
     Returns:
         The evidence: points of the surface, and space that the camera looked through.
 
     Raises:
-        ValueError: The view shows nothing above the table.
+        ValueError: The view shows nothing above the table and in the box, its size is not the camera's, or the
+            camera's pose is not rigid and finite.
     """
+    depth, T_o_c = np.asarray(depth, np.float64), np.asarray(T_o_c, np.float64)
+    if depth.shape != (camera.height, camera.width):
+        raise ValueError(f"a depth image of {depth.shape} pixels, from a camera of {camera.height, camera.width}")
+    if T_o_c.shape != (4, 4) or not is_rigid(T_o_c):
+        raise ValueError("T_o_c of a view must be a finite rigid 4x4 pose")
     rng = np.random.default_rng(0)
     depth = np.where(depth > 0, depth, np.nan)
     row, column = np.nonzero(np.isfinite(depth))
     pixels = jnp.stack([column, row], -1).astype(jnp.float32)
     points = _to_object(T_o_c, np.asarray(distortion.deproject(camera, pixels, jnp.asarray(depth[row, column]))))
-    points = points[points[:, 2] > table + TABLE_MARGIN_M].astype(np.float64)
+    low, high = (-np.inf, np.inf) if box is None else map(np.asarray, box)
+    of_object = (points[:, 2] > table + TABLE_MARGIN_M) & ((points > low) & (points < high)).all(1)
+    points = points[of_object].astype(np.float64)
     if not len(points):
-        raise ValueError("the depth image shows nothing above the table; check its unit, the camera's pose and `table`")
+        raise ValueError(
+            "the depth image shows nothing above the table and in the box; check its unit, the camera's pose, `table` "
+            "and `box`"
+        )
     points = points[rng.permutation(len(points))[:VIEW_POINTS]]
     # Free space is looked at on the way to the points, most of it near them.
     ends = points[rng.integers(len(points), size=VIEW_FREE_POINTS)]

@@ -160,8 +160,8 @@ def surface_points(
 def safe_sites(
     estimate: SurfaceEstimate, T_o_t: Float[np.ndarray, "n 4 4"], *, config: ExplorationConfig
 ) -> Bool[np.ndarray, " n"]:
-    """Sites that the limits allow, as far as the estimate knows: tilt, room for mount and flange down to the end of the
-    overtravel, and nothing of the estimated surface above the contact plane in the sensor's square.
+    """Sites that the limits allow, as far as the estimate knows: tilt, room for mount and flange above the table to the
+    end of the overtravel, and nothing of the estimated surface above the contact plane in the sensor's square.
 
     Args:
         estimate: Of the surface.
@@ -227,10 +227,7 @@ def expected_reduction(
     """
     std = estimate.std.astype(np.float64)
     density = np.exp(-0.5 * (estimate.distance / std) ** 2) / std
-    total = density.sum()
-    if not total > 0:
-        return rng.random(len(places))
-    drawn = rng.choice(len(density), config.probes, p=density / total)
+    drawn = rng.choice(len(density), config.probes, p=density / density.sum())
     cov = posterior_covariance(model, posterior, estimate.grid.points()[drawn], places)
     _, std = predict(model, posterior, places)
     own = std**2 - model.config.band_floor**2  # what a touch can take away

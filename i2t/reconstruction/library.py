@@ -120,7 +120,7 @@ def sample_contacts(
     contacts = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
     if not len(contacts.met):
         raise ValueError("no shape could be touched; relax the limits of sites, or check the unit of the meshes")
-    # What is too many is left out evenly over the shapes.
+    # What is too many is left out at random.
     kept = np.sort(np.random.default_rng(0).permutation(len(contacts.met))[:count])
     return jax.tree.map(lambda field: field[kept], contacts), np.concatenate(objects)[kept]
 

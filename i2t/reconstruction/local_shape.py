@@ -5,17 +5,18 @@ of them under a few loads. A press is one or more stops, each with a reading (uT
 contact (m); two stops of one press, at 25 and at 100 uT say, are a press curve. Each patch i of the library is weighted
 by how well it explains all of the press,
 
-    y = r_i(F) + U_i a + e,    a ~ N(0, I),    e ~ Student's t with the scale D,
+    y = r_i(F) + (U_i a + e) / sqrt(g),    a ~ N(0, I),    e ~ N(0, D),    g ~ Gamma(k/2, k/2),
 
 where r_i is interpolated at the measured force and the columns of U_i are nuisances that are integrated out: the slant
 of the press along two axes (friction, the same at all its stops), the error of each force, and that of first contact.
-With z = D^-1/2 (y - r_i), V = D^-1/2 U_i and A = I + V'V,
+So y is of a multivariate Student's t with k degrees of freedom. With z = D^-1/2 (y - r_i), V = D^-1/2 U_i and
+A = I + V'V,
 
-    log w_i = T / S [ -1/2 log |A| - (k + m)/2 log(1 + (z'z - z'V A^-1 V'z) / k) ]
+    log w_i = 1 / (T S) [ -1/2 log |A| - (k + m)/2 log(1 + (z'z - z'V A^-1 V'z) / k) ]
 
-with k degrees of freedom, m measured values at S stops, and T a temperature: patches are not the truth, and what a
-model errs is alike in all channels. A share of the prior stays mixed in, so that no touch is certain. Posterior samples
-are drawn from the weights systematically and are alike in weight.
+with m measured values at S stops, and T a temperature: patches are not the truth, and what a model errs is alike in all
+channels. A share of the prior stays mixed in, so that no touch is certain. Posterior samples are drawn from the weights
+systematically and are alike in weight.
 
 Frames and units as in `i2t.types`. A patch is what lies in front of the skin at first contact: metres along tool z
 beyond the plane of first contact, clipped to the reach. Pure functions on one press; compile them at the edge:
@@ -34,7 +35,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from i2t.skin.contact import CONTACT_NEWTONS
-from i2t.windows import CONTACT_TOLERANCE_M
+from i2t.windows import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW
 
 SAMPLES = 256
 SMALLEST_FORCE_N = 0.02  # a noisy wrench sensor says less
@@ -44,7 +45,7 @@ class PatchLibrary(NamedTuple):
     """Patches of many shapes, and their presses by a pad of nominal stiffness; the same for every pad."""
 
     patch: Float[Any, "n p p"]  # m beyond the plane of first contact, clipped to the reach
-    height: Float[Any, "n g g"]  # m, the same over the cells of the pad, uncut (nothing there is infinite)
+    height: Float[Any, "n g g"]  # m, the same over the cells of the pad, uncut (+inf where there is no surface)
     object: Int[Any, " n"]  # which shape each is from
     loads: Float[Any, " l"]  # N, ascending
     newtons: Float[Any, "n l cells"]  # on each cell of 1 mm, row along tool y
@@ -53,7 +54,9 @@ class PatchLibrary(NamedTuple):
 
 
 class PatchLikelihood(NamedTuple):
-    """Errors of a press about the predicted one; chosen on validation objects."""
+    """Errors of a press about the predicted one; near what `experiments.reconstruct patch` chooses on validation
+    objects.
+    """
 
     slant_std: Float[Array, ""] | float = 0.01745  # m/m, of the press's motion along x and y (1 degree)
     force_std: Float[Array, ""] | float = 0.1  # N, of each stop
@@ -61,7 +64,7 @@ class PatchLikelihood(NamedTuple):
     contact_std: Float[Array, ""] | float = 0.1e-3  # m, of first contact, the same at all stops of a press
     relative_error: Float[Array, ""] | float = 0.1  # of the reading's norm, by which imagined readings err
     dof: Float[Array, ""] | float = 6.0  # of Student's t
-    temperature: Float[Array, ""] | float = 0.5  # T, divided by the number of stops, whose errors are alike
+    temperature: Float[Array, ""] | float = 2.0  # T, times the number of stops, whose errors are alike
     prior_share: Float[Array, ""] | float = 0.02  # of the prior in the weights
     blur: Float[Array, ""] | float = 1.0  # pixels, by which probabilities of masks are smoothed
 
@@ -90,8 +93,8 @@ class PatchPosterior(NamedTuple):
     patch: Float[Array, "k p p"]  # m beyond the plane of first contact
     mean: Float[Array, "p p"]  # m
     mask_probability: Float[Array, "p p"]  # of a surface within 1.5 mm of that plane (the paper's mask)
-    contact_probability: Float[Array, "g g"]  # of pressure on each cell of 1 mm at the last stop
-    centre: Float[Array, "2"]  # m, centre of pressure (x, y) at the last stop
+    contact_probability: Float[Array, "g g"]  # of pressure on each cell of 1 mm, at the load nearest the last stop's
+    centre: Float[Array, "2"]  # m, centre of pressure (x, y) at that load
     centre_covariance: Float[Array, "2 2"]  # m^2
 
 
@@ -191,7 +194,7 @@ def posterior_weights(
     Returns:
         Weights that sum to 1.
     """
-    weight = jax.nn.softmax(likelihood.temperature / jnp.maximum(stops, 1) * log_likelihood)
+    weight = jax.nn.softmax(log_likelihood / (likelihood.temperature * jnp.maximum(stops, 1)))
     return (1 - likelihood.prior_share) * weight + likelihood.prior_share / len(weight)
 
 
@@ -232,7 +235,7 @@ def summarize(
         patch=patch,
         mean=jnp.mean(patch, axis=0, dtype=jnp.float32),
         mask_probability=_blurred(mask, blur),
-        contact_probability=_blurred(contact, blur * cells / patch.shape[-1]),
+        contact_probability=_blurred(contact, blur * cells / PAD_WINDOW * PATCH_WINDOW / patch.shape[-1]),
         centre=middle,
         centre_covariance=about.T @ about / samples,
     )

@@ -61,7 +61,7 @@ class SurfaceConfig:
     free_tolerance: float = 0.5e-3  # m by which the mean may break into free space
     free_std: float = 1e-3  # m
     free_points: int = 4  # of a touch or view, at most, that hold the mean out of free space
-    band_scale: float = 1.0  # of all standard deviations, chosen on other objects
+    band_scale: float = 1.0  # of all standard deviations; `experiments.reconstruct` chooses both for its objects
     band_floor: float = 1e-3  # m, standard deviation that no touch takes away: what the grid cannot hold
 
 
@@ -90,7 +90,7 @@ class SurfaceInfo(NamedTuple):
     """Result of an update."""
 
     log_likelihood: Float[np.ndarray, " k"]  # of the evidence under each shape of the library
-    effective_shapes: float  # as many equal weights would be as spread
+    effective_shapes: float  # effective sample size of the weights
 
 
 class SurfaceEstimate(NamedTuple):

@@ -13,10 +13,11 @@ from helpers import random_touches
 from scipy.spatial import cKDTree
 
 from experiments.reconstruct.__main__ import main
+from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.reconstruct.patch import CURVE, METHODS, PRIOR
 from experiments.reconstruct.patch_scores import edge_of
-from experiments.reconstruct.recorded import choose_object, read_touches
-from experiments.reconstruct.world import Reality, Session
+from experiments.reconstruct.recorded import choose_object, read_touches, swept_way
+from experiments.reconstruct.world import Reality, Session, split_objects
 from i2t.dataset import save_dataset
 from i2t.errors import DataError
 from i2t.objects import make_object
@@ -99,6 +100,8 @@ def test_meshes_of_a_folder_are_learnt_from_and_tested_on(tmp_path, capsys):
     report = json.loads((out / "metrics.json").read_text())
     assert report["objects"] == {"validation": ["01/box01"], "test": ["00/box00"]}
     assert report["library"]["shapes"] == 4
+    args = ReconstructArgs(objects=folder, unit="mm", preset="debug", train=20)
+    assert [len(part) for part in split_objects(args, hold_out=False)] == [0, 0, 11]
     box.export(folder / "00" / "box00.obj")
     assert main([*words, "--out", str(tmp_path / "twice")]) == 2
     assert "two files have one name" in capsys.readouterr().err
@@ -162,6 +165,14 @@ def _recorded(name):
         object=np.zeros(4, int),
     )
     return replace(made, touches=touches, source="simulated")
+
+
+def test_no_more_space_is_carved_behind_recorded_contacts_than_was_surely_swept():
+    recorded = _recorded("pyramid")
+    assert swept_way(recorded) == 40e-3
+    assert swept_way(replace(recorded, source="real")) == 2e-3
+    merged = {"settings": '{"prepare": 0.03, "near": 0.01}; {"prepare": 5e-3}'}
+    assert swept_way(replace(recorded, source="real", meta=merged)) == 5e-3
 
 
 @pytest.mark.full

@@ -234,8 +234,9 @@ def test_a_reading_says_where_in_its_square_the_pad_met_the_surface_and_what_is_
 def test_a_view_shows_a_surface_and_carves_what_it_looked_through():
     ball = _ball(25e-3, subdivisions=3)
     T_o_c = from_above(0.25)
-    depth, _ = render_view(ball.vertices[ball.faces], T_o_c, Camera(80, 60, 120.0, 120.0, 39.5, 29.5))
-    seen = view_evidence(depth, Camera(80, 60, 120.0, 120.0, 39.5, 29.5), T_o_c)
+    camera = Camera(80, 60, 120.0, 120.0, 39.5, 29.5)
+    depth, _ = render_view(ball.vertices[ball.faces], T_o_c, camera)
+    seen = view_evidence(depth, camera, T_o_c)
     np.testing.assert_allclose(np.linalg.norm(seen.points, axis=1), 25e-3, atol=0.5e-3)
     assert (seen.points[:, 2] > 0).all()
     assert isinstance(seen.region, SeenThrough)
@@ -246,6 +247,14 @@ def test_a_view_shows_a_surface_and_carves_what_it_looked_through():
     estimate = estimate_surface(_balls(), state)
     assert abs(interpolate(GRID, estimate.distance, np.array([[0, 0, 25e-3]]))[0]) < 1e-3
     with pytest.raises(ValueError, match="shows nothing above the table"):
-        view_evidence(np.full((60, 80), np.inf), Camera(80, 60, 120.0, 120.0, 39.5, 29.5), T_o_c)
-    high = view_evidence(depth, Camera(80, 60, 120.0, 120.0, 39.5, 29.5), T_o_c, table=20e-3)
+        view_evidence(np.full((60, 80), np.inf), camera, T_o_c)
+    high = view_evidence(depth, camera, T_o_c, table=20e-3)
     assert (high.points[:, 2] > 22e-3).all()
+    right = view_evidence(depth, camera, T_o_c, box=(np.array([0.0, -1, -1]), np.ones(3)))
+    assert (right.points[:, 0] > 0).all()
+    with pytest.raises(ValueError, match="in the box"):
+        view_evidence(depth, camera, T_o_c, box=(np.full(3, 0.5), np.ones(3)))
+    with pytest.raises(ValueError, match="from a camera of"):
+        view_evidence(depth.T, camera, T_o_c)
+    with pytest.raises(ValueError, match="rigid"):
+        view_evidence(depth, camera, 2 * T_o_c)
