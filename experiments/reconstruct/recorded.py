@@ -133,7 +133,7 @@ def report(result: dict[str, Any], path: Path) -> None:
     simulated = ", simulated" if result["source"] == "simulated" else ""
     print(
         f"{result['object']}: {result['contacts']} contacts and {result['in_air']} touches in air{simulated}; the "
-        f"surface is known to {std['median']:.1f} mm (median standard deviation; of a tenth it is above {std['p90']:.1f})"
+        f"surface is known to {std['median']:.1f} mm (median standard deviation; of a tenth above {std['p90']:.1f})"
     )
     shift = ", ".join(f"{value:+.1f}" for value in result["frame_shift_mm"])
     print(
