@@ -78,8 +78,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
 
 def _others(results: Mapping[str, Measured]) -> list[list[str]]:
     heads = results["fidelity"]["recordings"]["20250316_155729_probe"]["Heads"]["heads"]
-    conditions = results["reconstruct_objects"]["conditions"]
-    after, posed = conditions["reading"]["after"], conditions["contact pose only"]["after"]
+    rebuilt = results["reconstruct_objects"]
+    after, posed = (rebuilt["conditions"][name]["after"] for name in ("reading", "contact pose only"))
     tip = heads["position"]["whole blocks or strokes"]["kept"]["median"]
     later = {
         name: found["accuracy"] for name, found in results["strokes"]["splits"]["in file order"]["methods"].items()
@@ -107,8 +107,9 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "touch to shape",
             f"a tip's place, not shape: median {number(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
-            f"40 unseen objects: {estimate(after['5']['ratio'], 2)} of the distance left after 5 touches, without "
-            f"readings {number(posed['5']['ratio'][0], 2)} ([reconstruction](docs/reconstruction.md))",
+            f"{rebuilt['test_objects']} unseen objects: {estimate(after['5']['ratio'], 2)} of the distance left after "
+            f"5 touches, without readings {number(posed['5']['ratio'][0], 2)} "
+            "([reconstruction](docs/reconstruction.md))",
             "needs like objects; edges",
         ],
         [

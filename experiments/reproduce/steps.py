@@ -92,6 +92,7 @@ STEPS = (
         again=OVERWRITE,
     ),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
+    Step("reconstruct_patch_exact", "-m experiments.reconstruct patch --exact", minutes=8, again=OVERWRITE),
     Step(
         "grasps",
         "-m experiments.recognize recorded --label object --ignore slipped --readings biotac_sp/bts3v2_palm_45.csv.gz "

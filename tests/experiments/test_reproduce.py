@@ -114,15 +114,19 @@ def test_a_study_s_own_tables_are_kept_with_few_decimals_and_written():
 
 
 def test_local_shapes_are_shown_by_source_and_beside_their_goal():
-    names = [name for name, _ in PATCH_SCORES]
+    names = [name for name, _ in PATCH_SCORES] + ["edge_degrees_median", "edge_mm_median"]
     methods = {name: dict.fromkeys(names, (value, -0.1, 1.1)) for name, value in (("p", 0.2), ("f", 0.3), ("c", 0.4))}
-    measured = {"methods": methods, "sources": {"catalogue": {"objects": 6, "touches": 30, "methods": methods}}}
+    measured = {
+        "edges": 7,
+        "methods": methods,
+        "sources": {"catalogue": {"objects": 6, "touches": 30, "methods": methods}},
+    }
     prior, first, curve = (f"{value} [-0.10, 1.10]" for value in ("0.20", "0.30", "0.40"))
     by_source = TABLES["reconstruct_patch"]["by source"](measured).splitlines()
     assert by_source[2] == "| " + " | ".join(["catalogue (6)", prior, first, curve, first, curve]) + " |"
     assert len(by_source) == 3
     assert TABLES["reconstruct_patch"]["methods"](measured).endswith(
-        "| press curve |" + f" {curve} |" * len(PATCH_SCORES) + " 0.52 |"
+        "| press curve |" + f" {curve} |" * len(PATCH_SCORES) + " 0.52 | 0, 0.4 |"
     )
 
 
