@@ -110,8 +110,8 @@ def run(args: PatchArgs) -> dict[str, Any]:
 
 
 def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLikelihood:
-    """The likelihood whose intervals of 90 % hold nearest to that, of those with nearly the least CRPS at one stop and at
-    both, on validation objects; and the blur of the best masks.
+    """The likelihood whose intervals of 90 % hold nearest to that, of those with nearly the least CRPS at one stop and
+    at both, on validation objects; and the blur of the best masks.
     """
 
     def scored(likelihood: PatchLikelihood) -> Scores:
