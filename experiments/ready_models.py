@@ -28,6 +28,7 @@ from experiments.common.checks import finished_runs
 from experiments.common.commands import command
 from experiments.common.options import RunOptions
 from experiments.common.runs import METRICS, begin, write_json
+from i2t.cli import require_path
 
 if TYPE_CHECKING:
     from i2t.calibration import Calibration
@@ -53,10 +54,9 @@ class ReadyModelsArgs(RunOptions):
 
     def check(self) -> None:
         """Refuse a run or a session that is not there."""
+        require_path("--eflesh", self.eflesh, "folder")
         if self.eflesh is None:
             finished_runs(self.trained_run)
-        elif not self.eflesh.is_dir():
-            raise ValueError(f"--eflesh {self.eflesh}: no such folder; name a session's folder")
 
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:

@@ -137,17 +137,17 @@ def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -
 
 
 def require_path(flag: str, path: Path | None, what: str = "file or folder") -> None:
-    """Refuse a path that does not exist.
+    """Refuse a path that does not exist, and a file where a folder should be.
 
     Args:
         flag: The option that names it, such as `--pad`.
         path: As given; None where the option was left out.
-        what: What should be there.
+        what: What should be there; only a folder is a "folder".
 
     Raises:
-        ValueError: Nothing is there.
+        ValueError: It is not there.
     """
-    if path is not None and not path.exists():
+    if path is not None and not (path.is_dir() if what == "folder" else path.exists()):
         raise ValueError(f"{flag} {path}: there is no such {what}; check the name")
 
 

@@ -9,7 +9,7 @@ import pytest
 from experiments.recognize.arguments import RecordedArgs
 from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.studies.arguments import StudyArgs
-from i2t.cli import require_writable
+from i2t.cli import require_path, require_writable
 from i2t.convert.commands import main as convert
 from i2t.errors import EXTRAS, MissingExtraError
 from i2t.objects import make_object, random_object
@@ -55,6 +55,8 @@ def test_where_results_go_is_looked_at(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="is a file; name a folder"):
         require_writable("--out", tmp_path / "file" / "below" / "it.png")
+    with pytest.raises(ValueError, match="--views .*file: there is no such folder"):
+        require_path("--views", tmp_path / "file", "folder")
     require_writable("--out", tmp_path / "new" / "it.png")
     monkeypatch.setattr("os.access", lambda path, mode: False)  # whoever tests may be allowed everything
     with pytest.raises(ValueError, match="may not be written; name a place"):

@@ -7,7 +7,7 @@ from typing import Literal
 from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions, UnitName
 from experiments.common.presets import choose_preset
-from i2t.cli import Count, require_with
+from i2t.cli import Count, require_path, require_with
 from i2t.errors import require_extra
 
 Felt = Literal["reading", "pose", "patch"]  # what a touch tells: what its reading says, no more than its pose, or all
@@ -78,8 +78,7 @@ class ReconstructArgs(RunOptions):
         """Refuse what does not go together, what is not there, and conditions that there are not."""
         require_dataset("--dataset", self.dataset)
         recorded, folder = self.dataset is not None, self.objects is not None
-        if self.objects is not None and not self.objects.is_dir():
-            raise ValueError(f"--objects {self.objects}: there is no such folder; check the name")
+        require_path("--objects", self.objects, "folder")
         require_with("--object", self.object is not None, "--dataset", recorded)
         require_with("--name", self.name != "reconstructed", "--dataset", recorded)
         require_with("--unit", self.unit is not None, "--objects", folder)

@@ -80,14 +80,14 @@ def true_shape(session: Session, grid: VoxelGrid, samples: int) -> TrueShape:
 
 
 def chamfer_mm(mesh: Mesh, truth: TrueShape, samples: int | None = None) -> float:
-    """Chamfer distance of an estimated surface, by so many samples of it; without a number by as many as usual."""
-    there, back = distances(mesh, truth, samples or truth.tree.n)
+    """Chamfer distance of an estimated surface, by so many samples of it, or as many as of the true one."""
+    there, back = distances(mesh, truth, samples)
     return MM_PER_M * 0.5 * float(there.mean() + back.mean())
 
 
 def judge(estimate: SurfaceEstimate, truth: TrueShape, errors: SurfaceErrors) -> dict[str, float]:
     """All scores of one reconstruction."""
-    there, back = distances(estimate.mesh, truth, truth.tree.n)
+    there, back = distances(estimate.mesh, truth)
     within = F_SCORE_SHARE * truth.diagonal
     precision, recall = (there < within).mean(), (back < within).mean()
     found = estimate.distance < 0
@@ -107,12 +107,12 @@ def surface_errors(estimate: SurfaceEstimate, truth: TrueShape) -> SurfaceErrors
     return SurfaceErrors(np.abs(distance), std)
 
 
-def distances(mesh: Mesh, truth: TrueShape, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances from the estimated surface to the true one, and back from its points; where nothing was estimated, the
-    object's diagonal.
+def distances(mesh: Mesh, truth: TrueShape, samples: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the estimated surface to the true one, and back from its points, by so many samples of it, or as
+    many as of the true one; where nothing was estimated, the object's diagonal.
     """
     if not len(mesh.faces):
         return np.full(1, truth.diagonal), np.full(len(truth.points), truth.diagonal)
     # Sampled densely, so that the nearest sample is nearly the nearest point.
-    points, _ = sample_surface(mesh, samples)
+    points, _ = sample_surface(mesh, samples or truth.tree.n)
     return truth.tree.query(points[::ASKED_STRIDE])[0], cKDTree(points).query(truth.points)[0]

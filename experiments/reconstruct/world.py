@@ -14,6 +14,7 @@ from jaxtyping import Float
 from experiments.reconstruct.arguments import Felt, ReconstructArgs, ReconstructSizes
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import project
+from i2t.files import MESH_SUFFIXES
 from i2t.geometry import contact_frame, inverse, random_motion
 from i2t.objects.catalogue import random_object
 from i2t.objects.mesh_files import load_mesh
@@ -53,7 +54,6 @@ T_W_CAMERA = contact_frame(CAMERA_M * CAMERA_DIRECTION, CAMERA_DIRECTION / np.li
 WALL_M = 1.0  # from the camera, behind the object
 VISIBLE_M = 2e-3  # behind what was seen there, a point is hidden
 MM_PER_M = 1e3
-MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 
 
 class ObjectSplit(NamedTuple):

@@ -8,7 +8,14 @@ import pytest
 import i2t
 from i2t.reconstruction import infer_patch
 from i2t.reconstruction.library import library_of, sample_contacts
-from i2t.reconstruction.local_shape import _at_force, _blurred, log_likelihood, posterior_weights, systematic_samples
+from i2t.reconstruction.local_shape import (
+    _at_force,
+    _blurred,
+    log_likelihood,
+    posterior_weights,
+    summarize,
+    systematic_samples,
+)
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import render_heights
 from i2t.simulation.press import PressLimits
@@ -38,6 +45,9 @@ def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, librar
     assert float(posterior.weight[TRUE]) > 0.99
     np.testing.assert_allclose(posterior.mean, library.patch[TRUE], atol=1e-5)
     np.testing.assert_allclose(posterior.centre, library.centre[TRUE, 2], atol=1e-6)
+    # The library is on the host, and may be closed over.
+    closed_over = jax.jit(lambda weight: summarize(weight, FORCES[1], library=library, samples=64).mean)
+    np.testing.assert_allclose(closed_over(posterior.weight), posterior.mean, atol=1e-6)
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf])
