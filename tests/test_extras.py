@@ -55,7 +55,7 @@ def test_where_results_go_is_looked_at(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="is a file; name a folder"):
         require_writable("--out", tmp_path / "file" / "below" / "it.png")
-    with pytest.raises(ValueError, match="--views .*file: there is no such folder"):
+    with pytest.raises(ValueError, match=r"--views .*file: there is no such folder"):
         require_path("--views", tmp_path / "file", "folder")
     require_writable("--out", tmp_path / "new" / "it.png")
     monkeypatch.setattr("os.access", lambda path, mode: False)  # whoever tests may be allowed everything
