@@ -9,8 +9,9 @@ import jax
 import numpy as np
 
 import i2t
-from i2t.reconstruction import build_library, imagine_presses, infer_patch, sample_contacts, simulate_press_curve
+from i2t.reconstruction import build_library, imagine_presses, infer_patch, sample_contacts
 from i2t.simulation.press import PressLimits
+from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
 
 KNOWN = ("square", "cylinder", "cross", "stamp-T")  # shapes of the library; the star is none of them

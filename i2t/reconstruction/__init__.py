@@ -3,7 +3,6 @@
 from i2t.reconstruction.library import build_library, sample_contacts
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PatchPosterior, PressModel, infer_patch
 from i2t.reconstruction.press_models import imagine_presses
-from i2t.simulation.press_curves import simulate_press_curve
 
 __all__ = [
     "PatchLibrary",
@@ -14,5 +13,4 @@ __all__ = [
     "imagine_presses",
     "infer_patch",
     "sample_contacts",
-    "simulate_press_curve",
 ]
