@@ -47,7 +47,7 @@ class SurfaceConfig:
     across: int = 32  # points of the grid along x and along y
     margin: float = 6e-3  # m, of the grid around the shapes
     on_table: bool = True  # whether objects stand on z = 0, or their box is about the origin
-    shapes: int = 128  # of the library that have most weight; the rest is left out
+    shapes: int = 128  # that stand for the whole library, by weight
     temperature: float = 2.0  # by which log likelihoods of shapes are divided
     misfit: float = 1.5e-3  # m, by which a known shape may miss an unknown object and still be like it
     dof: float = 4.0  # of the Student's t of that misfit
@@ -246,16 +246,36 @@ def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
         middle = np.array([0.0, 0.0, 0.5 * (model.points[0, 2] + model.points[-1, 2])])
         ball = np.linalg.norm(model.points - middle, axis=-1) - model.config.radius
         return SurfacePrior(ball.astype(np.float32), np.zeros((len(ball), 0), np.float32))
-    if not state.evidence:  # all are alike
-        shapes = np.linspace(0, len(log_w) - 1, count).astype(int)
-    else:
-        shapes = np.argpartition(-log_w, count - 1)[:count]
-    weights = np.exp(log_w[shapes] - logsumexp(log_w[shapes])).astype(np.float32)
+    shapes, weights = few_of_many(np.exp(log_w - logsumexp(log_w)), count)
     deviations = model.library.fields(shapes)
     mean = deviations @ weights
     deviations -= mean[:, None]
     deviations *= np.sqrt(weights)
     return SurfacePrior(mean, deviations)
+
+
+def few_of_many(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """A few weighted shapes that stand for many: those of much weight are kept; of the rest some are drawn, evenly by
+    weight and without chance, and share what the kept ones leave (Fearnhead and Clifford, J. R. Statist. Soc. B 65,
+    2003). The likeliest alone would not do: after few touches they are thin and small ones, which touches hardly reach.
+
+    Args:
+        weight: Of all; sums to 1.
+        count: How many stand for them.
+
+    Returns:
+        Their indices, and weights that sum to 1.
+    """
+    order = np.argsort(-weight, kind="stable")
+    ranked = weight[order]
+    to_come = np.cumsum(ranked[::-1])[::-1][:count]
+    is_kept = ranked[:count] * (count - np.arange(count)) >= to_come
+    kept = int(np.append(is_kept, False).argmin())
+    rest, places = np.sort(order[kept:]), count - kept
+    total = np.append(0.0, np.cumsum(weight[rest]))
+    drawn = np.searchsorted(total, (np.arange(places) + 0.5) / max(places, 1) * total[-1]) - 1
+    weights = np.append(ranked[:kept], np.full(places, total[-1] / max(places, 1)))
+    return np.append(order[:kept], rest[drawn]), weights.astype(np.float32)
 
 
 def condition_on(

@@ -29,6 +29,7 @@ from i2t.reconstruction.surface import (
     SurfaceConfig,
     condition_on,
     estimate_surface,
+    few_of_many,
     init,
     posterior_covariance,
     predict,
@@ -229,6 +230,22 @@ def test_a_reading_says_where_in_its_square_the_pad_met_the_surface_and_what_is_
     depth = 1e-3 * (more[:, 0] / 8.5e-3 + 1)  # of the plane
     assert (more[:, 2] < depth).all()
     assert (more[:, 2] > 0.3 * depth).all()
+
+
+def test_few_shapes_stand_for_many_by_their_weight():
+    rng = np.random.default_rng(0)
+    for spread in (0.0, 1.0, 4.0):
+        weight = np.exp(spread * rng.normal(size=2000))
+        weight /= weight.sum()
+        shapes, weights = few_of_many(weight, 100)
+        assert len(set(shapes)) == len(shapes) == 100
+        assert weights.sum() == pytest.approx(1)
+        heavy = np.flatnonzero(weight > 0.02)
+        np.testing.assert_allclose([weights[shapes == each].sum() for each in heavy], weight[heavy], rtol=1e-5)
+        below = np.arange(2000) < 1000  # in number and in weight, those drawn are as the rest
+        assert weights[below[shapes]].sum() == pytest.approx(weight[below].sum(), abs=0.02)
+    shapes, weights = few_of_many(np.array([0.2, 0.5, 0.3]), 3)
+    np.testing.assert_allclose(weights[np.argsort(shapes)], [0.2, 0.5, 0.3], rtol=1e-6)
 
 
 def test_a_view_shows_a_surface_and_carves_what_it_looked_through():
