@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -159,7 +158,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     begin(args.out, args, sizes, None, args.overwrite)
     print(f"a library of {len(split.train)} shapes, and what {sizes.pads} skins read", flush=True)
     known = surface_model(list(split.train.values()), config=SurfaceConfig(on_table=False), low=LOW_M, high=HIGH_M)
-    reality = make_reality(jax.random.key(args.seed), split, sizes)
+    reality = make_reality(args.seed, split, sizes)
 
     @cache
     def truth(number: int) -> TrueShape:

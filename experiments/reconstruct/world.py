@@ -54,6 +54,7 @@ T_W_CAMERA = contact_frame(CAMERA_M * CAMERA_DIRECTION, CAMERA_DIRECTION / np.li
 WALL_M = 1.0  # from the camera, behind the object
 VISIBLE_M = 2e-3  # behind what was seen there, a point is hidden
 MM_PER_M = 1e3
+LIBRARY_KEY, SESSIONS_KEY = range(2)  # what the seed is folded with
 
 
 class ObjectSplit(NamedTuple):
@@ -130,11 +131,11 @@ def _scaled(mesh: Mesh, args: ReconstructArgs, number: int) -> Mesh:
     return Mesh(mesh.vertices * across / np.ptp(mesh.vertices, axis=0).max(), mesh.faces)
 
 
-def make_reality(key: Array, split: ObjectSplit, sizes: ReconstructSizes) -> Reality:
+def make_reality(seed: int, split: ObjectSplit, sizes: ReconstructSizes) -> Reality:
     """The objects of validation and test, and skins of which it is known what they read at patches of known shapes."""
     shapes = [prepare_surface(mesh) for mesh in list(split.train.values())[: sizes.patches // PATCHES_OF_A_SHAPE]]
     sampling = ContactSampling(tilt=PATCH_TILT_RAD, limits=None)
-    library = jax.device_put(build_library(key, shapes, sizes.patches, sampling=sampling))
+    library = jax.device_put(build_library(_key(seed, LIBRARY_KEY), shapes, sizes.patches, sampling=sampling))
 
     def skin(number: int) -> Skin:
         pad = numbered_pad(number)
@@ -175,7 +176,9 @@ class Session:
     touches: int = 0  # so far
 
     def __post_init__(self) -> None:
-        key_session, self.key_touches, key_view = jax.random.split(_key(self.seed, self.number), 3)
+        key_session, self.key_touches, key_view = jax.random.split(
+            jax.random.fold_in(_key(self.seed, SESSIONS_KEY), self.number), 3
+        )
         self.surface = element(self.reality.surfaces, self.number)
         self.T_w_o, self.camera_error = sample_session_errors(key_session, ERRORS)  # believed at the world's origin
         self.view_seed = int(jax.random.bits(key_view))

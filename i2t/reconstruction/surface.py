@@ -60,7 +60,7 @@ class SurfaceConfig:
     contact_std: float = 2e-3  # m, where the point of contact in the pad's square is a guess
     free_tolerance: float = 0.5e-3  # m by which the mean may break into free space
     free_std: float = 1e-3  # m
-    free_points: int = 4  # of a touch or view, at most, that hold the mean out of free space
+    free_points: int = 4  # of a touch or view, at most, that hold the mean out of free space in each of two rounds
     band_scale: float = 1.0  # of all standard deviations; `experiments.reconstruct` chooses both for its objects
     band_floor: float = 1e-3  # m, standard deviation that no touch takes away: what the grid cannot hold
 
@@ -218,15 +218,23 @@ def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
     prior = weighted_prior(model, state)
     points, values, std = _known_points(model, state, prior)
     posterior = condition_on(model, prior, points=points, values=values, std=std)
+    held = [np.zeros(0, int)] * len(state.evidence)
     for _ in range(2):  # where the mean breaks into free space it is held out; then once more
         broken = [_broken(model, posterior, each) for each in state.evidence]
         if not sum(map(len, broken)):
             break
-        for each, rows in zip(state.evidence, broken, strict=True):
-            points = np.concatenate([points, each.free[rows]])
-            values = np.concatenate([values, each.free_bound[rows]])
-            std = np.concatenate([std, np.full(len(rows), model.config.free_std)])
-        posterior = condition_on(model, prior, points=points, values=values, std=std)
+        held = [np.union1d(*rows) for rows in zip(held, broken, strict=True)]
+        free, bound = (
+            np.concatenate([part[rows] for part, rows in zip(parts, held, strict=True)])
+            for parts in zip(*((each.free, each.free_bound) for each in state.evidence), strict=True)
+        )
+        posterior = condition_on(
+            model,
+            prior,
+            points=np.concatenate([points, free]),
+            values=np.concatenate([values, bound]),
+            std=np.concatenate([std, np.full(len(free), model.config.free_std)]),
+        )
     return posterior
 
 
