@@ -27,7 +27,7 @@ from i2t.reconstruction.evidence import (
     with_free_patch,
     with_surface_points,
 )
-from i2t.reconstruction.library import ContactSampling, build_library
+from i2t.reconstruction.library import build_library
 from i2t.reconstruction.local_shape import PatchLibrary, PressModel, infer_patch
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.ops import element
@@ -134,8 +134,8 @@ def _scaled(mesh: Mesh, args: ReconstructArgs, number: int) -> Mesh:
 def make_reality(seed: int, split: ObjectSplit, sizes: ReconstructSizes) -> Reality:
     """The objects of validation and test, and skins of which it is known what they read at patches of known shapes."""
     shapes = [prepare_surface(mesh) for mesh in list(split.train.values())[: sizes.patches // PATCHES_OF_A_SHAPE]]
-    sampling = ContactSampling(tilt=PATCH_TILT_RAD, limits=None)
-    library = jax.device_put(build_library(_key(seed, LIBRARY_KEY), shapes, sizes.patches, sampling=sampling))
+    key = _key(seed, LIBRARY_KEY)
+    library = jax.device_put(build_library(key, shapes, sizes.patches, tilt=PATCH_TILT_RAD, limits=None))
 
     def skin(number: int) -> Skin:
         pad = numbered_pad(number)

@@ -11,7 +11,6 @@ Metres, newtons, radians; frames as in `i2t.types`.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -41,14 +40,6 @@ SITE_CANDIDATES = 4  # for each safe site
 SITES = 16  # of a shape at a time, so that any number of them compiles once
 
 
-@dataclass(frozen=True)
-class ContactSampling:
-    """Sampling of contacts."""
-
-    tilt: tuple[float, float] = TILT_RANGE_RAD  # rad, between these the approach is tilted against the normal
-    limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS  # of safe sites; None takes any point of the surface
-
-
 class Contacts(NamedTuple):
     """First contacts with one shape, and the patches met."""
 
@@ -64,7 +55,8 @@ def build_library(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    sampling: ContactSampling = ContactSampling(),
+    tilt: tuple[float, float] = TILT_RANGE_RAD,
+    limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> PatchLibrary:
     """Render patches of many shapes and press a nominal layer onto them.
 
@@ -72,7 +64,8 @@ def build_library(
         key: Random key.
         surfaces: Of the shapes, each standing in its own frame.
         count: Patches of the library at most; as many of each shape, but where a shape has too few safe sites.
-        sampling: Where and how they are met.
+        tilt: rad, between these the approach is tilted against the normal.
+        limits: Of safe sites; None takes any point of the surface.
 
     Returns:
         The library, on the host.
@@ -80,7 +73,7 @@ def build_library(
     Raises:
         ValueError: There is no shape, or none could be touched.
     """
-    return library_of(*sample_contacts(key, surfaces, count, sampling=sampling))
+    return library_of(*sample_contacts(key, surfaces, count, tilt=tilt, limits=limits))
 
 
 def sample_contacts(
@@ -88,7 +81,8 @@ def sample_contacts(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    sampling: ContactSampling = ContactSampling(),
+    tilt: tuple[float, float] = TILT_RANGE_RAD,
+    limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> tuple[Contacts, np.ndarray]:
     """Meet many shapes at random sites.
 
@@ -96,7 +90,8 @@ def sample_contacts(
         key: Random key.
         surfaces: Of the shapes.
         count: Contacts at most.
-        sampling: Where and how they are met.
+        tilt: rad, between these the approach is tilted against the normal.
+        limits: Of safe sites; None takes any point of the surface.
 
     Returns:
         Contacts that met something, on the host, and the index of each one's shape.
@@ -111,7 +106,7 @@ def sample_contacts(
     for i, surface in enumerate(to_few_sizes(surfaces)):
         key_shape = jax.random.fold_in(key, i)
         rounds = [
-            jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, sampling))
+            jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, tilt, limits))
             for start in range(0, each, SITES)
         ]
         drawn = jax.tree.map(lambda *fields: np.concatenate(fields)[:each], *rounds)
@@ -197,19 +192,19 @@ def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
     return sized
 
 
-@partial(jax.jit, static_argnames=("sampling",))
-def _meet(key: Array, surface: Surface, sampling: ContactSampling) -> Contacts:
+@partial(jax.jit, static_argnames=("tilt", "limits"))
+def _meet(key: Array, surface: Surface, tilt: tuple[float, float], limits: SiteLimits | None) -> Contacts:
     """A few sites of one surface, approached at a tilt."""
     count = SITES
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
-    if sampling.limits is None:
+    if limits is None:
         key_points, key_spin = jax.random.split(key_sites)
         points, normals = touch_sites.sample_points(key_points, surface, count)
         spins = jax.random.uniform(key_spin, (count,), maxval=2 * jnp.pi)
         frames, safe = jax.vmap(contact_frame)(points, normals, spins), jnp.ones(count, bool)
     else:
-        frames, safe = touch_sites.sample_sites(key_sites, surface, count, sampling.limits, SITE_CANDIDATES)
-    angle = jax.random.uniform(key_tilt, (count,), minval=sampling.tilt[0], maxval=sampling.tilt[1])
+        frames, safe = touch_sites.sample_sites(key_sites, surface, count, limits, SITE_CANDIDATES)
+    angle = jax.random.uniform(key_tilt, (count,), minval=tilt[0], maxval=tilt[1])
     about = jax.random.uniform(key_about, (count,), maxval=2 * jnp.pi)
 
     def meet(T_o_site: Array, angle: Array, about: Array) -> Contacts:

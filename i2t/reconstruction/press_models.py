@@ -28,6 +28,7 @@ LOOSE_FRICTION = 3e-2  # of the largest displacement: 1 % of a reading
 FRICTION_STEPS = 15
 SLIDING_PATCHES = 256
 SLIDING_SLANT = 0.0175  # m/m, at which the effect of a slant is computed: a degree
+SLANTS = SLIDING_SLANT * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], np.float32)  # none, along x, along y
 SLIDING_RIDGE = 0.1  # of the mean square of the pressures
 
 
@@ -46,15 +47,16 @@ def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelih
         model = imagine_presses(i2t.nominal_pad(), library)
     """
     heights, loads = jnp.asarray(library.height), jnp.asarray(library.loads)
-    newtons, indentation, reading = _press_all(pad, heights, loads)
+    newtons, indentation, reading = _press_all(pad, heights, loads, SLANTS[:1])
     rows = np.random.default_rng(0).permutation(len(heights))[:SLIDING_PATCHES]
-    some = _slide_all(pad, heights[rows], loads)
-    sliding = _ridge(newtons[rows] / loads[None, :, None], some / loads[None, :, None, None], newtons)
+    some = _press_all(pad, heights[rows], loads, SLANTS)[2]
+    by_slant = (some[:, :, 1:] - some[:, :, :1]) / SLIDING_SLANT / loads[None, :, None, None]
+    sliding = _ridge(newtons[rows] / loads[None, :, None], by_slant, newtons)
     variance, vectors = np.linalg.eigh(noise_covariance(pad.board, Noise()))
     axes = jnp.asarray(vectors.T, jnp.float32)
     return PressModel(
         loads=loads,
-        reading=jnp.einsum("dc,nlc->ldn", axes, reading),
+        reading=jnp.einsum("dc,nlc->ldn", axes, reading[:, :, 0]),
         sliding=jnp.einsum("dc,nlic->lidn", axes, sliding),
         travel=(indentation + loads[None] / STIFFNESS_N_PER_M).T,
         axes=axes,
@@ -81,32 +83,19 @@ def noise_covariance(board: Board, noise: Noise) -> Float[np.ndarray, "c c"]:
 
 
 @jax.jit
-def _press_all(pad: Pad, heights: Array, loads: Array) -> tuple[Array, Array, Array]:
-    """Newtons on each cell (n, l, cells), indentations (n, l) and readings without slide (n, l, c)."""
+def _press_all(pad: Pad, heights: Array, loads: Array, slants: Array) -> tuple[Array, Array, Array]:
+    """Newtons on each cell (n, l, cells), indentations (n, l) and readings by each slant of the press (n, l, k, c)."""
 
     def one(height: Array) -> tuple[Array, Array, Array]:
         pressure, indentation = pressure_chain(pad, height, loads)
-        traction = _friction(pad, pressure, jnp.zeros((len(loads), 2)))
-        newtons = pressure.reshape(len(loads), -1) * CELL_GRID.spacing**2
-        return newtons, indentation, jax.lax.map(lambda each: _reading(pad, *each), (pressure, traction))
-
-    return map_batches(one, heights, batch_size=BATCH)
-
-
-@jax.jit
-def _slide_all(pad: Pad, heights: Array, loads: Array) -> Array:
-    """Change of the readings by a slant of 1 m/m along x and along y, (n, l, 2, c)."""
-
-    def one(height: Array) -> Array:
-        pressure, indentation = pressure_chain(pad, height, loads)
         way = jnp.diff(indentation - indentation[0], prepend=-indentation[:1])
 
-        def reading(slant: Array) -> Array:
+        def read(slant: Array) -> Array:
             traction = _friction(pad, pressure, way[:, None] * slant[None])
             return jax.lax.map(lambda each: _reading(pad, *each), (pressure, traction))
 
-        found = jax.lax.map(reading, SLIDING_SLANT * jnp.array([[0.0, 0], [1, 0], [0, 1]]))
-        return jnp.moveaxis(found[1:] - found[:1], 0, 1) / SLIDING_SLANT
+        newtons = pressure.reshape(len(loads), -1) * CELL_GRID.spacing**2
+        return newtons, indentation, jnp.moveaxis(jax.lax.map(read, slants), 0, 1)
 
     return map_batches(one, heights, batch_size=BATCH)
 

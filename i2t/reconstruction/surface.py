@@ -382,23 +382,10 @@ def estimate_surface(
     Returns:
         Its mean and standard deviation.
     """
-    grid, rows = coarse_grid(model, stride)
+    numbers = np.arange(len(model.points)).reshape(model.grid.shape)[::stride, ::stride, ::stride]
+    grid, rows = VoxelGrid(model.grid.low, model.grid.spacing * stride, numbers.shape), numbers.ravel()
     mean, std = predict(model, posterior or regress(model, state), rows)
     return SurfaceEstimate(grid, np.maximum(mean, state.bound[rows]).astype(np.float32), std.astype(np.float32))
-
-
-def coarse_grid(model: SurfaceModel, stride: int) -> tuple[VoxelGrid, Int[np.ndarray, " q"]]:
-    """Every `stride`-th point of the model's grid along each axis.
-
-    Args:
-        model: With its grid.
-        stride: 1 takes all.
-
-    Returns:
-        The coarser grid, and which points of the model's grid its points are.
-    """
-    number = np.arange(len(model.points)).reshape(model.grid.shape)[::stride, ::stride, ::stride]
-    return VoxelGrid(model.grid.low, model.grid.spacing * stride, number.shape), number.ravel()
 
 
 def _student(x: np.ndarray, dof: float) -> np.ndarray:
