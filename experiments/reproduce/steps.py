@@ -86,9 +86,8 @@ STEPS = (
     ),
     Step(
         "reconstruct_policies",
-        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 100 "
-        '--touches 5 --conditions "random sites" uncertainty reading oracle',
-        minutes=30,
+        '-m experiments.reconstruct --test 280 --touches 5 --conditions "random sites" uncertainty reading oracle',
+        minutes=50,
         again=OVERWRITE,
     ),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
