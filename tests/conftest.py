@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in experiments.train
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `experiments` has it
 
 # What one worker, or a command that a test starts, has compiled need not be compiled by the next. The size is bounded
 # because only then does JAX lock the folder, and workers share it.

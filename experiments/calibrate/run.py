@@ -21,12 +21,8 @@ Results go to --out: metrics.json, config.json, curves.png, and calibration.npz 
 calibrated on all presses (of more than 1500, that many at random) by `i2t.calibrate`.
 """
 
-import os
 import time
 from typing import Any
-
-# Factors of a few hundred rows are too small to share, as in experiments.train.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 

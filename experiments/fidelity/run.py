@@ -10,7 +10,6 @@ for each reading (docs/fidelity.md). Nothing is asked of it: a part that it cann
 Results go to --out: report.txt, calibration curves (.png), metrics.json and config.json.
 """
 
-import os
 import sys
 import time
 from collections import Counter
@@ -19,9 +18,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-# Factors of a few hundred rows are too small to share, as in experiments.train.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json

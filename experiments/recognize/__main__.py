@@ -7,11 +7,7 @@
 Each has its own --help: python -m experiments.recognize simulate --help. Without a subcommand it simulates.
 """
 
-import os
 import sys
-
-# Factors of a few hundred rows are too small to share, as in experiments.train.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.commands import command_of_parts
 from experiments.recognize.arguments import LiveArgs, RecordedArgs, SimulateArgs

@@ -14,15 +14,11 @@ config.json, figures, and the presses (data.h5).
 """
 
 import json
-import os
 import time
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
-
-# Factors of a few hundred rows are too small to share: waiting threads of LAPACK cost more than they give.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 import numpy as np

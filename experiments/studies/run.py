@@ -13,14 +13,10 @@ pad and seed (npz), where --resume goes on.
 """
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
-
-# Factors of a few hundred rows are too small to share, as in experiments.train.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from experiments.common.checks import chosen_runs, finished_runs, pad_name
 from experiments.common.presets import choose_preset

@@ -25,16 +25,12 @@ is compiled, and 36 s the second.
 """
 
 import json
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-# Factors of a few hundred rows are too small to share: waiting threads of LAPACK cost more than they give.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 

@@ -12,12 +12,9 @@ a minute on two cores; expect a weak agreement, p = 0.001. Results go to --out: 
 (data.h5).
 """
 
-import os
 import time
 from dataclasses import dataclass
 from typing import Any
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
