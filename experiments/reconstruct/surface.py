@@ -14,7 +14,7 @@ what they tell: what their reading says, their pose alone, or all of the patch b
 a depth camera; and policies of where to touch next, with one that knows the true object (`--conditions`). The width of
 the bands is chosen on validation objects, whose touches are read. Everything is simulated.
 
-The first object is drawn after a minute and a half on two cores, all of them after half an hour. Expect a third of the
+The first object is drawn after less than a minute on two cores, all of them after ten minutes. Expect a third of the
 start's distance to the true surface after 5 touches.
 """
 

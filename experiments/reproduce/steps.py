@@ -77,7 +77,7 @@ STEPS = (
     ),
     Step("registration_frames", "-m experiments.registration frames --data DATA", minutes=1, again=OVERWRITE),
     Step("active_touch", "-m experiments.active_touch", minutes=10, again=OVERWRITE),
-    Step("reconstruct", "-m experiments.reconstruct", minutes=25, again=OVERWRITE),
+    Step("reconstruct", "-m experiments.reconstruct", minutes=10, again=OVERWRITE),
     Step(
         "reconstruct_objects",
         "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 54",
