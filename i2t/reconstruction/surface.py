@@ -224,10 +224,8 @@ def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
         if not sum(map(len, broken)):
             break
         held = [np.union1d(*rows) for rows in zip(held, broken, strict=True)]
-        free, bound = (
-            np.concatenate([part[rows] for part, rows in zip(parts, held, strict=True)])
-            for parts in zip(*((each.free, each.free_bound) for each in state.evidence), strict=True)
-        )
+        free = np.concatenate([each.free[rows] for each, rows in zip(state.evidence, held, strict=True)])
+        bound = np.concatenate([each.free_bound[rows] for each, rows in zip(state.evidence, held, strict=True)])
         posterior = condition_on(
             model,
             prior,
