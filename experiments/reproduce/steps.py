@@ -81,13 +81,13 @@ STEPS = (
     Step(
         "reconstruct_objects",
         "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 54",
-        minutes=30,
+        minutes=25,
         again=OVERWRITE,
     ),
     Step(
         "reconstruct_policies",
         '-m experiments.reconstruct --test 280 --touches 5 --conditions "random sites" uncertainty reading oracle',
-        minutes=50,
+        minutes=45,
         again=OVERWRITE,
     ),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
