@@ -87,7 +87,7 @@ STEPS = (
     Step(
         "reconstruct_policies",
         '-m experiments.reconstruct --test 280 --touches 5 --conditions "random sites" uncertainty reading oracle',
-        minutes=45,
+        minutes=50,
         again=OVERWRITE,
     ),
     Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
