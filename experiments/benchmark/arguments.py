@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from i2t.cli import Limits
 from i2t.errors import require_extra
 
-BenchmarkSection = Literal["training", "rendering", "skin", "policy"]
+BenchmarkSection = Literal["training", "rendering", "skin", "policy", "startup"]
 PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section compares with
     "training": ("torch",), "rendering": ("open3d", "embreex"), "skin": ("ContactMechanics",),
 }  # fmt: skip
@@ -20,6 +20,7 @@ class BenchmarkArgs:
     sections: tuple[BenchmarkSection, ...] = ("training", "rendering", "skin", "policy")  # which
     out: Path | None = None  # folder; by default nothing is written
     turns: Annotated[int, Limits(1)] = 5  # how often each is timed
+    commands: tuple[str, ...] = ()  # of section startup: those whose line contains one of these; by default all
     preset: Literal["paper", "debug"] = "paper"  # sizes: as the documents say, or very small ones
 
     def check(self) -> None:

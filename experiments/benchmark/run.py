@@ -5,7 +5,8 @@
 Every row times our work and its peer's in turns, on the same machine with the same inputs, after checking that both
 compute the same thing; the table gives the median of each and the median of the turns' ratios (above 1: we are
 faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and `skin`
-need the extra `bench`.
+need the extra `bench`. Section `startup`, half an hour a turn, has goals in place of peers: it runs commands and
+examples with nothing compiled before, and once more. `python -m experiments.benchmark.programs` says what they compile.
 """
 
 import os
@@ -14,11 +15,13 @@ from collections.abc import Callable, Iterator
 
 import jax
 
+from experiments.benchmark import startup
 from experiments.benchmark.arguments import BenchmarkArgs, BenchmarkSection
 from experiments.benchmark.contests import BenchmarkRow, Contest, measure
 from experiments.benchmark.policy import policy
 from experiments.benchmark.rendering import rendering
 from experiments.benchmark.skin import skin
+from experiments.benchmark.startup import COMMANDS, FEW, StartupRow
 from experiments.benchmark.training import training
 from experiments.common.runs import write_json
 from experiments.common.tables import text_table
@@ -33,18 +36,38 @@ SECTIONS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # con
 
 def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
     """Run the sections, print their table, and write it down."""
+    small = args.preset == "debug"
     rows = [
         measure(name, contest, args.turns)
         for name in args.sections
-        for contest in SECTIONS[name](args.preset == "debug")
+        if name != "startup"
+        for contest in SECTIONS[name](small)
     ]
-    print(table(rows))
+    if rows:
+        print(table(rows))
+    started = _startup(args, small) if "startup" in args.sections else []
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
         machine = {"cores": os.cpu_count(), "platform": platform.platform(), "device": jax.devices()[0].device_kind}
         config = {"turns": args.turns, "preset": args.preset}
         report = {"machine": machine, "config": config, "rows": [row._asdict() for row in rows]}
+        report["startup"] = [row._asdict() for row in started]
         write_json(args.out / "benchmark.json", report)
+    return rows
+
+
+def _startup(args: BenchmarkArgs, small: bool) -> list[StartupRow]:
+    """Section `startup`: each row is printed once it is there, and the table at the end."""
+    asked = [
+        command
+        for command in (FEW if small else COMMANDS)
+        if not args.commands or any(part in command.line for part in args.commands)
+    ]
+    rows = []
+    for row in startup.startup(asked, args.turns):
+        print(*startup.cells(row), sep=" | ", flush=True)
+        rows.append(row)
+    print(startup.table(rows))
     return rows
 
 

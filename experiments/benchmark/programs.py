@@ -1,0 +1,142 @@
+"""Every program that a command or an example compiles: its name, its size, and the seconds of each stage.
+
+    python -m experiments.benchmark.programs -m experiments.train --preset debug
+    python -m experiments.benchmark.programs examples/08_recognize_an_object.py
+
+What is named runs as it would alone, with nothing compiled before. JAX says how long it traced and lowered a program
+and how long XLA took (`jax.monitoring`); the size is the number of instructions that XLA begins with (its dump). The
+dump costs a little time, so the sums are some per cent more than the command takes. PROGRAMS_JSON=FILE writes the table
+to a file.
+"""
+
+import atexit
+import contextlib
+import json
+import os
+import re
+import runpy
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from experiments.common.tables import text_table
+
+PROGRAMS_FILE = "PROGRAMS_JSON"
+STAGES = {  # JAX's events of one program, in their order
+    "/jax/core/compile/jaxpr_trace_duration": "traced",
+    "/jax/core/compile/jaxpr_to_mlir_module_duration": "lowered",
+    "/jax/core/compile/backend_compile_duration": "compiled",
+}
+DUMP = re.compile(r"module_(\d+)\.jit_(.*?)\.(?:cpu_gpu_|sm_.*|cpu_)?before_optimizations\.txt")
+SHOWN = 15  # programs of a table
+
+
+@dataclass
+class Program:
+    """One compiled program."""
+
+    name: str
+    instructions: int = 0  # of HLO, before XLA optimises
+    traced: float = 0.0  # s, of Python
+    lowered: float = 0.0  # s
+    compiled: float = 0.0  # s, of XLA
+
+    @property
+    def seconds(self) -> float:
+        """All stages."""
+        return self.traced + self.lowered + self.compiled
+
+
+class Recorder:
+    """Programs in the order in which XLA compiled them."""
+
+    def __init__(self) -> None:
+        self.programs: list[Program] = []
+        self._begun: dict[str, dict[str, float]] = {"traced": {}, "lowered": {}}
+
+    def record(self, event: str, seconds: float, **about: str) -> None:
+        """Take note of an event of `jax.monitoring`.
+
+        Args:
+            event: JAX's name of it.
+            seconds: It took.
+            about: Among other things the program's name.
+        """
+        stage, name = STAGES.get(event), about.get("fun_name", "").removeprefix("jit(").removesuffix(")")
+        if stage == "compiled":
+            stages = {stage: begun.pop(name, 0.0) for stage, begun in self._begun.items()}
+            self.programs.append(Program(name, compiled=seconds, **stages))
+        elif stage is not None:
+            self._begun[stage][name] = seconds
+
+    def add_sizes(self, dump: Path) -> None:
+        """Count the instructions of each program.
+
+        Args:
+            dump: Folder of XLA's dump, where programs of one name are numbered in their order.
+        """
+        files = sorted((int(found[1]), found[2], path) for path in dump.iterdir() if (found := DUMP.match(path.name)))
+        sizes: dict[str, list[int]] = {}
+        for _, name, path in files:
+            sizes.setdefault(name, []).append(path.read_text(errors="replace").count(" = "))
+        for program in self.programs:
+            if of_name := sizes.get(re.sub(r"[^\w.-]", "_", program.name)):
+                program.instructions = of_name.pop(0)
+
+
+def table(programs: Sequence[Program]) -> str:
+    """The programs that take longest, and the sum of the others.
+
+    Args:
+        programs: In any order.
+    """
+    ordered = sorted(programs, key=lambda each: -each.seconds)
+    shown, others = ordered[:SHOWN], ordered[SHOWN:]
+    rows = [
+        (each.name, str(each.instructions), *(f"{s:.2f}" for s in (each.traced, each.lowered, each.compiled)))
+        for each in shown
+    ]
+    for title, some in ((f"{len(others)} others", others), (f"all {len(ordered)}", ordered)):
+        sums = (sum(getattr(each, stage) for each in some) for stage in STAGES.values())
+        rows.append((title, str(sum(each.instructions for each in some)), *(f"{s:.2f}" for s in sums)))
+    return text_table(("program", "instructions", "traced s", "lowered s", "compiled s"), rows)
+
+
+def main(words: Sequence[str]) -> None:
+    """Run a module (-m NAME) or a script with its options, and print the table at the end.
+
+    Args:
+        words: As Python would take them.
+    """
+    if not words or (words[0] == "-m" and len(words) < 2):
+        raise SystemExit(str(__doc__))
+    dump, recorder = Path(tempfile.mkdtemp()), Recorder()
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_dump_to={dump} --xla_dump_hlo_as_text"
+    os.environ.setdefault("I2T_COMPILE_CACHE", "off")
+    import jax
+
+    jax.monitoring.register_event_duration_secs_listener(recorder.record)
+
+    def report() -> None:
+        recorder.add_sizes(dump)
+        shutil.rmtree(dump, ignore_errors=True)
+        print(f"\n{table(recorder.programs)}", flush=True)
+        if path := os.environ.get(PROGRAMS_FILE):
+            Path(path).write_text(json.dumps([asdict(each) for each in recorder.programs]))
+
+    atexit.register(report)
+    if words[0] == "-m":
+        sys.argv = list(words[1:])
+        runpy.run_module(words[1], run_name="__main__", alter_sys=True)
+    else:
+        sys.argv = list(words)
+        with contextlib.suppress(ValueError):
+            sys.path.insert(0, str(Path(words[0]).resolve().parent))
+        runpy.run_path(words[0], run_name="__main__")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

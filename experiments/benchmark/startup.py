@@ -1,0 +1,140 @@
+"""Section `startup`: how long commands and examples take the first time, with nothing compiled, and the second.
+
+Each runs as a user runs it, in a process of its own, in an empty folder and with an empty folder of compiled programs;
+then once more. Wall and processor seconds are those of the whole process. There is no peer: each row has a goal.
+"""
+
+import os
+import shlex
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from experiments.common.tables import text_table
+
+ROOT = Path(__file__).parents[2]
+TRAINED = "runs/train"  # in the folder in which they run
+
+
+class Command(NamedTuple):
+    """What a user types, and the goals on two quiet cores."""
+
+    line: str  # after `python`
+    first_goal: float  # s of wall time, with nothing compiled
+    second_goal: float  # s
+    until: str = ""  # interrupted (Ctrl-C) once it prints this; "" for to its end
+    trained: bool = False  # needs a run of `experiments.train`
+
+
+class StartupRow(NamedTuple):
+    """What a command took; of several turns the median and the range."""
+
+    command: str
+    first: float  # s, wall
+    first_range: tuple[float, float]
+    first_processor: float  # s, of both cores together
+    first_goal: float
+    second: float
+    second_range: tuple[float, float]
+    second_processor: float
+    second_goal: float
+
+
+EXAMPLES = sorted(path.name for path in (ROOT / "examples").glob("[0-9][0-9]_*.py"))
+COMMANDS = (
+    Command("-m i2t.imagine", 8, 4),
+    Command("-m experiments.train --preset debug --out runs/debug", 20, 10),
+    Command("-m experiments.train", 90, 50),
+    Command("-m experiments.recognize", 90, 60, trained=True),
+    Command("-m experiments.reconstruct", 90, 60, until="growing.png"),
+    *(Command(f"examples/{name}", 15, 6) for name in EXAMPLES),
+)
+FEW = (Command("-m i2t.imagine", 8, 4),)  # of the preset debug
+
+
+def startup(commands: Sequence[Command], turns: int) -> Iterator[StartupRow]:
+    """Run commands one after the other.
+
+    Args:
+        commands: What to run.
+        turns: How often, each time with nothing compiled.
+
+    Yields:
+        Each command's row, once it has run.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        for command in commands:
+            if command.trained and not (place / TRAINED).exists():
+                _run(Command("-m experiments.train", 0, 0), place, place / "other")
+            both = [
+                (_run(command, place, place / f"compiled-{turn}"), _run(command, place, place / f"compiled-{turn}"))
+                for turn in range(turns)
+            ]
+            yield _row(command, both)
+
+
+def table(rows: Sequence[StartupRow]) -> str:
+    """The rows as text."""
+    head = ("command", "first", "processor", "goal", "second", "processor", "goal")
+    return text_table(head, (cells(row) for row in rows))
+
+
+def cells(row: StartupRow) -> tuple[str, ...]:
+    """A row's cells, in seconds."""
+    first, second = (
+        f"{wall:.1f}" if least == most else f"{wall:.1f} ({least:.1f} to {most:.1f})"
+        for wall, (least, most) in ((row.first, row.first_range), (row.second, row.second_range))
+    )
+    return (
+        f"python {row.command}",
+        *(first, f"{row.first_processor:.1f}", f"{row.first_goal:g}"),
+        *(second, f"{row.second_processor:.1f}", f"{row.second_goal:g}"),
+    )
+
+
+def _row(command: Command, turns: Sequence[tuple[tuple[float, float], tuple[float, float]]]) -> StartupRow:
+    """A command's row from (wall, processor) seconds of the first and second time in each turn."""
+    (first, first_cpu), (second, second_cpu) = (zip(*each, strict=True) for each in zip(*turns, strict=True))
+    return StartupRow(
+        *(command.line, statistics.median(first), (min(first), max(first)), statistics.median(first_cpu)),
+        command.first_goal,
+        *(statistics.median(second), (min(second), max(second)), statistics.median(second_cpu), command.second_goal),
+    )
+
+
+def _run(command: Command, place: Path, compiled: Path) -> tuple[float, float]:
+    """Wall and processor seconds of one run in a folder."""
+    words = shlex.split(command.line)
+    if words[0] == "-m" and words[1].startswith("experiments."):
+        words += ["--overwrite"]
+    elif words[0] != "-m":
+        words[0] = str(ROOT / words[0])
+    environment = {
+        **{name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "XLA_"))},
+        **{"PYTHONPATH": str(ROOT), "I2T_COMPILE_CACHE": str(compiled), "PYTHONUNBUFFERED": "1"},
+    }
+    begin, log = time.perf_counter(), place / "log.txt"
+    with log.open("w") as file, subprocess.Popen(
+        [sys.executable, *words], cwd=place, env=environment, text=True, stdout=subprocess.PIPE, stderr=file
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        enough = False
+        for text in process.stdout:
+            if command.until and command.until in text and not enough:
+                enough, wall = True, time.perf_counter() - begin
+                process.send_signal(signal.SIGINT)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if not enough:
+        wall = time.perf_counter() - begin
+        if process.returncode or command.until:
+            said = log.read_text()[-2000:]
+            raise RuntimeError(f"python {command.line} ended with exit code {process.returncode}: {said}")
+    return wall, usage.ru_utime + usage.ru_stime
