@@ -60,4 +60,5 @@ def main(touches: int = 936, epochs: int = 60, episodes: int = 24, count: int = 
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

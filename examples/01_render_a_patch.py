@@ -24,4 +24,5 @@ def main(out: str = "runs/patch.png") -> i2t.Patch:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

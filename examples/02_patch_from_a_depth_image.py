@@ -29,4 +29,5 @@ def main() -> float:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

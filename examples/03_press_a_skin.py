@@ -34,4 +34,5 @@ def main(out: str = "runs/press.png") -> np.ndarray:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

@@ -25,4 +25,5 @@ def main(path: str = "runs/touches.h5", n: int = 36) -> i2t.Dataset:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

@@ -28,4 +28,5 @@ def main(run: str = "nominal") -> i2t.Reading:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

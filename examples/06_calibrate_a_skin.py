@@ -36,4 +36,5 @@ def main(presses: int = 60, tip_radius: float = 4e-3) -> float:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

@@ -31,4 +31,5 @@ def main(n: int = 24) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

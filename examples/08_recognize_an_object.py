@@ -37,4 +37,5 @@ def main(training_touches: int = 72, config: RecognizerConfig | None = None) -> 
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

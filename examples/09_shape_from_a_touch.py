@@ -41,4 +41,5 @@ def main(patches: int = 512, presses: int = 16) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

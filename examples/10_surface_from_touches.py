@@ -36,4 +36,5 @@ def main(touches: int = 12, known: int = 20, across: int = 32) -> i2t.Mesh:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+import i2t
 from i2t.environments.core import EnvironmentConfig, EnvironmentState, TouchAction
 from i2t.environments.tables import make_environment
 
@@ -32,4 +33,5 @@ def main(touches: int = 4) -> np.ndarray:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

@@ -71,4 +71,5 @@ def main(out: str = "runs/slopes", n: int = 72) -> i2t.Predictor:
 
 
 if __name__ == "__main__":
+    i2t.use_compile_cache()
     main()

@@ -21,6 +21,7 @@ from i2t._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from i2t.calibration.model import calibrate, load_calibration
+    from i2t.compile_cache import use_compile_cache
     from i2t.dataset.sets import Dataset
     from i2t.dataset.store import load_dataset, save_dataset
     from i2t.depth.camera import Camera
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "calibration.model": ("calibrate", "load_calibration"),
+    "compile_cache": ("use_compile_cache",),
     "dataset.sets": ("Dataset",),
     "dataset.store": ("load_dataset", "save_dataset"),
     "depth.camera": ("Camera",),
@@ -79,7 +81,7 @@ __all__ = [
     "load_calibration", "load_dataset", "load_mesh", "load_pad", "load_pad_model", "load_predictor", "make_object",
     "nominal_pad", "patch_from_depth", "pose_at_pixel", "prepare_surface", "press", "register_by_depth",
     "register_by_touch", "render_patch", "reskin_board", "sample_pad", "sample_touch_sites", "save_dataset", "save_pad",
-    "simulate_touches",
+    "simulate_touches", "use_compile_cache",
 ]  # fmt: skip
 
 

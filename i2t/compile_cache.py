@@ -19,7 +19,6 @@ from pathlib import Path
 VARIABLE = "I2T_COMPILE_CACHE"
 OFF_VALUES = ("off", "0", "no", "false")
 MAX_CACHE_BYTES = 2**30  # of the folder, for each kind of processor
-MIN_COMPILE_S = 0.1  # what is compiled sooner is not worth a file
 JAX_FOLDER = "JAX_COMPILATION_CACHE_DIR"
 
 
@@ -48,7 +47,9 @@ def _configure(folder: Path) -> None:
     settings = {
         JAX_FOLDER: str(folder),
         "JAX_COMPILATION_CACHE_MAX_SIZE": MAX_CACHE_BYTES,
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": MIN_COMPILE_S,
+        # All programs, small ones too: reading a hundred of them takes a second less than compiling them.
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.0,
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": -1,
     }
     # A disk may fill up later: then JAX warns at every program, of which no user can make anything.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")

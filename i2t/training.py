@@ -3,13 +3,14 @@
 
     epoch = training.compiled(learner, cfg)
     state = training.init(key, learner, cfg, touches)
-    for _ in range(cfg.epochs):
+    while not training.finished(state, cfg):
         state, info = epoch(state, train, validation)
 
 An epoch draws a permutation from `fold_in(key, epoch)`, cuts it into minibatches and takes one AdamW step on the mean
 loss of each; where the batch size does not divide the number of touches the last minibatch is filled up with touches of
 weight zero, so every touch counts once an epoch. After each epoch the validation touches are scored and the best
-parameters so far are kept (early stopping, without stopping). All of it is in the state: a training that goes on from
+parameters so far are kept; `finished` says when no better ones are to be expected (early stopping; Prechelt, "Early
+stopping - but when?", 1998). All of it is in the state: a training that goes on from
 any state repeats the uninterrupted one bit for bit. Members of an ensemble are axis 0 of every array of the state: each
 has its own key, minibatches and best epoch. `descend` is for small problems, a step for each key.
 """
@@ -22,6 +23,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key, PyTree, UInt32
 
@@ -99,13 +101,14 @@ class EpochInfo(NamedTuple):
 class TrainConfig:
     """Training options."""
 
-    epochs: int = 200
+    epochs: int = 200  # at most, over which the learning rate falls
     batch_size: int = 128
     learning_rate: float = 1e-3
+    patience: int = 30  # epochs without a better one after which a training ends
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""
-        for name in ("epochs", "batch_size"):
+        for name in ("epochs", "batch_size", "patience"):
             if getattr(self, name) < 1:
                 raise ValueError(f"train.{name} is {getattr(self, name)}; it must be at least 1.")
         if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
@@ -265,6 +268,20 @@ def epoch(
         best_epoch=jnp.where(better, state.epoch + 1, state.best_epoch),
     )
     return after, EpochInfo(trained, scored)
+
+
+def finished(state: TrainState, cfg: TrainConfig) -> bool:
+    """Tell whether a training has had its epochs, or all its members have waited long enough for a better one.
+
+    Args:
+        state: Between epochs.
+        cfg: How to train.
+
+    Returns:
+        Whether it has.
+    """
+    epoch, best = np.asarray(state.epoch), np.asarray(state.best_epoch)
+    return bool(np.all((epoch >= cfg.epochs) | (epoch - best >= cfg.patience)))
 
 
 def evaluate(params: PyTree, learner: Learner, batch: Batch) -> Losses:

@@ -10,11 +10,18 @@ import pytest
 from i2t import compile_cache
 from i2t.compile_cache import JAX_FOLDER, VARIABLE, use_compile_cache
 
+SETTINGS = (
+    JAX_FOLDER,
+    "JAX_COMPILATION_CACHE_MAX_SIZE",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES",
+)
+
 
 @pytest.fixture
 def no_settings(monkeypatch):
     """As a user's shell is, with JAX not yet imported, and what is set taken back."""
-    for name in (JAX_FOLDER, "JAX_COMPILATION_CACHE_MAX_SIZE", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", VARIABLE):
+    for name in (VARIABLE, *SETTINGS):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
     monkeypatch.delitem(sys.modules, "jax")
@@ -67,8 +74,6 @@ import sys
 from i2t.cli import exit_code_of
 def work():
     import jax, jax.numpy as jnp
-    from i2t import compile_cache
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     {spoil}
     print(jax.jit(lambda x: jnp.sin(x) @ x)(jnp.eye(3))[0, 0])
 sys.exit(exit_code_of(work))

@@ -54,7 +54,7 @@ def fit(
 ) -> tuple[TrainState, list[EpochInfo]]:
     """Epochs up to the last."""
     epoch, infos = training.compiled(learner(model), cfg), []
-    while int(state.epoch[0]) < cfg.epochs:
+    while not training.finished(state, cfg):
         state, info = epoch(state, train, validation)
         infos.append(info)
     return state, infos
@@ -133,6 +133,18 @@ def test_the_best_epoch_is_kept(case: Case) -> None:
     best = jax.tree.map(lambda leaf: leaf[0], state.best_params)
     score = jax.jit(lambda p: training.evaluate(p, learner(MODEL), contrary).reading)(best)
     np.testing.assert_allclose(score, min(scores), rtol=104 * EPS)
+
+
+@pytest.mark.parametrize(
+    ("epoch", "best", "over"),
+    [((3, 3), (0, 0), False), ((4, 4), (0, 1), False), ((4, 4), (0, 0), True), ((7, 7), (7, 6), True)],
+    ids=["not yet", "one still hopes", "all have waited", "no epoch is left"],
+)
+def test_a_training_ends_when_all_members_have_waited_or_its_epochs_are_over(
+    epoch: tuple[int, ...], best: tuple[int, ...], over: bool
+) -> None:
+    state = TrainState({}, {}, np.zeros((2, 2)), np.array(epoch), {}, np.zeros(2), np.array(best))
+    assert training.finished(state, replace(TRAIN, patience=4)) is over
 
 
 @pytest.mark.full

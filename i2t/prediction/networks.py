@@ -115,11 +115,14 @@ class NetworkMethod(Method):
 
         state, epoch = _start(key, learner, how, n), training.compiled(learner, how)
         history: list[list[float]] = []
-        for _ in progress(range(how.epochs), desc=f"training {self.title}", unit="epoch"):
-            state, info = epoch(state, train, validation)
-            history.append([float(np.mean(losses.squared)) for losses in info])
-            if len(history) % EPOCHS_BETWEEN_CHECKS == 0 or len(history) == how.epochs:
-                _check_finite(state, how)
+        with progress(total=how.epochs, desc=f"training {self.title}", unit="epoch") as bar:
+            while not training.finished(state, how):
+                state, info = epoch(state, train, validation)
+                history.append([float(np.mean(losses.squared)) for losses in info])
+                bar.update(1)
+                if len(history) % EPOCHS_BETWEEN_CHECKS == 0:
+                    _check_finite(state, how)
+        _check_finite(state, how)
         norm = _with_residual(state.best_params, cfg, norm, validation)
         return replace(touches.predictor(made(state.best_params, cfg, norm), split), metadata={"curve": history})
 

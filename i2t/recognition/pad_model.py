@@ -262,7 +262,7 @@ def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board) 
 def _register_session(
     key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, weight: Array
 ) -> PoseEstimate:
-    return _register(
+    return registration.register_by_touch(
         key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, weight,
         translation_std=errors.placement, rotation_std=errors.placement_angle,
     )  # fmt: skip
@@ -293,9 +293,6 @@ def _position_errors(positions: _Positions, softness: float, limits: PressLimits
     variance = positions.variance + (INDENTATION_ERROR * expected) ** 2
     density = OUTLIER_RATE / outlier_range(limits.overtravel)
     return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
-
-
-_register = jax.jit(registration.register_by_touch)
 
 
 @partial(jax.jit, static_argnames=("overtravel",))

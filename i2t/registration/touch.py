@@ -20,6 +20,7 @@ Inside, the unknown is z = x over the prior's standard deviations, so that its p
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -28,6 +29,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
+from i2t.compiling import jit_quickly
 from i2t.geometry import from_twist, full_precision, inverse
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
@@ -134,9 +136,29 @@ def register_by_touch(
     for name, std in (("translation_std", translation_std), ("rotation_std", rotation_std)):
         validation.number(name, std, "a standard deviation, 0 where it is known", least=0)
     validation.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
-    T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
+    T_w_o, T_w_contact, weight, *std = (
+        jnp.asarray(value, jnp.float32)
+        for value in (T_w_o, T_w_contact, weight, translation_std, rotation_std, contact_std)
+    )
     _check_contacts(T_w_contact, weight)
-    noise = jnp.asarray(contact_std, jnp.float32)
+    return _register(key, surface, T_w_o, T_w_contact, weight, *std, config=config)
+
+
+@partial(jit_quickly, static_argnames="config")
+@full_precision
+def _register(
+    key: Key[Array, ""],
+    surface: Surface,
+    T_w_o: Float[Array, "4 4"],
+    T_w_contact: Float[Array, "n 4 4"],
+    weight: Float[Array, " n"],
+    translation_std: Float[Array, ""],
+    rotation_std: Float[Array, ""],
+    noise: Float[Array, ""],
+    *,
+    config: TouchRegistrationConfig,
+) -> PoseEstimate:
+    """`register_by_touch` of what was checked."""
     contacts = _contacts(
         surface, T_w_o, T_w_contact, weight, translation_std=translation_std, rotation_std=rotation_std, config=config
     )
@@ -169,12 +191,12 @@ def _contacts(
     T_w_contact: Float[Array, "n 4 4"],
     weight: Float[Array, " n"],
     *,
-    translation_std: float | Array,
-    rotation_std: float | Array,
+    translation_std: Float[Array, ""],
+    rotation_std: Float[Array, ""],
     config: TouchRegistrationConfig,
 ) -> _Contacts:
     """The data of a registration: the believed object at each contact, and the faces that may be met there."""
-    std = [jnp.asarray(translation_std, jnp.float32)] * 3 + [jnp.asarray(rotation_std * TWIST_LEVER_M, jnp.float32)] * 3
+    std = [translation_std] * 3 + [rotation_std * TWIST_LEVER_M] * 3
     T_w_t = jnp.where((weight > 0)[:, None, None], T_w_contact, jnp.eye(4)[None])
     T_t_o = jax.vmap(lambda T: inverse(T) @ T_w_o)(T_w_t)
     reach = CANDIDATE_STDS * translation_std, CANDIDATE_STDS * rotation_std

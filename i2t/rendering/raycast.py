@@ -10,7 +10,7 @@ pose; every tile keeps a bit for each cluster that crosses it, and draws the clu
 
 Poses differ many times in their work, so a batch is not one pose after another in lanes that wait for the slowest: all
 clusters of all poses make one dense list, and all tiles of all poses one set of lanes, of which the busiest few go on
-alone when most are done. `vmap` arrives here as a longer axis of poses (`custom_vmap`). Lists are worked off in passes
+alone when most are done. `vmap` arrives here as a longer axis of poses (`_batch_cast`). Lists are worked off in passes
 of a fixed length, so that scratch memory is small and constant and no list can overflow.
 
 Meshes of many faces hardly larger than a pixel go another way, which keeps nothing of a face (`i2t.rendering.dense`).
@@ -19,11 +19,15 @@ Work is split where XLA should store an intermediate: inside one loop body it wo
 for each of its uses.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import batching, mlir
 from jaxtyping import Array, Bool, Float, Int
 
 from i2t.rendering.bitset import WORD_BITS, cumulative_popcounts, pack_bits, select_kth_set_bit
@@ -105,40 +109,60 @@ def _rasterise(
     surface: Surface, view: ToolView, grid: PixelGrid, reach: float, with_faces: bool
 ) -> tuple[Float[Array, "n n"], Int[Array, "n n"]]:
     """Heights (n, n) of the first hits and, if asked, the index of the face that each ray meets (n, n)."""
-
-    @jax.custom_batching.custom_vmap
-    def cast(
-        meshes: tuple[Array, Array, Array], mesh: Array, linear: Array, origin: Array, offset: Array
-    ) -> tuple[Array, Array]:
-        view = ToolView(*(jnp.moveaxis(part, 0, -1) for part in (linear, origin, offset)))
-        return _cast(meshes, mesh, view, grid, reach, with_faces)
-
-    @cast.def_vmap
-    def _(
-        size: int, batched: Any, meshes: tuple[Array, ...], mesh: Array, *views: Array
-    ) -> tuple[tuple[Array, Array], tuple[bool, bool]]:
-        """A batch of batches of poses is a longer batch, and of meshes a longer list of them."""
-        of_meshes, (of_mesh, *of_views) = batched[0], batched[1:]
-        several = any(of_meshes)
-        count = meshes[0].shape[1 if of_meshes[0] else 0]
-        meshes, mesh, views = (
-            jax.tree.map(lambda leaf, own: leaf if own else jnp.broadcast_to(leaf, (size, *leaf.shape)), *both)
-            for both in (
-                (meshes, tuple(own or not several for own in of_meshes)),
-                (mesh, of_mesh),
-                (tuple(views), tuple(of_views)),
-            )
-        )
-        if several:
-            meshes = jax.tree.map(_flat, meshes)
-            mesh = mesh + count * indices(size)[:, None]
-        hits = cast(meshes, _flat(mesh), *(_flat(part) for part in views))
-        return jax.tree.map(lambda leaf: leaf.reshape(size, -1, *leaf.shape[1:]), hits), (True, True)
-
     meshes = tuple(jnp.asarray(part)[None] for part in (surface.triangles, surface.boxes, surface.groups))
-    heights, faces = cast(meshes, jnp.zeros(1, jnp.int32), *(part[None] for part in view))
+    views = [jnp.asarray(part)[None] for part in view]
+    options = {"window": grid.window, "pixels": grid.pixels, "reach": reach, "with_faces": with_faces}
+    heights, faces = _cast_primitive.bind(*meshes, jnp.zeros(1, jnp.int32), *views, **options)
     poison = 0 * sum(jnp.sum(part) for part in view)  # a pose that is not finite gives an image that is not a number
     return heights[0] + poison, faces[0]
+
+
+# To JAX it is one operation, so that programs with a renderer are traced once, whatever is done to them, and not again
+# for each `vmap`.
+_cast_primitive = Primitive("i2t_cast")
+_cast_primitive.multiple_results = True
+
+
+def _cast_arrays(
+    triangles: Array, boxes: Array, groups: Array, mesh: Array, *views: Array,
+    window: float, pixels: int, reach: float, with_faces: bool,
+) -> tuple[Array, Array]:  # fmt: skip
+    """`_cast` of arrays whose axis 0 counts meshes (the first three) or poses."""
+    view = ToolView(*(jnp.moveaxis(part, 0, -1) for part in views))
+    return _cast((triangles, boxes, groups), mesh, view, PixelGrid(window, pixels), reach, with_faces)
+
+
+@_cast_primitive.def_abstract_eval
+def _(
+    triangles: ShapedArray, boxes: ShapedArray, groups: ShapedArray, mesh: ShapedArray, *views: ShapedArray,
+    pixels: int, **options: Any,
+) -> tuple[ShapedArray, ShapedArray]:  # fmt: skip
+    shape = (*mesh.shape, pixels, pixels)
+    return ShapedArray(shape, jnp.result_type(triangles.dtype, views[0].dtype)), ShapedArray(shape, jnp.int32)
+
+
+def _batch_cast(arrays: Sequence[Array], axes: Sequence[int | None], **options: Any) -> tuple[list[Array], list[int]]:
+    """A batch of batches of poses is a longer batch, and of meshes a longer list of them."""
+    size = next(array.shape[axis] for array, axis in zip(arrays, axes, strict=True) if axis is not None)
+    several = any(axis is not None for axis in axes[:3])  # meshes
+
+    def spread(array: Array, axis: int | None) -> Array:
+        return jnp.broadcast_to(array, (size, *array.shape)) if axis is None else jnp.moveaxis(array, axis, 0)
+
+    meshes, (mesh, *views) = arrays[:3], [spread(*each) for each in zip(arrays[3:], axes[3:], strict=True)]
+    if several:
+        meshes = [spread(*each) for each in zip(meshes, axes[:3], strict=True)]
+        mesh = mesh + meshes[0].shape[1] * indices(size)[:, None]
+        meshes = [_flat(part) for part in meshes]
+    hits = _cast_primitive.bind(*meshes, _flat(mesh), *(_flat(part) for part in views), **options)
+    return [hit.reshape(size, -1, *hit.shape[1:]) for hit in hits], [0, 0]
+
+
+_cast_primitive.def_impl(
+    jax.jit(_cast_arrays, static_argnames=("window", "pixels", "reach", "with_faces"))  # where nothing is compiled
+)
+batching.primitive_batchers[_cast_primitive] = _batch_cast
+mlir.register_lowering(_cast_primitive, mlir.lower_fun(_cast_arrays, multiple_results=True))
 
 
 def _cast(

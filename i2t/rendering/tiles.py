@@ -56,7 +56,7 @@ class PixelGrid:
     """
 
     def __init__(self, window: float, pixels: int) -> None:
-        self.pixels, self.half, self.pitch = pixels, window / 2, window / pixels
+        self.window, self.pixels, self.half, self.pitch = window, pixels, window / 2, window / pixels
         self.edge = TILE_PIXELS * -(
             -pixels // (TILE_PIXELS * (WORD_BITS - 1))
         )  # pixels; columns of tiles must fit a word

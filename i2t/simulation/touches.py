@@ -32,6 +32,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry, validation
 from i2t.batching import spread
+from i2t.compiling import jit_quickly
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLaw, PressLimits, press_to_stop
@@ -47,6 +48,8 @@ from i2t.views import WideView, camera_view, centre, pixels_on_skin
 from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 POSE_ERRORS = 7  # the first of `SimulationErrors`
+OF_SESSION = ("errors", "limits", "sites", "n", "law")  # static
+MANY_SESSIONS = 40  # run as much longer, compiled quickly, as compiling them well takes
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
 
@@ -345,14 +348,14 @@ def touch_simulator(
     return touch
 
 
-_touch_once = jax.jit(simulate_touch, static_argnames=("errors", "limits"))
+_touch_once = jit_quickly(simulate_touch, static_argnames=("errors", "limits"))
 
 
 def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
     return jnp.eye(4).at[2, 3].set(distance)
 
 
-@partial(jax.jit, static_argnames=("errors", "limits", "sites", "n", "law"))
+@partial(jax.jit, static_argnames=OF_SESSION)
 @geometry.full_precision
 def simulate_session(
     key: Key[Array, ""],
@@ -397,6 +400,9 @@ def simulate_session(
     touches = jax.vmap(touch)(jax.random.split(key_touches, n), chosen.T_w_t)
     touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
     return apply_sensor_model(key_skin, touches, pad, errors, presses_before=presses_before)
+
+
+_simulate_few = jit_quickly(simulate_session.__wrapped__, static_argnames=OF_SESSION)
 
 
 def simulate_touches(
@@ -459,7 +465,7 @@ def simulate_touches(
             presses += kept
 
     made = spread(
-        simulate_session, calls(), shared=(jnp.eye(4), pad),
+        simulate_session if len(sessions) > MANY_SESSIONS else _simulate_few, calls(), shared=(jnp.eye(4), pad),
         errors=errors, limits=limits, sites=sites, n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []

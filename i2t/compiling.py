@@ -1,0 +1,54 @@
+"""Programs that take longer to compile than they run, compiled with fewer optimisations.
+
+On a CPU, XLA's fusion emitters hand LLVM much code, and LLVM spends most of the time on optimising it. Without the
+emitters and at LLVM's first level a session of simulated touches is compiled in half the time, and runs 8 % longer
+(`python -m experiments.benchmark.programs` says what programs take). Other programs lose more: predicted contact
+pressures take 1.6 times as long, a decision where to touch twice. So it is chosen for each program.
+"""
+
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any
+
+import jax
+
+from i2t import validation
+
+QUICKLY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+
+
+def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[str, ...] = ()) -> Callable[..., Any]:
+    """`jax.jit` for a program that a process runs a few times. On other devices than CPUs, and inside of another
+    program, it is `jax.jit`.
+
+    Args:
+        function: Pure.
+        static_argnames: As of `jax.jit`.
+
+    Returns:
+        The compiled function.
+    """
+    usual = jax.jit(function, static_argnames=static_argnames)
+
+    @cache
+    def quick() -> Callable[..., Any]:
+        return jax.jit(function, static_argnames=static_argnames, compiler_options=_options())
+
+    @wraps(function)
+    def call(*args: Any, **named: Any) -> Any:
+        inside = validation.is_traced(*jax.tree.leaves((args, named)))
+        return (usual if inside else quick())(*args, **named)
+
+    return call
+
+
+@cache
+def _options() -> dict[str, Any] | None:
+    """The options, where this version of XLA has them."""
+    if jax.default_backend() != "cpu":
+        return None
+    try:
+        jax.jit(lambda: 0, compiler_options=QUICKLY).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        return None
+    return dict(QUICKLY)
