@@ -45,6 +45,24 @@ def map_batches(function: Callable[[Any], Any], items: Any, batch_size: int) -> 
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], found)
 
 
+def select_rows(tree: PyTree, rows: Any) -> PyTree:
+    """Rows of every array of a tree, taken on the host, where that costs no compilation.
+
+    Args:
+        tree: Of arrays with a shared axis 0.
+        rows: Numbers, a mask, or a slice.
+
+    Returns:
+        The tree with those rows; its arrays are NumPy's or JAX's, as they were.
+    """
+
+    def some(leaf: Any) -> Any:
+        found = np.asarray(leaf)[rows]
+        return jnp.asarray(found) if isinstance(leaf, jax.Array) else found
+
+    return jax.tree.map(some, tree)
+
+
 def spread(
     function: Callable[..., PyTree], calls: Iterable[Call], *, shared: Call = (), **static: Any
 ) -> Iterator[PyTree]:

@@ -18,6 +18,7 @@ import runpy
 import shutil
 import sys
 import tempfile
+import traceback
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -31,6 +32,8 @@ STAGES = {  # JAX's events of one program, in their order
     "/jax/core/compile/backend_compile_duration": "compiled",
 }
 DUMP = re.compile(r"module_(\d+)\.jit_(.*?)\.(?:cpu_gpu_|sm_.*|cpu_)?before_optimizations\.txt")
+ROOT = Path(__file__).parents[2]
+THROUGH = (Path(__file__), ROOT / "i2t" / "compiling.py")  # what only passes a call on
 SHOWN = 15  # programs of a table
 
 
@@ -39,6 +42,7 @@ class Program:
     """One compiled program."""
 
     name: str
+    line: str = ""  # of the checkout, that asked for it
     instructions: int = 0  # of HLO, before XLA optimises
     traced: float = 0.0  # s, of Python
     lowered: float = 0.0  # s
@@ -57,20 +61,20 @@ class Recorder:
         self.programs: list[Program] = []
         self._begun: dict[str, dict[str, float]] = {"traced": {}, "lowered": {}}
 
-    def record(self, event: str, seconds: float, **about: str) -> None:
+    def record(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         """Take note of an event of `jax.monitoring`.
 
         Args:
             event: JAX's name of it.
-            seconds: It took.
-            about: Among other things the program's name.
+            duration_secs: It took.
+            kwargs: Among other things the program's name.
         """
-        stage, name = STAGES.get(event), about.get("fun_name", "").removeprefix("jit(").removesuffix(")")
+        stage, name = STAGES.get(event), str(kwargs.get("fun_name", "")).removeprefix("jit(").removesuffix(")")
         if stage == "compiled":
-            stages = {stage: begun.pop(name, 0.0) for stage, begun in self._begun.items()}
-            self.programs.append(Program(name, compiled=seconds, **stages))
+            traced, lowered = (self._begun[before].pop(name, 0.0) for before in ("traced", "lowered"))
+            self.programs.append(Program(name, _asking_line(), 0, traced, lowered, duration_secs))
         elif stage is not None:
-            self._begun[stage][name] = seconds
+            self._begun[stage][name] = duration_secs
 
     def add_sizes(self, dump: Path) -> None:
         """Count the instructions of each program.
@@ -87,6 +91,15 @@ class Recorder:
                 program.instructions = of_name.pop(0)
 
 
+def _asking_line() -> str:
+    """The innermost line of the checkout that is being run, but for those that pass it on."""
+    for frame, line in traceback.walk_stack(None):
+        path = Path(frame.f_code.co_filename)
+        if path.is_relative_to(ROOT) and path not in THROUGH and "site-packages" not in path.parts:
+            return f"{path.relative_to(ROOT)}:{line}"
+    return ""
+
+
 def table(programs: Sequence[Program]) -> str:
     """The programs that take longest, and the sum of the others.
 
@@ -96,13 +109,16 @@ def table(programs: Sequence[Program]) -> str:
     ordered = sorted(programs, key=lambda each: -each.seconds)
     shown, others = ordered[:SHOWN], ordered[SHOWN:]
     rows = [
-        (each.name, str(each.instructions), *(f"{s:.2f}" for s in (each.traced, each.lowered, each.compiled)))
+        (
+            *(each.name, each.line, str(each.instructions)),
+            *(f"{s:.2f}" for s in (each.traced, each.lowered, each.compiled)),
+        )
         for each in shown
     ]
     for title, some in ((f"{len(others)} others", others), (f"all {len(ordered)}", ordered)):
         sums = (sum(getattr(each, stage) for each in some) for stage in STAGES.values())
-        rows.append((title, str(sum(each.instructions for each in some)), *(f"{s:.2f}" for s in sums)))
-    return text_table(("program", "instructions", "traced s", "lowered s", "compiled s"), rows)
+        rows.append((title, "", str(sum(each.instructions for each in some)), *(f"{s:.2f}" for s in sums)))
+    return text_table(("program", "asked for in", "instructions", "traced s", "lowered s", "compiled s"), rows)
 
 
 def main(words: Sequence[str]) -> None:

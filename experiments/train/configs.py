@@ -68,5 +68,10 @@ PRESETS: dict[str, TrainExperiment] = {
         methods=tuple(name for name in METHODS if name not in ("paper-mask", "paper-mask-force", "pressure-network")),
         training=TrainConfig(epochs=12, batch_size=16),
     ),
-    "study": TrainExperiment(methods=tuple(METHODS), pads=tuple(range(6))),
+    "study": TrainExperiment(
+        methods=tuple(METHODS),
+        pads=tuple(range(6)),
+        # All epochs, as the networks had that played the paper's episodes (docs/recognition.md).
+        training=TrainConfig(epochs=120, patience=120),
+    ),
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 from experiments.train.configs import Simulation
 from i2t import dataset as data
+from i2t.batching import select_rows
 from i2t.dataset import Dataset, Split
 from i2t.objects import catalogue
 from i2t.prediction import gp
@@ -61,4 +62,4 @@ def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split,
     pressure = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
     fitted = fit_gp(pressure, dataset.touches.reading, split, seed)
     rows = np.flatnonzero(split.test)
-    return np.asarray(gp.predict(fitted, jax.tree.map(lambda leaf: leaf[rows], pressure))[0])
+    return np.asarray(gp.predict(fitted, select_rows(pressure, rows))[0])

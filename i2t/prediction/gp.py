@@ -26,6 +26,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
+from i2t.batching import select_rows
 from i2t.types import in_one_line
 
 LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, of the maps g_c: from below a skin's thickness to beyond its edge
@@ -264,14 +265,14 @@ def _by_fold(
     """At most `limit` touches with their readings, fold after fold, and the rows at which folds end."""
     if len(groups) > limit:
         rows = np.sort(np.random.default_rng(seed).choice(len(groups), limit, replace=False))
-        touches, readings, groups = jax.tree.map(lambda x: x[rows], touches), readings[rows], np.asarray(groups)[rows]
+        touches, readings, groups = select_rows((touches, readings, groups), rows)
     names, group = np.unique(np.asarray(groups), return_inverse=True)
     folds = min(folds, len(names))
     if folds < 2:
         raise ValueError(f"cross-validation needs at least two groups of touches (runs or blocks), got {len(names)}")
     fold = np.random.default_rng(seed).permutation(len(names))[group] % folds
     order, ends = np.argsort(fold, kind="stable"), np.cumsum(np.bincount(fold))
-    return jax.tree.map(lambda x: x[order], touches), readings[order], tuple(ends.tolist())
+    return *select_rows((touches, readings), order), tuple(ends.tolist())
 
 
 @partial(jax.jit, static_argnames=("ends", "steps"))

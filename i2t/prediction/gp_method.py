@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Key
 
+from i2t.batching import select_rows
 from i2t.dataset import Split
 from i2t.prediction import gp
 from i2t.prediction.gp import GP, ContactPressure
@@ -65,8 +66,7 @@ def fit_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: 
         Fitted.
     """
     rows = np.flatnonzero(split.train)
-    train = jax.tree.map(lambda leaf: leaf[rows], pressure)
-    return gp.condition(train, readings[rows], split.groups[rows], seed=seed)
+    return gp.condition(select_rows(pressure, rows), readings[rows], split.groups[rows], seed=seed)
 
 
 @jax.jit

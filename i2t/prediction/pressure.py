@@ -156,7 +156,8 @@ def predict_pressures(
     """
     columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or nominal_pad()
     parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows in user_input.size_classes(len(views))]
-    return jax.tree.map(lambda *found: jnp.concatenate(found)[: len(views)], *parts)  # only the last part is filled up
+    # Only the last part is filled up.
+    return jax.tree.map(lambda *found: jnp.asarray(np.concatenate(found)[: len(views)]), *parts)
 
 
 @partial(jax.jit, static_argnums=0)

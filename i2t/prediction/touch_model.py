@@ -26,10 +26,10 @@ from dataclasses import asdict, fields, is_dataclass, replace
 from importlib import import_module
 from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
+from i2t.batching import select_rows
 from i2t.errors import CheckpointError
 from i2t.prediction.gp import ContactPressure
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
@@ -76,7 +76,7 @@ class TouchBatch(NamedTuple):
             Those.
         """
         names = ("patch", "view", "force", "nearest", "depth", "pressure")
-        return self._replace(**{name: jax.tree.map(lambda leaf: leaf[which], getattr(self, name)) for name in names})
+        return self._replace(**{name: select_rows(getattr(self, name), which) for name in names})
 
     def pressures(self, cfg: PressureModelConfig) -> ContactPressure:
         """The contact pressures, predicted where they were not before, or otherwise.

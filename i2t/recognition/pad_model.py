@@ -21,9 +21,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
+from threadpoolctl import threadpool_limits
 
+from i2t.batching import select_rows
+from i2t.compiling import jit_quickly
 from i2t.dataset import Dataset
-from i2t.geometry import inverse
+from i2t.geometry import full_precision, inverse
 from i2t.prediction.gp import ContactPressure
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.recognition import belief, outcomes
@@ -72,6 +75,8 @@ class _Positions(NamedTuple):
     hit: Bool[np.ndarray, " n"]  # whether the object was there at all
 
 
+# Factors of a thousand rows are too small to share: waiting threads of BLAS cost more than they give.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def fit_pad_model(
     key: Key[Array, ""],
     dataset: Dataset,
@@ -209,14 +214,14 @@ class _SessionContacts(NamedTuple):
     """Touches of one session, filled up with repeated ones so that one compilation serves most sessions."""
 
     touches: Touches
-    T_w_contact: Float[Array, "m 4 4"]  # at first contact
-    met: Bool[Array, " m"]  # no repeated one
+    T_w_contact: Float[np.ndarray, "m 4 4"]  # at first contact
+    met: Bool[np.ndarray, " m"]  # no repeated one
     own: int  # number of touches that are not repeated
 
 
 def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
     padded = np.resize(here, max(REGISTERED_TOUCHES, len(here)))
-    some = jax.tree.map(lambda x: jnp.asarray(x[padded]), touches)
+    some = select_rows(touches, padded)
     T_w_contact, met = registration.contact_poses(some)
     return _SessionContacts(some, T_w_contact, met & (np.arange(len(padded)) < len(here)), len(here))
 
@@ -239,8 +244,10 @@ def _pressed_touches(
     """
     parts = []
     for each in sessions:
-        T_o_t = inverse(each.found.T_w_o)[None] @ each.contacts.T_w_contact
-        indentation, newtons = _press(each.surface, T_o_t, each.contacts.touches.force, layer)
+        contacts = each.contacts
+        indentation, newtons = _press(
+            each.surface, each.found.T_w_o, contacts.T_w_contact, contacts.touches.force, layer
+        )
         own = each.contacts.own
         parts.append((each.rows, np.asarray(indentation)[:own, 0], np.asarray(newtons)[:own, 0]))
     rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -260,7 +267,7 @@ def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board) 
 
 
 def _register_session(
-    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, weight: Array
+    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, weight: np.ndarray
 ) -> PoseEstimate:
     return registration.register_by_touch(
         key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, weight,
@@ -295,7 +302,7 @@ def _position_errors(positions: _Positions, softness: float, limits: PressLimits
     return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
 
 
-@partial(jax.jit, static_argnames=("overtravel",))
+@partial(jit_quickly, static_argnames=("overtravel",))
 def _predict_end(
     surface: Surface, found: PoseEstimate, T_w_t: Array, force: Array, layer: Layer, *, overtravel: float
 ) -> PredictedContact:
@@ -306,8 +313,10 @@ def _predict_end(
     return jax.vmap(one)(T_w_t, force)._replace(newtons=jnp.zeros(()))
 
 
-@jax.jit
-def _press(surface: Surface, T_o_t: Array, force: Array, layer: Layer) -> tuple[Array, Array]:
+@jit_quickly
+@full_precision
+def _press(surface: Surface, T_w_o: Array, T_w_t: Array, force: Array, layer: Layer) -> tuple[Array, Array]:
+    T_o_t = inverse(T_w_o)[None] @ T_w_t
     return jax.vmap(lambda T, f: outcomes.contact_pressures(surface, T, f[None], layer))(T_o_t, force)
 
 

@@ -31,7 +31,7 @@ from jaxtyping import Array, Float
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 
-from i2t.batching import map_batches
+from i2t.batching import map_batches, select_rows
 from i2t.calibration import physics
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure, GPHyperparameters
@@ -197,7 +197,7 @@ def _some(touches: PressedTouches) -> PressedTouches:
     """At most CHOOSING_TOUCHES of them."""
     n = len(touches.reading)
     rows = np.sort(np.random.default_rng(0).permutation(n)[:CHOOSING_TOUCHES])
-    return jax.tree.map(lambda x: x[rows], touches)
+    return select_rows(touches, rows)
 
 
 def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _System:
@@ -214,14 +214,21 @@ def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _Syste
     return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, np.asarray(unit))
 
 
-def _posterior(system: _System, at: _Hyperparameters) -> _Posterior:
+def _posterior(system: _System, at: _Hyperparameters, square: Float[np.ndarray, "k k"] | None = None) -> _Posterior:
+    """The posterior; `square` is that of `_square`, where it is known."""
     precision = 1 / (at.r * system.values + at.v)
-    k = system.features.shape[-1]
-    rows = (at.a * np.sqrt(precision)[:, None, None] * system.features).reshape(-1, k)
-    factor = cholesky(rows.T @ rows + np.eye(k), lower=True)
-    told = rows.T @ (np.sqrt(precision)[:, None] * system.reading).reshape(-1)
+    square = _square(system, at) if square is None else square
+    factor = cholesky(at.a**2 * square + np.eye(len(square)), lower=True)
+    told = at.a * np.tensordot(system.features, precision[:, None] * system.reading, ((0, 1), (0, 1)))
     half = solve_triangular(factor, told, lower=True)
     return _Posterior(precision, factor, solve_triangular(factor, half, lower=True, trans="T"))
+
+
+def _square(system: _System, at: _Hyperparameters) -> Float[np.ndarray, "k k"]:
+    """What touches tell of the weights, which no amplitude `a` changes but by a factor."""
+    weighted = np.sqrt(1 / (at.r * system.values + at.v))[:, None, None] * system.features
+    rows = weighted.reshape(-1, weighted.shape[-1])
+    return rows.T @ rows
 
 
 def _left_out(system: _System, at: _Hyperparameters, found: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
@@ -246,8 +253,12 @@ def _weigh_hyperparameters(
 ) -> tuple[list[_Hyperparameters], Float[np.ndarray, " m"]]:
     """The most probable points of the grid, and their shares."""
     system = _system(touches, maps)
-    grid = [_Hyperparameters(*one) for one in product(AMPLITUDES, DISCREPANCIES, NOISES)]
-    log_share = DENSITY_EXPONENT * np.array([_left_out(system, one, _posterior(system, one))[1] for one in grid])
+    grid = [_Hyperparameters(a, r, v) for r, v, a in product(DISCREPANCIES, NOISES, AMPLITUDES)]
+    densities, square = [], None
+    for number, one in enumerate(grid):
+        square = _square(system, one) if number % len(AMPLITUDES) == 0 else square
+        densities.append(_left_out(system, one, _posterior(system, one, square))[1])
+    log_share = DENSITY_EXPONENT * np.array(densities)
     share = np.exp(log_share - logsumexp(log_share))
     kept = [i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max()]
     return [grid[i] for i in kept], share[kept] / share[kept].sum()

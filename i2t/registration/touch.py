@@ -75,7 +75,7 @@ class _Linearised(NamedTuple):
     stretch: Float[Array, " n"]  # of the gap along tool z against the residual
 
 
-def contact_poses(touches: Touches) -> tuple[Float[Array, "n 4 4"], Bool[Array, " n"]]:
+def contact_poses(touches: Touches) -> tuple[Float[np.ndarray, "n 4 4"], Bool[np.ndarray, " n"]]:
     """Poses of first contact of recorded touches: the pose at the end of each press, taken back along tool z by the
     measured travel past contact.
 
@@ -85,11 +85,10 @@ def contact_poses(touches: Touches) -> tuple[Float[Array, "n 4 4"], Bool[Array, 
     Returns:
         The tool's poses T_w_t at first contact, and which touches met the object.
     """
-    T_w_t = jnp.asarray(touches.T_w_t)  # of a data set they are NumPy's
-    met = jnp.isfinite(touches.depth)
-    met &= (touches.code == ReturnCode.SKIN) | (touches.code == ReturnCode.WRENCH)
-    back = jnp.where(met, touches.depth, 0.0)
-    return T_w_t.at[:, :3, 3].add(-back[:, None] * T_w_t[:, :3, 2]), met
+    T_w_t, depth = np.array(touches.T_w_t), np.asarray(touches.depth)
+    met = np.isfinite(depth) & np.isin(touches.code, (ReturnCode.SKIN, ReturnCode.WRENCH))
+    T_w_t[:, :3, 3] -= np.where(met, depth, 0)[:, None] * T_w_t[:, :3, 2]
+    return T_w_t, met
 
 
 @full_precision
@@ -136,12 +135,10 @@ def register_by_touch(
     for name, std in (("translation_std", translation_std), ("rotation_std", rotation_std)):
         validation.number(name, std, "a standard deviation, 0 where it is known", least=0)
     validation.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
-    T_w_o, T_w_contact, weight, *std = (
-        jnp.asarray(value, jnp.float32)
-        for value in (T_w_o, T_w_contact, weight, translation_std, rotation_std, contact_std)
-    )
+    T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
     _check_contacts(T_w_contact, weight)
-    return _register(key, surface, T_w_o, T_w_contact, weight, *std, config=config)
+    stds = (jnp.asarray(std, jnp.float32) for std in (translation_std, rotation_std, contact_std))
+    return _register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
 
 
 @partial(jit_quickly, static_argnames="config")

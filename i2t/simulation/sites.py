@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
 from i2t.batching import map_batches
+from i2t.compiling import jit_quickly
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface
@@ -332,6 +333,9 @@ def sample_sites(
     return Sites(jnp.where(safe[first][:, None, None], frames[first], jnp.nan), safe[first])
 
 
+_draw_sites = jit_quickly(sample_sites, static_argnames=("n", "limits"))
+
+
 def collect_sites(
     key: Key[Array, ""],
     surface: Surface,
@@ -339,7 +343,7 @@ def collect_sites(
     limits: SiteLimits = COLLECTION_LIMITS,
     name: str = "the object",
     rounds: int = 8,
-) -> Float[Array, "{n} 4 4"]:
+) -> Float[np.ndarray, "{n} 4 4"]:
     """Draw safe sites in several rounds; for the host, so it compiles what it draws.
 
     Args:
@@ -356,15 +360,14 @@ def collect_sites(
     Raises:
         ValueError: The object has too few safe sites.
     """
-    draw = jax.jit(sample_sites, static_argnums=(2, 3))
-    found: list[Array] = []
+    found: list[np.ndarray] = []
     count = 0
     for step in range(rounds):
-        sites = draw(jax.random.fold_in(key, step), surface, n, limits)
-        found.append(sites.T_w_t[sites.safe])
+        sites = _draw_sites(jax.random.fold_in(key, step), surface, n=n, limits=limits)
+        found.append(np.asarray(sites.T_w_t)[np.asarray(sites.safe)])
         count += len(found[-1])
         if count >= n:
-            return jnp.concatenate(found)[:n]
+            return np.concatenate(found)[:n]
     raise ValueError(
         f"{name} has too few safe sites: {count} of {n} found; lower min_cos or the flange's size, or raise max_rise"
     )

@@ -336,9 +336,9 @@ def touch_simulator(
         A function that takes a contact pose T_w_t, makes the next touch there and gives it, on the host.
     """
     key_session, key_touches = jax.random.split(key)
-    session = sample_session_errors(key_session, errors)
+    session = _draw_session(key_session, errors=errors)
     stated = {"session": session, "pad": pad, "errors": errors, "limits": limits or PressLimits()}
-    believed = jnp.eye(4) if T_w_o is None else jnp.asarray(T_w_o, jnp.float32)
+    believed = np.eye(4, dtype=np.float32) if T_w_o is None else np.asarray(T_w_o, np.float32)
     numbers = itertools.count()
 
     def touch(T_w_t: Float[Array | np.ndarray, "4 4"]) -> Touches:
@@ -348,6 +348,7 @@ def touch_simulator(
     return touch
 
 
+_draw_session = jax.jit(sample_session_errors, static_argnames="errors")
 _touch_once = jit_quickly(simulate_touch, static_argnames=("errors", "limits"))
 
 
@@ -402,7 +403,7 @@ def simulate_session(
     return apply_sensor_model(key_skin, touches, pad, errors, presses_before=presses_before)
 
 
-_simulate_few = jit_quickly(simulate_session.__wrapped__, static_argnames=OF_SESSION)
+_simulate_few = jit_quickly(vars(simulate_session)["__wrapped__"], static_argnames=OF_SESSION)
 
 
 def simulate_touches(
@@ -465,7 +466,8 @@ def simulate_touches(
             presses += kept
 
     made = spread(
-        simulate_session if len(sessions) > MANY_SESSIONS else _simulate_few, calls(), shared=(jnp.eye(4), pad),
+        simulate_session if len(sessions) > MANY_SESSIONS else _simulate_few,
+        calls(), shared=(np.eye(4, dtype=np.float32), pad),
         errors=errors, limits=limits, sites=sites, n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []
@@ -477,7 +479,7 @@ def simulate_touches(
         part = part._replace(object=part.object + i, session=part.session + session)
         parts.append(jax.tree.map(lambda array, kept=kept: array[:kept], part))
         progress(kept)
-    return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
+    return jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
 
 
 def _counts(objects: Sequence[Surface], n: int | Sequence[int]) -> list[int]:
