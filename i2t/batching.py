@@ -1,13 +1,17 @@
 """Many calls of one function: items in batches that fit the processor's caches, and calls laid over devices.
 
 What is computed in bulk (simulated touches, predicted touches, beliefs along episodes, members of an ensemble) is many
-calls of one compiled function with arguments of the same shapes. Where there is one device, `spread` makes them one
-after the other, as a loop would. Where there are n, it makes n at a time: their arguments lie side by side on a mesh of
+calls of one compiled function with arguments of the same shapes. On a GPU `spread` makes them one after the other, as
+a loop would. On a CPU it makes a few at a time, because one call keeps two cores busy for half of the time only. Where
+there are n devices, it makes n at a time: their arguments lie side by side on a mesh of
 one axis, and each device runs what a single one would have run, on arrays of the same shapes. So results do not depend
 on the number of devices, and devices exchange nothing.
 """
 
+import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import chain, islice
 from typing import Any, TypeAlias
@@ -20,6 +24,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import PyTree
 
 CALLS = "calls"  # the axis of the mesh
+CALLS_AT_A_TIME = 4  # at most, of a CPU: each holds its own arrays
 Call: TypeAlias = tuple[Any, ...]
 
 
@@ -83,8 +88,7 @@ def spread(
     group = list(islice(remaining, devices))
     if len(group) < 2:  # one device, or nothing to share between several
         shared = _here(shared)
-        for call in chain(group, remaining):
-            yield jax.device_get(function(*call, *shared, **static))
+        yield from _in_threads(lambda call: jax.device_get(function(*call, *shared, **static)), chain(group, remaining))
         return
     program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
     by_call = NamedSharding(_mesh(), P(CALLS))
@@ -95,6 +99,25 @@ def spread(
         for i in range(len(group)):
             yield jax.tree.map(lambda leaf, i=i: leaf[i], made)
         group = list(islice(remaining, devices))
+
+
+def _in_threads(work: Callable[[Call], PyTree], calls: Iterable[Call]) -> Iterator[PyTree]:
+    """Results in the order of the calls, of which a few are made at a time."""
+    workers = min(os.cpu_count() or 1, CALLS_AT_A_TIME) if jax.default_backend() == "cpu" else 1
+    precision = jax.config.values["jax_default_matmul_precision"]  # which each thread has for itself
+
+    def there(call: Call) -> PyTree:
+        with jax.default_matmul_precision(precision):
+            return work(call)
+
+    remaining = iter(calls)
+    for first in islice(remaining, 1):  # which compiles, once for all
+        yield work(first)
+    with ThreadPoolExecutor(workers) as pool:
+        made = deque(pool.submit(there, call) for call in islice(remaining, workers))
+        while made:
+            yield made.popleft().result()
+            made.extend(pool.submit(there, call) for call in islice(remaining, 1))
 
 
 def spread_rows(
@@ -156,4 +179,5 @@ def _program(function: Callable[..., PyTree], static: tuple[tuple[str, Any], ...
 
     # Loops that end sooner on one device than on another are no error: devices do not wait for each other.
     over = jax.shard_map(local, mesh=mesh, in_specs=(P(CALLS), P()), out_specs=P(CALLS), check_vma=False)
-    return jax.jit(over)
+    options = getattr(function, "compiler_options", lambda: None)  # of `i2t.compiling`
+    return jax.jit(over, compiler_options=options())

@@ -39,6 +39,7 @@ def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[st
         inside = validation.is_traced(*jax.tree.leaves((args, named)))
         return (usual if inside else quick())(*args, **named)
 
+    call.compiler_options = _options  # type: ignore[attr-defined]  # for `i2t.batching`
     return call
 
 

@@ -95,6 +95,29 @@ def test_touches_beliefs_and_networks_are_the_same_on_four_devices(tmp_path):
         np.testing.assert_array_equal(four[field], value, err_msg=field)
 
 
+def test_calls_at_a_time_keep_their_order_their_precision_and_their_mistakes():
+    asked = []
+
+    def calls():
+        for i in range(9):
+            asked.append(i)
+            yield (np.float32(i),)
+
+    def work(i, shared):
+        if i == 7:
+            raise ValueError("the seventh")
+        precision = jax.config.values["jax_default_matmul_precision"]
+        return i + shared, precision == "highest"
+
+    with jax.default_matmul_precision("highest"):
+        made = spread(work, calls(), shared=(10.0,))
+        assert next(made) == (10.0, True)
+        assert asked == [0]  # asked for as they are needed
+        assert [next(made) for _ in range(6)] == [(10.0 + i, True) for i in range(1, 7)]
+        with pytest.raises(ValueError, match="the seventh"):
+            next(made)
+
+
 @pytest.mark.parametrize("n", [1, 11])
 def test_any_number_of_items_gives_what_a_loop_gives(n):
     items = jax.random.split(jax.random.key(0), n), jnp.arange(2.0 * n).reshape(n, 2)

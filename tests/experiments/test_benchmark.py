@@ -1,6 +1,8 @@
 """The benchmark compares like with like and says what it found; how fast anything was is not tested."""
 
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import jax
 import pytest
 import trimesh
 
-from experiments.benchmark import contests, rendering, skin
+from experiments.benchmark import contests, rendering, skin, startup
 from experiments.benchmark import run as benchmark
 from experiments.benchmark import training as benchmark_training
 from experiments.benchmark.arguments import BenchmarkArgs
@@ -17,6 +19,8 @@ from i2t import training
 from i2t.errors import MissingExtraError
 from i2t.paper import loss, network
 from i2t.training import Learner
+
+ROOT = Path(__file__).parents[2]
 
 
 def run(section: str, turns: int = 1, out: Path | None = None) -> list[BenchmarkRow]:
@@ -103,6 +107,39 @@ def test_patches_of_another_mesh_are_not_compared() -> None:
     rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[0])
     with pytest.raises(ValueError, match="of the pixels differ from embreex's"):
         rendering.check("ball", "embreex", patch.depth, patch.nearest, seen[1])
+
+
+@pytest.mark.full
+def test_the_start_of_a_command_is_timed_with_nothing_compiled_and_once_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = BenchmarkArgs(sections=("startup",), turns=1, preset="debug", out=tmp_path / "out")
+    assert benchmark.run(args) == []
+    (row,) = json.loads((tmp_path / "out" / "benchmark.json").read_text())["startup"]
+    assert row["command"] == "-m i2t.imagine"
+    assert 0 < row["second"] < row["first"]
+    assert row["first_range"] == [row["first"]] * 2
+    assert "python -m i2t.imagine" in capsys.readouterr().out
+
+
+def test_a_command_that_fails_is_no_time(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match=r"-m i2t.imagine nothing ended with exit code 2: .*nothing"):
+        startup._run(startup.Command("-m i2t.imagine nothing", 1, 1), tmp_path, tmp_path / "compiled")
+
+
+def test_every_program_is_told_with_its_size_and_the_line_that_asked_for_it(tmp_path: Path) -> None:
+    script, out = tmp_path / "small.py", tmp_path / "programs.json"
+    script.write_text(
+        "import jax\nfrom i2t.geometry import inverse\n@jax.jit\ndef twice(x):\n    return inverse(x) @ x\n"
+        "twice(jax.numpy.eye(4))\n"
+    )
+    words = [sys.executable, "-m", "experiments.benchmark.programs", str(script)]
+    environment = {**os.environ, "PROGRAMS_JSON": str(out), "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "compiled")}
+    done = subprocess.run(words, env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
+    found = {each["name"]: each for each in json.loads(out.read_text())}
+    assert found["twice"]["instructions"] > 5
+    assert min(found["twice"][stage] for stage in ("traced", "lowered", "compiled")) > 0
+    assert "all " in done.stdout.splitlines()[-1]
 
 
 @pytest.mark.full

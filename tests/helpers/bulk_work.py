@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from i2t import training
+from i2t import compiling, training
 from i2t.objects import catalogue
 from i2t.prediction.model import Inputs, ModelConfig, learner, normalisation, prepared
 from i2t.recognition.belief import TouchObservation
@@ -25,6 +25,7 @@ from i2t.skin.pad import nominal_pad
 from i2t.training import Batch, TrainConfig
 
 ERRORS = SimulationErrors()
+compiling.QUICKLY.clear()  # programs are all compiled by what XLA_FLAGS say, which is with few optimisations
 NETWORK = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24, auxiliary_width=12, members=3)
 
 
