@@ -5,8 +5,9 @@
 Every row times our work and its peer's in turns, on the same machine with the same inputs, after checking that both
 compute the same thing; the table gives the median of each and the median of the turns' ratios (above 1: we are
 faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and `skin`
-need the extra `bench`. Section `startup`, half an hour a turn, has goals in place of peers: it runs commands and
-examples with nothing compiled before, and once more. `python -m experiments.benchmark.programs` says what they compile.
+need the extra `bench`. Sections `latency`, `simulation` and `startup` have goals in place of peers. `startup`, a
+quarter of an hour a turn, runs commands and examples with nothing compiled before, and once more;
+`python -m experiments.benchmark.programs` says what they compile.
 """
 
 import os
@@ -15,9 +16,10 @@ from collections.abc import Callable, Iterator
 
 import jax
 
-from experiments.benchmark import startup
+from experiments.benchmark import goals, startup
 from experiments.benchmark.arguments import BenchmarkArgs, BenchmarkSection
 from experiments.benchmark.contests import BenchmarkRow, Contest, measure
+from experiments.benchmark.goals import GoalWork, latency, measure_goal, simulation
 from experiments.benchmark.policy import policy
 from experiments.benchmark.rendering import rendering
 from experiments.benchmark.skin import skin
@@ -26,32 +28,43 @@ from experiments.benchmark.training import training
 from experiments.common.runs import write_json
 from experiments.common.tables import text_table
 
-SECTIONS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # contests; True makes them small
+CONTESTS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # True makes them small
     "training": training,
     "rendering": rendering,
     "skin": skin,
     "policy": policy,
 }
+GOALS: dict[BenchmarkSection, Callable[[bool], Iterator[GoalWork]]] = {"latency": latency, "simulation": simulation}
 
 
 def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
-    """Run the sections, print their table, and write it down."""
+    """Run the sections, print their tables, and write them down."""
     small = args.preset == "debug"
     rows = [
         measure(name, contest, args.turns)
         for name in args.sections
-        if name != "startup"
-        for contest in SECTIONS[name](small)
+        for contest in CONTESTS.get(name, lambda _: iter(()))(small)
     ]
     if rows:
         print(table(rows))
+    reached = [
+        measure_goal(name, work, args.turns)
+        for name in args.sections
+        for work in GOALS.get(name, lambda _: iter(()))(small)
+    ]
+    if reached:
+        print(text_table(("section", "work", "median (range)", "goal"), map(goals.cells, reached)))
     started = _startup(args, small) if "startup" in args.sections else []
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
         machine = {"cores": os.cpu_count(), "platform": platform.platform(), "device": jax.devices()[0].device_kind}
-        config = {"turns": args.turns, "preset": args.preset}
-        report = {"machine": machine, "config": config, "rows": [row._asdict() for row in rows]}
-        report["startup"] = [row._asdict() for row in started]
+        report = {
+            "machine": machine,
+            "config": {"turns": args.turns, "preset": args.preset},
+            "rows": [row._asdict() for row in rows],
+            "goals": [row._asdict() for row in reached],
+            "startup": [row._asdict() for row in started],
+        }
         write_json(args.out / "benchmark.json", report)
     return rows
 

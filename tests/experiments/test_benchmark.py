@@ -110,6 +110,15 @@ def test_patches_of_another_mesh_are_not_compared() -> None:
 
 
 @pytest.mark.full
+@pytest.mark.parametrize(("section", "works", "unit"), [("latency", 4, "ms"), ("simulation", 2, "1/s")])
+def test_sections_with_goals_run_in_their_smallest_size(tmp_path: Path, section: str, works: int, unit: str) -> None:
+    assert run(section, out=tmp_path / "out") == []
+    rows = json.loads((tmp_path / "out" / "benchmark.json").read_text())["goals"]
+    assert [(row["section"], row["unit"]) for row in rows] == [(section, unit)] * works
+    assert all(0 < row["least"] <= row["value"] <= row["most"] for row in rows)
+
+
+@pytest.mark.full
 def test_the_start_of_a_command_is_timed_with_nothing_compiled_and_once_more(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
