@@ -27,7 +27,7 @@ class GoalWork(NamedTuple):
     work: str
     call: Work
     unit: str  # ms for one, or 1/s
-    count: int = 1  # of what a call makes
+    made: int = 1  # by a call
     goal: float | None = None  # in that unit
     steady: float = 0.0  # s, as of `interleave`
 
@@ -94,7 +94,7 @@ def measure_goal(section: str, work: GoalWork, turns: int) -> GoalRow:
         Its row.
     """
     seconds = interleave({"ours": work.call}, turns, work.steady)["ours"]
-    values = sorted(work.count / s if work.unit == "1/s" else 1e3 * s / work.count for s in seconds)
+    values = sorted(work.made / s if work.unit == "1/s" else 1e3 * s / work.made for s in seconds)
     return GoalRow(section, work.work, work.unit, statistics.median(values), values[0], values[-1], work.goal)
 
 
