@@ -73,10 +73,10 @@ def startup(commands: Sequence[Command], turns: int) -> Iterator[StartupRow]:
         for command in commands:
             if command.trained and not (place / TRAINED).exists():
                 _run(Command("-m experiments.train", 0, 0), place, place / "other")
-            both = [
-                (_run(command, place, place / f"compiled-{turn}"), _run(command, place, place / f"compiled-{turn}"))
-                for turn in range(turns)
-            ]
+            both = []
+            for _ in range(turns):
+                with tempfile.TemporaryDirectory() as compiled:
+                    both.append((_run(command, place, Path(compiled)), _run(command, place, Path(compiled))))
             yield _row(command, both)
 
 
