@@ -2,10 +2,10 @@
 
 What is computed in bulk (simulated touches, predicted touches, beliefs along episodes, members of an ensemble) is many
 calls of one compiled function with arguments of the same shapes. On a GPU `spread` makes them one after the other, as
-a loop would. On a CPU it makes a few at a time, because one call keeps two cores busy for half of the time only. Where
-there are n devices, it makes n at a time: their arguments lie side by side on a mesh of
-one axis, and each device runs what a single one would have run, on arrays of the same shapes. So results do not depend
-on the number of devices, and devices exchange nothing.
+a loop would. On a CPU it makes a few at a time, each in a thread, because one call keeps two cores busy for half of the
+time only. Where there are n devices, it makes n at a time: their arguments lie side by side on a mesh of one axis, and
+each device runs what a single one would have run, on arrays of the same shapes. So results do not depend on the number
+of devices or threads, and devices exchange nothing.
 """
 
 import os
@@ -71,7 +71,7 @@ def select_rows(tree: PyTree, rows: Any) -> PyTree:
 def spread(
     function: Callable[..., PyTree], calls: Iterable[Call], *, shared: Call = (), **static: Any
 ) -> Iterator[PyTree]:
-    """`function(*call, *shared, **static)` for each call, as many at a time as there are devices.
+    """`function(*call, *shared, **static)` for each call: as many at a time as there are devices, or a few on a CPU.
 
     Args:
         function: Compiled (`jax.jit`), of module level or kept by whoever calls, because what is compiled for several
@@ -88,7 +88,9 @@ def spread(
     group = list(islice(remaining, devices))
     if len(group) < 2:  # one device, or nothing to share between several
         shared = _here(shared)
-        yield from _in_threads(lambda call: jax.device_get(function(*call, *shared, **static)), chain(group, remaining))
+        yield from _a_few_at_a_time(
+            lambda call: jax.device_get(function(*call, *shared, **static)), chain(group, remaining)
+        )
         return
     program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
     by_call = NamedSharding(_mesh(), P(CALLS))
@@ -101,23 +103,29 @@ def spread(
         group = list(islice(remaining, devices))
 
 
-def _in_threads(work: Callable[[Call], PyTree], calls: Iterable[Call]) -> Iterator[PyTree]:
-    """Results in the order of the calls, of which a few are made at a time."""
-    workers = min(os.cpu_count() or 1, CALLS_AT_A_TIME) if jax.default_backend() == "cpu" else 1
-    precision = jax.config.values["jax_default_matmul_precision"]  # which each thread has for itself
-
-    def there(call: Call) -> PyTree:
-        with jax.default_matmul_precision(precision):
-            return work(call)
-
+def _a_few_at_a_time(work: Callable[[Call], PyTree], calls: Iterable[Call]) -> Iterator[PyTree]:
+    """Results in the order of the calls. On a CPU with several cores several are made at a time, where this thread has
+    no settings of JAX for itself.
+    """
     remaining = iter(calls)
-    for first in islice(remaining, 1):  # which compiles, once for all
-        yield work(first)
+    yield from map(work, islice(remaining, 1))  # which compiles, once for all
+    workers = min(usable_cores(), CALLS_AT_A_TIME) if jax.default_backend() == "cpu" else 1
     with ThreadPoolExecutor(workers) as pool:
-        made = deque(pool.submit(there, call) for call in islice(remaining, workers))
+        if workers == 1 or pool.submit(lambda: dict(jax.config.values)).result() != dict(jax.config.values):
+            yield from map(work, remaining)
+        made = deque(pool.submit(work, call) for call in islice(remaining, workers))
         while made:
             yield made.popleft().result()
-            made.extend(pool.submit(there, call) for call in islice(remaining, 1))
+            made.extend(pool.submit(work, call) for call in islice(remaining, 1))
+
+
+def usable_cores() -> int:
+    """Cores that this process may use.
+
+    Returns:
+        Their number.
+    """
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def spread_rows(

@@ -18,7 +18,8 @@ from pathlib import Path
 
 VARIABLE = "I2T_COMPILE_CACHE"
 OFF_VALUES = ("off", "0", "no", "false")
-MAX_CACHE_BYTES = 2**30  # of the folder, for each kind of processor
+MAX_CACHE_BYTES = 2**28  # of the folder, for each kind of processor; JAX goes through it whenever it keeps a program
+MIN_COMPILE_S = 0.02  # what is compiled sooner is not worth a file
 JAX_FOLDER = "JAX_COMPILATION_CACHE_DIR"
 
 
@@ -27,6 +28,9 @@ def use_compile_cache() -> Path | None:
 
     Returns:
         The folder; None where nothing is kept: it was switched off, cannot be written to, or is set for JAX already.
+
+    Example:
+        i2t.use_compile_cache()
     """
     asked = os.environ.get(VARIABLE, "")
     if asked.lower() in OFF_VALUES or os.environ.get(JAX_FOLDER):
@@ -47,9 +51,7 @@ def _configure(folder: Path) -> None:
     settings = {
         JAX_FOLDER: str(folder),
         "JAX_COMPILATION_CACHE_MAX_SIZE": MAX_CACHE_BYTES,
-        # All programs, small ones too: reading a hundred of them takes a second less than compiling them.
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.0,
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": -1,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": MIN_COMPILE_S,
     }
     # A disk may fill up later: then JAX warns at every program, of which no user can make anything.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")

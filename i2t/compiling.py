@@ -7,19 +7,19 @@ pressures take 1.6 times as long, a decision where to touch twice. So it is chos
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache, wraps
 from typing import Any
 
 import jax
-
-from i2t import validation
+from jax.extend.core import get_opaque_trace_state
 
 QUICKLY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
 
 
 def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[str, ...] = ()) -> Callable[..., Any]:
-    """`jax.jit` for a program that a process runs a few times. On other devices than CPUs, and inside of another
-    program, it is `jax.jit`.
+    """`jax.jit` for a program that a process runs a few times. On other devices than CPUs, and while JAX traces another
+    program, a batch or a derivative, it is `jax.jit`.
 
     Args:
         function: Pure.
@@ -36,11 +36,18 @@ def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[st
 
     @wraps(function)
     def call(*args: Any, **named: Any) -> Any:
-        inside = validation.is_traced(*jax.tree.leaves((args, named)))
+        inside = get_opaque_trace_state() != _no_trace()  # where options of a compiler are refused
         return (usual if inside else quick())(*args, **named)
 
     call.compiler_options = _options  # type: ignore[attr-defined]  # for `i2t.batching`
     return call
+
+
+@cache
+def _no_trace() -> Any:
+    """JAX's state where nothing is traced, as a new thread has it."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(get_opaque_trace_state).result()
 
 
 @cache

@@ -14,7 +14,6 @@ SETTINGS = (
     JAX_FOLDER,
     "JAX_COMPILATION_CACHE_MAX_SIZE",
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
-    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES",
 )
 
 
@@ -74,6 +73,7 @@ import sys
 from i2t.cli import exit_code_of
 def work():
     import jax, jax.numpy as jnp
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     {spoil}
     print(jax.jit(lambda x: jnp.sin(x) @ x)(jnp.eye(3))[0, 0])
 sys.exit(exit_code_of(work))

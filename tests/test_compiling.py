@@ -20,6 +20,8 @@ X = jnp.linspace(0.0, 1.0, 50)
 def test_alone_inside_of_another_program_and_in_a_batch_it_is_the_function() -> None:
     np.testing.assert_allclose(QUICK(X, power=2), curve(X, 2), rtol=1e-6)
     np.testing.assert_allclose(jax.jit(lambda x: 2 * QUICK(x, power=2))(X), 2 * curve(X, 2), rtol=1e-6)
+    known = jax.jit(lambda x: x + QUICK(np.asarray(X), power=2))  # of arguments that are numbers
+    np.testing.assert_allclose(known(X), X + curve(X, 2), rtol=1e-6)
     np.testing.assert_allclose(jax.vmap(lambda x: QUICK(x, power=2))(X[None]), curve(X, 2)[None], rtol=1e-6)
     slope = jax.grad(lambda x: QUICK(x, power=2)[-1])(X)
     np.testing.assert_allclose(slope, 2 * curve(X, 1)[-1] * jnp.cos(X), rtol=1e-5)

@@ -10,7 +10,6 @@ to a file.
 """
 
 import atexit
-import contextlib
 import json
 import os
 import re
@@ -105,6 +104,9 @@ def table(programs: Sequence[Program]) -> str:
 
     Args:
         programs: In any order.
+
+    Returns:
+        Its lines.
     """
     ordered = sorted(programs, key=lambda each: -each.seconds)
     shown, others = ordered[:SHOWN], ordered[SHOWN:]
@@ -131,7 +133,8 @@ def main(words: Sequence[str]) -> None:
         raise SystemExit(str(__doc__))
     dump, recorder = Path(tempfile.mkdtemp()), Recorder()
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_dump_to={dump} --xla_dump_hlo_as_text"
-    os.environ.setdefault("I2T_COMPILE_CACHE", "off")
+    os.environ["I2T_COMPILE_CACHE"] = "off"
+    os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)
     import jax
 
     jax.monitoring.register_event_duration_secs_listener(recorder.record)
@@ -149,8 +152,7 @@ def main(words: Sequence[str]) -> None:
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)
     else:
         sys.argv = list(words)
-        with contextlib.suppress(ValueError):
-            sys.path.insert(0, str(Path(words[0]).resolve().parent))
+        sys.path.insert(0, str(Path(words[0]).resolve().parent))
         runpy.run_path(words[0], run_name="__main__")
 
 

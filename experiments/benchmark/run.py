@@ -43,14 +43,16 @@ def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
     rows = [
         measure(name, contest, args.turns)
         for name in args.sections
-        for contest in CONTESTS.get(name, lambda _: iter(()))(small)
+        if name in CONTESTS
+        for contest in CONTESTS[name](small)
     ]
     if rows:
         print(table(rows))
     reached = [
         measure_goal(name, work, args.turns)
         for name in args.sections
-        for work in GOALS.get(name, lambda _: iter(()))(small)
+        if name in GOALS
+        for work in GOALS[name](small)
     ]
     if reached:
         print(text_table(("section", "work", "median (range)", "goal"), map(goals.cells, reached)))

@@ -1,7 +1,7 @@
 """Section `startup`: how long commands and examples take the first time, with nothing compiled, and the second.
 
-Each runs as a user runs it, in a process of its own, in an empty folder and with an empty folder of compiled programs;
-then once more. Wall and processor seconds are those of the whole process. There is no peer: each row has a goal.
+Each runs as a user runs it, in a process of its own and with an empty folder of compiled programs; then once more. Wall
+seconds count until it says what is waited for, processor seconds to its end. There is no peer: each row has a goal.
 """
 
 import os
@@ -67,6 +67,9 @@ def startup(commands: Sequence[Command], turns: int) -> Iterator[StartupRow]:
 
     Yields:
         Each command's row, once it has run.
+
+    Raises:
+        RuntimeError: A command fails, or ends without what is waited for.
     """
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)

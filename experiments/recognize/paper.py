@@ -77,7 +77,7 @@ class PaperNetworks(NamedTuple):
     networks: dict[str, Predictor]  # by the rows' names; empty where the run trained none
     mean: np.ndarray | None = None  # (c,) uT, of the training readings
     std: np.ndarray | None = None  # (c,) uT
-    epochs: int | None = None  # for which they were trained; the least of them
+    epochs: int | None = None  # for which they were trained at most; the least of them
 
 
 def load_paper_networks(folder: Path) -> PaperNetworks:
@@ -115,8 +115,8 @@ def rule_predictors(folder: Path, found: PaperNetworks, kept: Predictor, mean: n
         print(f"{folder} holds no {' and no '.join(missing)}, so these rows are left out")
     if found.epochs is not None and found.epochs < PAPER_EPOCHS:
         print(
-            f"the networks of {folder} were trained for {found.epochs} epochs; the defaults of experiments.train are "
-            f"{PAPER_EPOCHS}"
+            f"the networks of {folder} were trained for at most {found.epochs} epochs; the defaults of "
+            f"experiments.train are {PAPER_EPOCHS}"
         )
     method = (kept.metadata or {}).get("method", "kept predictor")
     row = RULES_GP if isinstance(kept.model, GPModel) else f"same rules, {method}"

@@ -254,10 +254,11 @@ def _weigh_hyperparameters(
     """The most probable points of the grid, and their shares."""
     system = _system(touches, maps)
     grid = [_Hyperparameters(a, r, v) for r, v, a in product(DISCREPANCIES, NOISES, AMPLITUDES)]
-    densities, square = [], None
-    for number, one in enumerate(grid):
-        square = _square(system, one) if number % len(AMPLITUDES) == 0 else square
-        densities.append(_left_out(system, one, _posterior(system, one, square))[1])
+    densities = []
+    for first in grid[:: len(AMPLITUDES)]:
+        square = _square(system, first)
+        some = (first._replace(a=a) for a in AMPLITUDES)
+        densities += [_left_out(system, one, _posterior(system, one, square))[1] for one in some]
     log_share = DENSITY_EXPONENT * np.array(densities)
     share = np.exp(log_share - logsumexp(log_share))
     kept = [i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max()]

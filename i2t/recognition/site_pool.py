@@ -148,7 +148,7 @@ def sample_sites(
         touch_sites.collect_sites(jax.random.fold_in(key, i), surface, each, limits, name)
         for i, (surface, name) in enumerate(zip(surfaces, names, strict=True))
     ]
-    return SitePool(jnp.concatenate(found), np.repeat(np.arange(len(surfaces)), each))
+    return SitePool(jnp.asarray(np.concatenate(found)), np.repeat(np.arange(len(surfaces)), each))
 
 
 def safe_sites(

@@ -146,12 +146,12 @@ def _batch_cast(arrays: Sequence[Array], axes: Sequence[int | None], **options: 
     size = next(array.shape[axis] for array, axis in zip(arrays, axes, strict=True) if axis is not None)
     several = any(axis is not None for axis in axes[:3])  # meshes
 
-    def spread(array: Array, axis: int | None) -> Array:
+    def leading(array: Array, axis: int | None) -> Array:
         return jnp.broadcast_to(array, (size, *array.shape)) if axis is None else jnp.moveaxis(array, axis, 0)
 
-    meshes, (mesh, *views) = arrays[:3], [spread(*each) for each in zip(arrays[3:], axes[3:], strict=True)]
+    meshes, (mesh, *views) = arrays[:3], [leading(*each) for each in zip(arrays[3:], axes[3:], strict=True)]
     if several:
-        meshes = [spread(*each) for each in zip(meshes, axes[:3], strict=True)]
+        meshes = [leading(*each) for each in zip(meshes, axes[:3], strict=True)]
         mesh = mesh + meshes[0].shape[1] * indices(size)[:, None]
         meshes = [_flat(part) for part in meshes]
     hits = _cast_primitive.bind(*meshes, _flat(mesh), *(_flat(part) for part in views), **options)

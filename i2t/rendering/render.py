@@ -190,7 +190,7 @@ def render_heights(
     """
     _check(A_t_w, window, pixels)
     view = ToolView(A_t_w[:3, :3], jnp.zeros_like(A_t_w[:3, 3]), A_t_w[:3, 3])
-    return first_hit(_prepared(surface), view, window, pixels, math.inf)
+    return first_hit(_prepared(surface), view, float(window), int(pixels), math.inf)
 
 
 def contact_mask(depth: Float[Array, "n n"], tolerance: float = CONTACT_TOLERANCE_M) -> Float[Array, "n n"]:

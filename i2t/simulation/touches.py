@@ -49,7 +49,7 @@ from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 POSE_ERRORS = 7  # the first of `SimulationErrors`
 OF_SESSION = ("errors", "limits", "sites", "n", "law")  # static
-MANY_SESSIONS = 40  # run as much longer, compiled quickly, as compiling them well takes
+MANY_SESSIONS = 40  # from so many on, compiling them well pays
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
 
@@ -419,7 +419,9 @@ def simulate_touches(
     law: PressLaw = press_pad,
     progress: Callable[[int], None] = lambda touches: None,
 ) -> Touches:
-    """Simulated touches on objects, in sessions, with the errors of a real lab; a session on each device at a time.
+    """Simulated touches on objects, in sessions, with the errors of a real lab.
+
+    More than `MANY_SESSIONS` sessions are compiled with all optimisations; last bits may differ from those of fewer.
 
     Args:
         key: random key.
