@@ -129,8 +129,9 @@ def main(words: Sequence[str]) -> None:
     Args:
         words: As Python would take them.
     """
-    if not words or (words[0] == "-m" and len(words) < 2):
-        raise SystemExit(str(__doc__))
+    if words[:1] in ([], ["-h"], ["--help"]) or words == ["-m"]:
+        print(__doc__)
+        return
     dump, recorder = Path(tempfile.mkdtemp()), Recorder()
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_dump_to={dump} --xla_dump_hlo_as_text"
     os.environ["I2T_COMPILE_CACHE"] = "off"

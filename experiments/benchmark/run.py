@@ -49,10 +49,7 @@ def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
     if rows:
         print(table(rows))
     reached = [
-        measure_goal(name, work, args.turns)
-        for name in args.sections
-        if name in GOALS
-        for work in GOALS[name](small)
+        measure_goal(name, work, args.turns) for name in args.sections if name in GOALS for work in GOALS[name](small)
     ]
     if reached:
         print(text_table(("section", "work", "median (range)", "goal"), map(goals.cells, reached)))

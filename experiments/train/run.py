@@ -20,8 +20,8 @@ the arm made no error. Results go to --out: metrics.json, config.json, figures, 
 which `i2t.load_predictor` reads. Of --dataset the training touches are kept (recognition.h5, recognition.json,
 meshes/), so that `experiments.recognize` can make a pad model of them.
 
-The default took 218 s on two quiet cores; `--preset debug` took 95 s of processor time the first time, when everything
-is compiled, and 36 s the second.
+The default took 113 s on two quiet cores the first time, when everything is compiled, and 82 s the second; `--preset
+debug` DEBUG_TIMES.
 """
 
 import json

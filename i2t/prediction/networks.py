@@ -124,7 +124,8 @@ class NetworkMethod(Method):
                     _check_finite(state, how)
         _check_finite(state, how)
         norm = _with_residual(state.best_params, cfg, norm, validation)
-        return replace(touches.predictor(made(state.best_params, cfg, norm), split), metadata={"curve": history})
+        predictor = touches.predictor(made(state.best_params, cfg, norm), split)
+        return replace(predictor, metadata={"curve": history, "epochs": how.epochs})
 
 
 class PaperDepth(NetworkMethod):
