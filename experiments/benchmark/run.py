@@ -5,8 +5,9 @@
 Every row times our work and its peer's in turns, on the same machine with the same inputs, after checking that both
 compute the same thing; the table gives the median of each and the median of the turns' ratios (above 1: we are
 faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and `skin`
-need the extra `bench`. Sections `latency`, `simulation` and `startup` have goals in place of peers. `startup`, a
-quarter of an hour a turn, runs commands and examples with nothing compiled before, and once more;
+need the extra `bench`. Sections `latency`, `simulation` and `startup` have goals in place of peers. `startup` runs
+commands and examples with nothing compiled before, and once more: a quarter of an hour a turn without
+`experiments.recognize`, which takes longer than all others (`--commands` chooses some).
 `python -m experiments.benchmark.programs` says what they compile.
 """
 

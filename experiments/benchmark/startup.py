@@ -55,7 +55,7 @@ COMMANDS = (
     Command("-m experiments.reconstruct", 90, 60, until="growing.png"),
     *(Command(f"examples/{name}", 15, 6) for name in EXAMPLES),
 )
-FEW = (Command("-m i2t.imagine", 8, 4),)  # of the preset debug
+FEW = COMMANDS[:1]  # of the preset debug
 
 
 def startup(commands: Sequence[Command], turns: int) -> Iterator[StartupRow]:

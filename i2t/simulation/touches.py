@@ -22,7 +22,6 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -31,7 +30,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry, validation
-from i2t.batching import spread
+from i2t.batching import select_rows, spread
 from i2t.compiling import jit_quickly
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
@@ -48,7 +47,6 @@ from i2t.views import WideView, camera_view, centre, pixels_on_skin
 from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 POSE_ERRORS = 7  # the first of `SimulationErrors`
-OF_SESSION = ("errors", "limits", "sites", "n", "law")  # static
 MANY_SESSIONS = 40  # from so many on, compiling them well pays
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
@@ -356,9 +354,8 @@ def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
     return jnp.eye(4).at[2, 3].set(distance)
 
 
-@partial(jax.jit, static_argnames=OF_SESSION)
 @geometry.full_precision
-def simulate_session(
+def _simulate_session(
     key: Key[Array, ""],
     surface: Surface,
     presses_before: Int[Array, ""],
@@ -371,7 +368,7 @@ def simulate_session(
     n: int,
     law: PressLaw = press_pad,
 ) -> Touches:
-    """One session of n touches on random safe sites of one object; compiled.
+    """One session of n touches on random safe sites of one object.
 
     Args:
         key: random key.
@@ -403,7 +400,9 @@ def simulate_session(
     return apply_sensor_model(key_skin, touches, pad, errors, presses_before=presses_before)
 
 
-_simulate_few = jit_quickly(vars(simulate_session)["__wrapped__"], static_argnames=OF_SESSION)
+OF_SESSION = ("errors", "limits", "sites", "n", "law")  # static
+_simulate_many = jax.jit(_simulate_session, static_argnames=OF_SESSION)
+_simulate_few = jit_quickly(_simulate_session, static_argnames=OF_SESSION)
 
 
 def simulate_touches(
@@ -468,7 +467,7 @@ def simulate_touches(
             presses += kept
 
     made = spread(
-        simulate_session if len(sessions) > MANY_SESSIONS else _simulate_few,
+        _simulate_many if len(sessions) > MANY_SESSIONS else _simulate_few,
         calls(), shared=(np.eye(4, dtype=np.float32), pad),
         errors=errors, limits=limits, sites=sites, n=touches_per_session, law=law,
     )  # fmt: skip
@@ -479,7 +478,7 @@ def simulate_touches(
                 f"object {i} has too few safe touch sites; relax the limits of i2t.simulation.sites.SiteLimits"
             )
         part = part._replace(object=part.object + i, session=part.session + session)
-        parts.append(jax.tree.map(lambda array, kept=kept: array[:kept], part))
+        parts.append(select_rows(part, slice(kept)))
         progress(kept)
     return jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
 
