@@ -88,9 +88,7 @@ def spread(
     group = list(islice(remaining, devices))
     if len(group) < 2:  # one device, or nothing to share between several
         shared = _here(shared)
-        yield from _a_few_at_a_time(
-            lambda call: jax.device_get(function(*call, *shared, **static)), chain(group, remaining)
-        )
+        yield from a_few_at_a_time(lambda *call: function(*call, *shared, **static), chain(group, remaining))
         return
     program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
     by_call = NamedSharding(_mesh(), P(CALLS))
@@ -103,20 +101,31 @@ def spread(
         group = list(islice(remaining, devices))
 
 
-def _a_few_at_a_time(work: Callable[[Call], PyTree], calls: Iterable[Call]) -> Iterator[PyTree]:
-    """Results in the order of the calls. On a CPU with several cores several are made at a time, where this thread has
-    no settings of JAX for itself.
+def a_few_at_a_time(work: Callable[..., PyTree], calls: Iterable[Call]) -> Iterator[PyTree]:
+    """`work(*call)` for each call, on one device: on a CPU with several cores several are made at a time, where this
+    thread has no settings of JAX for itself.
+
+    Args:
+        work: Of compiled functions, which may be called from several threads.
+        calls: Positional arguments, of any shapes. They are asked for as they are needed.
+
+    Yields:
+        Results in the order of the calls, on the host.
     """
+
+    def one(call: Call) -> PyTree:
+        return jax.device_get(work(*call))
+
     remaining = iter(calls)
-    yield from map(work, islice(remaining, 1))  # which compiles, once for all
+    yield from map(one, islice(remaining, 1))  # which compiles, once for all
     workers = min(usable_cores(), CALLS_AT_A_TIME) if jax.default_backend() == "cpu" else 1
     with ThreadPoolExecutor(workers) as pool:
         if workers == 1 or pool.submit(lambda: dict(jax.config.values)).result() != dict(jax.config.values):
-            yield from map(work, remaining)
-        made = deque(pool.submit(work, call) for call in islice(remaining, workers))
+            yield from map(one, remaining)
+        made = deque(pool.submit(one, call) for call in islice(remaining, workers))
         while made:
             yield made.popleft().result()
-            made.extend(pool.submit(work, call) for call in islice(remaining, 1))
+            made.extend(pool.submit(one, call) for call in islice(remaining, 1))
 
 
 def usable_cores() -> int:

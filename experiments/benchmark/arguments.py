@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from i2t.cli import Limits
 from i2t.errors import require_extra
 
-BenchmarkSection = Literal["training", "rendering", "skin", "policy", "latency", "simulation", "startup"]
+BenchmarkSection = Literal["training", "rendering", "skin", "policy", "latency", "simulation", "accelerator", "startup"]
 PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section compares with
     "training": ("torch",), "rendering": ("open3d", "embreex"), "skin": ("ContactMechanics",),
 }  # fmt: skip

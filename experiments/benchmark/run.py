@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 
 import jax
 
-from experiments.benchmark import goals, startup
+from experiments.benchmark import accelerator, goals, startup
 from experiments.benchmark.arguments import BenchmarkArgs, BenchmarkSection
 from experiments.benchmark.contests import BenchmarkRow, Contest, measure
 from experiments.benchmark.goals import GoalWork, latency, measure_goal, simulation
@@ -34,8 +34,13 @@ CONTESTS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # Tru
     "rendering": rendering,
     "skin": skin,
     "policy": policy,
+    "accelerator": accelerator.patches,
 }
-GOALS: dict[BenchmarkSection, Callable[[bool], Iterator[GoalWork]]] = {"latency": latency, "simulation": simulation}
+GOALS: dict[BenchmarkSection, Callable[[bool], Iterator[GoalWork]]] = {
+    "latency": latency,
+    "simulation": simulation,
+    "accelerator": accelerator.rates,
+}
 
 
 def run(args: BenchmarkArgs) -> list[BenchmarkRow]:

@@ -52,7 +52,7 @@ def contests(
     kinds: Sequence[str] = ("contacts", "readings"),
 ) -> Iterator[Contest]:
     """Contacts, and whole readings, against the peer's contacts."""
-    heights, depths = _touches(grid, shapes, batch)
+    heights, depths = touches(grid, shapes, batch)
     run = {
         "contacts": jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0))),
         "readings": jax.jit(jax.vmap(partial(_reading, grid=grid, dipoles=None), (None, 0, 0))),
@@ -73,7 +73,7 @@ def contests(
 def dipoles(pad: Pad, shapes: list[str], batch: int, steady: float, counts: Sequence[int]) -> Iterator[Contest]:
     """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
     grid = _grid(max(CELLS))
-    heights, depths = _touches(grid, shapes, batch)
+    heights, depths = touches(grid, shapes, batch)
     contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
     for count in counts:
         reading = jax.jit(jax.vmap(partial(_reading, grid=grid, dipoles=_grid(count)), (None, 0, 0)))
@@ -132,7 +132,7 @@ def _grid(cells: int) -> Grid:
     return Grid(cells, cells * GRID.modes // GRID.cells)
 
 
-def _touches(grid: Grid, shapes: list[str], batch: int) -> tuple[jax.Array, jax.Array]:
+def touches(grid: Grid, shapes: list[str], batch: int) -> tuple[jax.Array, jax.Array]:
     """Heights (batch, n, n) and indentations (batch,): the shapes in turn, at random places."""
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
     rng = np.random.default_rng(0)

@@ -15,6 +15,7 @@ Metres, newtons, microtesla.
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import jax
@@ -23,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 from threadpoolctl import threadpool_limits
 
-from i2t.batching import select_rows
+from i2t.batching import a_few_at_a_time, select_rows
 from i2t.compiling import jit_quickly
 from i2t.dataset import Dataset
 from i2t.geometry import full_precision, inverse
@@ -100,21 +101,22 @@ def fit_pad_model(
         The pad model; its r2 and errors are those of left-out touches.
     """
     touches = dataset.touches
-    sessions = []
+    seen = []
     for session in np.unique(touches.session[rows]):
         here = np.flatnonzero(rows & (touches.session == session))
         surface = surfaces[dataset.objects[int(touches.object[here[0]])]]
-        key_session = jax.random.fold_in(key, int(session))
-        contacts = _session_contacts(touches, here)
-        found = _register_session(key_session, contacts, surface, errors, contacts.met)
-        sessions.append(_Session(here, jax.random.clone(key_session), surface, contacts, found))
+        seen.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
+    register = partial(_register_session, errors=errors)
+    found = a_few_at_a_time(register, ((key, surface, contacts) for _, key, surface, contacts in seen))
+    sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
     layer = LAYERS[_choose_layer(sessions, touches, dataset.board)]
     used, nominal, pressed = _pressed_touches(sessions, touches, layer)
     load = np.asarray(pressed.pressure.load)
     depth = touches.depth[used] - load / limits.stiffness
     softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
-    left_out = [_left_out_positions(each, layer, errors, limits) for each in sessions]
-    positions = jax.tree.map(lambda *parts: np.concatenate(parts), *left_out)
+    left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits)
+    folds = a_few_at_a_time(left_out, product(sessions, range(POSITION_FOLDS)))
+    positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
     position = _position_errors(positions, softness, limits)
     fitted = fit_readings(pressed, layer, dataset.board, softness=softness)
     return _pad_model(fitted, pressed.reading, position, limits)
@@ -242,14 +244,14 @@ def _pressed_touches(
     """Press a layer onto the registered objects: rows of the touches that met one, the layer's indentations (m), and
     the touches.
     """
-    parts = []
-    for each in sessions:
-        contacts = each.contacts
-        indentation, newtons = _press(
-            each.surface, each.found.T_w_o, contacts.T_w_contact, contacts.touches.force, layer
-        )
-        own = each.contacts.own
-        parts.append((each.rows, np.asarray(indentation)[:own, 0], np.asarray(newtons)[:own, 0]))
+    calls = (
+        (each.surface, each.found.T_w_o, each.contacts.T_w_contact, each.contacts.touches.force, layer)
+        for each in sessions
+    )
+    parts = [
+        (each.rows, indentation[: each.contacts.own, 0], newtons[: each.contacts.own, 0])
+        for each, (indentation, newtons) in zip(sessions, a_few_at_a_time(_press, calls), strict=True)
+    ]
     rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
     met = np.isfinite(nominal)
     load = np.maximum(touches.force[rows[met]], MIN_LOAD_N)
@@ -267,31 +269,37 @@ def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board) 
 
 
 def _register_session(
-    key: Array, contacts: _SessionContacts, surface: Surface, errors: SimulationErrors, weight: np.ndarray
+    key: Key[Array, ""],
+    surface: Surface,
+    contacts: _SessionContacts,
+    met: Bool[np.ndarray, " m"] | None = None,
+    *,
+    errors: SimulationErrors,
 ) -> PoseEstimate:
+    """The object's pose by the contacts that met it, or by some of them."""
     return registration.register_by_touch(
-        key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, weight,
+        key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, contacts.met if met is None else met,
         translation_std=errors.placement, rotation_std=errors.placement_angle,
     )  # fmt: skip
 
 
-def _left_out_positions(session: _Session, layer: Layer, errors: SimulationErrors, limits: PressLimits) -> _Positions:
-    """Ends of the touches of one session that met something, each predicted from those of the other folds."""
+def _left_out_positions(
+    session: _Session, which: int, *, layer: Layer, errors: SimulationErrors, limits: PressLimits
+) -> _Positions:
+    """Ends of the touches of one fold of a session that met something, predicted from those of the other folds."""
     _, key, surface, contacts, _ = session
     fold = np.arange(len(contacts.met)) % POSITION_FOLDS
-    parts = []
-    for which in range(POSITION_FOLDS):
-        # The same starts and draws in every fold, so that they differ in their touches alone.
-        found = _register_session(jax.random.clone(key), contacts, surface, errors, contacts.met & (fold != which))
-        force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
-        predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, layer, overtravel=limits.overtravel)
-        # A press ends at the pose it reports, which is its site here: contact lies as far before it.
-        indentation = -predicted.approach_distance - force / limits.stiffness
-        variance = jnp.einsum("ni,ij,nj->n", predicted.jacobian, found.covariance, predicted.jacobian)
-        rows = np.asarray(contacts.met) & (fold == which)
-        found_here = (indentation, predicted.indentation[:, 0], variance, predicted.hit)
-        parts.append(_Positions(*(np.asarray(values)[rows] for values in found_here)))
-    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+    # The same starts and draws in every fold, so that they differ in their touches alone.
+    key = jax.random.clone(key)
+    found = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors)
+    force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
+    predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, layer, overtravel=limits.overtravel)
+    # A press ends at the pose it reports, which is its site here: contact lies as far before it.
+    indentation = -predicted.approach_distance - force / limits.stiffness
+    variance = jnp.einsum("ni,ij,nj->n", predicted.jacobian, found.covariance, predicted.jacobian)
+    rows = np.asarray(contacts.met) & (fold == which)
+    found_here = (indentation, predicted.indentation[:, 0], variance, predicted.hit)
+    return _Positions(*(np.asarray(values)[rows] for values in found_here))
 
 
 def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:

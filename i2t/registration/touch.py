@@ -29,11 +29,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
-from i2t.compiling import jit_quickly
+from i2t.batching import map_batches
 from i2t.geometry import from_twist, full_precision, inverse
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
-from i2t.simulation.sites import nearest_in_square
+from i2t.simulation.sites import double_areas, first_smallest, lowest_in_square, nearest_in_square
 from i2t.types import ReturnCode, Surface, Touches
 from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
@@ -42,6 +42,8 @@ UNSEEN_CONTACT_RESIDUAL_M = 1e3  # of a motion that was not looked at yet: worse
 PROPOSAL_DOF = 5  # of what is drawn: heavier tails than any posterior's
 MIN_PROPOSAL_STD = 1e-3  # of draws, in standard deviations of the prior, for float32's sake
 MIN_VARIANCE_FACTOR = 0.1  # by which one round of draws may shrink the variance along any direction
+FAR_M = 1e3  # where faces without area are put
+DRAWS_AT_A_TIME = 16  # whose densities are found together
 CANDIDATE_STDS = 3.0  # of the prior: how far the object may move before other faces come nearest
 
 
@@ -64,7 +66,7 @@ class _Contacts(NamedTuple):
     prior_std: Float[Array, "6"]  # m, of the twist
     weight: Float[Array, " n"]
     T_t_o: Float[Array, "n 4 4"]  # of the believed object at each contact
-    triangles: Float[Array, "n k 3 3"]  # m, candidates of each contact
+    corners: Float[Array, "n 3 3 k"]  # m, coordinates of the corners of each contact's candidates, faces last
 
 
 class _Linearised(NamedTuple):
@@ -141,7 +143,7 @@ def register_by_touch(
     return _register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
 
 
-@partial(jit_quickly, static_argnames="config")
+@partial(jax.jit, static_argnames="config")
 @full_precision
 def _register(
     key: Key[Array, ""],
@@ -197,8 +199,8 @@ def _contacts(
     T_w_t = jnp.where((weight > 0)[:, None, None], T_w_contact, jnp.eye(4)[None])
     T_t_o = jax.vmap(lambda T: inverse(T) @ T_w_o)(T_w_t)
     reach = CANDIDATE_STDS * translation_std, CANDIDATE_STDS * rotation_std
-    triangles = jax.vmap(lambda T: _candidates(surface, T, config, *reach))(T_t_o)
-    return _Contacts(jnp.stack(std), weight, T_t_o, triangles)
+    corners = jax.vmap(lambda T: _candidates(surface, T, config, *reach))(T_t_o)
+    return _Contacts(jnp.stack(std), weight, T_t_o, corners)
 
 
 def _most_probable(
@@ -218,7 +220,7 @@ def _most_probable(
         return found, linearised, problem.cost(found, linearised, noise)
 
     starts = jax.random.normal(key, (config.num_starts, 6)).at[0].set(0.0)
-    ends = jax.lax.map(search, starts)
+    ends = jax.vmap(search)(starts)
     best = jnp.argmin(ends[-1])
     return jax.tree.map(lambda leaf: leaf[best], ends)
 
@@ -275,7 +277,7 @@ def importance_covariance(
         z = mean[None] + u @ factor.T
         square = jnp.sum(u**2, axis=1)
         heavy = (dof + 6) / 2 * jnp.log1p(square / dof)  # minus the logarithm of the density that was drawn from
-        posterior = jax.nn.softmax(jax.lax.map(lambda z: -negative_log_posterior(z), z) + heavy)
+        posterior = jax.nn.softmax(map_batches(lambda z: -negative_log_posterior(z), z, DRAWS_AT_A_TIME) + heavy)
         change = posterior - jax.nn.softmax(heavy - square / 2)
         count = 1 / jnp.sum(posterior**2)  # effective number of draws
         trust = count / (count + 6)
@@ -301,7 +303,7 @@ def _touch_problem(contacts: _Contacts, half_edge: float) -> LeastSquares:
 def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float) -> _Linearised:
     """Residuals of all contacts and their derivatives; those of no weight have no effect."""
     one = jax.vmap(_linearise_one, (None, 0, 0, None))
-    seen = one(contacts.prior_std * z, contacts.T_t_o, contacts.triangles, half_edge)
+    seen = one(contacts.prior_std * z, contacts.T_t_o, contacts.corners, half_edge)
     observed = (contacts.weight > 0) & jnp.isfinite(seen.jacobian).all(axis=1)
     return _Linearised(
         jnp.where(contacts.weight > 0, seen.residual, 0.0),
@@ -311,10 +313,11 @@ def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float) -> _
 
 
 def _linearise_one(
-    twist: Float[Array, "6"], T_t_o: Float[Array, "4 4"], triangles: Float[Array, "k 3 3"], half_edge: float
+    twist: Float[Array, "6"], T_t_o: Float[Array, "4 4"], corners: Float[Array, "3 3 k"], half_edge: float
 ) -> _Linearised:
     """One contact's residual and its derivative by the twist."""
-    face = triangles[jnp.argmin(_gaps(triangles, T_t_o @ from_twist(twist), half_edge))]
+    gaps = _gaps(corners, T_t_o @ from_twist(twist), half_edge)
+    face = corners[:, :, first_smallest(gaps)].T
     gap, slope = jax.value_and_grad(lambda twist: _gap(face, T_t_o @ from_twist(twist), half_edge))(twist)
     stretch = jnp.maximum(jnp.linalg.norm(slope[:3]), 1.0)
     return _Linearised(gap / stretch, slope / stretch, stretch)
@@ -359,9 +362,10 @@ def _gap(triangle: Float[Array, "3 3"], T_t_o: Float[Array, "4 4"], half: float 
     return jnp.where(gap < jnp.inf, gap, STANDOFF)
 
 
-def _gaps(triangles: Float[Array, "k 3 3"], T_t_o: Float[Array, "4 4"], half: float | Array) -> Float[Array, " k"]:
+def _gaps(corners: Float[Array, "3 3 k"], T_t_o: Float[Array, "4 4"], half: float | Array) -> Float[Array, " k"]:
     """Gaps (m) of several triangles."""
-    return jax.vmap(_gap, (0, None, None))(triangles, T_t_o, half)
+    gaps = lowest_in_square(corners, T_t_o, half)
+    return jnp.where(gaps < jnp.inf, gaps, STANDOFF)
 
 
 def _candidates(
@@ -370,10 +374,12 @@ def _candidates(
     config: TouchRegistrationConfig,
     distance: float | Array,
     angle: float | Array,
-) -> Float[Array, "k 3 3"]:
+) -> Float[Array, "3 3 k"]:
     """The faces that come nearest when the object moves sideways by up to `distance` (m) and turns by `angle` (rad)."""
     triangles = jnp.asarray(surface.triangles)
     arm = jnp.linalg.norm(T_t_o[:3, 3])
-    gaps = _gaps(triangles, T_t_o, config.half_edge + distance + angle * arm)
-    _, nearest = jax.lax.top_k(-gaps, min(config.candidate_faces, len(triangles)))
-    return triangles[nearest]
+    corners = jnp.moveaxis(triangles, (1, 2), (1, 0))
+    gaps = _gaps(corners, T_t_o, config.half_edge + distance + angle * arm)
+    gaps = jnp.where(double_areas(triangles) > 0, gaps, jnp.inf)
+    far, nearest = jax.lax.top_k(-gaps, min(config.candidate_faces, len(triangles)))
+    return jnp.where(far > -jnp.inf, corners[..., nearest], FAR_M)  # a face without area is never met

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import validation
 from i2t.batching import map_batches
@@ -73,7 +73,7 @@ def sample_points(
     """
     key_face, key_place = jax.random.split(key)
     triangles = jnp.asarray(surface.triangles)
-    area = _double_areas(triangles)
+    area = double_areas(triangles)
     weight = area if wanted is None else jnp.where(wanted, area, 0)
     total = jnp.cumsum(weight)
     drawn = jnp.searchsorted(total, jax.random.uniform(key_face, (n,)) * total[-1], side="right")
@@ -124,6 +124,44 @@ def nearest_in_square(
     return _nearest(jnp.asarray(surface.triangles), A_t_w, jnp.asarray(half, A_t_w.dtype), behind)
 
 
+def lowest_in_square(
+    corners: Float[Array, "3 3 faces"],
+    A_t_w: Float[Array, "4 4"],
+    half: float | Float[Array, ""],
+    behind: float | Float[Array, ""] = STANDOFF,
+) -> Float[Array, " faces"]:
+    """The smallest z of each triangle inside the square, as of `nearest_in_square`, without derivatives.
+
+    Args:
+        corners: Coordinates x, y and z (m) of the first, second and third corners in the world, of triangles that have
+            an area. A long last axis is a fast one.
+        A_t_w: The map, from the world.
+        half: m, half the edge of the square.
+        behind: m, how far behind the origin a triangle still counts; may be inf.
+
+    Returns:
+        z (m); +inf for those of which the square holds nothing.
+    """
+    x, y, z = corners
+    # Written out, as a matrix product may round to fewer digits on an accelerator.
+    u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in A_t_w[:3])
+    low, high = _height_range(u, v, w, half)
+    return jnp.where((low <= high) & (high >= -behind), jnp.maximum(low, -behind), jnp.inf)
+
+
+def first_smallest(values: Float[Array, " n"]) -> Int[Array, ""]:
+    """Number of the first of the smallest values, as of `argmin`, which takes a CPU five times as long.
+
+    Args:
+        values: None of which is NaN.
+
+    Returns:
+        Its number.
+    """
+    last = len(values) - 1
+    return jnp.min(jnp.where(values <= jnp.min(values), jnp.arange(len(values)), last))
+
+
 @jax.custom_jvp
 def _nearest(triangles: Array, A_t_w: Array, half: Array, behind: Array) -> Float[Array, ""]:
     return jnp.min(_lowest(triangles, A_t_w, half, behind))
@@ -137,7 +175,7 @@ def _nearest_jvp(at: tuple[Array, ...], along: tuple[Array, ...]) -> tuple[Array
     """
     (triangles, A_t_w, half, behind), (d_triangles, d_A_t_w, d_half, d_behind) = at, along
     low = _lowest(triangles, A_t_w, half, behind)
-    face = jnp.argmin(low)
+    face = first_smallest(low)
     corners, d_corners = triangles[face], d_triangles[face]
     moved = d_corners @ A_t_w[:3, :3].T + corners @ d_A_t_w[:3, :3].T + d_A_t_w[:3, 3][None]
     change = _change_of_lowest(corners @ A_t_w[:3, :3].T + A_t_w[:3, 3][None], moved, half, d_half)
@@ -201,13 +239,8 @@ def _vertices(
 
 def _lowest(triangles: Array, A_t_w: Array, half: Array, behind: Array) -> Float[Array, " faces"]:
     """Smallest z of each face inside the square, +inf for those that do not count."""
-    solid = _double_areas(triangles) > 0
-    x, y, z = jnp.moveaxis(triangles, (1, 2), (1, 0))  # (3 corners, faces) each: long last axes are fast ones
-    # Written out, as a matrix product may round to fewer digits on an accelerator.
-    u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in A_t_w[:3])
-    low, high = _height_range(u, v, w, half)
-    met = solid & (low <= high) & (high >= -behind)
-    return jnp.where(met, jnp.maximum(low, -behind), jnp.inf)
+    low = lowest_in_square(jnp.moveaxis(triangles, (1, 2), (1, 0)), A_t_w, half, behind)
+    return jnp.where(double_areas(triangles) > 0, low, jnp.inf)
 
 
 @full_precision
@@ -407,7 +440,15 @@ def sample_touch_sites(
     return TouchSites(T_o_t, T_o_t[:, :3, 3], -T_o_t[:, :3, 2])
 
 
-def _double_areas(triangles: Float[Array, "faces 3 3"]) -> Float[Array, " faces"]:
+def double_areas(triangles: Float[Array, "faces 3 3"]) -> Float[Array, " faces"]:
+    """Twice the area of each face.
+
+    Args:
+        triangles: m.
+
+    Returns:
+        m^2.
+    """
     return jnp.linalg.norm(_cross(triangles), axis=-1)
 
 

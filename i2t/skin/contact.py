@@ -306,13 +306,21 @@ def descend(
 
 
 def _onto_simplex(p: Array) -> Array:
-    """The nearest array >= 0 that sums to 1: max(p - t, 0), with t by Newton's method, exact in finitely many steps."""
+    """The nearest array >= 0 that sums to 1: max(p - t, 0). Newton's method finds t: from anywhere its first step ends at
+    or below it, and from there t rises and cells only leave; once none leaves, t is exact.
+    """
 
-    def newton(_: Array, t: Array) -> Array:
-        over = p > t
-        return t + (jnp.sum(jnp.where(over, p - t, 0)) - 1) / jnp.maximum(jnp.sum(over), 1)
+    def newton(t: Array) -> tuple[Array, Array]:
+        above = p > t
+        count = jnp.sum(above)
+        return t + (jnp.sum(jnp.where(above, p - t, 0)) - 1) / jnp.maximum(count, 1), count
 
-    return jnp.maximum(p - jax.lax.fori_loop(0, 12, newton, jnp.max(p) - 1), 0)
+    most = jnp.max(p)
+    # Near the solution p sums to about 1, and t is about 0.
+    t, _ = newton(jnp.where(most > 0, 0, most - 1))
+    first = t, jnp.asarray(p.size + 1), jnp.asarray(p.size + 2)
+    t, *_ = jax.lax.while_loop(lambda now: now[1] < now[2], lambda now: (*newton(now[0]), now[1]), first)
+    return jnp.maximum(p - t, 0)
 
 
 def _contact(

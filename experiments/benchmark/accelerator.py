@@ -1,0 +1,193 @@
+"""Section `accelerator` of the benchmark: what one GPU makes a second, and the share of its arithmetic that this takes.
+
+Rates are of full batches that stay on the card. Patches have a peer, `warp-lang`, whose meshes are a hierarchy of boxes
+in software: an orthographic ray a pixel by `mesh_query_ray`, with the poses on the card too. The other rows have goals
+from published figures, or none. The section also runs on CPUs, where its batches are too large to be quick.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.util import find_spec
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+
+import i2t
+from experiments.benchmark import rendering, skin
+from experiments.benchmark import training as paper_training
+from experiments.benchmark.contests import Contest, Work
+from experiments.benchmark.goals import GoalWork
+from i2t import training as learning
+from i2t.environments.core import EnvironmentState, TouchAction
+from i2t.environments.tables import make_environment, tabulate
+from i2t.geometry import full_precision
+from i2t.paper import loss, network
+from i2t.recognition.belief import sample_particles
+from i2t.recognition.outcomes import LOADS_N, placement_std, predict_contact
+from i2t.simulation.sites import RECOGNITION_LIMITS, collect_sites
+from i2t.simulation.touches import PressLimits, SimulationErrors, sample_session_errors, simulate_touch
+from i2t.skin.contact import solve
+from i2t.skin.elasticity import GRID, compliance, convolve
+from i2t.training import Learner
+from i2t.types import Surface, Touches
+from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, STANDOFF
+
+STEADY_S = 0.5
+
+
+def patches(small: bool) -> Iterator[Contest]:
+    """Patches against warp's, where it is installed."""
+    if find_spec("warp") is None:
+        print("patches are left out, as their peer is not installed: pip install warp-lang")
+        return
+    batch = 4 if small else 4096
+    for name, mesh in {
+        "sphere of 80 faces": trimesh.creation.icosphere(1, 0.03),
+        "sphere of 20480 faces": trimesh.creation.icosphere(5, 0.03),
+        **{name: i2t.make_object(name).mesh for name in ("hexagon", "screwdriver")},
+    }.items():
+        surface = jax.device_put(i2t.prepare_surface(mesh))
+        poses = jax.device_put(rendering.random_poses(surface, batch))
+        render, cast = jax.jit(jax.vmap(i2t.render_patch, (None, 0))), warp_caster(mesh, np.asarray(poses))
+        seen = jax.device_get(render(surface, poses))
+        rendering.check(name, "warp", seen.depth, seen.nearest, cast().numpy())
+        yield Contest(
+            f"{name}, batch of {batch}", partial(_finish, render, surface, poses), "warp", partial(_wait, cast),
+            our_calls=1 / batch, peer_calls=1 / batch, unit="s a patch", steady=0.0 if small else STEADY_S,
+        )  # fmt: skip
+        if small:
+            return
+
+
+def rates(small: bool) -> Iterator[GoalWork]:
+    """Contacts, simulated and imagined touches, examples of trainings with many seeds, and steps of environments."""
+    steady = 0.0 if small else STEADY_S
+    for about in (contacts, touches, imagined, trainings, environments):
+        for name, call, made in about(small):
+            yield GoalWork(name, call, "1/s", made, steady=steady)
+
+
+Rate: TypeAlias = tuple[str, Work, int]  # what, a call, and how many it makes
+
+
+def contacts(small: bool) -> Iterator[Rate]:
+    """Contacts of the default layer, with the arithmetic that their convolutions take."""
+    count, pad = (8, 4096)[not small], i2t.nominal_pad()
+    heights, depths = jax.device_put(skin.touches(GRID, list(skin.SHAPES), count))
+    run = jax.jit(jax.vmap(lambda height, depth: solve(pad, height, depth, GRID)))
+    one = jax.jit(convolve).lower(compliance(pad, GRID), heights[0]).compile().cost_analysis() or {}
+    flops = float(np.mean(run(heights, depths).steps)) * one.get("flops", 0.0)
+    yield f"contacts, {flops / 1e6:.2g} Mflop each, batch of {count}", partial(_finish, run, heights, depths), count
+
+
+def touches(small: bool) -> Iterator[Rate]:
+    """Touches of one object with a lab's errors, before the sensor's."""
+    count, pad, errors = (4, 2048)[not small], i2t.nominal_pad(), SimulationErrors()
+    surface, T_w_t = _sites(count)
+
+    @jax.jit
+    @full_precision
+    def run(keys: jax.Array, T_w_t: jax.Array) -> Touches:
+        session = sample_session_errors(keys[0], errors)
+        one = partial(simulate_touch, session=session, pad=pad, errors=errors, limits=PressLimits())
+        return jax.vmap(one, (0, None, None, 0))(keys, surface, jnp.eye(4), T_w_t)
+
+    keys = jax.random.split(jax.random.key(0), count)
+    yield f"simulated touches, batch of {count}", partial(_finish, run, keys, T_w_t), count
+
+
+def imagined(small: bool) -> Iterator[Rate]:
+    """Touches on an object in many poses, as the belief asks for them."""
+    sites, poses = (2, 2) if small else (64, 64)
+    surface, T_w_t = _sites(sites)
+    twists = sample_particles(placement_std(1e-3, np.radians(1)), poses).twist
+    predict = partial(predict_contact, overtravel=PressLimits.overtravel)
+    run = jax.jit(jax.vmap(jax.vmap(predict, (None, None, 0, None, None)), (None, None, None, 0, None)))
+    arguments = surface, jnp.eye(4), twists, T_w_t, jnp.float32(LOADS_N)
+    yield f"imagined touches, {sites} sites in {poses} poses", partial(_finish, run, *arguments), sites * poses
+
+
+def trainings(small: bool) -> Iterator[Rate]:
+    """Examples that an epoch of the paper's network sees, of one seed and of many at once."""
+    setup = paper_training.SMALL if small else paper_training.Setup()
+    batch = jax.device_put(paper_training.random_touches(setup))
+    for seeds in (1, 2) if small else (1, 8, 32):
+        learner = Learner(setup.model, network.init, loss.losses, seeds)
+        start = jax.jit(learning.init, static_argnums=(1, 2, 3))
+        state = start(jax.random.key(0), learner, setup.train, setup.touches)
+        flops = 6 * sum(leaf.size for leaf in jax.tree.leaves(state.params)) / seeds
+        epoch = partial(_finish, learning.compiled(learner, setup.train), state, batch, None)
+        name = f"examples of the paper's network, {flops / 1e6:.3g} Mflop each, seeds: {seeds}"
+        yield name, epoch, seeds * setup.touches
+
+
+def environments(small: bool) -> Iterator[Rate]:
+    """Steps of many environments whose touches are looked up, with random actions."""
+    many, steps = (4, 2) if small else (8192, 64)
+    environment, params = make_environment(("star", "hexagon"), sites=4 if small else 32, pads=1 if small else 4)
+    params = jax.device_put(tabulate(jax.random.key(0), environment, params, placements=2 if small else 16))
+
+    def step(states: EnvironmentState, key: jax.Array) -> tuple[EnvironmentState, jax.Array]:
+        site = jax.random.randint(key, (many,), 0, params.sites)
+        action = TouchAction(site, jnp.zeros((many, params.objects)))
+        _, after, reward, _, _ = jax.vmap(environment.step, (0, 0, 0, None))(
+            jax.random.split(key, many), states, action, params
+        )
+        return after, reward
+
+    keys = jax.random.split(jax.random.key(1), many)
+    _, states = jax.jit(jax.vmap(environment.reset, (0, None)))(keys, params)
+    run = jax.jit(partial(jax.lax.scan, step))
+    yield f"steps of {many} environments", partial(_finish, run, states, keys[:steps]), many * steps
+
+
+def warp_caster(mesh: Any, poses: np.ndarray) -> Callable[[], Any]:
+    """Distances (n, 48, 48) of the rays of patches, as `warp-lang` finds them on its default device."""
+    import warp
+
+    vertices = warp.array(np.asarray(mesh.vertices, np.float32), dtype=warp.vec3)
+    scene = warp.Mesh(vertices, warp.array(np.asarray(mesh.faces, np.int32).ravel(), dtype=warp.int32))
+    frames = warp.array(poses.astype(np.float32), dtype=warp.mat44)
+    distance = warp.empty((len(poses), PATCH_PIXELS, PATCH_PIXELS), dtype=warp.float32)
+    size, middle, standoff = PATCH_WINDOW / PATCH_PIXELS, PATCH_PIXELS / 2 - 0.5, STANDOFF
+
+    @warp.kernel
+    def cast(
+        scene: warp.uint64,
+        frames: warp.array(dtype=warp.mat44),
+        distance: warp.array3d(dtype=warp.float32),
+    ):
+        frame, row, column = warp.tid()
+        T = frames[frame]
+        x = (warp.float32(column) - warp.float32(middle)) * warp.float32(size)
+        y = (warp.float32(row) - warp.float32(middle)) * warp.float32(size)
+        start = warp.transform_point(T, warp.vec3(x, y, -warp.float32(standoff)))
+        query = warp.mesh_query_ray(scene, start, warp.transform_vector(T, warp.vec3(0.0, 0.0, 1.0)), 1.0)
+        distance[frame, row, column] = warp.inf
+        if query.result:
+            distance[frame, row, column] = query.t
+
+    def run() -> Any:
+        warp.launch(cast, distance.shape, [scene.id, frames, distance])
+        return distance
+
+    return run
+
+
+def _wait(cast: Callable[[], Any]) -> None:
+    import warp
+
+    cast()
+    warp.synchronize()
+
+
+def _sites(count: int) -> tuple[Surface, jax.Array]:
+    surface = jax.device_put(i2t.prepare_surface(i2t.make_object("star").mesh))
+    return surface, jnp.asarray(collect_sites(jax.random.key(1), surface, count, RECOGNITION_LIMITS, "star"))
+
+
+def _finish(run: Callable, *arguments: object) -> object:
+    return jax.block_until_ready(run(*arguments))
