@@ -90,13 +90,13 @@ def touches(small: bool) -> Iterator[Rate]:
 
     @jax.jit
     @full_precision
-    def run(keys: jax.Array, T_w_t: jax.Array) -> Touches:
-        session = sample_session_errors(keys[0], errors)
+    def run(seed: jax.Array, T_w_t: jax.Array) -> Touches:
+        key_session, key_touches = jax.random.split(jax.random.key(seed))
+        session = sample_session_errors(key_session, errors)
         one = partial(simulate_touch, session=session, pad=pad, errors=errors, limits=PressLimits())
-        return jax.vmap(one, (0, None, None, 0))(keys, surface, jnp.eye(4), T_w_t)
+        return jax.vmap(one, (0, None, None, 0))(jax.random.split(key_touches, count), surface, jnp.eye(4), T_w_t)
 
-    keys = jax.random.split(jax.random.key(0), count)
-    yield f"simulated touches, batch of {count}", partial(_finish, run, keys, T_w_t), count
+    yield f"simulated touches, batch of {count}", partial(_finish, run, jnp.uint32(0), T_w_t), count
 
 
 def imagined(small: bool) -> Iterator[Rate]:
@@ -131,17 +131,21 @@ def environments(small: bool) -> Iterator[Rate]:
     params = jax.device_put(tabulate(jax.random.key(0), environment, params, placements=2 if small else 16))
 
     def step(states: EnvironmentState, key: jax.Array) -> tuple[EnvironmentState, jax.Array]:
-        site = jax.random.randint(key, (many,), 0, params.sites)
+        key_site, key_step = jax.random.split(key)
+        site = jax.random.randint(key_site, (many,), 0, params.sites)
         action = TouchAction(site, jnp.zeros((many, params.objects)))
         _, after, reward, _, _ = jax.vmap(environment.step, (0, 0, 0, None))(
-            jax.random.split(key, many), states, action, params
+            jax.random.split(key_step, many), states, action, params
         )
         return after, reward
 
-    keys = jax.random.split(jax.random.key(1), many)
-    _, states = jax.jit(jax.vmap(environment.reset, (0, None)))(keys, params)
-    run = jax.jit(partial(jax.lax.scan, step))
-    yield f"steps of {many} environments", partial(_finish, run, states, keys[:steps]), many * steps
+    @jax.jit
+    def run(seed: jax.Array) -> jax.Array:
+        key_reset, key_steps = jax.random.split(jax.random.key(seed))
+        _, states = jax.vmap(environment.reset, (0, None))(jax.random.split(key_reset, many), params)
+        return jax.lax.scan(step, states, jax.random.split(key_steps, steps))[1]
+
+    yield f"steps of {many} environments", partial(_finish, run, jnp.uint32(1)), many * steps
 
 
 def warp_caster(mesh: Any, poses: np.ndarray) -> Callable[[], Any]:

@@ -306,8 +306,8 @@ def descend(
 
 
 def _onto_simplex(p: Array) -> Array:
-    """The nearest array >= 0 that sums to 1: max(p - t, 0). Newton's method finds t: from anywhere its first step ends at
-    or below it, and from there t rises and cells only leave; once none leaves, t is exact.
+    """The nearest array >= 0 that sums to 1: max(p - t, 0). Newton's method finds t: from anywhere its first step ends
+    at or below it, and from there t rises and cells only leave; once none leaves, t is exact.
     """
 
     def newton(t: Array) -> tuple[Array, Array]:
