@@ -12,7 +12,7 @@ from i2t.cli import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import require_extra
 
-PresetName = Literal["paper", "debug"]
+PresetName = Literal["short", "paper", "debug"]
 NOT_REAL = ("simulated", "emulated")
 
 
@@ -24,7 +24,7 @@ class SimulateArgs(ResumableOptions):
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
     pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
     method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
-    preset: PresetName = "paper"
+    preset: PresetName = "short"  # a few episodes; as many as the documents say; or too few to mean anything
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
     dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects

@@ -36,6 +36,9 @@ class Recognition:
 
 
 PRESETS: dict[str, Recognition] = {
+    "short": Recognition(
+        episodes=4, paper_episodes=5, own_episodes=4, validation_episodes=4, num_particles=32, pool_episodes=1
+    ),
     "paper": Recognition(),
     "debug": Recognition(  # as many episodes in each set, so that they compile once
         primitives=("square", "cylinder"),

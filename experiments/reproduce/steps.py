@@ -40,10 +40,15 @@ OVERWRITE = "--overwrite"  # of commands that begin again
 STEPS = (
     Step("train", "-m experiments.train", minutes=4),
     Step("study", "-m experiments.train --preset study", minutes=30),
-    Step("paper", "-m experiments.recognize simulate --method paper --paper-episodes 100", uses="study", minutes=85),
+    Step(
+        "paper",
+        "-m experiments.recognize simulate --preset paper --method paper --paper-episodes 100",
+        uses="study",
+        minutes=85,
+    ),
     Step(
         "recognize",
-        "-m experiments.recognize simulate --pads 0 1 2 3 4 5 --episodes 10 --paper-episodes 10",
+        "-m experiments.recognize simulate --preset paper --pads 0 1 2 3 4 5 --episodes 10 --paper-episodes 10",
         uses="study",
         minutes=60,
     ),

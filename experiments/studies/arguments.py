@@ -8,7 +8,6 @@ import tyro
 
 from experiments.common.checks import chosen_runs
 from experiments.common.options import ResumableOptions
-from experiments.recognize.arguments import PresetName
 from i2t.cli import Count
 from i2t.errors import require_extra
 
@@ -23,7 +22,7 @@ class StudyArgs(ResumableOptions):
     out: Path | None = None  # folder for everything that is made; runs/STUDY unless given
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
     pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
-    preset: PresetName = "paper"
+    preset: Literal["paper", "debug"] = "paper"
     episodes: Count = 20  # of each object and setting, for each pad and seed
 
     @property

@@ -28,6 +28,8 @@ ALIKE = 1e-12  # variance of episodes that differ by rounding only
 
 Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, for each factor
 Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # of the episodes' weights
+# The same in each of some draws, from how often each cluster was drawn (draws, groups) and the episodes' labels.
+Resampled = Callable[[Float[np.ndarray, "draws groups"], Int[np.ndarray, " n"]], Float[np.ndarray, "draws k"]]
 
 
 def estimate_at(estimates: Estimate, index: int) -> Estimate:
@@ -64,7 +66,7 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     flat = values.reshape(n, -1)
     mean, independent = np.clip(flat.mean(0), 0, 1), _independent(flat)
     if clusters:
-        variance, freedom = _spread(_weighted_mean(flat), _factors(clusters, n))
+        variance, freedom = _spread(_means(flat), _factors(clusters, n))
     else:
         variance, freedom = independent, np.full_like(mean, max(n - 1, 1))
     variance = np.maximum(variance, independent)
@@ -133,13 +135,18 @@ def cluster_interval(
     values = np.asarray(values, np.float64)
     n, shape = len(values), values.shape[1:]
     flat = values.reshape(n, -1)
-    variance, freedom = _spread(_weighted_mean(flat), _factors(clusters, n), draws, seed)
+    variance, freedom = _spread(_means(flat), _factors(clusters, n), draws, seed)
     mean, half = flat.mean(0), _t(freedom) * np.sqrt(np.maximum(variance, _independent(flat)))
     return Estimate(*(part.reshape(shape) for part in (mean, mean - half, mean + half)))
 
 
-def _weighted_mean(values: Float[np.ndarray, "n k"]) -> Statistic:
-    return lambda weight: weight @ values / weight.sum()
+def _means(values: Float[np.ndarray, "n k"]) -> Resampled:
+    def resampled(counts: np.ndarray, label: np.ndarray) -> np.ndarray:
+        sums = np.zeros((counts.shape[1], values.shape[1]))
+        np.add.at(sums, label, values)
+        return counts @ sums / (counts @ np.bincount(label))[:, None]
+
+    return resampled
 
 
 def _t(freedom: Shaped[Array, "..."]) -> np.ndarray:
@@ -166,13 +173,17 @@ def bootstrap_clusters(
         ValueError: Labels are not as many as episodes.
     """
     seen = np.asarray(statistic(np.ones(count)), np.float64)
-    variance, freedom = _spread(statistic, _factors(clusters, count), draws, seed)
+
+    def resampled(counts: np.ndarray, label: np.ndarray) -> np.ndarray:
+        return np.stack([np.ravel(statistic(drawn[label])) for drawn in counts]).astype(np.float64)
+
+    variance, freedom = _spread(resampled, _factors(clusters, count), draws, seed)
     half = (_t(freedom) * np.sqrt(variance)).reshape(seen.shape)
     return Estimate(seen, seen - half, seen + half)
 
 
 def _spread(
-    statistic: Statistic, factors: Sequence[Int[np.ndarray, " n"]], draws: int = RESAMPLES, seed: int = 0
+    resampled: Resampled, factors: Sequence[Int[np.ndarray, " n"]], draws: int = RESAMPLES, seed: int = 0
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Variance of a statistic over crossed factors, and its degrees of freedom; NaN where there is no factor."""
     if not factors:
@@ -182,7 +193,7 @@ def _spread(
     for size in range(1, len(factors) + 1):
         for some in combinations(factors, size):
             label = _cells(some)
-            part = _resampled_variance(statistic, label, draws, rng)
+            part = _resampled_variance(resampled, label, draws, rng)
             variance = variance + (-1) ** (size + 1) * part
             if size == 1:
                 first = np.maximum(first, part)
@@ -217,12 +228,11 @@ def _cells(factors: Sequence[Int[np.ndarray, " n"]]) -> Int[np.ndarray, " n"]:
 
 
 def _resampled_variance(
-    statistic: Statistic, label: Int[np.ndarray, " n"], draws: int, rng: np.random.Generator
+    resampled: Resampled, label: Int[np.ndarray, " n"], draws: int, rng: np.random.Generator
 ) -> Float[np.ndarray, " k"]:
     """Variance of a statistic over resampled clusters, one less than there are: so it is unbiased for a mean (McCarthy
     and Snowden, Vital and Health Statistics 2:95, 1985).
     """
     groups = int(label.max()) + 1
     counts = rng.multinomial(groups - 1, np.full(groups, 1 / groups), size=draws).astype(np.float64)
-    found = np.array([np.atleast_1d(statistic(count[label])) for count in counts], np.float64)
-    return np.nanvar(found.reshape(draws, -1), axis=0, ddof=1)
+    return np.nanvar(resampled(counts, label), axis=0, ddof=1)

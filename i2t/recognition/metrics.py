@@ -204,13 +204,9 @@ def calibration_error(
     which = np.clip((confidences * bins).astype(int), 0, bins - 1)
     of_draw = np.arange(len(which)) if cluster is None else np.unique(np.ravel(cluster), return_inverse=True)[1]
     drawn = np.random.default_rng(seed).random((RESAMPLES, of_draw.max(initial=-1) + 1))[:, of_draw] < confidences
-    chance = [_binned_gap(confidences, draw, which, bins) for draw in drawn]
-    observed = _binned_gap(confidences, hit, which, bins)
-    return CalibrationError(observed, float(np.mean(chance)), float(np.quantile(chance, COVERAGE)))
-
-
-def _binned_gap(confidences: np.ndarray, hit: np.ndarray, which: np.ndarray, bins: int) -> float:
-    return float(np.abs(np.bincount(which, hit - confidences, minlength=bins)).sum() / len(confidences))
+    in_bin = (which[:, None] == np.arange(bins)).astype(np.float64)
+    observed, *chance = np.abs((np.vstack([hit, drawn]) - confidences) @ in_bin).sum(1) / len(confidences)
+    return CalibrationError(float(observed), float(np.mean(chance)), float(np.quantile(chance, COVERAGE)))
 
 
 def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:

@@ -20,7 +20,8 @@ NumPy in double precision, on the host. n touches, c channels, x cells of 1 mm, 
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from itertools import product
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ from jaxtyping import Array, Float
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 
-from i2t.batching import map_batches, select_rows
+from i2t.batching import map_batches, select_rows, usable_cores
 from i2t.calibration import physics
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure, GPHyperparameters
@@ -121,8 +122,9 @@ def fit_readings(
     maps = magnetization_maps(board, layer)
     models, shares = _weigh_hyperparameters(_some(touches), maps)
     system = _system(touches, maps)
-    posteriors = [_posterior(system, one) for one in models]
-    errors = [_left_out(system, one, found)[0] for one, found in zip(models, posteriors, strict=True)]
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        posteriors = list(pool.map(partial(_posterior, system), models))
+        errors = [left_out for left_out, _ in pool.map(partial(_left_out, system), models, posteriors)]
     left_out = np.einsum("m,mnc->nc", shares, errors) * system.scale
     mean, variance = _linear_maps(touches.pressure, system, maps, models, posteriors, shares, loads)
     model = LinearReadingModel(
@@ -254,12 +256,14 @@ def _weigh_hyperparameters(
     """The most probable points of the grid, and their shares."""
     system = _system(touches, maps)
     grid = [_Hyperparameters(a, r, v) for r, v, a in product(DISCREPANCIES, NOISES, AMPLITUDES)]
-    densities = []
-    for first in grid[:: len(AMPLITUDES)]:
+
+    def densities(first: _Hyperparameters) -> list[float]:
         square = _square(system, first)
         some = (first._replace(a=a) for a in AMPLITUDES)
-        densities += [_left_out(system, one, _posterior(system, one, square))[1] for one in some]
-    log_share = DENSITY_EXPONENT * np.array(densities)
+        return [_left_out(system, one, _posterior(system, one, square))[1] for one in some]
+
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        log_share = DENSITY_EXPONENT * np.concatenate(list(pool.map(densities, grid[:: len(AMPLITUDES)])))
     share = np.exp(log_share - logsumexp(log_share))
     kept = [i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max()]
     return [grid[i] for i in kept], share[kept] / share[kept].sum()
