@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import PyTree
+from jaxtyping import Int, PyTree
 
 CALLS = "calls"  # the axis of the mesh
 CALLS_AT_A_TIME = 4  # at most, of a CPU: each holds its own arrays
@@ -66,6 +66,19 @@ def select_rows(tree: PyTree, rows: Any) -> PyTree:
         return jnp.asarray(found) if isinstance(leaf, jax.Array) else found
 
     return jax.tree.map(some, tree)
+
+
+def filled_batches(rows: Int[np.ndarray, " n"], size: int) -> list[Int[np.ndarray, " size"]]:
+    """Rows in batches of one size, so that one compilation serves all.
+
+    Args:
+        rows: Numbers.
+        size: Of a batch.
+
+    Returns:
+        The batches; the last one is filled up with its own rows.
+    """
+    return [np.resize(rows[start : start + size], size) for start in range(0, len(rows), size)]
 
 
 def spread(

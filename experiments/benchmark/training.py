@@ -62,8 +62,11 @@ class TorchTraining:
 
         self.torch, self.setup, self.epoch = torch, setup, 0
         self.key = jax.random.wrap_key_data(state.key[0])
-        self.images = torch.tensor(np.asarray(batch.inputs)).flatten(1)
-        self.targets = torch.tensor(np.asarray(batch.target))
+        on_gpu = jax.default_backend() == "gpu"
+        self.device = "cuda" if on_gpu else "cpu"
+        torch.set_float32_matmul_precision("high" if on_gpu else "highest")  # TF32 on a GPU, as XLA takes it
+        self.images = torch.tensor(np.asarray(batch.inputs), device=self.device).flatten(1)
+        self.targets = torch.tensor(np.asarray(batch.target), device=self.device)
 
         def linear(name: str) -> "torch.nn.Linear":
             kernel, bias = (torch.tensor(np.asarray(state.params[name][part][0])) for part in ("kernel", "bias"))
@@ -79,7 +82,7 @@ class TorchTraining:
         self.encoder, self.decoder, self.head = (
             two(*names) for names in (("encoder", "bottleneck"), ("decoder", "reading"), ("auxiliary", "image"))
         )
-        parts = torch.nn.ModuleList([self.encoder, self.decoder, self.head])
+        parts = torch.nn.ModuleList([self.encoder, self.decoder, self.head]).to(self.device)
         self.adam = torch.optim.Adam(
             parts.parameters(), setup.train.learning_rate, fused=adam == "fused", foreach=adam == "foreach"
         )
@@ -91,9 +94,9 @@ class TorchTraining:
     def _epoch(self) -> float:
         size, touches = self.setup.train.batch_size, self.setup.touches
         rows, _ = learning.minibatches(self.key, jnp.int32(self.epoch), touches, size)
-        order = self.torch.tensor(np.asarray(rows).ravel()[:touches])
+        order = self.torch.tensor(np.asarray(rows).ravel()[:touches], device=self.device)
         self.epoch += 1
-        total = self.torch.zeros(())
+        total = self.torch.zeros((), device=self.device)
         for index in order.split(size):
             image, target = self.images[index], self.targets[index]
             latent = self.encoder(image)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from i2t.batching import everywhere, map_batches, spread, spread_rows
+from i2t.batching import everywhere, filled_batches, map_batches, select_rows, spread, spread_rows
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
@@ -206,7 +206,10 @@ class EpisodeSimulator:
         missing = self.config.touches - len(self.touches)
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(np.zeros_like(x[:, :1]), missing, 1)], 1), made)
         before, errors = self.config.presses_before, self.config.touch_errors
-        reading = np.asarray(_add_sensor_errors(self.reading_keys, full, self.pad, before, errors))
+        parts = filled_batches(np.arange(len(self.truth)), OBSERVED_BATCH)
+        calls = ((self.reading_keys[rows], select_rows(full, rows)) for rows in parts)
+        read = list(spread(_add_sensor_errors, calls, shared=(self.pad, before), errors=errors))
+        reading = np.concatenate(read)[: len(self.truth)]
         T_w_site = self.T_w_site[np.stack(self.chosen, 1)]
         moved = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
         advance = np.sum(moved * T_w_site[..., :3, 2], axis=-1)
@@ -478,8 +481,7 @@ def believe(
     each -= each % share if share < each else 0  # are believed together, so that no site is imagined twice
     reading_models = [model.reading_model for model in models.values()]
     T, twist = np.asarray(sites.T_w_t), particles.twist
-    # The last rows are filled up: one compilation serves all.
-    chunks = [np.resize(np.arange(start, min(start + each, count)), each) for start in range(0, count, each)]
+    chunks = filled_batches(np.arange(count), each)
     touched = [np.unique(episodes.site[rows], return_inverse=True) for rows in chunks]  # episodes may share sites
     most = max(len(where) for where, _ in touched)
     parts: list[dict[str, np.ndarray]] = []
