@@ -1,8 +1,8 @@
-"""Section `accelerator` of the benchmark: what one GPU makes a second, and the share of its arithmetic that this takes.
+"""Section `accelerator` of the benchmark: what one GPU makes a second, and the arithmetic in it that can be counted.
 
 Rates are of full batches that stay on the card. Patches have a peer, `warp-lang`, whose meshes are a hierarchy of boxes
-in software: an orthographic ray a pixel by `mesh_query_ray`, with the poses on the card too. The other rows have goals
-from published figures, or none. The section also runs on CPUs, where its batches are too large to be quick.
+in software: an orthographic ray a pixel by `mesh_query_ray`, with the poses on the card too. The other rows
+have neither peer nor goal. The section also runs on CPUs, where its batches are too large to be quick.
 """
 
 from collections.abc import Callable, Iterator

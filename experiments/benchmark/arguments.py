@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from i2t.cli import Limits
 from i2t.errors import require_extra
 
-BenchmarkSection = Literal["training", "rendering", "skin", "policy", "latency", "simulation", "accelerator", "startup"]
+BenchmarkSection = Literal["training", "rendering", "skin", "latency", "simulation", "accelerator", "startup"]
 PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section compares with
     "training": ("torch",), "rendering": ("open3d", "embreex"), "skin": ("ContactMechanics",),
 }  # fmt: skip
@@ -17,7 +17,7 @@ PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section co
 class BenchmarkArgs:
     """Sections to run, repetitions, and the folder of `benchmark.json`."""
 
-    sections: tuple[BenchmarkSection, ...] = ("training", "rendering", "skin", "policy")  # which
+    sections: tuple[BenchmarkSection, ...] = ("training", "rendering", "skin")  # which
     out: Path | None = None  # folder; by default nothing is written
     turns: Annotated[int, Limits(1)] = 5  # how often each is timed
     commands: tuple[str, ...] = ()  # of section startup: those whose line contains one of these; by default all

@@ -9,10 +9,13 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import i2t
 from experiments.benchmark.contests import Work, interleave
+from i2t.recognition import belief, policy
+from i2t.recognition.outcomes import LOADS_N, PredictedTouch, placement_std
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import PressLimits, SimulationErrors
 from i2t.skin.contact import FINE_GRID
@@ -59,7 +62,7 @@ def simulation(small: bool) -> Iterator[GoalWork]:
 
 def latency(small: bool) -> Iterator[GoalWork]:
     """What a robot asks for between two touches, by the ready models: a prediction on a mesh and of a patch, an update
-    of the belief about five objects, and the next site.
+    of the belief about five objects, and the next site, also of many.
     """
     names = ("star", "square", "flower", "cylinder", "hammer")[: 2 if small else 5]
     meshes = {name: i2t.make_object(name).mesh for name in names}
@@ -81,6 +84,37 @@ def latency(small: bool) -> Iterator[GoalWork]:
     about = f"{len(names)} objects"
     yield GoalWork(f"the belief updated, {about}", lambda: recognizer.update(state, seen), "ms", steady=steady)
     yield GoalWork(f"the next site chosen, {about}", lambda: recognizer.choose_touch(state), "ms", steady=steady)
+    shape = (8, 3, 4) if small else (256, 25, 64)
+    about = f"{shape[1]} objects, {shape[0]} sites"
+    yield GoalWork(f"the next site of a large pool, {about}", _decision(*shape), "ms", steady=steady)
+
+
+def _decision(sites: int, objects: int, particles: int) -> Work:
+    """The choice of a site by expected information, from predicted touches that are none of any object."""
+    rng, loads = np.random.default_rng(0), np.array(LOADS_N)
+    shape, channels = (sites, objects, particles), 15
+    table = PredictedTouch(
+        hit=jnp.asarray(rng.random(shape) < 0.8),
+        approach_distance=jnp.float32(rng.normal(scale=1e-3, size=shape)),
+        jacobian=jnp.float32(rng.normal(scale=0.5, size=(*shape, 6))),
+        indentation=jnp.float32(rng.uniform(1e-4, 5e-4, (*shape, len(loads)))),
+        reading=jnp.float32(rng.normal(scale=10, size=(*shape, len(loads), channels)) * loads[:, None]),
+        variance=jnp.float32(rng.uniform(0, 0.1, (*shape, len(loads)))),
+    )
+    likelihood = belief.fit_likelihood(
+        rng.normal(scale=3, size=(200, channels)), jnp.full(channels, 20.0), jnp.float32(loads),
+        overtravel=PressLimits.overtravel, position_std=1e-4,
+    )  # fmt: skip
+    poses = belief.sample_particles(placement_std(1e-3, np.radians(1)), particles)
+    now = belief.init(poses, objects, channels=channels)
+    now = now._replace(log_weight=now.log_weight + jnp.float32(rng.normal(size=now.log_weight.shape)))
+
+    @jax.jit
+    def choose(seed: jax.Array, now: belief.Belief) -> jax.Array:
+        gain = policy.expected_information_gain(jax.random.key(seed), now, table, likelihood)
+        return policy.choose_site(gain, jnp.ones(sites, bool))
+
+    return lambda: jax.block_until_ready(choose(jnp.uint32(0), now))
 
 
 def measure_goal(section: str, work: GoalWork, turns: int) -> GoalRow:

@@ -1,14 +1,14 @@
 """How fast is i2t, against the peer a user would otherwise take?
 
-    python -m experiments.benchmark --sections training rendering skin policy [--out DIR]
+    python -m experiments.benchmark --sections training rendering skin [--out DIR]
 
 Every row times our work and its peer's in turns, on the same machine with the same inputs, after checking that both
 compute the same thing; the table gives the median of each and the median of the turns' ratios (above 1: we are
 faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and `skin`
 need the extra `bench`. Sections `latency`, `simulation` and `startup` have goals in place of peers. `startup` runs
-commands and examples with nothing compiled before, and once more: a quarter of an hour a turn without
-`experiments.recognize`, which takes longer than all others (`--commands` chooses some).
-`python -m experiments.benchmark.programs` says what they compile.
+commands and examples with nothing compiled before, and once more: twenty minutes a turn (`--commands` chooses some).
+`python -m experiments.benchmark.programs` says what they compile. `accelerator` is for a GPU: patches beside a peer,
+and rates.
 """
 
 import os
@@ -21,7 +21,6 @@ from experiments.benchmark import accelerator, goals, startup
 from experiments.benchmark.arguments import BenchmarkArgs, BenchmarkSection
 from experiments.benchmark.contests import BenchmarkRow, Contest, measure
 from experiments.benchmark.goals import GoalWork, latency, measure_goal, simulation
-from experiments.benchmark.policy import policy
 from experiments.benchmark.rendering import rendering
 from experiments.benchmark.skin import skin
 from experiments.benchmark.startup import COMMANDS, FEW, StartupRow
@@ -33,7 +32,6 @@ CONTESTS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # Tru
     "training": training,
     "rendering": rendering,
     "skin": skin,
-    "policy": policy,
     "accelerator": accelerator.patches,
 }
 GOALS: dict[BenchmarkSection, Callable[[bool], Iterator[GoalWork]]] = {

@@ -24,7 +24,7 @@ class SimulateArgs(ResumableOptions):
     trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
     pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
     method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
-    preset: PresetName = "short"  # a few episodes; as many as the documents say; or too few to mean anything
+    preset: PresetName | None = None  # episodes and poses: short, or paper (as the documents say) with --dataset
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
     dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects

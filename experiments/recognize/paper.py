@@ -1,7 +1,7 @@
 """Question: which object is it, by the paper's own method?
 
     python -m experiments.recognize --method paper                              on runs/train of experiments.train
-    python -m experiments.recognize --method paper --trained-run runs/study     every pad of a study
+    python -m experiments.recognize --preset paper --method paper --trained-run runs/study     every pad of a study
 
 The paper's network predicts what each possible object would feel like where a touch ended, at the believed pose; each
 touch votes for the object whose prediction is nearest (exp(-|tau - tau~|), tau in standard deviations); a hypothesis is
@@ -15,9 +15,10 @@ Every method drives its own episodes by its own scores:
   constant reading         the same with the mean of the training readings wherever an object is seen
   proprioception           the paper's baseline: distance of the contact from each object's model
 
-Methods meet the same objects in the same places with the same errors, so their differences are paired. Each five
-episodes have a pool of sites of their own. Intervals are over pads and pools, for these objects. Everything is
-simulated; a touch costs about 1/30 s on two cores, and six pads with 100 episodes of each object a few hours.
+Methods meet the same objects in the same places with the same errors, so their differences are paired. Each episode
+has a pool of sites of its own (by --preset paper each five). Intervals are over pads and pools, for these objects.
+Everything is simulated; a touch costs about 1/30 s on two cores, and six pads with 100 episodes of each object a few
+hours.
 """
 
 from collections.abc import Mapping, Sequence

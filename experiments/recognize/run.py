@@ -1,6 +1,8 @@
 """Question: which object is it, by touch, and how sure can one be?
 
-    python -m experiments.recognize                       on runs/train of python -m experiments.train
+    python -m experiments.recognize                       on runs/train of python -m experiments.train: a few episodes,
+                                                          few poses of each object, wide intervals
+    python -m experiments.recognize --preset paper        as many as the documents say, in hours
     python -m experiments.recognize --method paper        the paper's own method and loop (experiments.recognize.paper)
     python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything
     python -m experiments.recognize --trained-run runs/study    every pad and seed of a study, intervals over pads
@@ -89,7 +91,7 @@ def configure(args: SimulateArgs) -> Recognition:
     n = args.episodes
     of_paper = args.paper_episodes if args.paper_episodes is not None or n is None else 2 * n
     return choose_preset(
-        PRESETS, args.preset,
+        PRESETS, args.preset or ("short" if args.dataset is None else "paper"),
         episodes=n, own_episodes=n, validation_episodes=n, paper_episodes=of_paper, num_particles=args.num_particles,
     )  # fmt: skip
 

@@ -121,7 +121,7 @@ class EpisodeSimulator:
                 compared share as far as they touch the same; those made here join it.
         """
         self.made_before = made_before
-        self.batch: int | None = None  # touches simulated at a time: as many always, so that one compilation serves all
+        self.batch_size: int | None = None  # of simulated touches, fixed at the first
         key_sessions, self.key_touch, key_reading = jax.random.split(key, 3)
         # The same keys at every touch: a sensor's errors depend on the touches before.
         self.reading_keys = np.asarray(jax.random.key_data(jax.random.split(key_reading, len(truth))))
@@ -181,9 +181,10 @@ class EpisodeSimulator:
         compilation serves all.
         """
         of_objects = [np.flatnonzero(missing & (self.truth[episode] == i)) for i in range(len(self.surfaces))]
-        if self.batch is None and missing.any():  # a few touches at a time do not fill it
-            self.batch = min(OBSERVED_BATCH, 1 << (max(map(len, of_objects)) - 1).bit_length())
-        size = self.batch or OBSERVED_BATCH
+        if self.batch_size is None:
+            most = int(np.bincount(self.truth[episode]).max())  # whether made before or not
+            self.batch_size = min(OBSERVED_BATCH, 1 << (most - 1).bit_length())
+        size = self.batch_size
         batches = [rows[start : start + size] for rows in of_objects for start in range(0, len(rows), size)]
 
         def call(rows: np.ndarray) -> tuple[np.ndarray, Surface, np.ndarray, SessionErrors]:

@@ -70,6 +70,7 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     else:
         variance, freedom = independent, np.full_like(mean, max(n - 1, 1))
     variance = np.maximum(variance, independent)
+    variance = np.where(variance * n < ALIKE, 0.0, variance)
     with np.errstate(divide="ignore", invalid="ignore"):
         trials = np.where(variance == 0, n, mean * (1 - mean) / variance)
         trials = trials * (_t(np.float64(max(n - 1, 1))) / _t(freedom)) ** 2

@@ -205,7 +205,7 @@ def calibration_error(
     of_draw = np.arange(len(which)) if cluster is None else np.unique(np.ravel(cluster), return_inverse=True)[1]
     drawn = np.random.default_rng(seed).random((RESAMPLES, of_draw.max(initial=-1) + 1))[:, of_draw] < confidences
     in_bin = (which[:, None] == np.arange(bins)).astype(np.float64)
-    observed, *chance = np.abs((np.vstack([hit, drawn]) - confidences) @ in_bin).sum(1) / len(confidences)
+    observed, *chance = np.abs(np.vstack([hit, drawn]) @ in_bin - confidences @ in_bin).sum(1) / len(confidences)
     return CalibrationError(float(observed), float(np.mean(chance)), float(np.quantile(chance, COVERAGE)))
 
 

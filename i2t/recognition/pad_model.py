@@ -22,7 +22,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
-from threadpoolctl import threadpool_limits
 
 from i2t.batching import a_few_at_a_time, select_rows
 from i2t.compiling import jit_quickly
@@ -76,8 +75,6 @@ class _Positions(NamedTuple):
     hit: Bool[np.ndarray, " n"]  # whether the object was there at all
 
 
-# Factors of a thousand rows are too small to share: waiting threads of BLAS cost more than they give.
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def fit_pad_model(
     key: Key[Array, ""],
     dataset: Dataset,
@@ -107,7 +104,7 @@ def fit_pad_model(
         surface = surfaces[dataset.objects[int(touches.object[here[0]])]]
         seen.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
     register = partial(_register_session, errors=errors)
-    found = a_few_at_a_time(register, ((key, surface, contacts) for _, key, surface, contacts in seen))
+    found = a_few_at_a_time(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
     sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
     layer = LAYERS[_choose_layer(sessions, touches, dataset.board)]
     used, nominal, pressed = _pressed_touches(sessions, touches, layer)
@@ -272,13 +269,13 @@ def _register_session(
     key: Key[Array, ""],
     surface: Surface,
     contacts: _SessionContacts,
-    met: Bool[np.ndarray, " m"] | None = None,
+    met: Bool[np.ndarray, " m"],
     *,
     errors: SimulationErrors,
 ) -> PoseEstimate:
     """The object's pose by the contacts that met it, or by some of them."""
     return registration.register_by_touch(
-        key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, contacts.met if met is None else met,
+        key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
         translation_std=errors.placement, rotation_std=errors.placement_angle,
     )  # fmt: skip
 

@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
 
 from i2t.batching import map_batches, select_rows, usable_cores
 from i2t.calibration import physics
@@ -104,6 +105,12 @@ class _Posterior(NamedTuple):
     mean: Float[np.ndarray, " k"]
 
 
+# Factors of a thousand rows are too small to share: threads that wait in BLAS cost more than they give, and several
+# hyperparameters are tried at a time instead.
+_one_thread_each = threadpool_limits.wrap(limits=1, user_api="blas")
+
+
+@_one_thread_each
 def fit_readings(
     touches: PressedTouches, layer: Layer, board: Board, *, softness: float, loads: Sequence[float] = LOADS_N
 ) -> FittedReadings:
@@ -138,6 +145,7 @@ def fit_readings(
     return FittedReadings(model, left_out)
 
 
+@_one_thread_each
 def choose_layer(pressed: Sequence[PressedTouches], layers: Sequence[Layer], board: Board) -> int:
     """Choose the layer under which touches are most probable as predicted from all others.
 

@@ -42,7 +42,6 @@ UNSEEN_CONTACT_RESIDUAL_M = 1e3  # of a motion that was not looked at yet: worse
 PROPOSAL_DOF = 5  # of what is drawn: heavier tails than any posterior's
 MIN_PROPOSAL_STD = 1e-3  # of draws, in standard deviations of the prior, for float32's sake
 MIN_VARIANCE_FACTOR = 0.1  # by which one round of draws may shrink the variance along any direction
-FAR_M = 1e3  # where faces without area are put
 DRAWS_AT_A_TIME = 16  # whose densities are found together
 CANDIDATE_STDS = 3.0  # of the prior: how far the object may move before other faces come nearest
 
@@ -381,5 +380,5 @@ def _candidates(
     corners = jnp.moveaxis(triangles, (1, 2), (1, 0))
     gaps = _gaps(corners, T_t_o, config.half_edge + distance + angle * arm)
     gaps = jnp.where(double_areas(triangles) > 0, gaps, jnp.inf)
-    far, nearest = jax.lax.top_k(-gaps, min(config.candidate_faces, len(triangles)))
-    return jnp.where(far > -jnp.inf, corners[..., nearest], FAR_M)  # a face without area is never met
+    minus_gap, nearest = jax.lax.top_k(-gaps, min(config.candidate_faces, len(triangles)))
+    return corners[..., jnp.where(minus_gap > -jnp.inf, nearest, nearest[0])]  # in place of faces without area

@@ -134,7 +134,7 @@ def lowest_in_square(
 
     Args:
         corners: Coordinates x, y and z (m) of the first, second and third corners in the world, of triangles that have
-            an area. A long last axis is a fast one.
+            an area: rounding may make one that has none cover the square. A long last axis is a fast one.
         A_t_w: The map, from the world.
         half: m, half the edge of the square.
         behind: m, how far behind the origin a triangle still counts; may be inf.

@@ -58,7 +58,7 @@ def test_unequal_work_is_not_compared() -> None:
 def test_a_missing_peer_is_named_with_its_remedy_before_any_section_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingExtraError, match=r"section training needs torch, .* 'imagine2touch\[bench\]'"):
-        BenchmarkArgs(sections=("policy", "training")).check()
+        BenchmarkArgs(sections=("latency", "training")).check()
 
 
 def test_contenders_take_turns_and_a_row_has_the_median_of_the_ratios_of_turns() -> None:
@@ -111,7 +111,7 @@ def test_patches_of_another_mesh_are_not_compared() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    ("section", "works", "unit"), [("latency", 4, "ms"), ("simulation", 1, "1/s"), ("accelerator", 6, "1/s")]
+    ("section", "works", "unit"), [("latency", 5, "ms"), ("simulation", 1, "1/s"), ("accelerator", 6, "1/s")]
 )
 def test_sections_with_goals_run_in_their_smallest_size(
     tmp_path: Path, section: str, works: int, unit: str, monkeypatch: pytest.MonkeyPatch
@@ -154,8 +154,3 @@ def test_every_program_is_told_with_its_size_and_the_line_that_asked_for_it(tmp_
     assert found["twice"]["instructions"] > 5
     assert min(found["twice"][stage] for stage in ("traced", "lowered", "compiled")) > 0
     assert "all " in done.stdout.splitlines()[-1]
-
-
-@pytest.mark.full
-def test_the_section_of_decisions_runs_in_its_smallest_size() -> None:
-    assert run("policy")

@@ -166,6 +166,14 @@ def test_a_wrong_touch_does_not_pull():
     assert (np.abs(apart) < 0.2 * np.sqrt(np.diagonal(without.covariance))).all()
 
 
+def test_faces_that_fill_up_a_surface_are_no_candidates():
+    """Rounding may give a face of three equal corners an area, and such a face was met wherever it was put."""
+    surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
+    assert len(surface.triangles) > 12
+    corners = touch._candidates(surface, jnp.eye(4).at[2, 3].set(0.02), touch.TouchRegistrationConfig(), 3e-3, 0.03)
+    assert (touch_sites.double_areas(jnp.moveaxis(corners, -1, 0).swapaxes(1, 2)) > 1e-4).all()
+
+
 def test_steps_follow_the_gradient_of_students_t_log_density():
     """Of residuals that are linear in z, from a thousandth of the scale to thirty times it."""
     rng = np.random.default_rng(8)
