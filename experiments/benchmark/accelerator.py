@@ -1,8 +1,8 @@
 """Section `accelerator` of the benchmark: what one GPU makes a second, and the arithmetic in it that can be counted.
 
 Rates are of full batches that stay on the card. Patches have a peer, `warp-lang`, whose meshes are a hierarchy of boxes
-in software: an orthographic ray a pixel by `mesh_query_ray`, with the poses on the card too. The other rows
-have neither peer nor goal. The section also runs on CPUs, where its batches are too large to be quick.
+in software: an orthographic ray a pixel by `mesh_query_ray`, with the poses on the card too. The other rows have
+neither peer nor goal. The section also runs on CPUs, where its batches are too large to be quick.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ import trimesh
 import i2t
 from experiments.benchmark import rendering, skin
 from experiments.benchmark import training as paper_training
-from experiments.benchmark.contests import Contest, Work
+from experiments.benchmark.contests import Contest, Work, finish
 from experiments.benchmark.goals import GoalWork
 from i2t import training as learning
 from i2t.environments.core import EnvironmentState, TouchAction
@@ -55,7 +55,7 @@ def patches(small: bool) -> Iterator[Contest]:
         seen = jax.device_get(render(surface, poses))
         rendering.check(name, "warp", seen.depth, seen.nearest, cast().numpy())
         yield Contest(
-            f"{name}, batch of {batch}", partial(_finish, render, surface, poses), "warp", partial(_wait, cast),
+            f"{name}, batch of {batch}", partial(finish, render, surface, poses), "warp", partial(_wait, cast),
             our_calls=1 / batch, peer_calls=1 / batch, unit="s a patch", steady=0.0 if small else STEADY_S,
         )  # fmt: skip
         if small:
@@ -80,7 +80,7 @@ def contacts(small: bool) -> Iterator[Rate]:
     run = jax.jit(jax.vmap(lambda height, depth: solve(pad, height, depth, GRID)))
     one = jax.jit(convolve).lower(compliance(pad, GRID), heights[0]).compile().cost_analysis() or {}
     flops = float(np.mean(run(heights, depths).steps)) * one.get("flops", 0.0)
-    yield f"contacts, {flops / 1e6:.2g} Mflop each, batch of {count}", partial(_finish, run, heights, depths), count
+    yield f"contacts, {flops / 1e6:.2g} Mflop each, batch of {count}", partial(finish, run, heights, depths), count
 
 
 def touches(small: bool) -> Iterator[Rate]:
@@ -96,7 +96,7 @@ def touches(small: bool) -> Iterator[Rate]:
         one = partial(simulate_touch, session=session, pad=pad, errors=errors, limits=PressLimits())
         return jax.vmap(one, (0, None, None, 0))(jax.random.split(key_touches, count), surface, jnp.eye(4), T_w_t)
 
-    yield f"simulated touches, batch of {count}", partial(_finish, run, jnp.uint32(0), T_w_t), count
+    yield f"simulated touches, batch of {count}", partial(finish, run, jnp.uint32(0), T_w_t), count
 
 
 def imagined(small: bool) -> Iterator[Rate]:
@@ -107,7 +107,7 @@ def imagined(small: bool) -> Iterator[Rate]:
     predict = partial(predict_contact, overtravel=PressLimits.overtravel)
     run = jax.jit(jax.vmap(jax.vmap(predict, (None, None, 0, None, None)), (None, None, None, 0, None)))
     arguments = surface, jnp.eye(4), twists, T_w_t, jnp.float32(LOADS_N)
-    yield f"imagined touches, {sites} sites in {poses} poses", partial(_finish, run, *arguments), sites * poses
+    yield f"imagined touches, {sites} sites in {poses} poses", partial(finish, run, *arguments), sites * poses
 
 
 def trainings(small: bool) -> Iterator[Rate]:
@@ -119,7 +119,7 @@ def trainings(small: bool) -> Iterator[Rate]:
         start = jax.jit(learning.init, static_argnums=(1, 2, 3))
         state = start(jax.random.key(0), learner, setup.train, setup.touches)
         flops = 6 * sum(leaf.size for leaf in jax.tree.leaves(state.params)) / seeds
-        epoch = partial(_finish, learning.compiled(learner, setup.train), state, batch, None)
+        epoch = partial(finish, learning.compiled(learner, setup.train), state, batch, None)
         name = f"examples of the paper's network, {flops / 1e6:.3g} Mflop each, seeds: {seeds}"
         yield name, epoch, seeds * setup.touches
 
@@ -145,7 +145,7 @@ def environments(small: bool) -> Iterator[Rate]:
         _, states = jax.vmap(environment.reset, (0, None))(jax.random.split(key_reset, many), params)
         return jax.lax.scan(step, states, jax.random.split(key_steps, steps))[1]
 
-    yield f"steps of {many} environments", partial(_finish, run, jnp.uint32(1)), many * steps
+    yield f"steps of {many} environments", partial(finish, run, jnp.uint32(1)), many * steps
 
 
 def warp_caster(mesh: Any, poses: np.ndarray) -> Callable[[], Any]:
@@ -191,7 +191,3 @@ def _wait(cast: Callable[[], Any]) -> None:
 def _sites(count: int) -> tuple[Surface, jax.Array]:
     surface = jax.device_put(i2t.prepare_surface(i2t.make_object("star").mesh))
     return surface, jnp.asarray(collect_sites(jax.random.key(1), surface, count, RECOGNITION_LIMITS, "star"))
-
-
-def _finish(run: Callable, *arguments: object) -> object:
-    return jax.block_until_ready(run(*arguments))

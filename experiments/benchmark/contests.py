@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
+import jax
+
 Work: TypeAlias = Callable[[], Any]
 
 REST_S = 0.1
@@ -34,6 +36,19 @@ class BenchmarkRow(NamedTuple):
     peer_name: str
     peer: float
     ratio: float  # median over the turns of the peer's time through ours
+
+
+def finish(run: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a compiled function, and wait for what it computes.
+
+    Args:
+        run: What to call.
+        arguments: Its.
+
+    Returns:
+        Its result.
+    """
+    return jax.block_until_ready(run(*arguments))
 
 
 def interleave(contenders: dict[str, Work], turns: int, steady: float = 0.0) -> dict[str, list[float]]:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmark.contests import Contest
+from experiments.benchmark.contests import Contest, finish
 from i2t.skin.contact import CONTACT_TOLERANCE, solve
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
@@ -64,7 +64,7 @@ def contests(
     check(work, run["contacts"](pad, heights, depths), [system() for system in systems], grid)
     for kind in kinds:
         yield Contest(
-            f"{kind}: {work}", partial(_finish, run[kind], pad, heights, depths), PEER,
+            f"{kind}: {work}", partial(finish, run[kind], pad, heights, depths), PEER,
             lambda: [system() for system in systems],
             our_calls=1 / batch, peer_calls=1 / len(systems), unit=UNIT, steady=steady,
         )  # fmt: skip
@@ -79,8 +79,8 @@ def dipoles(pad: Pad, shapes: list[str], batch: int, steady: float, counts: Sequ
         reading = jax.jit(jax.vmap(partial(_reading, grid=grid, dipoles=_grid(count)), (None, 0, 0)))
         yield Contest(
             f"readings: {grid.cells} x {grid.cells} cells, {count} x {count} x 5 dipoles",
-            partial(_finish, reading, pad, heights, depths), "the contact alone",
-            partial(_finish, contact, pad, heights, depths),
+            partial(finish, reading, pad, heights, depths), "the contact alone",
+            partial(finish, contact, pad, heights, depths),
             our_calls=1 / batch, peer_calls=1 / batch, unit=UNIT, steady=steady,
         )  # fmt: skip
 
@@ -121,10 +121,6 @@ def check(work: str, ours: object, theirs: list[np.ndarray], grid: Grid) -> None
         difference = np.sqrt(np.mean((mine - pressure) ** 2)) / pressure.max()
         if difference > PRESSURE_TOLERANCE:
             raise ValueError(f"{work}: pressures differ by {difference:.1e} of the peak from those of {PEER}.")
-
-
-def _finish(run: Callable, *arguments: object) -> object:
-    return jax.block_until_ready(run(*arguments))
 
 
 def _grid(cells: int) -> Grid:

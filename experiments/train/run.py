@@ -20,8 +20,8 @@ the arm made no error. Results go to --out: metrics.json, config.json, figures, 
 which `i2t.load_predictor` reads. Of --dataset the training touches are kept (recognition.h5, recognition.json,
 meshes/), so that `experiments.recognize` can make a pad model of them.
 
-On two quiet cores the default took 112 to 123 s the first time, when everything is compiled, and 82 to 90 s the second;
-`--preset debug` 35 to 53 s and 17 to 26 s.
+On two quiet cores the default took 101 s the first time, when everything is compiled, and 72 s the second; `--preset
+debug` 30 s and 16 s.
 """
 
 import json

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.batching import spread
+from i2t.batching import filled_batches, spread
 from i2t.paper import loop
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, outcomes
@@ -235,8 +235,7 @@ def _predict_on_layer(
     bar: Progress | None,
 ) -> list[PredictedTouch]:
     each = max(BATCH_TOUCHES // len(twist), 1)
-    # Sites are repeated to fill up the last batch: one compilation serves all.
-    rows = np.resize(np.arange(len(T)), -(-len(T) // each) * each).reshape(-1, each)
+    rows = filled_batches(np.arange(len(T)), each)
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
     made = spread(_predict, calls, shared=(twist, list(models)), overtravel=overtravel)

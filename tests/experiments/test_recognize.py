@@ -16,7 +16,9 @@ from experiments.gallery.story import Story
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
 from experiments.recognize import trained_run as trained_run_of_recognition
+from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
+from experiments.recognize.run import configure
 from experiments.reproduce.recognition_tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
 from experiments.studies import physics
@@ -200,3 +202,9 @@ def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
     (out / "metrics.json").unlink()
     assert studies.main([*words, "--resume"]) == 0  # from what was made of the pad
     assert (out / "metrics.json").read_text() == before
+
+
+def test_a_few_episodes_are_played_unless_touches_were_recorded(tmp_path):
+    assert configure(SimulateArgs()) == PRESETS["short"]
+    assert configure(SimulateArgs(dataset=tmp_path)) == PRESETS["paper"]
+    assert configure(SimulateArgs(preset="paper", episodes=7)).paper_episodes == 14
