@@ -27,13 +27,17 @@ def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = 
         What goes through the items, or counts.
     """
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    return (tqdm if terminal else _Lines)(items, desc=desc, unit=unit, **options)
+    return (_Bar if terminal else _Lines)(items, desc=desc, unit=unit, **options)
 
 
-class _Lines(tqdm):
+class _Bar(tqdm):
+    """Progress as a bar, which can be closed when Ctrl-C has come while it was made."""
+
+    disable: bool = True
+
+
+class _Lines(_Bar):
     """Progress as lines."""
-
-    disable: bool
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self._told_at = time.monotonic()

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from io import StringIO
 
+import pytest
+
 from i2t import progress as module
 from i2t.progress import progress
 
@@ -34,3 +36,9 @@ def test_the_environment_silences_it():
     asked = {**os.environ, "TQDM_DISABLE": "1"}
     done = subprocess.run([sys.executable, "-c", said], env=asked, capture_output=True, text=True, check=True)
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize("kind", [module._Bar, module._Lines])
+def test_progress_whose_making_was_interrupted_is_closed_in_silence(kind):
+    """Ctrl-C may come before tqdm has set a field; `__del__` closes what there is all the same."""
+    kind.__new__(kind).close()
