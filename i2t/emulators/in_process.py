@@ -11,31 +11,29 @@ takes a fraction of one. On the clock of this machine it takes as long as in a l
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import takewhile
-from typing import Any, SupportsIndex, TypeAlias
+from typing import SupportsIndex, TypeAlias
 
 import numpy as np
 
 from i2t.depth.camera import Camera
 from i2t.emulators.robot_motion import Robot
 from i2t.emulators.scene import ContactModel, Contacts, TouchableScene
-from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.errors import DeviceTimeoutError, NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware.base import CameraBase, DeviceBase
 from i2t.hardware.clock import Clock
+from i2t.hardware.guarded import GuardedByPolling
 from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
-from i2t.hardware.poses import pose_from_vector, pose_to_vector, shifted_along_z
+from i2t.hardware.poses import pose_to_vector
 from i2t.hardware.protocols import (
     READ_SPARE_S,
-    ApproachResult,
-    ArmFeatures,
     ArmState,
     CameraFeatures,
     Samples,
     SkinCounters,
     SkinFeatures,
-    StopReason,
     View,
     channel_names,
 )
@@ -293,47 +291,26 @@ class SimulatedSkin(_SimulatedDevice):
             return list(newer)[::-1]
 
 
-class SimulatedArm(_SimulatedDevice):
+class SimulatedArm(GuardedByPolling):
     """An arm with guarded approaches (`i2t.hardware.protocols.GuardedArm`).
 
     Args:
         lab: In which it moves.
         limits: That no motion exceeds.
-        latency: s, by which what is sent to it while it moves arrives late.
+        latency: s, by which it is late to brake.
     """
 
+    name, source = "the simulated arm", "simulated"
+    rate, poll_s, start_s = STATE_RATE_HZ, LOOK_TICKS * TICK_S, 0.0
+
     def __init__(self, lab: SimulatedLab, limits: MotionLimits, latency: float = 0.03) -> None:
-        super().__init__(lab, "the simulated arm")
-        self.limits, self.latency = limits, latency
+        super().__init__(limits, lab.clock)
+        self.lab, self.latency = lab, latency
 
-    @property
-    def features(self) -> ArmFeatures:
-        """Features, known before `connect`."""
-        limits = self.limits
-        return ArmFeatures(
-            self._name,
-            "simulated",
-            STATE_RATE_HZ,
-            box=limits.box,
-            speed=limits.speed,
-            acceleration=limits.acceleration,
-        )
-
-    def connect(self) -> None:
-        """Connect it."""
-        super().connect()
-        self.lab.advance()
-
-    def close(self) -> None:
-        """Stop and disconnect it."""
+    def read_state(self) -> ArmState:
+        """The present state."""
         with self.lab.lock:
-            self.lab.robot.stop(BRAKING_M_S2)
-        super().close()
-
-    def state(self, timeout: float = 0.1) -> ArmState:
-        """The present state, as in `Arm.state`; the timeout never passes."""
-        self._check()
-        with self.lab.lock:
+            self.lab.advance()
             robot = self.lab.robot
             wrench = robot.measured_wrench().reshape(2, 3) @ robot.rotation
             return ArmState(
@@ -346,92 +323,24 @@ class SimulatedArm(_SimulatedDevice):
                 safe=True,
             )
 
-    def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion, as in `Arm.move`; by default as fast as the limits allow."""
-        self._check()
-        speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
-        if self.lab.robot.motion is not None:
-            self.stop()
-        vector = pose_to_vector(T_b_t)
+    def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
+        """Start a straight motion."""
         with self.lab.lock:
             robot = self.lab.robot
             self.lab.contacts.stands(robot.position, robot.rotation)  # however short it stood
-            robot.line_to(np.array(vector), speed, acceleration)
-        return pose_from_vector(vector)
+            robot.line_to(np.array(pose_to_vector(T_b_t)), speed, acceleration)
 
-    def stop(self, timeout: float = 1.0) -> None:
-        """Brake and return when the arm stands, as in `Arm.stop`."""
-        self._check()
+    def brake(self) -> None:
+        """Brake, late where it moves."""
+        if self.lab.robot.motion is not None:
+            self.clock.sleep(self.latency)
         with self.lab.lock:
+            self.lab.advance()
             self.lab.robot.stop(BRAKING_M_S2)
-        for _ in range(round(timeout / TICK_S)):
-            if not self.state().moving:
-                return
-            self.lab.clock.sleep(TICK_S)
-        raise DeviceError(f"{self._name} was not seen to stop within {timeout:g} s")
 
-    def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Take the wrench felt now as zero, as in `Arm.zero_wrench`; nothing takes time."""
-        if self.state().moving:
-            raise DeviceError("The wrench can be zeroed only while the arm stands.")
+    def zero_sensor(self) -> None:
+        """Take the wrench felt now as zero."""
         self.lab.robot.zero_wrench()
-
-    def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and wait, as in `GuardedArm.go`."""
-        limit = max(self.limits.trip_force, 1.1 * float(np.linalg.norm(self.state().wrench[:3])))
-        for state in self._follow(T_b_t, speed, acceleration):
-            force = float(np.linalg.norm(state.wrench[:3]))
-            if state.moving and not force <= limit:
-                self.stop()
-                raise DeviceError(f"The arm met something on its way ({force:.1f} N) and was stopped.")
-        return state
-
-    def _follow(self, T_b_t: Array, speed: float | None, acceleration: float | None) -> Iterator[ArmState]:
-        """States of a motion, look by look; the last is that of an arm that stands."""
-        self.move(T_b_t, speed, acceleration)
-        moving = True
-        while moving:
-            self.lab.clock.sleep(LOOK_TICKS * TICK_S)
-            state = self.state()
-            moving = state.moving
-            yield state
-
-    def approach(
-        self,
-        distance: float,
-        speed: float = 0.005,
-        stop_condition: Callable[[ArmState], Any] | None = None,
-        force: float = 8.0,
-        torque: float = 8.0,
-        acceleration: float = 0.2,
-    ) -> ApproachResult:
-        """Move along tool z until something says stop, as in `GuardedArm.approach`."""
-        self.limits.check_approach(distance, force, torque)
-        start = self.state().T_b_t
-        reason: StopReason = "distance"
-        answer: Any = None
-        try:
-            for trigger in self._follow(shifted_along_z(start, distance), speed, acceleration):
-                if not trigger.moving:
-                    break
-                answer = stop_condition(trigger) if stop_condition is not None else None
-                felt = np.linalg.norm(trigger.wrench.reshape(2, 3), axis=1)
-                if not felt[0] <= force:
-                    reason = "force"
-                elif not felt[1] <= torque:
-                    reason = "torque"
-                elif answer:
-                    reason = "condition"
-                if reason != "distance":
-                    break
-        finally:
-            if self.lab.robot.motion is not None:
-                self.lab.clock.sleep(self.latency)
-                self.lab.advance()
-                self.stop()
-        state = self.state()
-        moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
-        return ApproachResult(reason, answer, trigger, state, moved)
 
 
 class SimulatedCamera(CameraBase):

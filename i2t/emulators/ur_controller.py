@@ -15,6 +15,8 @@ Faults on demand. A fourth port, 30100, takes a line and answers one, for instan
 
     protective            protective stop; the dashboard's "unlock protective stop" releases it
     stall | resume        RTDE packets stop, connections stay open | and come again
+    stall-control         those to the connections that write registers stop alone, until "resume"
+    forge NAME NUMBERS    an output is sent as these numbers, maybe nan or inf; "forge" alone: the truth again
     mute                  every port still connects, and answers nothing more
     drop-control          the connections that write registers are closed, and can be made again
     drop-state            the connections that only listen are closed, and can be made again

@@ -73,7 +73,7 @@ class Server:
 
     def __init__(self, controller: Controller, host: str, tethered: bool = False) -> None:
         self.controller, self.host, self.tethered = controller, host, tethered
-        self.stalled = self.muted = False
+        self.stalled = self.stalled_control = self.muted = False
         self.rtde_clients: list[Client] = []
 
     async def run(self, ready: Callable[[], None]) -> None:
@@ -127,7 +127,7 @@ class Server:
         due = [client for client in self.rtde_clients if client.streaming and tick % client.every == 0]
         if due and not self.stalled and not self.muted:
             controller.observe()
-            for client in due:
+            for client in (each for each in due if not (self.stalled_control and each.inputs)):
                 values = (controller.output(name) for name in client.outputs.names)
                 client.send(rtde_protocol.encode(1, client.outputs.layout, values))
 
@@ -231,8 +231,14 @@ class Server:
             match line.split():
                 case ["protective"]:
                     controller.protective_stop()
-                case ["stall" | "resume" as word]:
-                    self.stalled = word == "stall"
+                case ["stall" | "stall-control" | "resume" as word]:
+                    self.stalled, self.stalled_control = word == "stall", word == "stall-control"
+                case ["forge"]:
+                    controller.forged.clear()
+                case ["forge", name, *numbers] if numbers:
+                    values = [float(number) for number in numbers]
+                    size = struct.calcsize(rtde_protocol.FORMATS[rtde_protocol.recipe(name).types[0]]) // 8
+                    controller.forged[name] = values[0] if size <= 1 else (values * size)[:size]
                 case ["mute"]:
                     self.muted = True
                 case ["kill-program"]:
@@ -255,6 +261,6 @@ class Server:
                     return json.dumps(controller.status())
                 case _:
                     return UNKNOWN.format(line)
-        except ValueError:
+        except (ValueError, KeyError):
             return UNKNOWN.format(line)
         return OK

@@ -155,7 +155,7 @@ class Library:
 def test_a_motion_is_made_under_a_fed_watchdog_only():
     ours, theirs = (rtde_worker.Channel(end) for end in socket.socketpair())
     library = Library()
-    worker = rtde_worker.Worker(theirs, library, library, watchdog_rate=4.0)
+    worker = rtde_worker.Worker(theirs, library, library, watchdog_rate=4.0, state_timeout=STATE_TIMEOUT)
     worker.observe()
     motion = {"motion": 1, "pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
     heartbeat, move = {"heartbeat": True}, {"command": "move", "id": 1, "arguments": motion}
@@ -337,6 +337,7 @@ BROKEN = "TimeoutError: .*(No news from the controller|The connection to the con
     ("fault", "said"),
     [
         ("stall", BROKEN),
+        ("stall-control", BROKEN),
         ("drop-control", BROKEN),
         ("drop-state", BROKEN),
         (signal.SIGSEGV, "TimeoutError: .*SIGSEGV"),
@@ -344,7 +345,7 @@ BROKEN = "TimeoutError: .*(No news from the controller|The connection to the con
         (signal.SIGSTOP, "TimeoutError: .*No news"),
         ("kill-program", "program on the controller"),
     ],
-    ids=["stall", "drop-control", "drop-state", "SIGSEGV", "SIGKILL", "SIGSTOP", "kill-program"],
+    ids=["stall", "stall-control", "drop-control", "drop-state", "SIGSEGV", "SIGKILL", "SIGSTOP", "kill-program"],
 )
 def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_asked(above, fault, said):
     """The controller's streams and program, and a client library that crashes or hangs."""
@@ -367,6 +368,47 @@ def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_as
     arm.go(BEGIN, 0.2)
 
 
+@pytest.mark.parametrize(
+    "forged",
+    [
+        "actual_TCP_force nan", "actual_TCP_force inf", "actual_TCP_force 1e6",
+        "actual_TCP_pose nan", "actual_TCP_pose inf", "actual_TCP_pose 9", "actual_TCP_pose 0.4 0 0.3 0 0 nan",
+        "actual_TCP_speed nan", "actual_q nan",
+        "timestamp nan", "timestamp inf", "timestamp -1", "timestamp 1",
+        "target_speed_fraction nan", "target_speed_fraction inf",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("guarded", [False, True], ids=["go", "approach"])
+def test_a_state_that_cannot_be_stops_the_arm(above, forged, guarded):
+    """NaN, infinite, frozen and absurd values of every number on which a motion depends."""
+    host, arm = above
+    began = []
+
+    def forge():
+        eventually(lambda: np.linalg.norm(status(host)["twist"]) > 0.018)
+        began.append(status(host)["clock"])
+        ask(host, f"forge {forged}")
+
+    thread = threading.Thread(target=forge)
+    thread.start()
+    try:
+        if guarded:
+            ask(host, "plane 0 0")
+            done = arm.approach(0.15, SPEED, force=8.0)
+            assert done.reason == "force"
+        else:
+            arm.go(pose(0.4, 0.25, 0.3), SPEED)
+            raise AssertionError("the motion went on to its end")
+    except DeviceError as error:
+        assert str(error).count(". ") == 0  # one sentence
+    finally:
+        thread.join()
+        ask(host, "forge")
+        ask(host, f"plane {PLANE} {STIFFNESS}")
+    eventually(lambda: not status(host)["moving"])
+    assert status(host)["stood"] - began[0] < STATE_TIMEOUT + 1.0  # s: noticed within a second of the timeout
+
+
 def test_a_killed_controller_is_noticed(start):
     host = start()
     with connected(host) as arm:
@@ -378,16 +420,17 @@ def test_a_killed_controller_is_noticed(start):
             arm.connect()
 
 
-def test_a_controller_that_sends_no_states_is_fed_no_longer(start):
-    """With the arm at rest and nobody asking, the watchdog alone ends the program."""
+@pytest.mark.parametrize("fault", ["stall", "stall-control"])
+def test_a_controller_that_sends_no_states_is_given_up_also_at_rest(start, fault):
+    """Nobody asks, and no motion is under way; its program ends all the same."""
     host = start()
     with connected(host) as arm:
         arm.state(STATE_TIMEOUT)
         assert status(host)["runtime"] == ur_controller.PLAYING
-        ask(host, "stall")
+        ask(host, fault)
         eventually(lambda: status(host)["runtime"] == ur_controller.STOPPED)
-        said = status(host)
-        assert said["clock"] - said["heard"] >= 1 / WATCHDOG_RATE
+        with pytest.raises(DeviceTimeoutError, match="No news|silent"):
+            arm.state(STATE_TIMEOUT)
 
 
 def test_a_protective_stop_is_noticed_and_released_by_a_person(start):

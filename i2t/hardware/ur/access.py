@@ -15,9 +15,10 @@ from typing import IO
 
 from i2t.errors import DeviceError
 from i2t.hardware.poses import pose_from_vector
+from i2t.hardware.ur.rtde_worker import RTDE_PORT
 from i2t.types import Array
 
-RTDE_PORT, DASHBOARD_PORT = 30004, 29999
+DASHBOARD_PORT = 29999
 NO_LIBRARY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
 PROTOCOL_REQUEST = b"\x00\x05V\x00\x02"  # asks an RTDE server for version 2 of its protocol
 

@@ -35,8 +35,9 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from i2t.errors import DeviceError
+from i2t.hardware.guarded import BOX_MARGIN_M, GOAL_TOLERANCE, free_limits, longest_duration, require_arrived
 from i2t.hardware.limits import MotionLimits, format_position
-from i2t.hardware.poses import apart, pose_from_vector, pose_to_vector, shifted_along_z
+from i2t.hardware.poses import pose_from_vector, pose_to_vector, shifted_along_z
 from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState, StopReason
 from i2t.hardware.ur.access import (
     NO_LIBRARY,
@@ -49,10 +50,6 @@ from i2t.hardware.ur.rtde_link import MotionGuard, RtdeConnection
 from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
 
-GOAL_TOLERANCE = (1e-3, 0.01)  # m, rad: how near its goal a finished motion ends
-ROTATION_LEVER_M = 0.25  # of path, that a radian is reckoned as, to know how long a motion may take
-RETREAT_FACTOR = 1.1  # by which the force may grow in a motion that begins above its limit
-DURATION_FACTOR, DURATION_MARGIN_S = 2.0, 2.0  # a motion may take so much longer than a trapezoid of speed
 SLIDER_MIN = 0.01  # speed fraction below which waiting no longer counts as slow motion
 # Windows has no SIGHUP.
 BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -188,7 +185,7 @@ class UrArm:
         it gets worse by a tenth.
         """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
-        self._start(T_b_t, speed, acceleration, self._free_guard)
+        self._start(T_b_t, speed, acceleration)
         return pose_from_vector(pose_to_vector(T_b_t))
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
@@ -200,9 +197,9 @@ class UrArm:
         """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         with self._standing_at_the_end():
-            begun = self._start(T_b_t, speed, acceleration, self._free_guard)
+            begun = self._start(T_b_t, speed, acceleration)
             state = next(state for state in self._follow(*begun) if not state.moving)
-            _check_arrived(state, T_b_t)
+            require_arrived(state, T_b_t)
         return state
 
     def approach(
@@ -222,8 +219,8 @@ class UrArm:
         reason: StopReason = "distance"
         answer: Any = None
         with self._standing_at_the_end():
-            guard = MotionGuard(force, torque, attended=True)
-            for trigger in self._follow(*self._start(goal, speed, acceleration, guard)):
+            bounds = force, torque
+            for trigger in self._follow(*self._start(goal, speed, acceleration, bounds)):
                 trip = self.connection.trip
                 if trip is not None:
                     reason, trigger = trip
@@ -233,7 +230,7 @@ class UrArm:
                 if reason != "distance":
                     break
                 if not trigger.moving:
-                    _check_arrived(trigger, goal)
+                    require_arrived(trigger, goal)
                     break
         state = self.connection.running(self.connection.state_timeout).arm
         moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
@@ -262,18 +259,20 @@ class UrArm:
             used += (now - last_time) * max(state.speed_fraction, SLIDER_MIN)
             last_time = now
             if state.clock != last_clock:
-                last_clock = state.clock
+                last_clock, position = state.clock, state.arm.T_b_t[:3, 3]
+                if not self.limits.contains(position, BOX_MARGIN_M):
+                    raise DeviceError(f"The tool left its box, to {format_position(position)} m: it was stopped.")
                 yield state.arm
             connection.attend()
             time.sleep(POLL_S / 2)
         raise DeviceError(f"The motion took longer than {duration:.1f} s and was stopped.")
 
-    @property
-    def _free_guard(self) -> MotionGuard:
-        return MotionGuard(self.limits.trip_force, self.limits.torque, attended=False)
-
-    def _start(self, goal: Array, speed: float, acceleration: float, guard: MotionGuard) -> tuple[float, int]:
-        """Start a motion; returns how long it may take at full speed (s), and the number of stops so far."""
+    def _start(
+        self, goal: Array, speed: float, acceleration: float, bounds: tuple[float, float] | None = None
+    ) -> tuple[float, int]:
+        """Start a motion, attended where it has bounds (N, Nm) of its own; returns how long it may take at full speed
+        (s), and the number of stops so far.
+        """
         connection = self.connection
         stops = connection.stops
         start = connection.movable(stops).arm
@@ -285,16 +284,6 @@ class UrArm:
             raise DeviceError(
                 f"The tool at {format_position(position)} m is outside its box: bring it back with the pendant."
             )
-        if not guard.attended:  # a way out of a contact must not be barred
-            force, torque = RETREAT_FACTOR * np.linalg.norm(start.wrench.reshape(2, 3), axis=1)
-            guard = MotionGuard(max(guard.force, float(force)), max(guard.torque, float(torque)), False)
+        guard = MotionGuard(*(bounds or free_limits(self.limits, start.wrench)), attended=bounds is not None)
         connection.start_motion(goal, speed=speed, acceleration=acceleration, guard=guard, stops=stops)
-        distance, turn = apart(start.T_b_t, goal)
-        length = max(distance, ROTATION_LEVER_M * turn)
-        return DURATION_FACTOR * (length / speed + speed / acceleration) + DURATION_MARGIN_S, stops
-
-
-def _check_arrived(state: ArmState, goal: Array) -> None:
-    distance, turn = apart(state.T_b_t, goal)
-    if not (distance <= GOAL_TOLERANCE[0] and turn <= GOAL_TOLERANCE[1]):
-        raise DeviceError(f"The motion ended {1e3 * distance:.1f} mm and {np.degrees(turn):.1f} degrees off its goal.")
+        return longest_duration(start.T_b_t, goal, speed, acceleration), stops

@@ -114,6 +114,7 @@ class RtdeConnection:
             "tool": None if tool is None else pose_to_vector(tool),
             "payload": None if payload is None else [payload[0], list(payload[1])],
             "watchdog_rate": self.watchdog_rate,
+            "state_timeout": self.state_timeout,
         }
         self._channel = self._start_worker(request)
         reply = self._first_message(self._channel)
@@ -161,7 +162,7 @@ class RtdeConnection:
         if self._thread is None:
             raise NotConnectedError(f"The arm at {self.host} is not connected.")
         age = np.inf if state is None else time.monotonic() - state.arm.time
-        if state is None or age > timeout:
+        if state is None or not age <= timeout:
             raise self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
         return state
 
@@ -374,7 +375,7 @@ class RtdeConnection:
         state, guard, now = self._state, self._guard, time.monotonic()
         if state is not None and guard is not None:
             age = now - state.arm.time
-            if age > self.state_timeout and state.arm.moving:
+            if not age <= self.state_timeout and state.arm.moving:
                 self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
                 return
             if guard.attended and now - self._attended_time > self.state_timeout:
@@ -384,7 +385,7 @@ class RtdeConnection:
                 )
                 self._send("brake")
         if self._stop_requested and self._brake is None:
-            if state is not None and now - state.arm.time > self.state_timeout:  # it would not answer
+            if state is not None and not now - state.arm.time <= self.state_timeout:  # it would not answer
                 self.give_up(f"The controller at {self.host} fell silent: it was told to stop.")
                 return
             with self._ordering:

@@ -8,7 +8,10 @@ program. The driver sees the end of the channel at once and says "stop" to the d
 
 In a loop of 10 ms the process reads the controller's state, brakes if a force or torque is above its limit, does what
 the driver asks, and passes the driver's heartbeats on to the controller's watchdog. So the arm stops if either process
-dies or hangs. When the channel ends, the process ends the program on the controller, and itself.
+dies or hangs. When the channel ends, the process ends the program on the controller, and itself. So it does, without a
+word to the controller, where a state holds what is no number, and where one of the two connections has received
+nothing for the state timeout: the library keeps the last registers of a stalled stream, and calls it connected for 2.5
+s more. What a connection received last is asked of the kernel, which only Linux tells.
 
 Messages are lines of JSON over a socket, which is standard input. The driver sends `{"heartbeat": true}` and
 `{"command": name, "id": n, "arguments": {...}}`. It is sent `{"ready": true}`, `{"state": {...}}`, `{"answer": n,
@@ -22,6 +25,7 @@ import math
 import os
 import signal
 import socket
+import struct
 import sys
 import threading
 import time
@@ -37,6 +41,9 @@ BRAKE_SETTLING_S = 0.05  # of the controller's clock after a brake: states of be
 START_OF_MOTION_S = 0.5  # in which a motion that was asked for shows in the state
 EXIT_GRACE_S = 2  # to end the program on the controller, after which this process ends in any case
 STANDARD_STREAMS = 3  # file descriptors 0, 1 and 2
+RTDE_PORT = 30004
+NUMBERS = ("pose", "twist", "wrench", "joints")  # of a state
+SINCE_RECEIVED = struct.Struct("52xI")  # tcpi_last_data_recv of Linux's tcp_info, ms
 PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2  # runtime state; bits of the safety status
 VARIABLES = [
     "timestamp",
@@ -108,6 +115,35 @@ class Channel:
         self._in.close()
 
 
+class Streams:
+    """The library's connections that a controller streams to, as they are when this is made."""
+
+    def __init__(self) -> None:
+        self._ends: list[socket.socket] = []
+        for name in os.listdir("/dev/fd"):
+            with contextlib.suppress(OSError):  # no socket, or the folder's own
+                end = socket.socket(fileno=int(name))
+                with contextlib.suppress(OSError):  # not connected
+                    if end.getpeername()[1:2] == (RTDE_PORT,):
+                        self._ends.append(end)
+                        continue
+                end.detach()  # it is not ours to close
+
+    def silence(self) -> float:
+        """Time since the one that has been silent longest received anything.
+
+        Returns:
+            s; 0 where the kernel does not tell, infinite where a connection is gone.
+        """
+        if not hasattr(socket, "TCP_INFO"):
+            return 0.0
+        try:
+            ages = [end.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, SINCE_RECEIVED.size) for end in self._ends]
+        except OSError:
+            return math.inf
+        return max((1e-3 * float(SINCE_RECEIVED.unpack(age)[0]) for age in ages), default=math.inf)
+
+
 class Worker:
     """Reads the state, guards the motion and obeys the driver.
 
@@ -116,11 +152,14 @@ class Worker:
         control: An RTDEControlInterface.
         receive: An RTDEReceiveInterface.
         watchdog_rate: Hz, how often the controller must hear from us.
+        state_timeout: s, that a connection may receive nothing.
     """
 
-    def __init__(self, channel: Channel, control: Any, receive: Any, watchdog_rate: float) -> None:
+    def __init__(
+        self, channel: Channel, control: Any, receive: Any, watchdog_rate: float, state_timeout: float
+    ) -> None:
         self.channel, self.control, self.receive = channel, control, receive
-        self.watchdog_rate = watchdog_rate
+        self.watchdog_rate, self.state_timeout, self.streams = watchdog_rate, state_timeout, Streams()
         self.watchdog_set = False
         self.pendant_tcp = [0.0] * 6  # m, rad: the TCP that the controller had before it was told another
         self.heartbeat_time = -math.inf
@@ -132,10 +171,13 @@ class Worker:
         self.braked_clock = -math.inf  # s, the controller's clock at the last brake
 
     def serve(self) -> None:
-        """Work until the driver ends (EOFError) or a connection breaks (RuntimeError or the end of the process)."""
+        """Work until the driver ends (EOFError), or a connection breaks or lies (ConnectionError)."""
         while True:
             if not self.control.isConnected() or not self.receive.isConnected():
-                raise RuntimeError("the controller closed it")
+                raise ConnectionError("the controller closed it")
+            silence = self.streams.silence()
+            if not silence <= self.state_timeout:
+                raise ConnectionError(f"one of its streams has been silent for {silence:.2f} s")
             self.observe()
             self.process(self.channel.receive(POLL_S))
 
@@ -175,11 +217,18 @@ class Worker:
         self.channel.send({"answer": message["id"], "error": error})
 
     def observe(self) -> None:
-        """Send the controller's newest state, if it is new, and brake if it is above the limits of the motion."""
+        """Send the controller's newest state, if it is new, and brake if it is above the limits of the motion.
+
+        Raises:
+            ConnectionError: The state holds what is no number.
+        """
         clock, last = self.receive.getTimestamp(), self.state
-        if clock == 0.0 or (last is not None and clock == last["clock"] and self.pending is None):
+        if not (clock > 0.0 and (last is None or clock > last["clock"] or self.pending is not None)):
             return
         state = self.read_state(clock)
+        wrong = [name for name in NUMBERS if not all(map(math.isfinite, state[name]))]
+        if wrong:
+            raise ConnectionError(f"its {wrong[0]} is {state[wrong[0]]}, which is no number")
         force, torque = math.hypot(*state["wrench"][:3]), math.hypot(*state["wrench"][3:])
         if self.limits is not None and not (force <= self.limits[0] and torque <= self.limits[1]):  # NaN trips too
             self.tripped = state["tripped"] = "torque" if force <= self.limits[0] else "force"
@@ -199,7 +248,7 @@ class Worker:
             The state: metres, radians, newtons and the controller's own frame.
         """
         receive, last = self.receive, self.state
-        now = time.monotonic() if last is None or clock != last["clock"] else last["time"]
+        now = time.monotonic() if last is None or clock > last["clock"] else last["time"]
         progress = self.control.getAsyncOperationProgressEx()
         operation = progress.operationId()
         if self.pending is not None and (operation != self.pending[0] or now > self.pending[1] + START_OF_MOTION_S):
@@ -217,7 +266,7 @@ class Worker:
             "twist": twist,
             "wrench": receive.getActualTCPForce(),
             "joints": receive.getActualQ(),
-            "moving": bool(busy or braking or math.hypot(*twist) > STANDING_SPEED),
+            "moving": bool(busy or braking or not math.hypot(*twist) <= STANDING_SPEED),
             "safe": safe,
             "program": program,
             "speed_fraction": receive.getTargetSpeedFraction(),
@@ -289,7 +338,7 @@ def connect(channel: Channel, request: Message) -> Worker:
 
     Args:
         channel: To the driver.
-        request: Host, tool (6,) or None, payload or None, and watchdog rate (Hz).
+        request: Host, tool (6,) or None, payload or None, watchdog rate (Hz) and state timeout (s).
 
     Returns:
         A worker that serves the driver.
@@ -308,7 +357,7 @@ def connect(channel: Channel, request: Message) -> Worker:
         control.setTcp(request["tool"])
     if request["payload"] is not None:
         control.setPayload(*request["payload"])
-    worker = Worker(channel, control, receive, request["watchdog_rate"])
+    worker = Worker(channel, control, receive, request["watchdog_rate"], request["state_timeout"])
     worker.pendant_tcp = pendant_tcp
     return worker
 

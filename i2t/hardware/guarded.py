@@ -1,0 +1,367 @@
+"""Guarded motions: what every state of an arm in motion must be, and an arm that is guarded by asking for states.
+
+`MotionWatch` judges states, one after another, whoever's arm they are of. `GuardedByPolling` makes a `GuardedArm` of an
+arm that can be asked for its state, sent along a line, and told to brake.
+
+Frames: B robot base, T tool; metres, radians, newtons.
+"""
+
+import contextlib
+import threading
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+
+from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
+from i2t.hardware.base import DeviceBase
+from i2t.hardware.clock import Clock, MonotonicClock
+from i2t.hardware.limits import MotionLimits, format_position
+from i2t.hardware.poses import apart, shifted_along_z
+from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState, StopReason
+from i2t.types import Array
+
+GOAL_TOLERANCE = (1e-3, 0.01)  # m, rad: how near its goal a finished motion ends
+ROTATION_LEVER_M = 0.25  # of path, that a radian is reckoned as, to know how long a motion may take
+DURATION_FACTOR, DURATION_MARGIN_S = 2.0, 2.0  # a motion may take so much longer than a trapezoid of speed
+RETREAT_FACTOR = 1.1  # by which the force may grow in a motion that begins above its limit
+MOST_START_SHARE = 2.0  # of the rig's limits, that may be felt where a free motion begins
+BOX_MARGIN_M, TRAVEL_MARGIN_M = 5e-3, 3e-3  # of a state: outside the box; past the goal
+SPEED_FACTOR, SPEED_MARGIN_M_S = 1.5, 0.02  # of a state, over the speed that was asked
+STATE_AGE_S = 1.0  # of a state in a motion, at the most: a busy computer's pauses are shorter
+STILL_S = 3.0  # in which the pose of an arm that says that it moves must have changed
+NUMBERS = ("T_b_t", "joints", "velocity", "wrench")  # of a state
+
+
+class MotionWatch:
+    """Judge of the states of one motion.
+
+    Args:
+        name: Of the arm, for messages.
+        limits: Of the rig.
+        start: Where the motion begins.
+        distance: m, that the tool goes.
+        speed: m/s, that was asked.
+        force: N, norm of the force that ends the motion.
+        torque: Nm, likewise.
+        clock: That dates states.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        limits: MotionLimits,
+        start: ArmState,
+        *,
+        distance: float,
+        speed: float,
+        force: float,
+        torque: float,
+        clock: Clock,
+    ) -> None:
+        self._name, self._limits, self._clock = name, limits, clock
+        self._start, self._distance, self._speed = start.T_b_t[:3, 3], distance, speed
+        self._force, self._torque = force, torque
+        self._newest, self._changed = start, clock.now()  # when the pose was another for the last time
+
+    def __call__(self, state: ArmState) -> Literal["force", "torque"] | None:
+        """Judge a state.
+
+        Args:
+            state: The newest.
+
+        Returns:
+            What is above its limit, if anything.
+
+        Raises:
+            DeviceTimeoutError: The state is old, or older than the one before.
+            DeviceError: It holds what is no number, or the arm is outside its box, too far, too fast, or not safe.
+        """
+        now, position, before = self._clock.now(), state.T_b_t[:3, 3], self._newest
+        if wrong := not_numbers(state):
+            raise DeviceError(f"{self._name} says that its {wrong}, which is no number; it was stopped")
+        if not state.time - before.time >= 0 or not now - state.time <= STATE_AGE_S:
+            raise DeviceTimeoutError(f"{self._name} gives no new states; it was stopped, check its connection")
+        if not state.safe:
+            raise DeviceError(f"{self._name} made a protective or emergency stop; clear its cause, and release it")
+        if not self._limits.contains(position, BOX_MARGIN_M):
+            raise DeviceError(f"{self._name} is outside its box, at {format_position(position)} m; it was stopped")
+        travel, speed = float(np.linalg.norm(position - self._start)), float(np.linalg.norm(state.velocity[:3]))
+        if not travel <= self._distance + TRAVEL_MARGIN_M:
+            raise DeviceError(f"{self._name} went {1e3 * travel:.0f} mm where {1e3 * self._distance:.0f} were asked")
+        if not speed <= SPEED_FACTOR * self._speed + SPEED_MARGIN_M_S:
+            raise DeviceError(f"{self._name} moves at {speed:.3g} m/s where {self._speed:.3g} were asked")
+        if not state.moving or not np.array_equal(state.T_b_t, before.T_b_t):
+            self._changed = now
+        if not now - self._changed <= STILL_S:
+            raise DeviceError(f"{self._name} says that it moves, but its pose stands still; is its speed slider at 0?")
+        self._newest = state
+        force, torque = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
+        return "force" if not force <= self._force else "torque" if not torque <= self._torque else None
+
+
+def not_numbers(state: ArmState) -> str:
+    """Find what is NaN or infinite in a state.
+
+    Args:
+        state: Of an arm.
+
+    Returns:
+        Such as "wrench is [nan, 0.0, ...]"; empty where all is finite.
+    """
+    for name in NUMBERS:
+        values = np.asarray(getattr(state, name), float)
+        if not np.isfinite(values).all():
+            return f"{name.replace('T_b_t', 'pose')} is {np.round(values, 3).tolist()}"
+    return ""
+
+
+def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
+    """Force and torque that stop a free motion, which may begin above them, as one that backs out of a contact.
+
+    Args:
+        limits: Of the rig.
+        wrench: (6,) N and Nm, where it begins.
+
+    Returns:
+        The trip force (N) and the limit of torque (Nm), or a tenth more than is felt already.
+
+    Raises:
+        DeviceError: So much is felt that no motion may begin.
+    """
+    force, torque = (float(each) for each in np.linalg.norm(np.reshape(wrench, (2, 3)), axis=1))
+    if not (force <= MOST_START_SHARE * limits.force and torque <= MOST_START_SHARE * limits.torque):
+        raise DeviceError(
+            f"The arm feels {force:.0f} N and {torque:.0f} Nm before it moves: free the tool with the pendant, and "
+            "check the payload."
+        )
+    return max(limits.trip_force, RETREAT_FACTOR * force), max(limits.torque, RETREAT_FACTOR * torque)
+
+
+def longest_duration(start: Array, goal: Array, speed: float, acceleration: float) -> float:
+    """Time that a straight motion may take.
+
+    Args:
+        start: (4, 4) T_b_t, m.
+        goal: (4, 4) T_b_t, m.
+        speed: m/s.
+        acceleration: m/s^2.
+
+    Returns:
+        s: twice the time of a trapezoid of speed, and two seconds.
+    """
+    distance, turn = apart(start, goal)
+    length = max(distance, ROTATION_LEVER_M * turn)
+    return DURATION_FACTOR * (length / speed + speed / acceleration) + DURATION_MARGIN_S
+
+
+def require_arrived(state: ArmState, goal: Array) -> None:
+    """Refuse an end of a motion that is not its goal.
+
+    Args:
+        state: At rest.
+        goal: (4, 4) T_b_t, m.
+
+    Raises:
+        DeviceError: The tool is elsewhere.
+    """
+    distance, turn = apart(state.T_b_t, goal)
+    if not (distance <= GOAL_TOLERANCE[0] and turn <= GOAL_TOLERANCE[1]):
+        raise DeviceError(f"The motion ended {1e3 * distance:.1f} mm and {np.degrees(turn):.1f} degrees off its goal.")
+
+
+class GuardedByPolling(DeviceBase):
+    """A guarded arm (`i2t.hardware.protocols.GuardedArm`) of a driver with seven short methods.
+
+    Its states are asked for every `poll_s` seconds while it moves. It brakes where something is above a limit, a state
+    is old or nonsense, the caller's stop condition says so, or an error ends the call. A driver gives
+
+        open_link, close_link     to the arm; closing may be asked for at any time
+        read_state                the newest `ArmState`, as fresh as it can be had
+        begin_line                a straight motion, without waiting for its end
+        brake                     to a stand, at once, without waiting for it; from any thread
+        zero_sensor               of force and torque; the arm stands
+
+    Args:
+        limits: Box, speed, acceleration, force and torque that nothing exceeds.
+        clock: In whose time the arm lives; by default this machine's.
+    """
+
+    name = "the arm"  # for messages
+    source = "real"
+    rate = 125.0  # Hz, of its states
+    poll_s = 0.008  # between two looks
+    start_s = 0.1  # in which a motion that was asked for shows in the states
+
+    def __init__(self, limits: MotionLimits, clock: Clock | None = None) -> None:
+        self.limits, self.clock = limits, clock or MonotonicClock()
+        self._open, self._stops, self._begun = False, 0, -np.inf
+        self._ordering = threading.RLock()  # a line is sent before a brake or not at all
+
+    # What a driver gives
+
+    def open_link(self) -> None:
+        """Connect; raises DeviceError."""
+
+    def close_link(self) -> None:
+        """Disconnect, as often as one likes."""
+
+    def read_state(self) -> ArmState:
+        """The newest state."""
+        raise NotImplementedError
+
+    def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
+        """Start a straight motion to a pose (4, 4) in m, at m/s and m/s^2; the arm stands."""
+        raise NotImplementedError
+
+    def brake(self) -> None:
+        """Brake, without waiting for the stand."""
+        raise NotImplementedError
+
+    def zero_sensor(self) -> None:
+        """Take the wrench felt now for zero."""
+        raise NotImplementedError
+
+    # What it has by that
+
+    @property
+    def features(self) -> ArmFeatures:
+        """Features, known before `connect`."""
+        limits = self.limits
+        return ArmFeatures(self.name, self.source, self.rate, limits.box, limits.speed, limits.acceleration)
+
+    def connect(self) -> None:
+        """Connect, anew if need be; raises DeviceError."""
+        self.close()
+        self.open_link()
+        self._open = True
+
+    def close(self) -> None:
+        """Brake and disconnect; raises nothing."""
+        with contextlib.suppress(Exception):
+            if self._open:
+                self.stop()
+        self._open = False
+        with contextlib.suppress(Exception):
+            self.close_link()
+
+    def state(self, timeout: float = STATE_AGE_S) -> ArmState:
+        """The newest state, as in `Arm.state`."""
+        if not self._open:
+            raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")
+        state, now = self.read_state(), self.clock.now()
+        if not now - state.time <= timeout:
+            self.brake()
+            raise DeviceTimeoutError(f"{self.name} has given no state for {now - state.time:.2g} s; it was stopped")
+        if wrong := not_numbers(state):
+            self.brake()
+            raise DeviceError(f"{self.name} says that its {wrong}, which is no number; it was stopped")
+        self._begun = -np.inf if state.moving else self._begun
+        return state._replace(moving=state.moving or now - self._begun < self.start_s)
+
+    def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
+        """Start a straight motion, as in `Arm.move`; by default as fast as the limits allow."""
+        speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
+        goal = np.array(T_b_t, float)
+        self._begin(goal, speed, acceleration)
+        return goal
+
+    def stop(self, timeout: float = 1.0) -> None:
+        """Brake and return when the arm stands, as in `Arm.stop`."""
+        with self._ordering:
+            self._stops, self._begun = self._stops + 1, -np.inf
+            self.brake()
+        until = self.clock.now() + timeout
+        while self.state().moving:
+            if not self.clock.now() <= until:
+                raise DeviceError(f"{self.name} was not seen to stop within {timeout:g} s")
+            self.clock.sleep(self.poll_s)
+
+    def zero_wrench(self, timeout: float = 1.0) -> None:
+        """Take the wrench felt now as zero, as in `Arm.zero_wrench`."""
+        if self.state().moving:
+            raise DeviceError("The wrench can be zeroed only while the arm stands.")
+        self.zero_sensor()
+
+    def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
+        """Move straight to a pose and wait, as in `GuardedArm.go`."""
+        speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
+        bounds = free_limits(self.limits, self.state().wrench)
+        reason, _, state = self._guarded(np.array(T_b_t, float), speed, acceleration, *bounds)
+        if reason != "distance":
+            felt = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
+            raise DeviceError(f"The arm met something on its way ({felt[0]:.1f} N, {felt[1]:.1f} Nm) and was stopped.")
+        return state
+
+    def approach(
+        self,
+        distance: float,
+        speed: float = 0.005,
+        stop_condition: Callable[[ArmState], Any] | None = None,
+        force: float = 8.0,
+        torque: float = 8.0,
+        acceleration: float = 0.2,
+    ) -> ApproachResult:
+        """Move along tool z until something says stop, as in `GuardedArm.approach`."""
+        self.limits.check_approach(distance, force, torque)
+        start = self.state().T_b_t
+        goal = shifted_along_z(start, distance)
+        self.limits.check(goal, speed, acceleration)
+        reason, answer, trigger = self._guarded(goal, speed, acceleration, force, torque, stop_condition)
+        state = self.state()
+        moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
+        return ApproachResult(reason, answer, trigger, state, moved)
+
+    def _begin(self, goal: Array, speed: float, acceleration: float) -> tuple[ArmState, int]:
+        """Start a motion from a stand, inside the box; returns where it begins, and the number of stops so far."""
+        if self.state().moving:
+            self.stop()
+        stops, start = self._stops, self.state()
+        if not self.limits.contains(start.T_b_t[:3, 3], GOAL_TOLERANCE[0]):
+            raise DeviceError(
+                f"The tool at {format_position(start.T_b_t[:3, 3])} m is outside its box: bring it back with the "
+                "pendant."
+            )
+        with self._ordering:
+            if self._stops != stops:
+                raise MotionStoppedError(f"{self.name} was stopped by request.")
+            self._begun = self.clock.now()
+            self.begin_line(goal, speed, acceleration)
+        return start, stops
+
+    def _guarded(
+        self,
+        goal: Array,
+        speed: float,
+        acceleration: float,
+        force: float,
+        torque: float,
+        stop_condition: Callable[[ArmState], Any] | None = None,
+    ) -> tuple[StopReason, Any, ArmState]:
+        """Follow a motion until the arm stands: what ended it, the stop condition's answer, and the state that did."""
+        try:
+            start, stops = self._begin(goal, speed, acceleration)
+            until = self.clock.now() + longest_duration(start.T_b_t, goal, speed, acceleration)
+            distance = float(np.linalg.norm(goal[:3, 3] - start.T_b_t[:3, 3]))
+            bounds = {"distance": distance, "speed": speed, "force": force, "torque": torque}
+            watch = MotionWatch(self.name, self.limits, start, clock=self.clock, **bounds)
+            while True:
+                self.clock.sleep(self.poll_s)
+                state = self.state()
+                above = watch(state)
+                if self._stops != stops:
+                    raise MotionStoppedError(f"{self.name} was stopped by request.")
+                if not self.clock.now() <= until:
+                    raise DeviceError(f"{self.name} took longer for a motion than it may, and was stopped")
+                if not state.moving:
+                    require_arrived(state, goal)
+                    return "distance", None, state
+                answer = stop_condition(state) if stop_condition is not None else None
+                if above or answer:
+                    break
+        except BaseException:
+            with contextlib.suppress(DeviceError):
+                self.stop()
+            raise
+        self.stop()
+        return (above, None, state) if above else ("condition", answer, state)
