@@ -1,6 +1,8 @@
 """A simulated lab in closed form: a springy plane, a skin that changes in proportion to force, virtual time."""
 
+from collections.abc import Callable
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,8 @@ from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import SpringPlane
 from i2t.hardware.clock import MonotonicClock
-from i2t.hardware.protocols import View
+from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.protocols import ApproachResult, ArmState, View
 from i2t.hardware.rig import Rig
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
@@ -46,6 +49,47 @@ class MemoryLog(EventLog):
     def positions(self) -> list[Array]:
         """Where the tool was (m, in the base), state by state."""
         return [state.T_b_t[:3, 3] for state in self.states]
+
+
+class ForeignArm(SimulatedArm):
+    """An arm whose `approach` is its maker's own and believes itself: it checks neither limits nor states.
+
+    States are what `lie` makes of them, and a press goes `too_far` (m), `hasty` times as fast as asked.
+    """
+
+    asks, too_far, hasty = True, 0.0, 1.0
+
+    def lie(self, state: ArmState) -> ArmState:
+        """What it says of a state."""
+        return state
+
+    def state(self, timeout: float = 0.1) -> ArmState:
+        """The newest state, whatever it is."""
+        return self.lie(self.read_state())
+
+    def approach(
+        self,
+        distance: float,
+        speed: float = 0.005,
+        stop_condition: Callable[[ArmState], Any] | None = None,
+        force: float = 8.0,
+        torque: float = 8.0,
+        acceleration: float = 0.2,
+    ) -> ApproachResult:
+        """Move along tool z until the distance is over, or the stop condition says so; force and torque are ignored."""
+        start, answer = self.read_state().T_b_t, None
+        self.begin_line(shifted_along_z(start, distance + self.too_far), self.hasty * speed, acceleration)
+        try:
+            while self.read_state().moving and not answer:
+                self.clock.sleep(self.poll_s)
+                answer = stop_condition(self.state()) if stop_condition is not None and self.asks else None
+        finally:
+            self.brake()
+            while self.read_state().moving:
+                self.clock.sleep(self.poll_s)
+        state = self.state()
+        moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
+        return ApproachResult("condition" if answer else "distance", answer, state, state, moved)
 
 
 def site(number: int) -> Site:

@@ -28,7 +28,6 @@ from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab
 from i2t.emulators.scene import ObjectScene
 from i2t.errors import DeviceError
 from i2t.geometry import contact_frame, inverse, nearest_rigid
-from i2t.hardware.poses import pose_to_vector
 from i2t.hardware.protocols import ArmState
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import other_lens, require_plausible
@@ -76,26 +75,18 @@ class MistakenArm(SimulatedArm):
     @property
     def tool(self) -> Array:
         """T_b_t (4, 4), m, of the real tool."""
-        return super().state().T_b_t
+        return super().read_state().T_b_t
 
-    def state(self, timeout: float = 0.1) -> ArmState:
+    def read_state(self) -> ArmState:
         """The present state by the wrong TCP."""
-        real = super().state(timeout)
+        real = super().read_state()
         reported = real.T_b_t @ self._to_reported
         wrench = real.wrench.reshape(2, 3) @ real.T_b_t[:3, :3].T @ reported[:3, :3]
         return real._replace(T_b_t=reported, wrench=wrench.ravel())
 
-    def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
+    def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
         """Start a straight motion of what it takes for its tool."""
-        self._check()
-        speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
-        if self.lab.robot.motion is not None:
-            self.stop()
-        with self.lab.lock:
-            robot = self.lab.robot
-            self.lab.contacts.stands(robot.position, robot.rotation)
-            robot.line_to(np.array(pose_to_vector(T_b_t @ inverse(self._to_reported))), speed, acceleration)
-        return T_b_t
+        super().begin_line(T_b_t @ inverse(self._to_reported), speed, acceleration)
 
 
 def object_lab(name: str, rig: Rig, seed: int, believed: Rig | None = None) -> tuple[Procedure, ObjectScene]:

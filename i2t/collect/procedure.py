@@ -48,6 +48,7 @@ from i2t.collect.touch import (
 )
 from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import Clock, MonotonicClock
+from i2t.hardware.guarded import MotionWatch
 from i2t.hardware.limits import format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import (
@@ -320,13 +321,14 @@ class Procedure:
         self, distance: float, speed: float, ambient: Mapping[str, Array], log: EventLog
     ) -> tuple[ApproachResult, StopCondition]:
         """Go along tool z under the skins' stop condition."""
-        settings = self.settings
-        stop = StopCondition(self.skins, settings, ambient, log)
+        settings, start = self.settings, self.arm.state()
+        most = {"force": settings.force, "torque": settings.torque}
+        motion = {"distance": distance, "speed": speed, **most}
+        watch = MotionWatch(self.arm.features.name, self.rig.limits, start, **motion, clock=self.clock)
+        stop = StopCondition(self.skins, settings, ambient, log, watch)
         if distance <= 0:
-            state = self.arm.state()
-            return ApproachResult("distance", None, state, state, 0.0), stop
-        limits = {"force": settings.force, "torque": settings.torque, "acceleration": settings.acceleration}
-        return self.arm.approach(distance, speed, stop, **limits), stop
+            return ApproachResult("distance", None, start, start, 0.0), stop
+        return stop.judged(self.arm.approach(distance, speed, stop, **most, acceleration=settings.acceleration)), stop
 
     def _check_view(self, seen: SeenPatch) -> None:
         """Refuse a site that the camera contradicts."""

@@ -1,11 +1,13 @@
 """Stop of a press by the skins on the tool, and beginning of that press.
 
 A press ends where the mean change of some samples of a skin is large enough, and differs enough between chips: a change
-that all chips see alike, turned to common axes, is a field of the room. Afterwards the contact onset is found by
-following the samples back to zero change.
+that all chips see alike, turned to common axes, is a field of the room. It ends, too, where the arm's states are beyond
+what was asked, whether or not the arm itself sees to that. Afterwards the contact onset is found by following the
+samples back to zero change.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -14,13 +16,15 @@ from i2t.collect.recorder import EventLog
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import SkinOnTool
 from i2t.errors import DeviceError
-from i2t.hardware.protocols import ArmState
+from i2t.hardware.guarded import MotionWatch
+from i2t.hardware.protocols import ApproachResult, ArmState
 from i2t.skin.boards import mean_known
 from i2t.types import Array, Board
 
 ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted
 MIN_ONSET_SAMPLES = 3
 AT_REST_SILENCE_S = 0.4  # that a skin may be silent while the arm still stands
+UNASKED_M = 1e-3  # of an approach, in which its stop condition need not have been asked
 FELT_SHARE = 0.5  # of the change that stops a press, above which a skin has felt it
 
 
@@ -32,6 +36,7 @@ class StopCondition:
         settings: Which change is enough.
         ambient: (3 chips,) uT of each skin before contact, by its name.
         log: Receives every sample and state.
+        watch: Judges the arm's states.
     """
 
     def __init__(
@@ -40,30 +45,58 @@ class StopCondition:
         settings: TouchSettings,
         ambient: Mapping[str, Float[Array, " c"]],
         log: EventLog,
+        watch: MotionWatch,
     ) -> None:
         self.stopped_by: list[str] = []  # names of the skins that stopped it
+        self._watch, self._asked = watch, False
+        self._above: Literal["force", "torque"] | None = None
         self._skins, self._settings, self._ambient, self._log = skins, settings, ambient, log
         silence = max(settings.silence, AT_REST_SILENCE_S)
         self._numbers = {each.name: int(each.skin.latest(silence).number[-1]) for each in skins}
         self._last: dict[str, list[Array]] = {each.name: [] for each in skins}
 
-    def __call__(self, state: ArmState) -> float | None:
-        """Test whether a skin has changed enough.
+    def __call__(self, state: ArmState) -> float | str | None:
+        """Test whether a skin has changed enough, or force or torque is above its limit.
 
         Args:
             state: The arm's newest.
 
         Returns:
-            The change (uT) of the first skin that has, else None.
+            The change (uT) of the first skin that has, or "force" or "torque", else None.
 
         Raises:
-            DeviceTimeoutError: A skin is silent.
-            DeviceError: A chip has stopped answering.
+            DeviceTimeoutError: A skin is silent, or the state old.
+            DeviceError: A chip has stopped answering, or the arm is where it should not be.
         """
+        self._asked = True
         self._log.state(state)
+        self._above = self._watch(state)
+        if self._above:
+            return self._above
         answers = {each.name: self._enough(each) for each in self._skins}
         self.stopped_by = [name for name, answer in answers.items() if answer is not None]
         return answers[self.stopped_by[0]] if self.stopped_by else None
+
+    def judged(self, result: ApproachResult) -> ApproachResult:
+        """Outcome of the approach, as the states have it.
+
+        Args:
+            result: As the arm has it.
+
+        Returns:
+            It, with force or torque as its reason where the arm itself did not see to them.
+
+        Raises:
+            DeviceError: The arm did not ask on its way, moves on, or is where it should not be.
+        """
+        above = self._watch(result.state)
+        if result.state.moving:
+            raise DeviceError("the arm's approach has ended, and the arm moves; see `approach` of its driver")
+        if not (self._asked or result.distance <= UNASKED_M):
+            raise DeviceError("the arm's approach did not ask its stop condition; see `approach` of its driver")
+        if result.reason == "distance":
+            return result._replace(reason=above or "distance")
+        return result._replace(reason=self._above, answer=None) if self._above else result
 
     def _enough(self, on_tool: SkinOnTool) -> float | None:
         """The change (uT) of a skin if it is enough, else None."""
@@ -75,7 +108,9 @@ class StopCondition:
         change = mean_known(np.array(last), axis=0) - self._ambient[on_tool.name]
         self._check_chips(change, on_tool)
         size, nonuniform = _size(change), _size(nonuniform_field(change, on_tool.board))
-        enough = size > settings.skin_change and nonuniform > settings.nonuniform_share * settings.skin_change
+        if not np.isfinite(size):
+            raise DeviceError(f"{on_tool.skin.features.name} sends infinite values; check the board")
+        enough = not size <= settings.skin_change and not nonuniform <= settings.nonuniform_share * settings.skin_change
         return size if enough else None
 
     def _check_chips(self, change: Array, on_tool: SkinOnTool) -> None:

@@ -5,8 +5,9 @@
     class TestAcmeSkin(SkinContract):
         make_device = staticmethod(lambda: AcmeSkin(DeviceSetup(Rig())))
 
-A class says what is to be expected by its attributes. Tests that must touch something are left out where no `floor` is
-given. On a real arm the tests move it by 50 mm about `home`: look at them before.
+A class says what is to be expected by its attributes, and how well its device keeps to it. Tests that must touch
+something are left out where no `floor` is given. On a real arm the tests move it by 50 mm about `home`: look at them
+before.
 """
 
 import threading
@@ -46,6 +47,9 @@ class ArmContract(_Contract):
     home: Array  # (4, 4) T_b_t, tool pointing down, 50 mm inside the box on all sides
     floor: float | None = None  # m, height of a springy plane, 20 to 60 mm below home
     stiffness: float = 5e3  # N/m, of that plane
+    pose_tolerance: float = 1e-3  # m, and of a rotation's elements
+    force_tolerance: float = 2.0  # N and Nm, of what is felt at rest
+    speed_tolerance: float = 0.1  # of the speed that was asked
 
     def pose(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
         """A pose next to home.
@@ -89,12 +93,12 @@ class ArmContract(_Contract):
             refuse(ValueError, [(arm.approach, (0.02, 0.02, None, np.nan), "force")])
             before = arm.state(TEST_STATE_TIMEOUT_S)
             assert (before.safe, before.moving, before.velocity.shape, before.wrench.shape) == (True, False, (6,), (6,))
-            np.testing.assert_allclose(before.T_b_t, self.home, atol=1e-6)
-            np.testing.assert_allclose(arm.move(goal, 0.1, 0.5), goal, atol=1e-9)
+            np.testing.assert_allclose(before.T_b_t, self.home, atol=self.pose_tolerance)
+            np.testing.assert_allclose(arm.move(goal, 0.1, 0.5), goal, atol=self.pose_tolerance)
             assert arm.state(TEST_STATE_TIMEOUT_S).moving
             after, fastest = at_rest(arm)
-            np.testing.assert_allclose(after.T_b_t, goal, atol=1e-6)
-            assert 0 < fastest <= 0.1 * (1 + 1e-6)
+            np.testing.assert_allclose(after.T_b_t, goal, atol=self.pose_tolerance)
+            assert 0 < fastest <= 0.1 * (1 + self.speed_tolerance)
             assert before.time < after.time <= time.monotonic()
             arm.go(self.home, 0.2, 0.5)
 
@@ -112,8 +116,9 @@ class ArmContract(_Contract):
         arm.close()
         refuse(DeviceError, [(arm.state, (), "")])
         with arm:
-            assert stood.T_b_t[1, 3] <= at_rest(arm)[0].T_b_t[1, 3] < self.home[1, 3] + 0.045
-            np.testing.assert_allclose(arm.go(self.home, 0.2, 0.5).T_b_t, self.home, atol=1e-6)
+            now = at_rest(arm)[0].T_b_t[1, 3]
+            assert stood.T_b_t[1, 3] - self.pose_tolerance <= now < self.home[1, 3] + 0.045
+            np.testing.assert_allclose(arm.go(self.home, 0.2, 0.5).T_b_t, self.home, atol=self.pose_tolerance)
 
     def test_an_approach_ends_where_something_says_stop(self, make: Callable[[], GuardedArm]) -> None:
         """Force (of a spring, from zero), a stop condition, the distance, or an error in the condition."""
@@ -125,18 +130,19 @@ class ArmContract(_Contract):
             refuse(DeviceError, [(arm.zero_wrench, (1.0,), "zeroed only while")])
             at_rest(arm)
             arm.zero_wrench(TEST_STATE_TIMEOUT_S)
-            np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).wrench, 0, atol=1e-9)
+            np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).wrench, 0, atol=self.force_tolerance)
             done = arm.approach(0.03, 0.02, force=4.0)
             assert (done.reason, done.answer, done.state.moving) == ("force", None, False)
             pushed = [0, 0, -self.stiffness * (floor - done.state.T_b_t[2, 3]), 0, 0, 0]
-            np.testing.assert_allclose(done.state.wrench, pushed, atol=1e-3)
-            assert 4.0 < np.linalg.norm(done.trigger.wrench[:3]) <= -pushed[2] + 1e-9
+            np.testing.assert_allclose(done.state.wrench, pushed, atol=self.force_tolerance)
+            assert 4.0 < np.linalg.norm(done.trigger.wrench[:3]) <= -pushed[2] + self.force_tolerance
             arm.go(start, 0.1, 0.5)
             done = arm.approach(0.03, 0.02, lambda state: state.T_b_t[2, 3] < floor + 0.006 and "skin", 4.0)
             assert (done.reason, done.answer) == ("condition", "skin")
             arm.go(start, 0.1, 0.5)
             done = arm.approach(0.005, 0.02, lambda state: None)
-            assert (done.reason, done.answer, round(done.distance, 5)) == ("distance", None, 0.005)
+            assert (done.reason, done.answer) == ("distance", None)
+            assert abs(done.distance - 0.005) <= self.pose_tolerance
             refuse(ZeroDivisionError, [(arm.approach, (0.03, 0.002, lambda state: 1 / 0), "")])
             assert not arm.state(TEST_STATE_TIMEOUT_S).moving
             arm.go(self.home, 0.1, 0.5)

@@ -188,7 +188,9 @@ def stops(batches, board, ambient):
         return Samples(count, 2.5e-3 * count, batches[number], np.zeros((10, board.num_chips)))
 
     skin = SimpleNamespace(latest=lambda timeout: samples(0), since=lambda number: samples(next(looks)))
-    condition = StopCondition([SkinOnTool("", skin, board)], TouchSettings(), {"": ambient}, MemoryLog())
+    condition = StopCondition(
+        [SkinOnTool("", skin, board)], TouchSettings(), {"": ambient}, MemoryLog(), lambda state: None
+    )
     state = ArmState(0.0, np.eye(4), np.zeros(6), np.zeros(6), np.zeros(6), True, True)
     return any(condition(state) is not None for _ in batches)
 
@@ -287,7 +289,7 @@ def test_where_the_box_forbids_going_back_a_skin_that_faces_down_is_lifted_and_o
     """It gets no deeper into what it pressed, and the tool never leaves the box. Its axis is so far (degrees) from
     straight down, and the box ends behind it.
     """
-    procedure = make()
+    procedure = make(stiffness=100.0)
     robot, limits, goals = procedure.arm.lab.robot, procedure.rig.limits, goals_of(procedure)
     axis = np.array([-np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
     y = np.array([0.0, -1.0, 0.0])

@@ -24,6 +24,7 @@ FLOOR, STIFFNESS = 0.25, 5000.0  # m, N/m: a plane below the tool
 
 class OurArms(ArmContract):
     limits, floor, stiffness = LIMITS, FLOOR, STIFFNESS
+    pose_tolerance, force_tolerance, speed_tolerance = 1e-6, 1e-3, 1e-6
     home = pose_from_vector([0.4, 0.0, 0.3, np.pi, 0.0, 0.0])
 
 

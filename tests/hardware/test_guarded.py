@@ -1,0 +1,149 @@
+"""Motions that i2t guards itself: a watch that judges states, and arms that do not keep to what they are asked."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.closed_form import HEIGHT, make
+
+from experiments.faults.closed_form import ForeignArm, MemoryLog
+from i2t.collect.settings import TouchSettings
+from i2t.emulators.in_process import SimulatedArm
+from i2t.errors import DeviceError
+from i2t.hardware.guarded import free_limits
+from i2t.hardware.limits import MotionLimits
+
+STIFFNESS = 10e3  # N/m, of the plane
+NUMBERS = np.array([np.nan, np.inf, -np.inf, 1e6])
+
+
+def foreign(stiffness=STIFFNESS, **settings):
+    """A procedure with such an arm just above a plane, whose skin feels nothing."""
+    settings = TouchSettings(prepare=2e-3, near=5e-4, settle=0.0, ambient=2, **settings)
+    procedure = make(stiffness=stiffness, gain=np.zeros(15), settings=settings)
+    procedure.arm.lab.robot.position = np.array([0.4, 0.0, HEIGHT + 3e-3])
+    arm = ForeignArm(procedure.arm.lab, procedure.rig.limits)
+    arm.connect()
+    procedure.arm = arm
+    return procedure, arm
+
+
+def press(procedure, log=None):
+    """The outcome of a press from where the tool is."""
+    return procedure.press(log or MemoryLog()).result
+
+
+def pushed(procedure, stiffness=STIFFNESS):
+    """N, with which the plane pushes back now."""
+    return stiffness * max(0.0, HEIGHT - procedure.arm.read_state().T_b_t[2, 3])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_force_limit_is_kept_where_the_arm_ignores_it(seed):
+    rng = np.random.default_rng(seed)
+    stiffness = float(np.exp(rng.uniform(*np.log([1e3, 1e4]))))
+    procedure, _ = foreign(stiffness, force=float(rng.uniform(1, 8)))
+    result, settings, force = press(procedure), procedure.settings, pushed(procedure, stiffness)
+    assert result.reason == "force"
+    # A look is 7.5 ms, and this arm 30 ms late.
+    assert settings.force < force < settings.force + stiffness * (settings.press * 40e-3 + 1e-5)
+
+
+def test_the_torque_limit_is_kept_where_the_arm_ignores_it():
+    procedure, arm = foreign()
+    arm.lie = lambda state: state._replace(wrench=state.wrench + pushed(procedure) * np.eye(6)[4])
+    procedure.settings = replace(procedure.settings, torque=2.0)
+    assert press(procedure).reason == "torque"
+    assert pushed(procedure) < 4.0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"too_far": 0.03}, r"went .* mm where 6.5 were asked"),
+        ({"hasty": 20.0}, r"moves at .* where 0.002 were asked"),
+        ({"asks": False}, "did not ask its stop condition"),
+    ],
+)
+def test_an_arm_that_goes_too_far_or_too_fast_or_asks_nobody_ends_the_touch(change, said):
+    procedure, arm = foreign()
+    arm.lab.robot.position[2] += 0.1
+    vars(arm).update(change)
+    with pytest.raises(DeviceError, match=said):
+        press(procedure)
+    assert not arm.read_state().moving
+
+
+def forged(name, value):
+    """Lies about one number of a state, about the pose also in its rotation."""
+
+    def lie(state):
+        wrong = np.array(getattr(state, name), float)
+        wrong[..., -1] = value
+        return state._replace(**{name: wrong})
+
+    return lie
+
+
+LIES = {
+    **{f"{name} {value:g}": forged(name, value) for name in ("T_b_t", "velocity", "wrench") for value in NUMBERS},
+    **{f"joints {value:g}": forged("joints", value) for value in NUMBERS[:3]},
+    "old": lambda state: state._replace(time=state.time - 5.0),
+    "of no time": lambda state: state._replace(time=np.nan),
+    "of the future": lambda state: state._replace(time=np.inf),
+    "not safe": lambda state: state._replace(safe=False),
+}
+
+
+class Frozen:
+    """Gives one state, or one pose, again and again."""
+
+    def __init__(self, whole):
+        self.whole, self.first = whole, None
+
+    def __call__(self, state):
+        self.first = self.first or state
+        return self.first if self.whole else state._replace(T_b_t=self.first.T_b_t, moving=True)
+
+
+@pytest.mark.parametrize("lie", [*LIES.values(), "frozen", "frozen pose"], ids=[*LIES, "frozen", "frozen pose"])
+@pytest.mark.parametrize("own", [True, False], ids=["its own approach", "guarded by polling"])
+def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
+    """NaN, infinite, frozen and absurd values of every number that stops or allows a motion."""
+    procedure, arm = foreign()
+    if not own:
+        procedure.arm = arm = SimulatedArm(arm.lab, arm.limits)
+        arm.connect()
+        told = arm.read_state
+        arm.lie = lambda state: state
+        arm.read_state = lambda: arm.lie(told())
+    log, begun = MemoryLog(), []
+    keep = log.state
+
+    def state(heard):
+        keep(heard)
+        if not begun and pushed(procedure) > 1.0:
+            begun.append(heard)
+            arm.lie = Frozen(lie == "frozen") if isinstance(lie, str) else lie
+
+    log.state, ended = state, ""
+    try:
+        ended = press(procedure, log).reason
+    except DeviceError as error:
+        ended = str(error)
+    assert ended in ("force", "torque") or (ended.count(". ") == 0 and " " in ended)  # a limit, or one sentence
+    assert begun
+    assert arm.lab.robot.motion is None
+    assert STIFFNESS * (HEIGHT - arm.lab.robot.position[2]) < 8.0 * 1.1
+
+
+def test_no_free_motion_begins_with_a_force_that_is_no_number_or_beyond_reason():
+    limits = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5))
+    assert free_limits(limits, np.zeros(6)) == (limits.trip_force, limits.torque)
+    assert free_limits(limits, np.array([0, 0, 40.0, 0, 0, 0]))[0] == pytest.approx(44.0)
+    for place, value in itertools.product((2, 5), NUMBERS):
+        wrench = np.zeros(6)
+        wrench[place] = value
+        with pytest.raises(DeviceError, match="before it moves"):
+            free_limits(limits, wrench)
