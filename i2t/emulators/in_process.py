@@ -11,32 +11,29 @@ takes a fraction of one. On the clock of this machine it takes as long as in a l
 
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
-from itertools import takewhile
-from typing import SupportsIndex, TypeAlias
+from collections.abc import Callable
 
 import numpy as np
 
 from i2t.depth.camera import Camera
 from i2t.emulators.robot_motion import Robot
 from i2t.emulators.scene import ContactModel, Contacts, TouchableScene
-from i2t.errors import DeviceTimeoutError, NotConnectedError
+from i2t.errors import NotConnectedError
 from i2t.geometry import transform
-from i2t.hardware.base import CameraBase, DeviceBase
+from i2t.hardware.base import CameraBase
 from i2t.hardware.clock import Clock
 from i2t.hardware.guarded import GuardedByPolling
 from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
 from i2t.hardware.poses import pose_to_vector
 from i2t.hardware.protocols import (
-    READ_SPARE_S,
     ArmState,
     CameraFeatures,
-    Samples,
     SkinCounters,
     SkinFeatures,
     View,
     channel_names,
 )
+from i2t.hardware.skin_stream import QUEUE_SAMPLES, QueuedSkin, StreamRow
 from i2t.simulation.depth_camera import add_depth_noise, render_view, shade_view
 from i2t.types import Array
 
@@ -44,7 +41,6 @@ TICK_S = 2.5e-3  # of motion and of the skin's samples
 LOOK_TICKS = 3  # between two looks at an arm that is watched
 STATE_RATE_HZ = 125.0
 NUM_JOINTS = 6
-QUEUE_SAMPLES = 4096
 CHIP_TEMPERATURE_C, CHIP_NOISE_C = 24.6, 0.1
 SLOW_FIELD_S = 1.0  # after which the slow common field is another one; an assumption
 NOISE_BLOCK = 1024  # samples whose noise is drawn at once
@@ -52,8 +48,6 @@ MAX_IDLE_S = 60.0  # what nobody looked at for longer is left out
 HOME_POSE = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m and rotation vector of the tool at the start: pointing down
 NEAREST_DEPTH_M = 0.03  # that the simulated camera measures
 CAMERA_RATE_HZ = 30.0
-
-Row: TypeAlias = tuple[int, float, Array, Array]  # number, time, reading and temperatures of a sample
 
 
 class VirtualClock:
@@ -90,7 +84,7 @@ class SkinInLab:
 
     def __init__(self, scene: TouchableScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
         self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
-        self.samples: deque[Row] = deque(maxlen=QUEUE_SAMPLES)
+        self.samples: deque[StreamRow] = deque(maxlen=QUEUE_SAMPLES)
         self.number = 0
         self.recording = False  # whether somebody holds the skin
         self._random = np.random.default_rng((seed, 1))
@@ -112,7 +106,7 @@ class SkinInLab:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
         reading = self.contact_model.at_rest(rotation) + self.contact_model.reading + noise
-        self.samples.append((self.number, now, np.rint(reading / self._steps) * self._steps, celsius))
+        self.samples.append(StreamRow(self.number, now, np.rint(reading / self._steps) * self._steps, celsius))
         self.number += 1
 
     def _draw(self) -> list[tuple[Array, Array]]:
@@ -130,23 +124,6 @@ class SkinInLab:
         noise = white + board.to_board(np.repeat(slow[:, None], chips, axis=1))
         celsius = CHIP_TEMPERATURE_C + CHIP_NOISE_C * (size.xy > 0) * drawn[:, channels + 3 :]
         return list(zip(noise, celsius, strict=True))
-
-    def rows(self, rows: Sequence[Row]) -> Samples:
-        """Samples of rows.
-
-        Args:
-            rows: Some of `samples`, in order; maybe none.
-
-        Returns:
-            The samples.
-        """
-        n, board = len(rows), self.scene.board
-        return Samples(
-            np.array([row[0] for row in rows], np.int64),
-            np.array([row[1] for row in rows], np.float64),
-            np.array([row[2] for row in rows], np.float64).reshape(n, board.num_readings),
-            np.array([row[3] for row in rows], np.float64).reshape(n, board.num_chips),
-        )
 
 
 class SimulatedLab:
@@ -193,29 +170,7 @@ class SimulatedLab:
                     skin.measure(self.time, self.robot.rotation)
 
 
-class _SimulatedDevice(DeviceBase):
-    """Base class of skin and arm of a lab."""
-
-    def __init__(self, lab: SimulatedLab, name: str) -> None:
-        self.lab, self._name = lab, name
-        self._open = False
-
-    def connect(self) -> None:
-        """Start it."""
-        self._open = True
-
-    def close(self) -> None:
-        """Disconnect it."""
-        self._open = False
-
-    def _check(self) -> None:
-        """Raise what is wrong, else move the lab on to the present."""
-        if not self._open:
-            raise NotConnectedError(f"{self._name} is not connected; call connect() or use with")
-        self.lab.advance()
-
-
-class SimulatedSkin(_SimulatedDevice):
+class SimulatedSkin(QueuedSkin):
     """A skin (`i2t.hardware.protocols.Skin`) at 400 Hz; `silent` makes it fall silent.
 
     Args:
@@ -224,16 +179,13 @@ class SimulatedSkin(_SimulatedDevice):
     """
 
     def __init__(self, lab: SimulatedLab, skin: SkinInLab | None = None) -> None:
-        super().__init__(lab, "the simulated skin")
-        self.in_lab = lab.skins[0] if skin is None else skin
+        self.lab, self.in_lab = lab, lab.skins[0] if skin is None else skin
         self.board = self.in_lab.scene.board
-        self.silent = False
+        channels = channel_names(self.board.num_chips)
+        features = SkinFeatures("the simulated skin", "simulated", channels, "uT", 1 / TICK_S)
+        super().__init__(features, self.in_lab.samples, lab.clock, lab.lock)
+        self.silent = self._open = False
         self._connects = 0
-
-    @property
-    def features(self) -> SkinFeatures:
-        """Features, known before `connect`."""
-        return SkinFeatures(self._name, "simulated", channel_names(self.board.num_chips), "uT", 1 / TICK_S)
 
     @property
     def counters(self) -> SkinCounters:
@@ -245,50 +197,23 @@ class SimulatedSkin(_SimulatedDevice):
         """Begin to send; the past is not sent."""
         with self.lab.lock:
             self.lab.advance()
-            self.in_lab.recording = True
+            self.in_lab.recording = self._open = True
         self._connects += 1
-        super().connect()
         self.read(1)
 
     def close(self) -> None:
         """Stop sending."""
-        self.in_lab.recording = False
-        super().close()
+        self.in_lab.recording = self._open = False
 
-    def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, as in `Skin.latest`."""
-        newest = self._after(self.in_lab.number - 2)
-        age = self.lab.clock.now() - newest[-1][1]
-        if age > timeout:
-            raise DeviceTimeoutError(f"{self._name} has been silent for {age:.2g} s")
-        return self.in_lab.rows(newest[-1:])
+    def _check(self) -> None:
+        if not self._open:
+            raise NotConnectedError(f"{self._name} is not connected; call connect() or use with")
 
-    def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next samples, as in `Skin.read`."""
-        if not 0 < count <= QUEUE_SAMPLES:
-            raise ValueError(f"{count} samples were asked for; the queue holds 1 to {QUEUE_SAMPLES}")
-        called, before = self.lab.clock.now(), self.in_lab.number - 1
-        timeout = 2 * count * TICK_S + READ_SPARE_S if timeout is None else timeout
-        while True:
-            got = [row for row in self._after(before) if row[1] > called][:count]
-            if len(got) == count:
-                return self.in_lab.rows(got)
-            if self.lab.clock.now() - called >= timeout:
-                raise DeviceTimeoutError(f"{self._name} gave {len(got)} of {count} samples in {timeout:.2g} s")
-            self.lab.clock.sleep(min((count - len(got)) * TICK_S, timeout))
-
-    def since(self, number: SupportsIndex) -> Samples:
-        """Samples that are still queued, as in `Skin.since`."""
-        return self.in_lab.rows(self._after(int(number)))
-
-    def _after(self, number: int) -> list[Row]:
-        """Queued samples of higher numbers, up to the present."""
-        self._check()
-        with self.lab.lock:
-            if self.silent:
-                self.in_lab.recording = False
-            newer = takewhile(lambda row: row[0] > number, reversed(self.in_lab.samples))
-            return list(newer)[::-1]
+    def _catch_up(self) -> None:
+        if self._open:
+            self.lab.advance()
+        if self.silent:
+            self.in_lab.recording = False
 
 
 class SimulatedArm(GuardedByPolling):

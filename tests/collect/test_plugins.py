@@ -1,11 +1,12 @@
 """Devices of third parties: a complete package is collected with, and what is missing or wrong is one sentence."""
 
+import ast
+import inspect
 import os
 import subprocess
 import sys
 import types
 from contextlib import ExitStack
-from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from i2t import dataset
 from i2t.collect import command
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
 from i2t.collect.devices import make_devices
-from i2t.depth.camera import Camera
 from i2t.hardware import camera_folder, hand_eye, plugins
 from i2t.hardware.plugins import DeviceSetup, load_plugin
 from i2t.hardware.rig import Rig
@@ -31,7 +31,8 @@ CLASSES = [f"--{kind}=acme_devices:Acme{kind.capitalize()}" for kind in plugins.
 def acme(monkeypatch):
     """The example's folder on the path, and its names as an installed package would register them."""
     monkeypatch.syspath_prepend(str(ACME))
-    monkeypatch.delitem(sys.modules, "acme_devices", raising=False)
+    for module in ("acme_devices", "acme_sdk"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
     registered = EntryPoints(
         EntryPoint("acme", f"acme_devices:Acme{kind.capitalize()}", group) for kind, group in plugins.GROUPS.items()
     )
@@ -40,9 +41,25 @@ def acme(monkeypatch):
 
 @pytest.fixture
 def lab_file(tmp_path):
-    """A rig whose camera has few pixels."""
-    replace(Rig(), camera=Camera(160, 90, 161.2, 161.0, 79.5, 44.5)).write(tmp_path / "lab.toml")
+    """The rig of Acme's lab."""
+    Rig().write(tmp_path / "lab.toml")
     return tmp_path / "lab.toml"
+
+
+def code_lines(made):
+    """Lines of a class without docstrings and blank lines."""
+    tree = ast.parse(inspect.getsource(made))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):
+            node.body = node.body[1:]
+    return len(ast.unparse(tree).replace("\n\n", "\n").splitlines())
+
+
+def test_an_arm_is_written_in_25_lines_and_a_skin_in_15(acme):
+    import acme_devices
+
+    assert code_lines(acme_devices.AcmeArm) <= 25
+    assert code_lines(acme_devices.AcmeSkin) <= 15
 
 
 @pytest.mark.full
@@ -128,7 +145,7 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
     with arm:
         np.testing.assert_allclose(poses[0, :3], arm.state().T_b_t[:3, 3], atol=1e-6)
     lens, given = camera_folder.read_lens(tmp_path / "views", {"T_camera_image": None})
-    assert (lens.width, lens.height) == (160, 90)
+    assert (lens.width, lens.height) == (640, 360)
     np.testing.assert_array_equal(given["T_camera_image"], np.eye(4))
 
 
@@ -143,7 +160,10 @@ def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch, board
     """Its chips are not taken for ReSkin's five."""
     import acme_devices
 
-    monkeypatch.setattr(acme_devices.AcmeSkin, "board", board)
+    made = acme_devices.AcmeSkin.__init__
+    monkeypatch.setattr(
+        acme_devices.AcmeSkin, "__init__", lambda skin, setup: made(skin, setup) or setattr(skin, "board", board)
+    )
     args = CollectArgs(arm=ArmArgs("acme"), skin=SkinArgs("acme"), camera=CameraArgs("acme"))
     with ExitStack() as stack, pytest.raises(ValueError, match=said):
         make_devices(args, Rig(), stack)

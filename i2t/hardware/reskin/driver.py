@@ -5,28 +5,24 @@
 with ReSkin("/dev/ttyACM0") as skin:
     ambient = skin.read(10).reading.mean(axis=0)
 
-One thread reads, decodes (`i2t.hardware.reskin.frames`) and queues. Once it has ended, for whatever reason, every call
-says why until `connect` is called again. A sample's time is that of the read that brought its last byte, less what came
-after it in the same read at the board's rate.
+Bytes become frames (`i2t.hardware.reskin.frames`) in a thread of its own (`i2t.hardware.skin_stream`). A sample's time
+is that of the read that brought its last byte, less what came after it in the same read at the board's rate.
 """
 
 import errno
 import os
-import threading
 import time
-from collections import deque
 from collections.abc import Sequence
-from itertools import takewhile
-from typing import Any, NamedTuple, SupportsIndex
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
-from i2t.hardware.base import DeviceBase
-from i2t.hardware.protocols import READ_SPARE_S, Samples, SkinCounters, SkinFeatures, channel_names
+from i2t.hardware.protocols import SkinCounters
 from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.frames import Decoder, Frame
 from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
+from i2t.hardware.skin_stream import QUEUE_SAMPLES, Measurement, StreamedSkin
 
 RATE_HZ = 400.0  # published
 BAUD_RATES = (115200, 921600, 460800, 230400, 57600, 9600)  # tried in this order; over USB any will do
@@ -36,18 +32,7 @@ HEARD_BYTES = 4000  # of the last that came, by which a board without frames is 
 FIRST_BYTE_S = 3.0  # that a board may need to start after its port is opened
 FIRST_FRAME_S = 1.5  # from its first byte to its first frame
 START_UP_S = 6.0  # that a board may send rubbish after it was reset, which opening its port may do
-RATE_WINDOW_S = 1.0  # over which the rate is taken
-JOIN_S = 1.0  # in which the thread ends
 DECODER_COUNTS = ("samples", "lost", "gaps", "skipped", "empty", "missing", "bytes")
-
-
-class StreamRow(NamedTuple):
-    """One sample; see `i2t.hardware.protocols.Samples`."""
-
-    number: int
-    time: float  # s
-    reading: np.ndarray  # (c,) uT, NaN for a chip that is missing
-    temperature: np.ndarray  # (chips,) degrees Celsius, NaN where the board does not tell
 
 
 class BoardInfo(NamedTuple):
@@ -61,7 +46,7 @@ class BoardInfo(NamedTuple):
     usb: str | None = None  # vendor and product
 
 
-class ReSkin(DeviceBase):
+class ReSkin(StreamedSkin):
     """A board on a serial port (`i2t.hardware.protocols.Skin`).
 
     Args:
@@ -83,7 +68,7 @@ class ReSkin(DeviceBase):
         *,
         chips: int = DEFAULT_CHIPS,
         rate: float = RATE_HZ,
-        capacity: int = 4096,
+        capacity: int = QUEUE_SAMPLES,
         serial_number: str | None = None,
     ) -> None:
         try:
@@ -94,27 +79,12 @@ class ReSkin(DeviceBase):
         self._serial, self._comports = serial.Serial, list_ports.comports
         self._asked_port, self._asked_serial, self._baud = port, serial_number, baud
         name = f"the skin on {port}" if port else f"the skin {serial_number}" if serial_number else "the skin"
-        self._features = SkinFeatures(name, _source(port), channel_names(chips), "uT", rate)
-        self._chips = chips
-        self._queue: deque[StreamRow] = deque(maxlen=capacity)
-        self._changed = threading.Condition()  # guards what the thread and the calls share
-        self._counters = SkinCounters()  # of earlier connections
-        self._decoder = Decoder()
-        self._arrivals: deque[tuple[float, int]] = deque()  # (time, samples by then), the last second
-        self._failure: DeviceError | None = NotConnectedError(
-            f"{self._name} is not connected; call connect() or use with"
-        )
-        self._thread: threading.Thread | None = None
-        self._stop = threading.Event()
+        super().__init__(name, chips, rate, source=_source(port), capacity=capacity)
+        self._chips, self._decoder, self._counters = chips, Decoder(), SkinCounters()  # of earlier connections
+        self._begun: list[Frame] = []  # frames of the board's first bytes, which told its format
+        self._newest_time = -np.inf  # s, of the newest sample
         self._listened = -np.inf  # s, when the thread last came back from the port
         self._info: BoardInfo | None = None
-
-    # What a user of any skin holds.
-
-    @property
-    def features(self) -> SkinFeatures:
-        """Features, known before `connect`."""
-        return self._features
 
     @property
     def info(self) -> BoardInfo:
@@ -126,140 +96,48 @@ class ReSkin(DeviceBase):
     @property
     def counters(self) -> SkinCounters:
         """Counts so far."""
-        with self._changed:
-            return self._total()._replace(rate=self._rate())
+        with self._lock:
+            return self._total()._replace(connects=self._connects, rate=self._rate())
 
-    def connect(self) -> None:
-        """Open the port and wait for the first frames.
+    def open_link(self) -> Any:
+        """Open the port and find the format of its frames.
+
+        Returns:
+            The port.
 
         Raises:
             DeviceError: There is no such board, or it does not send frames.
         """
-        self.close()
         port, decoder, found, self._info = self._open()
-        with self._changed:
-            self._counters = self._total()._replace(connects=self._counters.connects + 1)
-            self._failure = None
-            self._arrivals.clear()
-            self._accept(decoder, found, time.monotonic())
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._read_loop, args=(port, self._stop), name=self._name, daemon=True)
-        self._thread.start()
+        with self._lock:
+            self._counters, self._decoder = self._total(), decoder
+        self._begun = found
+        return port
 
-    def close(self) -> None:
-        """Stop reading and give the port back."""
-        self._stop.set()
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(JOIN_S)  # a read ends within a tick
-        self._thread = None
-        self._fail(NotConnectedError(f"{self._name} was closed; connect it again"))
-
-    def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, at once, as in `Skin.latest`.
-
-        Raises:
-            DeviceTimeoutError: It is older than the timeout (s).
-            DeviceError: The skin is not connected or gone.
-        """
-        with self._changed:
-            self._check()
-            age = time.monotonic() - self._queue[-1].time
-            if age > timeout:
-                raise DeviceTimeoutError(self._silence(age))
-            return self._samples([self._queue[-1]])
-
-    def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next samples, all measured after the call, as in `Skin.read`.
-
-        Raises:
-            DeviceTimeoutError: They did not come in time.
-            DeviceError: The skin is not connected or gone.
-        """
-        if not 0 < count <= (self._queue.maxlen or 0):
-            raise ValueError(f"{count} samples were asked for; the queue holds 1 to {self._queue.maxlen}")
-        called = time.monotonic()
-        with self._changed:
-            newest, rate = (self._queue[-1].number if self._queue else -1), self._rate() or self._features.rate
-            timeout = 2 * count / min(rate, self._features.rate) + READ_SPARE_S if timeout is None else timeout
-
-            def fresh() -> list[StreamRow]:
-                return [row for row in self._after(newest) if row.time > called][:count]
-
-            self._changed.wait_for(lambda: self._failure is not None or len(fresh()) == count, timeout)
-            got = fresh()
-            if len(got) == count:
-                return self._samples(got)
-            self._check()
-            raise DeviceTimeoutError(
-                f"{self._name} gave {len(got)} of {count} samples in {timeout:.2g} s; check its cable and its rate"
-            )
-
-    def since(self, number: SupportsIndex) -> Samples:
-        """Samples after a given one that are still in the queue, without waiting, as in `Skin.since`.
-
-        Raises:
-            DeviceError: The skin is not connected or gone, and there are none.
-        """
-        with self._changed:
-            got = self._after(int(number))
-            if not got:
-                self._check()
-            return self._samples(got)
-
-    # The thread, and what it shares with the calls above.
-
-    def _check(self) -> None:
-        if self._failure is not None:
-            raise type(self._failure)(*self._failure.args) from self._failure.__cause__
-
-    def _after(self, number: int) -> list[StreamRow]:
-        rows = list(takewhile(lambda row: row.number > number, reversed(self._queue)))
-        return rows[::-1]
-
-    def _read_loop(self, port: Any, stop: threading.Event) -> None:
-        try:
-            while not stop.is_set():
-                chunk = port.read(max(1, port.in_waiting))
-                self._listened = time.monotonic()
-                if chunk:
-                    self._process(chunk, self._listened)
-        except DeviceError as error:
-            self._fail(error)
-        except Exception as error:  # pyserial raises OSError, SerialException, TypeError and more
-            self._fail(self._lost(error))
-        finally:
-            port.close()
-
-    def _process(self, chunk: bytes, now: float) -> None:
-        decoder, found = frames.decode(self._decoder, chunk)
-        with self._changed:
-            self._accept(decoder, found, now)
-
-    def _accept(self, decoder: Decoder, found: list[Frame], now: float) -> None:
-        self._decoder = decoder
+    def receive(self, link: Any) -> list[Measurement]:
+        """Samples of the frames that are whole by now."""
+        found, self._begun = self._begun, []
         if not found:
-            return
-        number = self._counters.samples + decoder.samples - len(found)
-        self._arrivals.append((now, number + len(found)))
-        while now - self._arrivals[0][0] > RATE_WINDOW_S:
-            self._arrivals.popleft()
-        per_byte = decoder.samples / decoder.taken / (self._rate() or self._features.rate)  # s
-        before = self._queue[-1].time if self._queue else -np.inf
+            chunk = link.read(max(1, link.in_waiting))
+            self._listened = time.monotonic()
+            decoder, found = frames.decode(self._decoder, chunk)
+            with self._lock:
+                self._decoder = decoder
+        decoder, now = self._decoder, time.monotonic()
+        per_byte = decoder.samples / max(1, decoder.taken) / (self._rate(len(found)) or self._features.rate)  # s
+        measured = []
         for frame in found:
-            before = max(before, now - (decoder.bytes - frame.end) * per_byte)
-            self._queue.append(StreamRow(number, before, frame.reading, frame.temperature))
-            number += 1
-        self._changed.notify_all()
+            self._newest_time = max(self._newest_time, now - (decoder.bytes - frame.end) * per_byte)
+            measured.append(Measurement(self._newest_time, frame.reading, frame.temperature))
+        return measured
+
+    def close_link(self, link: Any) -> None:
+        """Give the port back."""
+        link.close()
 
     def _total(self) -> SkinCounters:
         before, now = self._counters, self._decoder
         return before._replace(**{name: getattr(before, name) + getattr(now, name) for name in DECODER_COUNTS})
-
-    def _rate(self) -> float:
-        if len(self._arrivals) < 2 or time.monotonic() - self._arrivals[-1][0] > RATE_WINDOW_S:
-            return 0.0
-        (start, first), (end, last) = self._arrivals[0], self._arrivals[-1]
-        return (last - first) / (end - start) if end - start > 0.2 else 0.0
 
     def _silence(self, age: float) -> str:
         if time.monotonic() - self._listened > age / 2:  # most of that time, so the board cannot be blamed
@@ -272,21 +150,6 @@ class ReSkin(DeviceBase):
         if self._decoder.gap > 3 * self._decoder.layout.size:
             return f"{self._name} has sent no frame for {age:.2g} s, only bytes that are none; check its cable"
         return f"{self._name} has been silent for {age:.2g} s; check its cable and that its sketch runs"
-
-    def _fail(self, error: DeviceError) -> None:
-        with self._changed:
-            self._failure = self._failure or error
-            self._changed.notify_all()
-
-    @property
-    def _name(self) -> str:
-        return self._features.name
-
-    def _samples(self, rows: list[StreamRow]) -> Samples:
-        number, times, reading, temperature = zip(*rows, strict=True) if rows else ((), (), (), ())
-        readings = np.array(reading, float).reshape(-1, 3 * self._chips)
-        temperatures = np.array(temperature, float).reshape(-1, self._chips)
-        return Samples(np.array(number, np.int64), np.array(times, float), readings, temperatures)
 
     # The board, and the port that it is on.
 
