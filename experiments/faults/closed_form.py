@@ -131,11 +131,13 @@ def make_scene(height: float = HEIGHT_M, stiffness: float = STIFFNESS_N_M, gain:
     return SpringPlane(height, stiffness, gain, SimulationErrors(), BOARD)
 
 
-def make_procedure(scene: SpringPlane | None = None, latency: float = 0.03, seed: int = 0) -> Procedure:
+def make_procedure(
+    scene: SpringPlane | None = None, latency: float = 0.03, seed: int = 0, make_arm: type[SimulatedArm] = SimulatedArm
+) -> Procedure:
     """A procedure over a plane whose devices are connected; its clock is a `SettableClock`."""
     scene, clock, rig = scene or make_scene(), SettableClock(WALL_TIME_S), Rig()
     lab = SimulatedLab(scene, clock, seed)
-    arm, skin = SimulatedArm(lab, rig.limits, latency), SimulatedSkin(lab)
+    arm, skin = make_arm(lab, rig.limits, latency), SimulatedSkin(lab)
     camera = SimulatedCamera(scene, LENS, rig.T_tool_camera, lambda: arm.state().T_b_t, clock, seed)
     for device in (arm, skin, camera):
         device.connect()

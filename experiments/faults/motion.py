@@ -19,10 +19,19 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from experiments.faults.closed_form import HEIGHT_M, STIFFNESS_N_M, MemoryLog, make_procedure, make_scene, site
+from experiments.faults.closed_form import (
+    HEIGHT_M,
+    STIFFNESS_N_M,
+    ForeignArm,
+    MemoryLog,
+    make_procedure,
+    make_scene,
+    site,
+)
 from experiments.faults.table import NOTICED, Fault, Measure, Trial
 from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
+from i2t.emulators.in_process import SimulatedArm
 from i2t.errors import DeviceError
 from i2t.hardware.collision import REACTION_S, overrun_force
 from i2t.hardware.limits import BRAKING_M_S2
@@ -45,6 +54,7 @@ GAP_M, PRESSES_AT_ONCE = 0.5e-3, 25  # before the surface where a press begins; 
 PLANE_M = 0.298  # of the emulated plane, 2 mm below the tool's first pose
 STALL_S, STALL_POLL_S = (1.0, 5.0), 5e-3
 PRESSED_N = 1.0  # at which a press meets its fault
+BLIND_RANGE_N = (1.0, 7.5)  # likewise, for one whose force must not be far past its limit then
 
 PRESSER = f"""
 import sys
@@ -182,11 +192,40 @@ def emulated_presses(number: int) -> Trial:
     return {"over": max(over)}
 
 
-def simulated_press(number: int) -> Trial:
+def blind_press(fault: str, number: int) -> Trial | None:
+    """A press whose controller, at some force, no longer says how hard it pushes, or no longer answers.
+
+    Args:
+        fault: Line of the controller's fault port.
+        number: Of the trial.
+
+    Returns:
+        Newtons past the limit, and the rest as of `watch`; None where a busy computer ended the press before.
+    """
+    host, begin = ur_controller.loopback(number), float(np.random.default_rng((number, 17)).uniform(*BLIND_RANGE_N))
+    with (
+        ur_controller.process(host, "--plane", str(PLANE_M), str(STIFFNESS_N_M)),
+        UrArm(host, LIMITS) as arm,
+        ThreadPoolExecutor(1) as executor,
+    ):
+        arm.zero_wrench()
+        bounds = SETTINGS.force, SETTINGS.torque, SETTINGS.acceleration
+        press = executor.submit(arm.approach, 0.01, SETTINGS.press, None, *bounds)
+        while not (press.done() or _pushed(host) > begin):
+            time.sleep(STALL_POLL_S)
+        if press.done():
+            return None
+        before = status(host)
+        ur_controller.ask(host, fault)
+        said = str(press.exception(ENDED_S)).split(":")[0].split(" at 127")[0]
+        return {**watch(host, before["clock"]), "over": _pushed(host) - SETTINGS.force, "said": said}
+
+
+def simulated_press(make_arm: type[SimulatedArm], number: int) -> Trial:
     """Force past its limit on an arm that is late, and whether the tool left its box."""
     rng, no_skin = np.random.default_rng((number, 3)), np.zeros(15)
     stiffness, latency = float(np.exp(rng.uniform(np.log(1.5e3), np.log(10e3)))), float(rng.uniform(0, 0.06))
-    procedure = make_procedure(make_scene(HEIGHT_M, stiffness, no_skin), latency, number)
+    procedure = make_procedure(make_scene(HEIGHT_M, stiffness, no_skin), latency, number, make_arm)
     recorder = MemoryLog()
     touched = procedure.touch(site(number), recorder)
     outside = sum(not LIMITS.contains(position, 1e-6) for position in recorder.positions)
@@ -279,22 +318,36 @@ OVER = Measure("over", OVER_GOAL_N, "N")
 STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / WATCHDOG_RATE_HZ), "N"), NEVER)
 HARMS: dict[str, Harm] = {
     "stream stalled": _ask("stall"),
+    "control stream stalled alone": _ask("stall-control"),
+    "force no number": _ask("forge actual_TCP_force nan"),
     "all ports mute": _ask("mute"),
     "protective stop": _ask("protective"),
     "program ended (pendant, lost script)": _ask("kill-program"),
+}
+BOXED = (OVER, Measure("outside its box", 0))
+STANDS = (Measure("stands after", STOP_GOAL_S, "s"), NEVER)
+TENTH_N, UNHEARD_N = 0.1 * SETTINGS.force, OVERRUN(delay=REACTION_S + STATE_TIMEOUT_S)  # without states nothing is felt
+BLINDNESS = {
+    "its force is no number": ("forge actual_TCP_force nan", TENTH_N),
+    "its force is infinite": ("forge actual_TCP_force inf", TENTH_N),
+    "its tool is nowhere": ("forge actual_TCP_pose nan", TENTH_N),
+    "its control stream stalls alone": ("stall-control", TENTH_N),
+    "its clock stands still": ("forge timestamp 1", UNHEARD_N),
 }
 BROKEN_LINKS: dict[str, Harm] = {"control connection lost": _ask("drop-control"), "controller frozen": _freeze}
 MOTION_FAULTS = (
     Fault("arm", "controller killed", partial(break_in_motion, lambda _, process: process.kill(), rate=10.0,
           watched=False), 10, (NOTICED, CRASHED)),
-    *(Fault("arm", name, partial(break_in_motion, harm, rate=10.0), 10, (NOTICED, _stands(10.0), NEVER, CRASHED))
+    *(Fault("arm", name, partial(break_in_motion, harm, rate=10.0), 20, (NOTICED, _stands(10.0), NEVER, CRASHED))
       for name, harm in HARMS.items()),
     Fault("arm", "second client", second_client, 10, (Measure("accepted", 0), Measure("disturbed", 0))),
     *(Fault("links", f"{name}, watchdog at {rate:g} Hz", partial(break_in_motion, harm, rate=rate), 50,
             (_stands(rate), NEVER, CRASHED)) for name, harm in BROKEN_LINKS.items() for rate in (10.0, 2.0, 5.0, 25.0)),
     Fault("force", f"past the limit, {PRESSES_AT_ONCE} emulated presses", emulated_presses, 20, (OVER,)),
-    Fault("presses", "past the limit, simulated, up to 60 ms late", simulated_press, 500,
-          (OVER, Measure("outside its box", 0))),
+    *(Fault("force", f"a press: {name}", partial(blind_press, line), 20, (Measure("over", most, "N"), *STANDS))
+      for name, (line, most) in BLINDNESS.items()),
+    Fault("presses", "past the limit, simulated, up to 60 ms late", partial(simulated_press, SimulatedArm), 500, BOXED),
+    Fault("presses", "an arm that ignores its force limit, likewise", partial(simulated_press, ForeignArm), 100, BOXED),
     Fault("presses", "noise in the air", press_in_the_air, 1000, (Measure("stopped", 1e-3, of="presses"),)),
     Fault("stalls", "the program, 1 to 5 s, in a press", partial(stalled_press, False), 50, STALL),
     Fault("stalls", "the program and the arm's process", partial(stalled_press, True), 50, STALL),
