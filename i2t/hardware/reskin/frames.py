@@ -220,7 +220,7 @@ def _values(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
         return None
     table = said.table
     table[~table[:, 1:].any(1), 1:] = np.nan
-    if layout.checked:
+    if not layout.warm:
         table[:, 0] = np.nan
     return said
 
