@@ -35,9 +35,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         args.check()
+        from i2t.collect.beginning import begin
+
+        begun = begin(args)
         from i2t.collect.session import collect  # not above: JAX takes seconds, which a refusal need not wait for
 
-        return collect(args)
+        return collect(begun)
 
     before = {number: signal.signal(number, end_by_signal) for number in ENDING_SIGNALS}
     try:
