@@ -30,6 +30,7 @@ from i2t.errors import DataError, DeviceError
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import name_of_board
+from i2t.terminal import printable
 from i2t.types import ReturnCode
 
 ENDS = {
@@ -73,10 +74,10 @@ def collect(
             raise ValueError(NO_RIG)
         procedure = _connect(args, devices, rig, sampler, notes, stack)
         kinds = f"arm {args.arm.kind}, skin {args.skin.kind}, camera {args.camera.kind}"
-        print(f"{name}: {kinds} ({SAID_OF_SOURCES[devices.source]})")
+        print(f"{printable(name)}: {kinds} ({SAID_OF_SOURCES[devices.source]})")
         for each in devices.skins:
             if each.note:
-                print(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note)
+                print(printable(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note))
         check_camera(procedure)
         if args.dry_run:
             return dry_run(procedure, sampler, args)
@@ -198,12 +199,12 @@ class _Session:
         took, self.since = now - self.since, now
         number, touch = outcome.site.number, outcome.touch
         if touch is None:
-            print(f"site {number}: failed, {outcome.reason}", flush=True)
+            print(printable(f"site {number}: failed, {outcome.reason}"), flush=True)
             return
         self.done.add(number)
         left = (self.args.touches - len(self.done)) * (now - self.begun) / max(1, len(self.done) - self.before)
         felt = "  ".join(
-            f"{name} {ENDS[each.code]}  {np.sqrt(np.nansum(each.reading**2)):.1f} uT".strip()
+            f"{printable(name)} {ENDS[each.code]}  {np.sqrt(np.nansum(each.reading**2)):.1f} uT".strip()
             for name, each in touch.skins.items()
         )
         print(
