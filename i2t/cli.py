@@ -32,6 +32,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 
 from i2t.compile_cache import use_compile_cache
 from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
+from i2t.terminal import printable
 
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
 NOBODY_READS = 141  # as shells give it for programs that end by SIGPIPE
@@ -224,7 +225,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
     except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
         if isinstance(error, BrokenPipeError) and _nobody_reads():
             return NOBODY_READS
-        print(f"error: {_sentence(error)}", file=sys.stderr)
+        print(f"error: {printable(_sentence(error))}", file=sys.stderr)
         mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
         return WRONG_USE if mendable else FAILED
     except KeyboardInterrupt:
@@ -358,7 +359,7 @@ def _send_again() -> None:
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **_: Any) -> None:
     """Show a warning in one line; warnings of other libraries keep their origin."""
     if issubclass(category, UserWarning):
-        print(f"warning: {message}", file=sys.stderr)
+        print(f"warning: {printable(message)}", file=sys.stderr)
     else:
         print(warnings.formatwarning(message, category, *where[:2]), end="", file=sys.stderr)
 

@@ -7,6 +7,8 @@ waits for an answer that was known.
 from importlib.util import find_spec
 from typing import NamedTuple
 
+from i2t.terminal import printable
+
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
 
 
@@ -18,11 +20,11 @@ class DataError(I2TError, ValueError):
     """A file or a data set that cannot be used; the message is one line that names it, what is wrong and the remedy.
 
     Args:
-        message: What happened; line breaks become spaces.
+        message: What happened; line breaks become spaces, and control characters are escaped.
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))  # what a library reported may have several lines
+        super().__init__(printable(" ".join(message.splitlines())))  # what a library reported may have several lines
 
 
 class SerializationError(I2TError, ValueError):

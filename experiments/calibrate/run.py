@@ -34,6 +34,7 @@ from experiments.common.runs import begin
 from i2t import dataset as data
 from i2t.calibration import calibrate
 from i2t.dataset import Dataset
+from i2t.terminal import printable
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
@@ -51,7 +52,7 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
     dataset = data.load_dataset(args.dataset, skin=args.skin_name)
     recording = read_presses(dataset, args.load)
     for note in recording.notes:
-        print(f"note: {note}")
+        print(printable(f"note: {note}"))
     held, blocks = hold_out(recording, cfg.held_out_presses, cfg.block_mm, cfg.block_share, args.seed)
     refuse_too_few(args, cfg, held, blocks)
     begin(args.out, args, cfg, None, args.overwrite)

@@ -11,6 +11,7 @@ from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
 from i2t.calibration.heads import fit_head
 from i2t.calibration.recordings import SkinRecording, read_recordings
+from i2t.terminal import printable
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
@@ -20,7 +21,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     recording = one_recording(args.dataset)
     begin(args.out, args, preset, None, args.overwrite)
     for note in recording.notes:
-        print(f"{note}")
+        print(printable(note))
     metrics: dict[str, Any] = {"source": recording.source, "seed": args.seed, "rows": len(recording), "heads": {}}
     for target in args.targets:
         tests = test_heads(recording, target, preset.heads, share=preset.held_out_share, seed=args.seed)

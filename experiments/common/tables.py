@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
+from i2t.terminal import printable
+
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str = "") -> str:
     """A table for a terminal, each column as wide as its widest cell.
@@ -11,7 +13,7 @@ def text_table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str =
         rows: Cells, as many in each row.
         indent: What stands before every line.
     """
-    lines = [head, *rows]
+    lines = [[printable(cell) for cell in line] for line in (head, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     padded = ("  ".join(f"{cell:{width}}" for cell, width in zip(line, widths, strict=True)) for line in lines)
     return "\n".join(f"{indent}{line}".rstrip() for line in padded)

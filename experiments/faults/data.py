@@ -4,11 +4,13 @@ What was acknowledged must be there and be readable, whatever happens.
 """
 
 import contextlib
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -28,6 +30,7 @@ AfterTouch: TypeAlias = Callable[[SiteOutcome], None]  # does harm after the sec
 
 PLANE = ("--plane", "0.03", "5000")
 MAX_TOUCHES, MAX_DELAY_S = 2, 6.0  # after which a collection is killed: a touch takes five seconds
+SIGNALS_APART_S = 0.2  # as long as a person takes to press Ctrl-C again
 RESERVE_BYTES = 0  # that a disk must have free
 MAX_ATTEMPTS = 3  # collections that go on after a kill: a busy computer may end one by itself
 STAND_GOAL_S = 0.2
@@ -116,15 +119,16 @@ def camera_unplugged(number: int) -> Trial:
         return _session(Path(folder), procedure, 4, lambda _: setattr(procedure.camera, "capture", gone))
 
 
-def killed_collection(number: int) -> Trial | None:
-    """A collection that is killed at a random moment, and goes on afterwards in the same folder.
+def killed_collection(signals: Sequence[int], number: int) -> Trial | None:
+    """A collection that is ended by signals at a random moment, and goes on afterwards in the same folder.
 
     Args:
+        signals: What it is sent, 0.2 s apart.
         number: Of the trial.
 
     Returns:
-        Touches acknowledged and lost, seconds on the controller's clock until the arm stood, and whether the next
-        collection made a touch more. None where it ended by itself, or did not begin.
+        Touches acknowledged and lost, seconds on the controller's clock until the arm stood, whether it said more than
+        one line, and whether the next collection made a touch more. None where it ended by itself, or did not begin.
     """
     rng, host = np.random.default_rng((number, 13)), ur_controller.loopback(number)
     touches, delay = int(rng.integers(0, MAX_TOUCHES + 1)), float(rng.uniform(0, MAX_DELAY_S))
@@ -136,15 +140,19 @@ def killed_collection(number: int) -> Trial | None:
         out = Path(folder) / "data"
         words = [sys.executable, "-m", "experiments.faults.worker", host, port, str(out)]
         with subprocess.Popen(
-            [*words, "1000", WATCHDOG_HZ], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            [*words, "1000", WATCHDOG_HZ], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as child:
             assert child.stdout is not None
+            assert child.stderr is not None
             begun = child.stdout.readline().strip() == "begun"
             acknowledged = [name for _ in range(touches) if (name := child.stdout.readline().strip())]
             time.sleep(delay)
             before, ended = status(host), child.poll() is not None
-            child.kill()
+            for place, each in enumerate(signals):
+                time.sleep(SIGNALS_APART_S if place else 0)
+                child.send_signal(each)
             acknowledged += child.stdout.read().splitlines()
+            lines = child.stderr.read().splitlines()
         if ended or not begun:
             return None
         stands = watch(host, before["clock"])["stands after"]
@@ -156,7 +164,8 @@ def killed_collection(number: int) -> Trial | None:
         )
         incomplete = not again or len(touches_in(out)) != wanted
     said = "killed in a motion" if before["moving"] else "killed at rest"
-    return {**found, "stands after": stands, "incomplete": incomplete, "said": said}
+    rambling = len([*filter(None, lines)]) > 1
+    return {**found, "stands after": stands, "incomplete": incomplete, "rambling": rambling, "said": said}
 
 
 KEPT = (Measure("lost", 0, of="acknowledged"), Measure("unreadable", 0))
@@ -166,6 +175,12 @@ DATA_FAULTS = (
     Fault("disk", "folder becomes read-only", read_only, 5, ENDED),
     Fault("disk", "clock set back an hour", clock_set_back, 5, ENDED),
     Fault("disk", "camera unplugged", camera_unplugged, 5, ENDED),
-    Fault("kill", "kill -9 of an emulated collection", killed_collection, 200,
-          (*KEPT, Measure("stands after", STAND_GOAL_S, "s"), Measure("incomplete", 0))),
+    *(
+        Fault("kill", f"{name} of an emulated collection", partial(killed_collection, signals), count,
+              (*KEPT, Measure("stands after", STAND_GOAL_S, "s"), Measure("incomplete", 0), Measure("rambling", 0)))
+        for name, signals, count in (
+            ("kill -9", (signal.SIGKILL,), 200), ("SIGHUP", (signal.SIGHUP,), 20),
+            ("Ctrl-C twice", (signal.SIGINT, signal.SIGINT), 20),
+        )
+    ),
 )  # fmt: skip

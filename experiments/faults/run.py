@@ -17,6 +17,7 @@ import time
 
 from experiments.common.runs import write_json
 from experiments.faults.arguments import FaultsArgs
+from experiments.faults.camera import CAMERA_FAULTS
 from experiments.faults.data import DATA_FAULTS
 from experiments.faults.motion import MOTION_FAULTS
 from experiments.faults.rig import RIG_FAULTS
@@ -24,7 +25,7 @@ from experiments.faults.skin import SKIN_FAULTS
 from experiments.faults.table import Fault, FaultRow, judge, report, run_trials
 from i2t.errors import DeviceError
 
-FAULTS: tuple[Fault, ...] = (*DATA_FAULTS, *MOTION_FAULTS, *SKIN_FAULTS, *RIG_FAULTS)
+FAULTS: tuple[Fault, ...] = (*DATA_FAULTS, *CAMERA_FAULTS, *MOTION_FAULTS, *SKIN_FAULTS, *RIG_FAULTS)
 
 
 def run(args: FaultsArgs) -> int:

@@ -11,13 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.faults.closed_form import BOARD, HEIGHT_M, make_scene, plane_patch, session_info, site
+from i2t.cli import exit_code_of
+from i2t.collect.command import left_by_signals
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, site_number_of, touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedCamera
-from i2t.errors import DeviceError
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
@@ -49,7 +50,5 @@ def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") 
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(*sys.argv[1:]))
-    except DeviceError as error:
-        sys.exit(str(error))
+    with left_by_signals():
+        sys.exit(exit_code_of(lambda: main(*sys.argv[1:]), "stopped; the same command goes on"))

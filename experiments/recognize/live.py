@@ -33,6 +33,7 @@ from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
+from i2t.collect.beginning import begin
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
@@ -84,7 +85,7 @@ def run(args: LiveArgs) -> dict[str, Any]:
     recognizer.warm_up()  # before there is an arm, whose watchdog does not wait for a compiler
     live = LiveEpisode(recognizer, key_touches)
     standing = None if args.real else true_object
-    code = session.collect(collect_args(args, meshes, standing), live.choose, live.learn)
+    code = session.collect(begin(collect_args(args, meshes, standing)), live.choose, live.learn)
     if live.nothing_safe and not live.infos:
         raise ValueError(live.nothing_safe)
     if code or not live.infos:

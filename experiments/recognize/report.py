@@ -27,6 +27,7 @@ from i2t.recognition.intervals import (
 )
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import PROPRIOCEPTION
+from i2t.terminal import printable
 from i2t.types import Board
 
 IMAGINE2TOUCH = {
@@ -289,8 +290,9 @@ def print_tables(summary: dict[str, Any]) -> None:
         columns = sorted({1, min(3, touches), min(5, touches), touches})
         air = f", {100 * entry['air']:.0f} % of touches in air" if "air" in entry else ""
         print(
-            f"\n{name} ({summary['source']}): {', '.join(entry['objects'])}; {entry['episodes']} episodes, "
-            f"{entry['pools']} {summary['pools']}, {len(summary['pads'])} pads{air}; intervals {summary['intervals']}"
+            f"\n{printable(name)} ({summary['source']}): {', '.join(map(printable, entry['objects']))}; "
+            f"{entry['episodes']} episodes, {entry['pools']} {summary['pools']}, {len(summary['pads'])} pads{air}; "
+            f"intervals {summary['intervals']}"
         )
         rows = []
         for method, values in entry["methods"].items():

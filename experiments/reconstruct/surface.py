@@ -60,6 +60,7 @@ from i2t.reconstruction.surface import (
     surface_model,
     update,
 )
+from i2t.terminal import printable
 
 LOW_M, HIGH_M = (-30e-3,) * 3, (30e-3,) * 3  # of the box that holds any object; larger ones of the library enlarge it
 FORESEEN = 12  # sites among which the oracle chooses
@@ -102,7 +103,7 @@ class Explorer:
             fault = f"open, or too thin for a grid of {MM_PER_M * grid.spacing:.1f} mm"
         else:
             return True
-        print(f"left out: {self.names[number]}: {fault}", flush=True)
+        print(printable(f"left out: {self.names[number]}: {fault}"), flush=True)
         return False
 
     def explore(self, number: int, condition: ExplorationCondition) -> Episode:

@@ -48,6 +48,7 @@ from i2t.paper.classifier import Classifier
 from i2t.progress import progress
 from i2t.skin.elasticity import Grid
 from i2t.skin.pad import numbered_pad
+from i2t.terminal import printable
 
 MIN_PRESSES_PER_SHAPE = 10
 
@@ -98,7 +99,9 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     started = time.perf_counter()
     presses = prepare(args, cfg)
     dataset, names = presses.dataset, presses.names
-    print(f"{len(dataset)} presses ({dataset.source}) of {', '.join(names)} on {len(presses.pads)} pads")
+    print(
+        f"{len(dataset)} presses ({dataset.source}) of {', '.join(map(printable, names))} on {len(presses.pads)} pads"
+    )
     tasks = []
     for pad in range(len(presses.pads)):
         path = args.out / f"pad-{pad}.json"

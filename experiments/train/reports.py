@@ -19,6 +19,7 @@ from i2t.files import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 from i2t.prediction.predictor import Predictor, coverage, save
 from i2t.prediction.touch_model import Reading
+from i2t.terminal import printable
 
 COLUMNS = ("method", "R²", "RMSE µT", "/ sigma", "cosine")
 ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not
@@ -219,7 +220,7 @@ def _print_choice(result: dict[str, Any]) -> None:
         f"{_number(inside.get('coverage_90'))} of test values"
     )
     for note in result["notes"]:
-        print(f"note: {note}")
+        print(printable(f"note: {note}"))
 
 
 def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:

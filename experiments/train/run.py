@@ -49,6 +49,7 @@ from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.prediction.methods import find_methods
 from i2t.skin.files import load_pad, load_pad_about
+from i2t.terminal import printable
 from i2t.types import Pad
 
 CEILING = "ceiling: GP without camera and arm errors"
@@ -122,10 +123,10 @@ def summary_of(prepared: Prepared) -> str:
     dataset, split = prepared.touches.dataset, prepared.split
     counts = f"{split.train.sum()} train, {split.validation.sum()} validate, {split.test.sum()} test"
     said = f"{len(dataset)} touches ({dataset.source}), split by {split.how}: {counts}"
-    return "\n".join([said, *(f"note: {note}" for note in prepared.notes)])
+    return "\n".join([said, *(printable(f"note: {note}") for note in prepared.notes)])
 
 
 def noted(prepared: Prepared, note: str) -> Prepared:
     """Say one thing more of a recording, and remember it."""
-    print(f"note: {note}")
+    print(printable(f"note: {note}"))
     return prepared._replace(notes=(*prepared.notes, note))

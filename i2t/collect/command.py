@@ -12,7 +12,8 @@ everything. What it writes is a data set: `python -m experiments.train --dataset
 
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from i2t.cli import exit_code_of, read_options
@@ -35,13 +36,23 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         args.check()
+        from i2t.collect.beginning import begin
+
+        begun = begin(args)
         from i2t.collect.session import collect  # not above: JAX takes seconds, which a refusal need not wait for
 
-        return collect(args)
+        return collect(begun)
 
+    with left_by_signals():
+        return exit_code_of(work, f"stopped; everything is in {args.out}: the same command goes on")
+
+
+@contextmanager
+def left_by_signals() -> Iterator[None]:
+    """Within, what ends a program leaves it through every `finally`."""
     before = {number: signal.signal(number, end_by_signal) for number in ENDING_SIGNALS}
     try:
-        return exit_code_of(work, f"stopped; everything is in {args.out}: the same command goes on")
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -50,6 +50,57 @@ class Devices(NamedTuple):
         return stated.pop() if len(stated) == 1 else "mixed"
 
 
+class WantedSkin(NamedTuple):
+    """A skin that the command line asks for, or a table of the rig."""
+
+    number: int  # 0 for the one at the tool
+    name: str
+    args: SkinArgs
+    pad: str  # its name in the data set
+    T_tool_skin: Array
+
+    @property
+    def option(self) -> str:
+        """What names it."""
+        return f"skins.{self.name}.device" if self.number else "--skin"
+
+
+def wanted_skins(args: CollectArgs, rig: Rig) -> list[WantedSkin]:
+    """The skins of a collection.
+
+    Args:
+        args: As on the command line.
+        rig: With the further skins of the tool.
+
+    Returns:
+        First the one that presses.
+    """
+    pad = "skin"
+    if args.skin.kind in NOT_REAL:
+        pad = f"simulated, {args.world.pad.stem}" if args.world.pad else "simulated pad 0"
+    wanted = [WantedSkin(0, TOOL, args.skin, args.pad_name or pad, np.eye(4))]
+    for number, place in enumerate(rig.skins, start=1):
+        own = SkinArgs(place.device, place.address or None, place.serial_number or None, place.board)
+        wanted.append(WantedSkin(number, place.name, own, place.pad or place.name, place.T_tool_skin))
+    return wanted
+
+
+def require_together(args: CollectArgs, rig: Rig) -> None:
+    """Refuse devices that are not known, or do not go together, before any of them is made.
+
+    Args:
+        args: As on the command line.
+        rig: With the further skins of the tool.
+
+    Raises:
+        ValueError: The message names the flag, or the field of the rig.
+    """
+    require_named("arm", args.arm.kind, "ur, simulated, emulated")
+    require_named("camera", args.camera.kind, "realsense, simulated")
+    for each in wanted_skins(args, rig):
+        _require_feeling(args.arm, each)
+
+
 def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float = 0.0) -> Devices:
     """Build the devices of a collection.
 
@@ -67,42 +118,14 @@ def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float 
             be used, or a skin does not say where its chips are.
         DeviceError: A driver is not installed.
     """
+    require_together(args, rig)
     lab = _Lab(args, rig, stack, begin)
-    for each in lab.wanted:
-        _require_together(args.arm, each)
     arm = _make_arm(args.arm, lab)
     skins = tuple(_make_skin(each, lab, arm) for each in lab.wanted)
     return Devices(arm, skins, _make_camera(args.camera, lab, arm), lab.clock)
 
 
-class _WantedSkin(NamedTuple):
-    """A skin that the command line asks for, or a table of the rig."""
-
-    number: int  # 0 for the one at the tool
-    name: str
-    args: SkinArgs
-    pad: str  # its name in the data set
-    T_tool_skin: Array
-
-    @property
-    def option(self) -> str:
-        """What names it."""
-        return f"skins.{self.name}.device" if self.number else "--skin"
-
-
-def _wanted_skins(args: CollectArgs, rig: Rig) -> list[_WantedSkin]:
-    """The skins, first the one that presses."""
-    pad = "skin"
-    if args.skin.kind in NOT_REAL:
-        pad = f"simulated, {args.world.pad.stem}" if args.world.pad else "simulated pad 0"
-    wanted = [_WantedSkin(0, TOOL, args.skin, args.pad_name or pad, np.eye(4))]
-    for number, place in enumerate(rig.skins, start=1):
-        own = SkinArgs(place.device, place.address or None, place.serial_number or None, place.board)
-        wanted.append(_WantedSkin(number, place.name, own, place.pad or place.name, place.T_tool_skin))
-    return wanted
-
-
-def _require_together(arm: ArmArgs, wanted: _WantedSkin) -> None:
+def _require_feeling(arm: ArmArgs, wanted: WantedSkin) -> None:
     """Refuse a skin that is not known, or feels nothing of what this arm does."""
     skin, whose = wanted.args, wanted.option
     require_named("skin", skin.kind, SKINS, whose)
@@ -124,7 +147,7 @@ class _Lab:
 
     def __init__(self, args: CollectArgs, rig: Rig, stack: ExitStack, begin: float) -> None:
         self.args, self.rig, self.stack, self.begin = args, rig, stack, begin
-        self.wanted = _wanted_skins(args, rig)
+        self.wanted = wanted_skins(args, rig)
 
     @cached_property
     def clock(self) -> Clock:
@@ -149,7 +172,7 @@ class _Lab:
 
         return SimulatedLab(self.scene, self.clock, seed=self.args.world.seed)
 
-    def simulated_skin(self, wanted: _WantedSkin) -> Skin:
+    def simulated_skin(self, wanted: WantedSkin) -> Skin:
         """A skin of the simulated arm; a further one has a pad of its own."""
         from i2t.emulators.in_process import SimulatedSkin, SkinInLab
 
@@ -184,7 +207,6 @@ class _Lab:
 
 def _make_arm(args: ArmArgs, lab: _Lab) -> GuardedArm:
     """An arm, not connected."""
-    require_named("arm", args.kind, "ur, simulated, emulated")
     if args.kind == SIMULATED:
         from i2t.emulators.in_process import SimulatedArm
 
@@ -196,7 +218,7 @@ def _make_arm(args: ArmArgs, lab: _Lab) -> GuardedArm:
     return named_arm(args.kind, args.host, lab.rig, **watch)
 
 
-def _make_skin(wanted: _WantedSkin, lab: _Lab, arm: GuardedArm) -> SkinOnTool:
+def _make_skin(wanted: WantedSkin, lab: _Lab, arm: GuardedArm) -> SkinOnTool:
     """A skin, not connected, with its board."""
     args = wanted.args
     named = make_board(args.board or DEFAULT_BOARD)
@@ -233,7 +255,6 @@ def _make_skin(wanted: _WantedSkin, lab: _Lab, arm: GuardedArm) -> SkinOnTool:
 
 def _make_camera(args: CameraArgs, lab: _Lab, arm: GuardedArm) -> Any:
     """A camera, not connected; its type cannot be asked before it is: only then is a lens known."""
-    require_named("camera", args.kind, "realsense, simulated")
     if args.kind == SIMULATED:
         from i2t.emulators.in_process import SimulatedCamera
 

@@ -19,6 +19,7 @@ from i2t.hardware.rig import summary
 from i2t.hardware.rig_checks import implausible, other_lens
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
 from i2t.hardware.ur.config import WATCHDOG_RATE_HZ
+from i2t.terminal import printable
 
 MIN_MEASURED_SHARE = 0.1  # of a view's pixels
 SHOWN_REFUSALS = 5
@@ -32,7 +33,7 @@ class Check(NamedTuple):
     said: str
 
     def __str__(self) -> str:
-        return f"{'ok' if self.good else 'BAD':<9} {self.what}: {self.said}"
+        return f"{'ok' if self.good else 'BAD':<9} {printable(self.what)}: {printable(self.said)}"
 
 
 def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> int:

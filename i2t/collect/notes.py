@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
+from i2t.collect.devices import wanted_skins
 from i2t.collect.recorder import site_number_of, touches_in, written_at
-from i2t.collect.touch import SkinOnTool
+from i2t.collect.touch import TOOL, SkinOnTool
+from i2t.dataset import read_touch
 from i2t.dataset.files import sync_folder
 from i2t.errors import DataError
 from i2t.files import read_json, replacing
@@ -86,6 +88,9 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         raise DataError(f"{args.out} holds touches of another making; choose another --out")
     notes = notes or {"session": f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"}
     notes["session"] = args.session or notes["session"]
+    if files and "pad-name" not in notes:  # begun by an earlier version
+        record = read_touch(files[0])
+        notes |= {_pad_flag(name): each.pads[0] for name, each in {TOOL: record.touch, **record.skins}.items()}
     same = {
         "object": name,
         "seed": args.world.seed,
@@ -96,6 +101,7 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         "settings": {key: value for key, value in vars(args.settings).items() if key not in CHANGEABLE_SETTINGS},
         "rig": rig_hash(rig),
         "mesh": _hash(np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)].round(7).tobytes()),
+        **{_pad_flag(each.name): each.pad for each in wanted_skins(args, rig)},
     }
     keep_same(notes, same, args.out)
     return {site_number_of(file): written_at(file) for file in files}, notes
@@ -173,6 +179,10 @@ def rig_hash(rig: Rig) -> str:
     """
     # A key has its earlier name, so that a collection that an earlier version began goes on.
     return _hash(rig.text().replace("\napproach_distance = ", "\ntravel = ").encode())
+
+
+def _pad_flag(skin: str) -> str:
+    return "pad-name" if skin == TOOL else f"skins.{skin}.pad"
 
 
 def _hash(data: bytes) -> str:

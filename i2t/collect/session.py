@@ -1,8 +1,8 @@
 """Session of collecting: one flow from the command line to the last touch, and reports meanwhile.
 
-The folder is resumed, the devices are made and connected, skins and camera are checked, the rig is tried by first looks
-and a slow touch, and then site after site is touched; a dry run ends before
-anything moves. `i2t.collect.command` is its command line.
+The devices are made and connected for what `i2t.collect.beginning` found, skins and camera are checked, the rig is
+tried by first looks and a slow touch, and then site after site is touched; a dry run ends before anything moves.
+`i2t.collect.command` is its command line.
 """
 
 import json
@@ -10,18 +10,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from i2t.collect.arguments import CollectArgs, LabArgs
+from i2t.collect.arguments import CollectArgs
+from i2t.collect.beginning import NO_RIG, Beginning
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import check_camera, dry_run, skin_checks
 from i2t.collect.first_touch import first_touch
-from i2t.collect.notes import board_notes, device_notes, keep_same, resume, serial_number, write_notes
+from i2t.collect.notes import board_notes, device_notes, keep_same, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
 from i2t.collect.site_plan import SiteSampler, patch_extractor
@@ -31,9 +29,8 @@ from i2t.dataset.card import write_card
 from i2t.errors import DataError, DeviceError
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
-from i2t.hardware.rig_checks import require_plausible
-from i2t.objects.named import read_object
 from i2t.skin.boards import name_of_board
+from i2t.terminal import printable
 from i2t.types import ReturnCode
 
 ENDS = {
@@ -47,16 +44,15 @@ SAID_OF_SOURCES = {
     "mixed": "MIXED: some of these devices are not real",
     "real": "real devices",
 }
-NO_RIG = "a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
 
 
 def collect(
-    args: CollectArgs, choose: ChooseSite | None = None, on_outcome: Callable[[SiteOutcome], None] | None = None
+    begun: Beginning, choose: ChooseSite | None = None, on_outcome: Callable[[SiteOutcome], None] | None = None
 ) -> int:
     """A collection from its beginning, or from where it stopped, to its end.
 
     Args:
-        args: As on the command line.
+        begun: As `i2t.collect.beginning.begin` found it.
         choose: Says which site is next; by default the next of a random list.
         on_outcome: Called with each touch once it is saved.
 
@@ -67,38 +63,32 @@ def collect(
         ValueError: What was asked for does not go together, or cannot be read.
         DeviceError: A person is needed.
     """
-    rig = read_rig(args.lab, real=args.arm.kind == "ur")
-    world, out = args.world, args.out
-    target = read_object(world.object, world.unit)
-    name = args.name or (target.name if world.object == target.name else Path(world.object).stem)
-    if not args.lab.trust_rig and not args.dry_run:
-        require_plausible(rig, target.mesh.vertices)
-    done, notes = resume(args, name, rig, target.mesh)
-    sampler = SiteSampler(target.mesh, rig.T_world_object, args.sites, world.seed, name)
+    args, rig, name, mesh, done, notes = begun
+    if not args.dry_run and len(done) >= args.touches:
+        print(f"{len(done)} touches are there already; raise --touches for more")
+        return 0
+    sampler = SiteSampler(mesh, rig.T_world_object, args.sites, args.world.seed, name)
     with ExitStack() as stack:
         devices = make_devices(args, rig, stack, begin=max(done.values(), default=0.0) + 1.0)
         if args.lab.rig is None and devices.arm.features.source == "real":
             raise ValueError(NO_RIG)
-        if not args.dry_run and len(done) >= args.touches:
-            print(f"{len(done)} touches are there already; raise --touches for more")
-            return 0
         procedure = _connect(args, devices, rig, sampler, notes, stack)
         kinds = f"arm {args.arm.kind}, skin {args.skin.kind}, camera {args.camera.kind}"
-        print(f"{name}: {kinds} ({SAID_OF_SOURCES[devices.source]})")
+        print(f"{printable(name)}: {kinds} ({SAID_OF_SOURCES[devices.source]})")
         for each in devices.skins:
             if each.note:
-                print(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note)
+                print(printable(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note))
         check_camera(procedure)
         if args.dry_run:
             return dry_run(procedure, sampler, args)
         for check in skin_checks(procedure, strict=True):
             print(check)
         info = _session_info(args, procedure, devices, name, notes)
-        recorder = stack.enter_context(Recorder(out, info, devices.clock))
+        recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         recorder.check()
         if not args.skip_first_touch:
             first_touch(procedure, sampler)
-        write_notes(out, notes)
+        write_notes(args.out, notes)
         _Session(args, procedure, sampler, recorder, set(done)).run(choose, on_outcome)
     return 0
 
@@ -209,12 +199,12 @@ class _Session:
         took, self.since = now - self.since, now
         number, touch = outcome.site.number, outcome.touch
         if touch is None:
-            print(f"site {number}: failed, {outcome.reason}", flush=True)
+            print(printable(f"site {number}: failed, {outcome.reason}"), flush=True)
             return
         self.done.add(number)
         left = (self.args.touches - len(self.done)) * (now - self.begun) / max(1, len(self.done) - self.before)
         felt = "  ".join(
-            f"{name} {ENDS[each.code]}  {np.sqrt(np.nansum(each.reading**2)):.1f} uT".strip()
+            f"{printable(name)} {ENDS[each.code]}  {np.sqrt(np.nansum(each.reading**2)):.1f} uT".strip()
             for name, each in touch.skins.items()
         )
         print(
@@ -237,26 +227,3 @@ class _Session:
         if len(self.done) < self.args.touches:
             lines.append("the same command goes on where this stopped")
         return "\n".join(lines)
-
-
-def read_rig(args: LabArgs, *, real: bool) -> Rig:
-    """The lab's calibration, with the object where the command line says.
-
-    Args:
-        args: As on the command line.
-        real: Whether a real arm will move.
-
-    Returns:
-        The rig; the emulators' own where none is named and no real arm is asked for.
-
-    Raises:
-        ValueError: A real arm needs a rig, or the file is damaged.
-    """
-    if args.rig is None and real:
-        raise ValueError(NO_RIG)
-    rig = Rig() if args.rig is None else Rig.read(args.rig)
-    if args.pose is None:
-        return rig
-    T = np.eye(4)
-    T[:3, 3], T[:3, :3] = args.pose[:3], Rotation.from_euler("xyz", args.pose[3:], degrees=True).as_matrix()
-    return replace(rig, T_world_object=T, object_from="given")

@@ -29,6 +29,7 @@ import tyro
 from i2t.cli import exit_code_of, require_writable
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, require_extra
+from i2t.terminal import printable
 from i2t.windows import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ class Writing(Reading):
         dataset, notes = converted if isinstance(converted, Converted) else (converted, ())
         path = save_dataset(self.target / PACKED, dataset)
         write_card(self.target, dataset, board_name=name_of_board(dataset.board))
-        print(*notes, f"wrote {len(dataset)} touches to {path}", sep="\n")
+        print(*map(printable, notes), f"wrote {len(dataset)} touches to {path}", sep="\n")
 
 
 @dataclass(kw_only=True)
@@ -247,7 +248,7 @@ class FromStream(_FromTable):
         from i2t.convert import stream
 
         table = stream.table_of_presses(self.source, board=_board(self.board), skip_bad=self.skip_bad)
-        print(*table.notes, sep="\n")
+        print(*map(printable, table.notes), sep="\n")
         print(f"wrote {len(table.rows)} presses to {stream.write_presses(self.target, table)}")
 
 
@@ -318,7 +319,7 @@ def _run(command: Reading) -> None:
             command.run()
         finally:
             for warning in caught:
-                print(warning.message, file=sys.stderr)
+                print(printable(warning.message), file=sys.stderr)
 
 
 def _board(name: str) -> "Board":
@@ -332,9 +333,10 @@ def _board(name: str) -> "Board":
 
 def _page(source: Path, found: dict[str, Any]) -> str:
     """A summary for a person."""
-    lines = [f"{source}: {found['touches']} touches, {found['source']}"]
+    lines = [f"{printable(source)}: {found['touches']} touches, {found['source']}"]
     for kind in ("objects", "pads", "sessions"):
-        lines += ["", f"{kind:<40} touches", *(f"  {name:<38} {count:7d}" for name, count in found[kind].items())]
+        lines += ["", f"{kind:<40} touches"]
+        lines += [f"  {printable(name):<38} {count:7d}" for name, count in found[kind].items()]
     lines += ["", f"{'press ended':<40} touches"]
     lines += [f"  {name:<38} {count:7d}" for name, count in found["codes"].items() if count]
     lines += ["", f"{'measured':<22} {'mean':>9} {'std':>9} {'min':>9} {'median':>9} {'max':>9}"]
@@ -349,4 +351,4 @@ def _page(source: Path, found: dict[str, Any]) -> str:
     pixels, window, reach = found["patch_pixels"], 1e3 * found["window_m"], 1e3 * found["reach_m"]
     truth = "known" if found["truth"] else "unknown"
     lines += ["", f"patches: {pixels} x {pixels} over {window:g} mm, reach {reach:g} mm; truth {truth}"]
-    return "\n".join(lines + [f"{key}: {text}" for key, text in found["meta"].items()])
+    return "\n".join(lines + [printable(f"{key}: {text}") for key, text in found["meta"].items()])

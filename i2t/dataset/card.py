@@ -7,6 +7,7 @@ import numpy as np
 
 from i2t import files
 from i2t.dataset.sets import Dataset
+from i2t.terminal import printable
 
 CARD = "README.md"
 MAX_NAMES = 20  # listed of each kind
@@ -91,5 +92,5 @@ def _table(rows: Mapping[str, str]) -> str:
 
 def _plain(text: str) -> str:
     """A text that ends no line and no cell of a table, of at most so many characters."""
-    plain = " ".join(str(text).split()).replace("|", "/")
+    plain = printable(" ".join(str(text).split()).replace("|", "/"))
     return plain if len(plain) <= MAX_TEXT else plain[:MAX_TEXT].rsplit(" ", 1)[0] + " ..."

@@ -61,6 +61,8 @@ class EmulatedBoardArgs:
     press: float = 0.0  # size of a press every 4 s, times 57 uT (norm on 5 chips)
     field: bool = False  # take the field (3 float32 a chip, little-endian, uT) from UDP datagrams
     fail: tuple[int, ...] = ()  # chips that do not answer
+    fail_after: float = 0.0  # s until they stop answering
+    freeze_after: float = float("inf")  # s until it sends the same values for ever
     fail_share: float = 0.0  # part of the samples in which a chip does not answer, each chip by itself
     empty: int = 1  # only every Nth frame holds values: the sketch reads faster than the chips measure
     skip: float = 0.0  # part of the frames that are lost as a whole
@@ -241,7 +243,7 @@ def _serve(port: BoardPort, board: Board, options: EmulatedBoardArgs) -> None:
         if now - reset < options.garbage_for:
             port.send(line.rubbish())
         elif not options.silent_after <= elapsed < options.silent_after + options.silent_for:
-            port.send(line.frame(*readings.at(max(0.0, elapsed)), port))
+            port.send(line.frame(*readings.at(max(0.0, elapsed)), port, elapsed))
         due += 1 / options.rate
         time.sleep(max(0.0, due - time.monotonic()))
 
@@ -254,12 +256,15 @@ class _Line:
         self._rng = np.random.default_rng((options.seed, 1))  # of rubbish
         self._faults = np.random.default_rng((options.seed, 2))  # of chips and whole frames
 
-    def frame(self, reading: np.ndarray, temperature: np.ndarray, port: BoardPort) -> bytes:
-        """Bytes of a sample as it leaves the board, or as a wrong baud rate changes it."""
+    def frame(self, reading: np.ndarray, temperature: np.ndarray, port: BoardPort, elapsed: float) -> bytes:
+        """Bytes of a sample as it leaves the board, or as a wrong baud rate changes it; `elapsed` as faults count."""
         options = self._options
         self._count += 1
+        if not self._count or elapsed < options.freeze_after:
+            self._values = reading, temperature
+        reading, temperature = self._values
         gone = self._faults.random(len(temperature)) < options.fail_share
-        gone[list(options.fail)] = True
+        gone[list(options.fail if elapsed >= options.fail_after else ())] = True
         gone |= self._count % options.empty != 0
         whole = encode(np.where(np.repeat(gone, 3), 0.0, reading), temperature, options.format, self._count)
         if self._faults.random() < options.skip:

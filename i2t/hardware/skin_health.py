@@ -156,6 +156,22 @@ def press_defect(change: Float[Array, " c"], force: float) -> str:
     )
 
 
+def frozen_sentence(reading: Float[Array, "n c"]) -> str:
+    """Judge samples in the midst of a session, where a skin that is frozen would feel no contact.
+
+    Args:
+        reading: (n, c) uT, successive samples with the noise of a real skin; NaN for a chip that is missing.
+
+    Returns:
+        A sentence if no chip changed once in 24 samples or more, else "".
+    """
+    by_chip = np.asarray(reading, float).reshape(len(reading), reading.shape[1] // 3, 3)
+    by_chip = by_chip[:, np.isfinite(by_chip).all(2).sum(0) >= MIN_REST_SAMPLES]  # those that can be judged
+    if not by_chip.shape[1] or not _frozen(by_chip).all():
+        return ""
+    return f"its readings did not change once in {len(by_chip)} samples: it is frozen; reset the board, check its cable"
+
+
 def _white_noise(by_chip: Array) -> np.ndarray:
     """White noise (chips, 3) uT of one sample, without slow changes; NaN for a chip that is missing."""
     change = np.abs(np.diff(by_chip, axis=0))

@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,10 +12,12 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from helpers import random_touches
 
 from i2t import dataset
 from i2t.collect import command, notes, recorder, session
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs
+from i2t.collect.beginning import begin
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.touch import SkinOnTool
 from i2t.depth.camera import Camera
@@ -142,12 +146,48 @@ def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
     before = signal.signal(signal.SIGTERM, command.end_by_signal)
     try:
         with pytest.raises(SystemExit) as ended:
-            session.collect(args, on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
+            session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
     finally:
         signal.signal(signal.SIGTERM, before)
     assert ended.value.code == 128 + signal.SIGTERM
     assert len(dataset.load_dataset(tmp_path / "stopped")) == 1
     assert "the same command goes on" in capsys.readouterr().out
+
+
+def test_what_needs_no_model_is_refused_before_jax_is_imported(tmp_path):
+    """Speeds beyond what the rig can stop, another seed, another pad, and devices that are not known."""
+    args = CollectArgs(out=tmp_path)
+    notes.write_notes(tmp_path, begin(args).notes)
+    wrong = {
+        "--settings.press .05": "told to stop at 8 N it would end at 34 N",
+        "--seed 1": "was begun with another seed (seed: 0, now 1); use that again",
+        "--pad-name red": "was begun with another pad-name (pad-name: simulated pad 0, now red); use that again",
+        "--arm nobody": "--arm nobody is not known",
+        "--camera nobody": "--camera nobody is not known",
+    }
+    program = (
+        "import sys; from i2t.collect.command import main; "
+        "codes = [main(['--out', sys.argv[1], *words.split()]) for words in sys.argv[2:]]; "
+        "print('jax' in sys.modules, *codes)"
+    )
+    words = [sys.executable, "-c", program, str(tmp_path), *wrong]
+    run = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert run.stdout == "False 2 2 2 2 2\n"
+    for line, said in zip(run.stderr.splitlines(), wrong.values(), strict=True):
+        assert said in line
+
+
+def test_a_folder_of_an_earlier_version_goes_on_with_the_pad_that_its_touches_name(tmp_path):
+    args = CollectArgs(out=tmp_path)
+    begun = {key: value for key, value in begin(args).notes.items() if key != "pad-name"}
+    notes.write_notes(tmp_path, begun)
+    assert begin(replace(args, pad_name="red")).notes["pad-name"] == "red"  # nobody knows
+    made = random_touches.make(1)
+    touch = replace(made, pads=("blue",), touches=made.touches._replace(pad=np.zeros(1)))
+    dataset.write_touch(tmp_path, dataset.Record(touch, counters={"site": 3}))
+    with pytest.raises(DataError, match=r"begun with another pad-name \(pad-name: blue, now red\)"):
+        begin(replace(args, pad_name="red"))
+    assert begin(replace(args, pad_name="blue")).notes["pad-name"] == "blue"
 
 
 @pytest.mark.parametrize(("wrong", "said"), [

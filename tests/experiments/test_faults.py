@@ -1,13 +1,15 @@
 """The report of faults, and each kind of fault tried once or twice."""
 
 import json
+import signal
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
 from experiments.faults import __main__ as command_line
-from experiments.faults import data, motion, rig
+from experiments.faults import camera, data, motion, rig
 from experiments.faults import run as faults
 from experiments.faults.arguments import FAULT_SECTIONS
 from experiments.faults.table import Fault, Measure, judge
@@ -111,13 +113,24 @@ def test_presses_from_all_sides_are_judged_by_embree():
     assert rig._through("hexagon", scene.T_b_o, pose) == -1.0
 
 
+@pytest.mark.parametrize("number", [0, 4, 6, 7])  # changed bytes, a cut end, and PNGs that claim to be huge
+def test_damaged_camera_files_are_refused_in_one_sentence_and_little_memory(number):
+    found = camera.damaged_file(number)
+    assert not found["wrong"]
+    assert found["said"].endswith("refused")
+    assert found["memory"] < camera.MOST_GB
+
+
 @pytest.mark.full
-def test_real_drivers_collect_with_emulators_are_killed_and_go_on(monkeypatch):
-    """`kill -9` of a collection with real drivers; the next one makes the touches that are missing."""
+@pytest.mark.parametrize("signals", [[signal.SIGKILL], [signal.SIGHUP], [signal.SIGINT, signal.SIGINT]])
+def test_real_drivers_collect_with_emulators_are_killed_and_go_on(monkeypatch, signals):
+    """`kill -9`, a closed terminal and an impatient Ctrl-C of a collection with real drivers; the next one makes the
+    touches that are missing.
+    """
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     if sys.platform != "linux":
         pytest.skip("needs the addresses 127.x.y.z, which only Linux gives without asking")
     monkeypatch.setattr(data, "WATCHDOG_HZ", "1")  # a machine that is busy with other tests is not a fault
-    found = next(filter(None, map(data.killed_collection, range(4))))
-    assert found["lost"] == found["unreadable"] == found["incomplete"] == 0
+    found = next(filter(None, map(partial(data.killed_collection, signals), range(4))))
+    assert found["lost"] == found["unreadable"] == found["incomplete"] == found["rambling"] == 0
     assert found["stands after"] < 1.2

@@ -3,6 +3,7 @@
 import functools
 import operator
 import struct
+import zlib
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.faults.skin import flipped_bits
 from i2t.emulators.reskin_board import Readings
 from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.driver import diagnose
@@ -17,7 +19,8 @@ from i2t.hardware.reskin.frames import FIELD_RANGE_UT, TEMPERATURE_RANGE_C, Deco
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 from i2t.skin.boards import make_board
 
-SIZE, FRAMED_SIZE = 82, 64  # bytes of a frame of five chips
+SIZES = {Format.BINARY: 82, Format.FRAMED: 64, Format.CRC: 87}  # bytes of a frame of five chips
+SIZE = SIZES[Format.BINARY]
 
 
 def rest(count: int, seed: int = 0, noise: float = 1.0, temperature: float | None = None, board=None) -> tuple:
@@ -64,10 +67,13 @@ FIELD = np.arange(15) * 10.0 + 1.25
 CELSIUS = np.array([24.5, 24.75, 25.0, 25.25, 25.5])
 CHIPS = np.column_stack([CELSIUS, FIELD.reshape(5, 3)])
 COUNTED = b"\x00" + struct.pack("<15f", *FIELD)
+WARM = b"".join(struct.pack("<4f", *chip) for chip in CHIPS)
 BY_HAND = {
-    Format.BINARY: b"".join(struct.pack("<4f", *chip) for chip in CHIPS) + b"\r\n",
+    Format.BINARY: WARM + b"\r\n",
     Format.FRAMED: b"\xaa\x55" + COUNTED + bytes([functools.reduce(operator.xor, COUNTED)]),
+    Format.CRC: b"\xa5\x5a\x00" + WARM + struct.pack("<I", zlib.crc32(b"\x00" + WARM)),
 }
+CHECKED = (Format.FRAMED, Format.CRC)
 
 
 @pytest.mark.parametrize("form", Format)
@@ -77,9 +83,9 @@ def test_formats_are_those_of_the_firmware(form):
     assert (decoder.layout, len(found)) == (FrameLayout(form), 4)
     for frame in found:
         np.testing.assert_array_equal(frame.reading, FIELD)
-        np.testing.assert_array_equal(frame.temperature, CELSIUS if form == Format.BINARY else 5 * [np.nan])
-    if form == Format.FRAMED:
-        assert len(BY_HAND[form]) == FrameLayout(form).size == FRAMED_SIZE  # as its maker says
+        np.testing.assert_array_equal(frame.temperature, 5 * [np.nan] if form == Format.FRAMED else CELSIUS)
+    assert len(BY_HAND[form]) == FrameLayout(form).size == SIZES[form]  # as its maker says
+    if form in CHECKED:
         assert encode(FIELD, CELSIUS, form, 0x1FF)[2] == 0xFF
 
 
@@ -96,7 +102,7 @@ def test_every_frame_of_a_clean_stream_of_any_board_arrives_once(form, chips):
     assert [frame.end for frame in found] == ends.tolist()
     assert (decoder.lost, decoder.gaps) == (0, 0)
     np.testing.assert_allclose([frame.reading for frame in found], readings[1:], atol=1e-3)
-    expected = celsius[1:] if form == Format.BINARY else np.full((39, chips), np.nan)
+    expected = np.full((39, chips), np.nan) if form == Format.FRAMED else celsius[1:]
     np.testing.assert_allclose([frame.temperature for frame in found], expected, atol=1e-3)
     assert not decode_any(decoders(chips + 1), data)[1]
     assert f"frames of {chips} chips come, not of 7" in diagnose(data, 7)
@@ -141,8 +147,9 @@ def test_noise_is_no_board(data, form):
 
 @pytest.mark.parametrize(
     ("form", "substitute", "drop", "missed"),
-    [(Format.BINARY, 0.0, 2e-4, 0.04), (Format.FRAMED, 0.01, 0.0, 0.01), (Format.FRAMED, 0.0, 0.01, 0.01)],
-)
+    [(Format.BINARY, 0.0, 2e-4, 0.04), (Format.FRAMED, 0.01, 0.0, 0.01), (Format.FRAMED, 0.0, 0.01, 0.01),
+     (Format.CRC, 0.01, 0.0, 0.03), (Format.CRC, 0.0, 0.01, 0.03)],
+)  # fmt: skip
 def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     count, rng = 2500, np.random.default_rng(7)
     truth, celsius = rest(count)
@@ -199,24 +206,35 @@ def test_a_value_that_cannot_be_condemns_its_frame_and_a_jump_is_true(value):
 # Checksum and counter.
 
 
-def test_every_changed_byte_is_found():
-    whole = b"".join(stream(8, Format.FRAMED))
-    for place, change in enumerate(np.random.default_rng(0).integers(1, 256, FRAMED_SIZE)):
+@pytest.mark.parametrize("form", CHECKED)
+def test_every_changed_byte_is_found(form):
+    whole, size = b"".join(stream(8, form)), SIZES[form]
+    for place, change in enumerate(np.random.default_rng(0).integers(1, 256, size)):
         bad = bytearray(whole)
-        bad[4 * FRAMED_SIZE + place] ^= int(change)
-        decoder, found = decoded(bytes(bad), Format.FRAMED)
-        assert numbers(found, FRAMED_SIZE) == [0, 1, 2, 3, 5, 6, 7]
-        assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, FRAMED_SIZE)
+        bad[4 * size + place] ^= int(change)
+        decoder, found = decoded(bytes(bad), form)
+        assert numbers(found, size) == [0, 1, 2, 3, 5, 6, 7]
+        assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, size)
 
 
-def test_a_counter_tells_what_is_missing():
+def test_flipped_bits_pass_an_exclusive_or_and_no_crc():
+    trials = {form: [flipped_bits(form, 0.001, seed, 2000) for seed in range(3)] for form in CHECKED}
+    wrong = {form: sum(trial["wrong"] for trial in trials[form]) for form in CHECKED}
+    delivered = {form: sum(trial["delivered"] for trial in trials[form]) for form in CHECKED}
+    assert wrong[Format.CRC] == 0 < 0.003 * delivered[Format.FRAMED] < wrong[Format.FRAMED]
+    for form in CHECKED:
+        assert delivered[form] - wrong[form] == sum(trial["whole"] for trial in trials[form])
+
+
+@pytest.mark.parametrize("form", CHECKED)
+def test_a_counter_tells_what_is_missing(form):
     readings, celsius = rest(300)
     gone = {5, 6, 7, 100, *range(200, 270)}
-    whole = sent(readings, celsius, Format.FRAMED)
-    decoder, found = decoded(b"".join(frame for i, frame in enumerate(whole) if i not in gone), Format.FRAMED)
+    whole = sent(readings, celsius, form)
+    decoder, found = decoded(b"".join(frame for i, frame in enumerate(whole) if i not in gone), form)
     assert (len(found), decoder.lost, decoder.gaps) == (300 - len(gone), len(gone), 3)
-    stuck = b"".join(encode(reading, celsius[0], Format.FRAMED, 7) for reading in readings[:40])
-    decoder, found = decoded(stuck, Format.FRAMED)  # a board without a working counter loses nothing
+    stuck = b"".join(encode(reading, celsius[0], form, 7) for reading in readings[:40])
+    decoder, found = decoded(stuck, form)  # a board without a working counter loses nothing
     assert (len(found), decoder.lost, decoder.gaps) == (40, 0, 0)
 
 

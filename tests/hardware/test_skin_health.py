@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples
-from i2t.hardware.skin_health import CONVERTER_END_UT, check_skin, press_defect, require_healthy
+from i2t.hardware.skin_health import CONVERTER_END_UT, check_skin, frozen_sentence, press_defect, require_healthy
 
 STEPS = np.array([0.150, 0.150, 0.242])
 SIGMA = np.array([3.1, 3.1, 4.6])
@@ -104,6 +104,26 @@ def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():
     health = check_skin(harmed((np.s_[:, 2], lambda x: np.nan)))
     assert (health.defects, health.missing) == ((), (2,))
     assert "without chip 2" in health.summary
+
+
+@pytest.mark.parametrize("chips", [1, 5])
+def test_a_board_is_frozen_that_changes_nowhere_in_24_samples(chips):
+    for seed in range(100):
+        reading = at_rest(seed, 24, chips).reading
+        assert frozen_sentence(reading) == ""
+        assert "did not change once in 24 samples" in frozen_sentence(np.tile(reading[0], (24, 1)))
+        assert frozen_sentence(np.tile(reading[0], (23, 1))) == ""
+
+
+def test_a_frozen_board_is_judged_by_the_chips_that_answer():
+    still = np.tile(at_rest().reading[0], (40, 1))
+    still[:, 3:6] = np.nan
+    still[20:, 6:9] = np.nan
+    assert "frozen" in frozen_sentence(still)
+    still[30, 0] += 0.15  # one axis of one chip moves once
+    assert frozen_sentence(still) == ""
+    assert frozen_sentence(np.full((40, 15), np.nan)) == ""
+    assert frozen_sentence(np.empty((0, 15))) == ""
 
 
 def test_a_press_that_changes_nothing_is_a_defect():

@@ -8,8 +8,8 @@ are plausible, and a candidate is a *frame* if
     it begins a run of `RUN_LENGTH` adjoining candidates which no other candidate overlaps.
 
 Candidates are tried from the first byte after the last frame onwards, so a lost byte costs the frame it was in. What
-may pass unseen is a changed value that is plausible, in a format without a checksum: USB has its own. What is decided
-depends on the stream alone, not on how it was cut into chunks.
+may pass unseen is a changed value that is plausible, in a format without a checksum (USB has its own), or with an
+exclusive or where two changes cancel. What is decided depends on the stream alone, not on how it was cut into chunks.
 
 A chip that fails is missing (NaN). A frame in which every chip is missing is counted as empty and not delivered.
 """
@@ -220,7 +220,7 @@ def _values(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
         return None
     table = said.table
     table[~table[:, 1:].any(1), 1:] = np.nan
-    if layout.checked:
+    if not layout.warm:
         table[:, 0] = np.nan
     return said
 
