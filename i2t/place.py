@@ -23,7 +23,7 @@ from i2t.cli import command, require_path
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import read_view
-from i2t.hardware.plugins import REALSENSE, UR, ToolPose, named_camera, require_named
+from i2t.hardware.plugins import REALSENSE, UR, DeviceSetup, ToolPose, find_plugin, load_device
 from i2t.hardware.poses import apart, pose_from_vector
 from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig
@@ -114,8 +114,8 @@ def place(asked: PlaceArgs) -> str:
 
 def _require_devices(asked: PlaceArgs) -> None:
     """Refuse devices that are not known, and a pose of the tool that is missing or given twice."""
-    require_named("arm", asked.arm, UR)
-    require_named("camera", asked.camera, REALSENSE)
+    find_plugin("arm", asked.arm)
+    find_plugin("camera", asked.camera)
     asks_an_arm = asked.host is not None or asked.arm != UR
     if asks_an_arm == (asked.tool is not None):
         raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
@@ -134,7 +134,7 @@ def _pose_and_arm(asked: PlaceArgs, rig: Rig) -> tuple[AbstractContextManager[Ar
 def _look(asked: PlaceArgs, rig: Rig, arm: GuardedArm | None) -> tuple[Camera, View]:
     if asked.views is not None:
         return read_view(asked.views)
-    with named_camera(asked.camera, asked.serial, rig, arm) as camera:
+    with load_device("camera", asked.camera, DeviceSetup(rig, asked.serial, arm)) as camera:
         return camera.camera, camera.capture()
 
 

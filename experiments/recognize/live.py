@@ -38,10 +38,11 @@ from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
 from i2t.dataset import read_touch
-from i2t.emulators.world import WorldArgs, read_pad
+from i2t.emulators.world import read_pad
 from i2t.errors import DeviceError
 from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
+from i2t.hardware.world import WorldArgs
 from i2t.objects.solids import Mesh
 from i2t.recognition.pad_model_files import KnownPad, require_skin
 from i2t.recognition.policy import NUM_CANDIDATES

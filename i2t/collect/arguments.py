@@ -10,14 +10,13 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from i2t.cli import Count, check_options, require_path, require_with
+from i2t.cli import Count, Limits, check_options, require_path
 from i2t.collect.settings import TouchSettings
-from i2t.emulators.world import WorldArgs
-from i2t.hardware.ur.config import check_watch
+from i2t.hardware.ur.config import STATE_TIMEOUT_RANGE_S, WATCHDOG_RATE_RANGE_HZ
+from i2t.hardware.world import WorldArgs
 from i2t.simulation.site_limits import SiteLimits
 
-SIMULATED, NOT_REAL = "simulated", ("simulated", "emulated")
-SKINS = "reskin, simulated, emulated"  # that need no other package
+SIMULATED = "simulated"
 MAX_OBJECT_M = 3.0  # of an object's pose in the world
 
 
@@ -32,19 +31,21 @@ class ArmArgs:
     kind: Annotated[str, tyro.conf.arg(name="arm")] = SIMULATED
     host: str | None = None  # address of the arm's controller
     # s without a state after which a UR arm is taken for lost, real or emulated: 0.1 by default
-    state_timeout: float | None = None
+    state_timeout: Annotated[float, Limits(*STATE_TIMEOUT_RANGE_S)] | None = None
     # Hz, how often a UR controller must hear from us, real or emulated: 10 by default
-    watchdog_rate: float | None = None
+    watchdog_rate: Annotated[float, Limits(*WATCHDOG_RATE_RANGE_HZ)] | None = None
 
     def check(self) -> None:
         """Refuse options that do not go together (ValueError, which names the flag)."""
-        if self.host and self.kind == SIMULATED:
-            raise ValueError(
-                "--host is the address of a controller, and --arm is simulated; leave it out, or pass --arm ur"
-            )
-        if self.kind == "ur" and not self.host:
-            raise ValueError("a UR arm needs the address of its controller; pass --host")
-        check_watch(self.state_timeout, self.watchdog_rate)  # of a UR arm, real or emulated
+        from i2t.hardware.plugins import check_device
+
+        check_device("arm", self.kind, {"address": self.host, **self.watch})
+
+    @property
+    def watch(self) -> dict[str, float]:
+        """Times of the arm's watch that are given."""
+        given = {"state_timeout": self.state_timeout, "watchdog_rate": self.watchdog_rate}
+        return {name: value for name, value in given.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -64,17 +65,15 @@ class SkinArgs:
 
     def check(self) -> None:
         """Refuse options that do not go together, and a board that is not there (ValueError, which names the flag)."""
-        from i2t.hardware.plugins import require_named
+        from i2t.hardware.plugins import check_device
         from i2t.skin.boards import make_board
 
-        require_named("skin", self.kind, SKINS)
         if self.board is not None:
             make_board(self.board)
-        require_with("--skin-serial", self.skin_serial is not None, "--skin reskin", self.kind == "reskin")
+        options = {"address": self.port, "skin_serial": self.skin_serial, "board": self.board}
+        check_device("skin", self.kind, options)
         if self.skin_serial and self.port:
             raise ValueError("--skin-serial and --port both say which board it is; leave one of them out")
-        if self.port and self.kind == SIMULATED:
-            raise ValueError(f"--port is of a board, and --skin is {self.kind}; leave it out, or pass --skin reskin")
 
 
 @dataclass(frozen=True)
@@ -90,11 +89,9 @@ class CameraArgs:
 
     def check(self) -> None:
         """Refuse options that do not go together (ValueError, which names the flag)."""
-        if self.camera_serial and self.kind == SIMULATED:
-            raise ValueError(
-                f"--camera-serial says which camera it is, and --camera is {self.kind}; leave it out, or pass "
-                "--camera realsense"
-            )
+        from i2t.hardware.plugins import check_device
+
+        check_device("camera", self.kind, {"address": self.camera_serial})
 
 
 @dataclass(frozen=True)
@@ -142,6 +139,7 @@ class CollectArgs:
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there (ValueError, which names the flag)."""
+        from i2t.hardware.plugins import check_device
         from i2t.objects.named import require_object
 
         check_options(self)
@@ -150,6 +148,5 @@ class CollectArgs:
         require_path("--pad", self.world.pad, "file or folder")
         for part in (self.lab, self.arm, self.camera, self.skin):
             part.check()
-        if self.world.pad and self.skin.kind not in NOT_REAL:
-            raise ValueError(f"--pad is of simulated skins, and --skin is {self.skin.kind}; leave it out")
+        check_device("skin", self.skin.kind, {"pad": self.world.pad})
         require_object(self.world.object, self.world.unit, flag="--object")

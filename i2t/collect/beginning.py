@@ -14,6 +14,7 @@ from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import require_together
 from i2t.collect.notes import resume
 from i2t.collect.path import TouchPath
+from i2t.hardware.plugins import find_plugin
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
 from i2t.objects.named import read_object
@@ -46,7 +47,7 @@ def begin(args: CollectArgs) -> Beginning:
         ValueError: What was asked for does not go together, or cannot be read.
         UnreachableError: The way across the object is outside the box.
     """
-    rig = read_rig(args.lab, real=args.arm.kind == "ur")
+    rig = read_rig(args.lab, real=find_plugin("arm", args.arm.kind).needs_rig)
     require_together(args, rig)
     target = read_object(args.world.object, args.world.unit)
     name = args.name or (target.name if args.world.object == target.name else Path(args.world.object).stem)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.collect.arguments import ArmArgs, CollectArgs
+from i2t.collect.arguments import CollectArgs
 from i2t.collect.path import TouchPath
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
@@ -18,7 +18,6 @@ from i2t.hardware.limits import BRAKING_M_S2
 from i2t.hardware.rig import summary
 from i2t.hardware.rig_checks import implausible, other_lens
 from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
-from i2t.hardware.ur.config import WATCHDOG_RATE_HZ
 from i2t.terminal import printable
 
 MIN_MEASURED_SHARE = 0.1  # of a view's pixels
@@ -62,7 +61,7 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> in
         Check("sites", len(refused) < len(sites) / 2, f"{len(refused)} of {len(sites)} cannot be reached"),
     ]
     print(summary(procedure.rig))
-    print("\n".join(energy_lines(path, _stall_s(args.arm))))
+    print("\n".join(energy_lines(path, getattr(arm, "stall_s", None))))
     picture = args.out.with_name(f"{args.out.name}-rig.png")
     _draw_rig(procedure, sampler, sites[0], picture)
     print(f"picture   the rig with object, tool and camera is drawn in {picture}: does it look like the lab?")
@@ -100,11 +99,6 @@ def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
         f"stall of this computer adds {stall}, a skin that falls silent {more(settings.silence):.1f} N, and no more "
         "than that",
     ]
-
-
-def _stall_s(arm: ArmArgs) -> float | None:
-    """Time (s) after which an arm whose computer stalls stops by itself; None where only the arm itself knows."""
-    return 1 / (arm.watchdog_rate or WATCHDOG_RATE_HZ) if arm.kind in ("ur", "emulated") else None
 
 
 def _device_checks(procedure: Procedure) -> list[Check]:

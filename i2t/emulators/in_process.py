@@ -249,7 +249,7 @@ class SimulatedArm(GuardedByPolling):
             )
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion."""
+        """Start a straight motion, as in `GuardedByPolling.begin_line`."""
         with self.lab.lock:
             robot = self.lab.robot
             self.lab.contacts.stands(robot.position, robot.rotation)  # however short it stood

@@ -24,8 +24,9 @@ import tyro
 
 from i2t.cli import command, require_path
 from i2t.emulators import processes, reskin_board, ur_controller
-from i2t.emulators.world import WorldArgs, make_scene
+from i2t.emulators.world import make_scene
 from i2t.hardware.rig import Rig
+from i2t.hardware.world import WorldArgs
 from i2t.objects.named import require_object
 from i2t.skin.boards import DEFAULT_BOARD, make_board
 

@@ -3,11 +3,10 @@
 Nothing large is imported before a scene or a pad is made.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING
 
-from i2t.cli import Limits, Seed
+from i2t.hardware.world import WorldArgs
 
 if TYPE_CHECKING:
     from i2t.emulators.scene import ObjectScene
@@ -16,21 +15,6 @@ if TYPE_CHECKING:
 
 DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
 CARRIED_PAD_KEY = 1900  # of the random pad of a further skin on the tool, plus its number
-
-
-@dataclass(frozen=True)
-class WorldArgs:
-    """The object, and the world of simulated and emulated devices."""
-
-    FLAT: ClassVar[bool] = True  # flags are --object, not --world.object
-
-    object: str = "hexagon"  # of the catalogue, or a mesh file
-    # of a mesh file, which does not say it itself; so there is no default
-    unit: Literal["m", "cm", "mm", "inch"] | None = None
-    pad: Path | None = None  # a pad on disk, for simulated and emulated skins; by default a random one
-    seed: Seed = 0  # of the sites, and of what is simulated
-    no_pose_error: bool = False  # simulated: object and camera are where they are believed to be
-    stiffness: Annotated[float, Limits(100, 1e6)] = 10e3  # simulated: of arm and mount, N/m
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":

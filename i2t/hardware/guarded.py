@@ -211,7 +211,13 @@ class GuardedByPolling(DeviceBase):
         raise NotImplementedError
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion to a pose (4, 4) in m, at m/s and m/s^2; the arm stands."""
+        """Start a straight motion and return at once; the arm stands.
+
+        Args:
+            T_b_t: (4, 4) goal, m.
+            speed: m/s.
+            acceleration: m/s^2.
+        """
         raise NotImplementedError
 
     def brake(self) -> None:

@@ -36,7 +36,7 @@ from i2t.files import file_in, read_text, replacing
 from i2t.geometry import inverse
 from i2t.hardware.camera_folder import DESCRIPTION, lens_text, read_lens
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, opencv, pixel_rays
-from i2t.hardware.plugins import REALSENSE, ToolPose, colour_view, named_camera, require_named
+from i2t.hardware.plugins import REALSENSE, DeviceSetup, ToolPose, check_device, colour_view, load_device
 from i2t.hardware.poses import apart, pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
@@ -215,11 +215,9 @@ class CaptureArgs(CharucoBoard):
     def run(self) -> None:
         """Take the views."""
         rig = Rig.read(self.rig) if self.rig is not None else None
-        require_named("camera", self.camera, REALSENSE)
+        check_device("camera", self.camera, {"size": self.size})
         if rig is None and self.camera != REALSENSE:
             raise ValueError(f"--camera {self.camera} needs the lab's calibration; pass --rig FILE")
-        if self.size is not None and self.camera != REALSENSE:
-            raise ValueError(f"--size is of a RealSense, and --camera is {self.camera}; leave it out")
         tool, size = ToolPose(self.arm, self.host, rig), self.size or COLOUR_SIZE
 
         def take() -> tuple[Array, ColourImage]:
@@ -228,7 +226,8 @@ class CaptureArgs(CharucoBoard):
 
         with tool.now():  # whoever does not answer is said before anything is asked of a person
             pass
-        with named_camera(self.camera, self.serial, rig or Rig(), tool.arm, size=size) as camera:
+        setup = DeviceSetup(rig or Rig(), self.serial, tool.arm, size=size)
+        with load_device("camera", self.camera, setup) as camera:
             count = capture(self.folder, take, _asked_for_more, self)
         print(f"{self.folder}: {count} views")
 

@@ -1,5 +1,4 @@
-"""Devices by their names: a UR arm and a RealSense, or a third party's by a name that its package registers or by
-`package.module:Class`. Drivers are imported only where they are asked for.
+"""Devices by their names: those of i2t, or a third party's, all by entry points, or by `package.module:Class`.
 
 A package registers a class under a name in its `pyproject.toml`,
 
@@ -9,22 +8,26 @@ A package registers a class under a name in its `pyproject.toml`,
 (likewise `i2t.skins`, `i2t.cameras`), after which `python -m i2t.collect --arm acme` finds it. The class is called with
 one `DeviceSetup` and must meet the protocol of its kind (`i2t.hardware.protocols`): an arm the one of `GuardedArm`. A
 skin has an attribute `board`, which says where its chips are (a further skin of a rig may leave that to
-`skins.NAME.board`). `examples/acme_devices` is a complete package, and `i2t.hardware.contract` holds the tests that
-every device must pass.
+`skins.NAME.board`). In place of the class there may be a `DevicePlugin`, which says what else the device takes; i2t's
+own (`i2t.hardware.drivers`, `i2t.emulators.plugins`) are no others. `examples/acme_devices` is a complete package, and
+`i2t.hardware.contract` holds the tests that every device must pass.
 """
 
 import importlib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from i2t.errors import DeviceError
+from i2t.hardware.carried_skins import CarriedSkin
+from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import Arm, ColourImage, DepthCamera, GuardedArm, Skin
 from i2t.hardware.rig import Rig
+from i2t.hardware.world import WorldArgs
 from i2t.types import Array
 
 DeviceKind: TypeAlias = Literal["arm", "skin", "camera"]
@@ -32,70 +35,111 @@ DeviceKind: TypeAlias = Literal["arm", "skin", "camera"]
 UR, REALSENSE = "ur", "realsense"
 GROUPS: dict[DeviceKind, str] = {"arm": "i2t.arms", "skin": "i2t.skins", "camera": "i2t.cameras"}
 PROTOCOLS: dict[DeviceKind, type] = {"arm": GuardedArm, "skin": Skin, "camera": DepthCamera}
+ADDRESS_FLAGS: dict[DeviceKind, str] = {"arm": "--host", "skin": "--port", "camera": "--camera-serial"}
 
 
 @dataclass(frozen=True, eq=False)
 class DeviceSetup:
-    """Setup with which a third party's device is built."""
+    """Setup with which a device is built."""
 
     rig: Rig  # the lab's calibration: frames, payload, limits
     address: str | None = None  # --host for an arm, --port for a skin, --camera-serial for a camera
-    arm: Arm | None = None  # that carries the camera
+    arm: Arm | None = None  # that carries it
+    skin_serial: str | None = None  # serial number of a skin's board
+    board: str | None = None  # name of the board of the skin, or of the one that the arm carries
+    place: CarriedSkin | None = None  # a further skin's; None for the one that presses
+    watch: Mapping[str, Any] = field(default_factory=dict)  # state_timeout (s), watchdog_rate (Hz), where given
+    size: tuple[int, int] | None = None  # pixels of a camera's images
+    world: WorldArgs = field(default_factory=WorldArgs)  # in which it is, unless it is real
+    clock: Clock = field(default_factory=MonotonicClock)  # that the devices share
+    stack: ExitStack = field(default_factory=ExitStack)  # ends what has to be started for it
 
 
-def require_named(kind: DeviceKind, name: str, built_in: str = "", option: str | None = None) -> None:
-    """Refuse the name of a device that is not there.
+@dataclass(frozen=True)
+class DevicePlugin:
+    """A device that takes more than its address, or needs it."""
+
+    make: Callable[[DeviceSetup], Any]  # builds it, without connecting it; imports what it needs
+    takes: frozenset[str] = frozenset({"address"})  # of the options, by their names in a setup or a command line
+    needs_address: bool = False
+    needs_rig: bool = False  # or the emulators' own lab does
+    arms: frozenset[str] = frozenset()  # names of the arms on which a skin feels anything; any if it is real
+    make_clock: Callable[[float], Clock] = lambda begin: MonotonicClock()  # of a lab of nothing else, from a Unix time
+
+
+def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> DevicePlugin:
+    """Find a device by its name, without building it.
 
     Args:
         kind: Arm, skin or camera.
         name: As on the command line.
-        built_in: Names that need no other package, for the message.
         option: What names it; by default the flag of its kind.
 
+    Returns:
+        The plug-in; a class becomes one.
+
     Raises:
-        ValueError: Neither i2t nor an installed package knows it.
+        ValueError: No installed package registers the name, several do, or what it names cannot be imported.
     """
-    if name not in built_in.split(", ") and not is_plugin(kind, name):
-        known = ", ".join(sorted(each.name for each in entry_points(group=GROUPS[kind]))) or "none"
-        ours = f"one of {built_in}, " if built_in else ""
+    given = f"{option or f'--{kind}'} {name}"
+    found = _registered(kind, name)
+    if not found and ":" not in name:
+        known = ", ".join(sorted({each.name for each in entry_points(group=GROUPS[kind])})) or "none: install i2t again"
         raise ValueError(
-            f"{option or f'--{kind}'} {name} is not known; give {ours}a name that an installed package registers "
-            f"({known}), or package.module:Class"
+            f"{given} is not known; give a name that an installed package registers ({known}), or package.module:Class"
         )
+    if len(found) > 1:
+        owners = ", ".join(each.value for each in found)
+        raise ValueError(f"{given}: several packages register it ({owners}); give package.module:Class")
+    module, _, attribute = (found[0].value if found else name).partition(":")
+    try:
+        made = getattr(importlib.import_module(module), attribute)
+    except AttributeError as error:
+        raise ValueError(f"{given}: {module} has no {attribute}; give package.module:Class") from error
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"{given}: {module} cannot be imported ({error}); install it, or correct it") from error
+    return made if isinstance(made, DevicePlugin) else DevicePlugin(made)
 
 
-def is_plugin(kind: DeviceKind, name: str) -> bool:
-    """Test whether a name means a third party's device.
+def check_device(kind: DeviceKind, name: str, options: Mapping[str, Any]) -> None:
+    """Refuse options that mean nothing to a device, and the lack of those that it needs.
 
     Args:
         kind: Arm, skin or camera.
         name: As on the command line.
+        options: Their values by their names; None for what is not given.
 
-    Returns:
-        True for the full name of a class, and for a name that a package registers.
+    Raises:
+        ValueError: The device is not known, or the message names the flag.
     """
-    return ":" in name or bool(_registered(kind, name))
+    plugin = find_plugin(kind, name)
+    for option, value in options.items():
+        flag = ADDRESS_FLAGS[kind] if option == "address" else f"--{option.replace('_', '-')}"
+        if value is not None and option not in plugin.takes:
+            raise ValueError(f"{flag} means nothing to --{kind} {name}; leave it out")
+        if value is None and option == "address" and plugin.needs_address:
+            raise ValueError(f"--{kind} {name} needs an address; pass {flag}")
 
 
-def load_plugin(kind: DeviceKind, name: str, setup: DeviceSetup) -> Any:
-    """Build a third party's device, without connecting it.
+def load_device(kind: DeviceKind, name: str, setup: DeviceSetup, option: str | None = None) -> Any:
+    """Build a device, without connecting it.
 
     Args:
         kind: Arm, skin or camera.
         name: That a package registers, or package.module:Class.
         setup: What it is built with.
+        option: What names it; by default the flag of its kind.
 
     Returns:
         The device.
 
     Raises:
         ValueError: It cannot be imported or built, or lacks what its protocol asks for; one sentence says what.
+        DeviceError: Its client library is not installed.
     """
-    require_named(kind, name)
-    given = f"--{kind} {name}"
-    make = _find(kind, name, given)
+    given = f"{option or f'--{kind}'} {name}"
     try:
-        device = make(setup)
+        device = find_plugin(kind, name, option).make(setup)
     except TypeError as error:
         raise ValueError(f"{given}: cannot be built ({error}); it must take one DeviceSetup") from error
     own, asked = getattr(device, "__dict__", {}), PROTOCOLS[kind]
@@ -105,86 +149,32 @@ def load_plugin(kind: DeviceKind, name: str, setup: DeviceSetup) -> Any:
     return device
 
 
-def named_arm(name: str, host: str | None, rig: Rig, **watch: Any) -> GuardedArm:
-    """An arm by its name.
-
-    Args:
-        name: ur, a name that a package registers, or package.module:Class.
-        host: Its address; a UR arm needs one.
-        rig: Its limits, its tool and payload.
-        **watch: `state_timeout` and `watchdog_rate` of a UR arm.
-
-    Returns:
-        The arm, not connected.
-
-    Raises:
-        ValueError: There is no such arm, it cannot be used, or the address or an option does not belong to it.
-        DeviceError: Its client library is not installed.
-    """
-    require_named("arm", name, UR)
-    if name == UR:
-        from i2t.hardware.ur.driver import UrArm
-
-        return UrArm(_require_host(host), rig.limits, rig.T_flange_tool, (rig.mass, rig.centre), **watch)
-    if watch:
-        flags = " and ".join(f"--{each.replace('_', '-')}" for each in watch)
-        raise ValueError(f"{flags}: of a UR arm, and --arm is {name}; leave it out")
-    arm: GuardedArm = load_plugin("arm", name, DeviceSetup(rig, host))
-    return arm
-
-
-def named_camera(
-    name: str, address: str | None, rig: Rig, arm: Arm | None = None, *, size: tuple[int, int] | None = None
-) -> Any:
-    """A depth camera (`i2t.hardware.protocols.DepthCamera`) by its name.
-
-    Args:
-        name: realsense, a name that a package registers, or package.module:Class.
-        address: Serial number of a RealSense, or what another package's camera takes.
-        rig: Its lens, and from where it looks.
-        arm: That carries it, for another package's.
-        size: Width and height in pixels of a RealSense's images; by default as the rig has them.
-
-    Returns:
-        The camera, not connected.
-
-    Raises:
-        ValueError: There is no such camera, or it cannot be used.
-        DeviceError: Its client library is not installed.
-    """
-    require_named("camera", name, REALSENSE)
-    if name != REALSENSE:
-        return load_plugin("camera", name, DeviceSetup(rig, address, arm))
-    from i2t.hardware.realsense import RealSense
-
-    own_size, distance = (rig.camera.width, rig.camera.height), rig.looking_distance if size is None else None
-    return RealSense(address, size or own_size, distance=distance)
-
-
 class ToolPose:
     """Pose of an arm's tool, while a person moves it.
 
-    A UR arm is listened to and not controlled. Another package's arm is connected for each pose and then let go.
+    An arm that has a method `tool_pose`, as a UR arm, is listened to and not controlled. Another one is connected for
+    each pose and then let go.
 
     Args:
-        name: Of the arm, as in `named_arm`.
-        host: Its address; a UR arm needs one.
-        rig: Its tool; another package's arm needs one.
+        name: Of the arm.
+        host: Its address.
+        rig: Its tool; an arm that is not listened to needs one.
 
     Raises:
         ValueError: There is no such arm, it cannot be used, or the address or the rig is missing.
     """
 
     def __init__(self, name: str, host: str | None, rig: Rig | None) -> None:
-        require_named("arm", name, UR)
-        if name != UR and rig is None:
+        check_device("arm", name, {"address": host})
+        self._arm = load_device("arm", name, DeviceSetup(rig or Rig(), host))
+        self._listen: Callable[[], Array] | None = getattr(self._arm, "tool_pose", None)
+        self.arm = None if self._listen else self._arm  # that its camera may ask
+        if rig is None and not self._listen:
             raise ValueError(f"--arm {name} needs the lab's calibration, which has the tool's frame; pass --rig FILE")
-        self._host = _require_host(host) if name == UR else ""
-        self.arm = None if rig is None or name == UR else named_arm(name, host, rig)  # another package's
 
     @contextmanager
     def now(self) -> Iterator[Array]:
-        """T_b_t (4, 4), m; another package's arm stays connected inside.
+        """T_b_t (4, 4), m; an arm that is not listened to stays connected inside.
 
         Yields:
             The pose.
@@ -192,13 +182,11 @@ class ToolPose:
         Raises:
             DeviceError: The arm does not answer.
         """
-        if self.arm is None:
-            from i2t.hardware.ur.access import tool_pose
-
-            yield tool_pose(self._host)
+        if self._listen is not None:
+            yield self._listen()
             return
-        with self.arm:
-            yield self.arm.state().T_b_t
+        with self._arm:
+            yield self._arm.state().T_b_t
 
 
 def colour_view(camera: Any) -> ColourImage:
@@ -223,21 +211,6 @@ def colour_view(camera: Any) -> ColourImage:
     return ColourImage(view.time, np.asarray(view.colour), camera.camera, np.eye(4))
 
 
-def _find(kind: DeviceKind, name: str, given: str) -> Any:
-    """The class of a name."""
-    found = _registered(kind, name)
-    if len(found) > 1:
-        owners = ", ".join(each.value for each in found)
-        raise ValueError(f"{given}: several packages register it ({owners}); give package.module:Class")
-    module, _, attribute = (found[0].value if found else name).partition(":")
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except AttributeError as error:
-        raise ValueError(f"{given}: {module} has no {attribute}; give package.module:Class") from error
-    except (ImportError, ValueError) as error:
-        raise ValueError(f"{given}: {module} cannot be imported ({error}); install it, or correct it") from error
-
-
 def _registered(kind: DeviceKind, name: str) -> list[EntryPoint]:
     return list(entry_points(group=GROUPS[kind], name=name))
 
@@ -246,9 +219,3 @@ def _members(protocol: type) -> list[str]:
     """Names of the methods and properties that a protocol asks for."""
     names = {name for base in protocol.__mro__ if getattr(base, "_is_protocol", False) for name in vars(base)}
     return sorted(name for name in names if not name.startswith("_"))
-
-
-def _require_host(host: str | None) -> str:
-    if not host:
-        raise ValueError("a UR arm needs the address of its controller; pass --host")
-    return host

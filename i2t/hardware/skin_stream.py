@@ -18,7 +18,7 @@ from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware.base import DeviceBase
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import READ_SPARE_S, Samples, SkinCounters, SkinFeatures, channel_names
-from i2t.types import Array
+from i2t.types import Array, Board
 
 QUEUE_SAMPLES = 4096
 LONGEST_WAIT_S = 0.02  # between two looks into the queue
@@ -144,7 +144,8 @@ class QueuedSkin(DeviceBase):
 
 
 class StreamedSkin(QueuedSkin):
-    """A skin (`i2t.hardware.protocols.Skin`) whose samples a thread receives. A driver gives
+    """A skin (`i2t.hardware.protocols.Skin`) whose samples a thread receives. Its `board` says where its chips are.
+    A driver gives
 
         open_link     to the board, which is what the other two are called with
         receive       the samples that have come since the last call, or come within some 50 ms; maybe none
@@ -159,6 +160,8 @@ class StreamedSkin(QueuedSkin):
         source: real, emulated or simulated.
         capacity: Samples that the queue holds.
     """
+
+    board: Board | None = None
 
     def __init__(
         self, name: str, chips: int, rate: float, *, source: str = "real", capacity: int = QUEUE_SAMPLES
@@ -177,11 +180,22 @@ class StreamedSkin(QueuedSkin):
         raise NotImplementedError
 
     def receive(self, link: Any) -> Sequence[Measurement]:
-        """The samples that have come; raises whatever its library raises when the board is gone."""
+        """The samples that have come; raises whatever its library raises when the board is gone.
+
+        Args:
+            link: As `open_link` gave it.
+
+        Returns:
+            Samples in order; maybe none.
+        """
         raise NotImplementedError
 
     def close_link(self, link: Any) -> None:
-        """Give the board back."""
+        """Give the board back.
+
+        Args:
+            link: As `open_link` gave it.
+        """
 
     # What it has by that
 

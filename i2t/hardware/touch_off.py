@@ -36,7 +36,7 @@ from i2t.cli import command
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
-from i2t.hardware.plugins import named_arm
+from i2t.hardware.plugins import DeviceSetup, check_device, load_device
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
@@ -235,7 +235,8 @@ class TouchOffArgs:
 
 def _touch_off(asked: TouchOffArgs) -> None:
     rig = Rig.read(asked.rig)
-    with named_arm(asked.arm, asked.host, rig) as arm:
+    check_device("arm", asked.arm, {"address": asked.host})
+    with load_device("arm", asked.arm, DeviceSetup(rig, asked.host)) as arm:
         found = touch_off(arm, rig.limits, asked.at, asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))

@@ -18,7 +18,7 @@ from i2t.collect import command
 from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
 from i2t.collect.devices import make_devices
 from i2t.hardware import camera_folder, hand_eye, plugins
-from i2t.hardware.plugins import DeviceSetup, load_plugin
+from i2t.hardware.plugins import DeviceSetup, load_device
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import reskin_board
 
@@ -36,7 +36,8 @@ def acme(monkeypatch):
     registered = EntryPoints(
         EntryPoint("acme", f"acme_devices:Acme{kind.capitalize()}", group) for kind, group in plugins.GROUPS.items()
     )
-    monkeypatch.setattr(plugins, "entry_points", lambda **wanted: registered.select(**wanted))
+    ours = plugins.entry_points
+    monkeypatch.setattr(plugins, "entry_points", lambda **wanted: [*ours(**wanted), *registered.select(**wanted)])
 
 
 @pytest.fixture
@@ -87,7 +88,10 @@ def test_the_examples_are_collected_with(acme, lab_file, tmp_path, capsys):
         ("acme_devices:Nothing", "acme_devices has no Nothing; give package.module:Class"),
         ("broken_devices:NoArguments", "cannot be built"),
         ("broken_devices:NoMethods", "lacks approach, close, connect, features, go, move, state, stop, zero_wrench"),
-        ("other", "is not known; give a name that an installed package registers (acme), or package.module:Class"),
+        (
+            "other",
+            "is not known; give a name that an installed package registers (acme, emulated, simulated, ur)",
+        ),
     ],
 )
 def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said):
@@ -96,7 +100,7 @@ def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said)
     broken.NoMethods = type("NoMethods", (), {"__init__": lambda self, setup: None})
     monkeypatch.setitem(sys.modules, "broken_devices", broken)
     with pytest.raises(ValueError, match=r"^--arm ") as error:
-        load_plugin("arm", name, DeviceSetup(Rig()))
+        load_device("arm", name, DeviceSetup(Rig()))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 

@@ -22,9 +22,9 @@ from i2t.collect.devices import Devices, make_devices
 from i2t.collect.touch import SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
-from i2t.emulators.world import WorldArgs
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
+from i2t.hardware.world import WorldArgs
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
@@ -191,9 +191,9 @@ def test_a_folder_of_an_earlier_version_goes_on_with_the_pad_that_its_touches_na
 
 
 @pytest.mark.parametrize(("wrong", "said"), [
-    ("--arm emulated", "a simulated skin feels only"),
+    ("--arm emulated", "--skin is simulated, and feels nothing on this arm; pass --arm simulated"),
     ("--settings.press 0.25", "settings.press is 0.25; give 0.0001 to 0.05"),
-    ("--state-timeout 60", "state timeout 60 s is outside"),
+    ("--state-timeout 60", "--state-timeout is 60; give 0.02 to 5"),
     ("--pose 30 0 0 0 0 0", "--pose is 30 0 0"),
     ("--pose 0 0 0.2 0 0 0", "above the table"),
 ])  # fmt: skip
@@ -220,9 +220,9 @@ def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_
         ({"host": None}, {}, "pass --host"),
         ({}, {"kind": "emulated", "port": None}, "--skin is emulated, and feels nothing on this arm"),
         ({"kind": "emulated"}, {"kind": "emulated", "port": None}, "give both, or neither"),
-        ({"kind": "simulated", "host": None}, {"kind": "emulated"}, "pass --arm emulated"),
-        ({}, {"kind": "somewhere:Skin"}, "--board grid-4x4 means nothing to --skin somewhere:Skin"),
-        ({"kind": "somewhere"}, {}, "--arm somewhere is not known; give one of ur, simulated, emulated"),
+        ({"kind": "simulated", "host": None, "watchdog_rate": None}, {"kind": "emulated"}, "pass --arm emulated"),
+        ({}, {"kind": "somewhere:Skin"}, "--skin somewhere:Skin: somewhere cannot be imported"),
+        ({"kind": "somewhere"}, {}, "--arm somewhere is not known; give a name that an installed package registers"),
     ):
         wrong = replace(args, arm=replace(arm, **wrong_arm), skin=replace(skin, **wrong_skin))
         with pytest.raises(ValueError, match=said):

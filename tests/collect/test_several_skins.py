@@ -184,7 +184,7 @@ def test_a_rig_with_skins_is_read_as_it_was_written_and_one_that_cannot_be_is_re
 @pytest.mark.parametrize(("device", "flags", "said"), [
     ("simulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "skins.right.device is simulated"),
     ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, and feels nothing on this"),
-    ("nobody's", [], "skins.right.device nobody's is not known; give one of reskin"),
+    ("nobody's", [], "skins.right.device nobody's is not known; give a name that"),
 ])  # fmt: skip
 def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, said):
     path = rig(device, "/dev/ttyACM1" if device == "reskin" else "")

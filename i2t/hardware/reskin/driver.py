@@ -115,7 +115,7 @@ class ReSkin(StreamedSkin):
         return port
 
     def receive(self, link: Any) -> list[Measurement]:
-        """Samples of the frames that are whole by now."""
+        """Samples of the frames that are whole by now, as in `StreamedSkin.receive`."""
         found, self._begun = self._begun, []
         if not found:
             chunk = link.read(max(1, link.in_waiting))
@@ -132,7 +132,7 @@ class ReSkin(StreamedSkin):
         return measured
 
     def close_link(self, link: Any) -> None:
-        """Give the port back."""
+        """Give the port back, as in `StreamedSkin.close_link`."""
         link.close()
 
     def _total(self) -> SkinCounters:

@@ -44,6 +44,7 @@ from i2t.hardware.ur.access import (
     check_controller,
     controller_serial,
     take_lock,
+    tool_pose,
 )
 from i2t.hardware.ur.config import STATE_TIMEOUT_S, WATCHDOG_RATE_HZ, check_watch
 from i2t.hardware.ur.rtde_link import MotionGuard, RtdeConnection
@@ -164,6 +165,19 @@ class UrArm:
             DeviceError: Once, for anything else that has stopped the arm.
         """
         return self.connection.running(self.connection.state_timeout if timeout is None else timeout).arm
+
+    def tool_pose(self) -> Array:
+        """Pose of the tool now, (4, 4) T_b_t, by listening alone: the arm need not be connected, and is not controlled.
+
+        Raises:
+            DeviceError: The controller does not answer.
+        """
+        return tool_pose(self.host)
+
+    @property
+    def stall_s(self) -> float:
+        """Time (s) after which it stops by itself where this computer stalls."""
+        return 1 / self.connection.watchdog_rate
 
     def stop(self, timeout: float = 1.0) -> None:
         """Brake and return when the arm stands, as in `Arm.stop`."""

@@ -1,0 +1,176 @@
+"""Plug-ins of simulated and emulated devices (`i2t.hardware.plugins`), like anybody's.
+
+Simulated devices share a lab (`i2t.emulators.in_process`), which the arm holds; where only simulated devices take part
+its time is virtual, and nobody waits for it. Emulated ones are the real drivers with emulators in processes of their
+own (`i2t.emulators.lab`), which the arm starts where no address is given. Nothing large is imported before a device is
+built.
+"""
+
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from i2t.emulators.world import make_scene, read_pad
+from i2t.hardware.clock import Clock
+from i2t.hardware.drivers import BOARD, WATCH, make_reskin, make_ur
+from i2t.hardware.plugins import DevicePlugin, DeviceSetup
+from i2t.skin.boards import DEFAULT_BOARD
+
+if TYPE_CHECKING:
+    from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedSkin
+    from i2t.hardware.reskin.driver import ReSkin
+    from i2t.hardware.ur.driver import UrArm
+
+SIMULATED, EMULATED = "simulated", "emulated"
+EMULATED_ADDRESS = 200  # of the loopback network, at which an emulated controller is started
+
+
+def virtual_clock(begin: float) -> Clock:
+    """A clock that nobody waits for.
+
+    Args:
+        begin: Unix time (s) at which it may begin.
+
+    Returns:
+        The clock.
+    """
+    from i2t.emulators.in_process import VirtualClock
+
+    return VirtualClock(max(time.time(), begin))
+
+
+def make_simulated_arm(setup: DeviceSetup) -> "SimulatedArm":
+    """An arm in a lab of its own.
+
+    Args:
+        setup: The world, the rig, and the board of the skin that the arm carries.
+
+    Returns:
+        The arm; its lab is `arm.lab`.
+    """
+    from i2t.emulators.in_process import SimulatedArm, SimulatedLab
+
+    world = setup.world
+    lab = SimulatedLab(make_scene(world, setup.rig, setup.board), setup.clock, seed=world.seed)
+    return SimulatedArm(lab, setup.rig.limits)
+
+
+def make_simulated_skin(setup: DeviceSetup) -> "SimulatedSkin":
+    """A skin of the arm's lab; a further one has a pad of its own.
+
+    Args:
+        setup: With the arm.
+
+    Returns:
+        The skin.
+    """
+    from i2t.emulators.in_process import SimulatedSkin, SkinInLab
+
+    lab, place, world = _lab_of(setup.arm), setup.place, setup.world
+    if place is None:
+        return SimulatedSkin(lab)
+    number = _number_of(setup)
+    scene = make_scene(world, setup.rig, place.board, number)
+    return SimulatedSkin(lab, lab.carry(SkinInLab(scene, place.T_tool_skin, world.seed + number)))
+
+
+def make_simulated_camera(setup: DeviceSetup) -> "SimulatedCamera":
+    """A camera on whichever arm carries it.
+
+    Args:
+        setup: With the arm.
+
+    Returns:
+        The camera; it sees what the arm's lab holds, or the object of the world where the arm is in none.
+    """
+    from i2t.depth.camera import Distortion
+    from i2t.emulators.in_process import SimulatedCamera
+
+    arm, rig = setup.arm, setup.rig
+    assert arm is not None
+    lab = getattr(arm, "lab", None)
+    scene = lab.scene if lab is not None else make_scene(setup.world, rig, setup.board)
+    lens = replace(rig.camera, model=Distortion.NONE, coefficients=())
+    return SimulatedCamera(
+        scene, lens, rig.T_tool_camera, lambda: arm.state().T_b_t, setup.clock, seed=setup.world.seed
+    )
+
+
+def make_emulated_arm(setup: DeviceSetup) -> "UrArm":
+    """The real driver with an emulated controller, whose tool meets the object and carries emulated skins.
+
+    Args:
+        setup: The address of a lab that runs, or none: then one is started, with the rig's emulated skins.
+
+    Returns:
+        The arm.
+
+    Raises:
+        ValueError: The pad is on another board than the skin.
+    """
+    if setup.address:
+        return make_ur(setup)
+    from i2t.emulators import lab, ur_controller
+
+    world, board = setup.world, setup.board or DEFAULT_BOARD
+    if world.pad:
+        read_pad(world.pad, board)  # one that is on another board is refused before a process starts
+    folder, host = (
+        Path(setup.stack.enter_context(tempfile.TemporaryDirectory())),
+        ur_controller.loopback(EMULATED_ADDRESS),
+    )
+    setup.rig.write(folder / "rig.toml")
+    options = ["--host", host, "--rig", str(folder / "rig.toml"), "--link", str(folder / "0"), "--board", board]
+    for number, place in enumerate(setup.rig.skins, start=1):
+        if place.device == EMULATED:
+            options += ["--carried", place.name, str(folder / str(number))]
+    for name, value in vars(world).items():
+        if value not in (None, False):
+            options += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+    setup.stack.enter_context(lab.started(*options))
+    arm: Any = make_ur(replace(setup, address=host))
+    arm.skin_ports = folder  # the ports of its skins, by their numbers
+    return arm
+
+
+def make_emulated_skin(setup: DeviceSetup) -> "ReSkin":
+    """The real driver with an emulated board.
+
+    Args:
+        setup: With the arm; the port of a board that runs, or none where the arm's lab was started.
+
+    Returns:
+        The skin.
+
+    Raises:
+        ValueError: Only one of arm and skin has an address.
+    """
+    ports: Path | None = getattr(setup.arm, "skin_ports", None)
+    if bool(ports) == bool(setup.address):
+        raise ValueError("emulators that run already have a --host and a port of the skin; give both, or neither")
+    return make_reskin(setup if ports is None else replace(setup, address=str(ports / str(_number_of(setup)))))
+
+
+def _lab_of(arm: Any) -> Any:
+    """The lab of a simulated arm."""
+    lab = getattr(arm, "lab", None)
+    if lab is None:
+        raise ValueError("a simulated skin feels only what a simulated arm does; pass --arm simulated")
+    return lab
+
+
+def _number_of(setup: DeviceSetup) -> int:
+    """Number of a skin: 0 at the tool, then those of the rig."""
+    place = setup.place
+    return 0 if place is None else 1 + [each.name for each in setup.rig.skins].index(place.name)
+
+
+simulated_arm = DevicePlugin(make_simulated_arm, takes=frozenset(), make_clock=virtual_clock)
+simulated_skin = DevicePlugin(
+    make_simulated_skin, takes=frozenset({"board", "pad"}), arms=frozenset({SIMULATED}), make_clock=virtual_clock
+)
+simulated_camera = DevicePlugin(make_simulated_camera, takes=frozenset(), make_clock=virtual_clock)
+emulated_arm = DevicePlugin(make_emulated_arm, takes=WATCH)
+emulated_skin = DevicePlugin(make_emulated_skin, takes=(BOARD | {"pad"}) - {"skin_serial"}, arms=frozenset({EMULATED}))
