@@ -63,6 +63,7 @@ from i2t.hardware.protocols import (
     View,
 )
 from i2t.hardware.rig import Rig
+from i2t.hardware.skin_health import frozen_sentence
 from i2t.skin.boards import mean_known
 from i2t.types import Array, ReturnCode
 
@@ -72,6 +73,7 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
     "torque": ReturnCode.WRENCH,
     "distance": ReturnCode.AIR,
 }
+LAST_SAMPLES = 48  # of a press, in which a skin must have changed
 MIN_CHIP_SHARE = 0.5  # of the chips, that must answer for an approach
 RECONNECT_WAIT_S = 0.2  # between attempts to connect
 POSE_TOLERANCES = (1e-3, 0.01)  # m, and of a rotation's elements: so near a pose the tool is there
@@ -274,8 +276,18 @@ class Procedure:
         states.append(self.arm.state())
         for state in states:
             log.state(state)
+        self._check_alive(log, period)
         felt_by = [each.name for each in self.skins if felt(changes[each.name], each.board, settings)]
         return Press(result, log, period, ambient, states, changes, felt_by or [TOOL])
+
+    def _check_alive(self, log: EventLog, period: tuple[float, float]) -> None:
+        """Refuse a press at whose end a skin sent one sample again and again; a simulated one may be without noise."""
+        for each in self.skins:
+            rows = [row[1:] for _, row in sorted(log.readings[each.name].items()) if row[0] >= period[0]]
+            if rows and each.skin.features.source != "simulated":
+                stands = frozen_sentence(np.array(rows[-LAST_SAMPLES:])[:, : each.board.num_readings])
+                if stands:
+                    raise DeviceError(f"{each.skin.features.name}: {stands}")
 
     def _skin_touch(
         self, on_tool: SkinOnTool, press: Press, view: View, T_w_c: Array, before: SkinCounters

@@ -179,6 +179,19 @@ def test_a_camera_that_is_unplugged_is_waited_for_and_then_a_person_is_asked():
     assert memory.abandoned == ["eye is gone"]
 
 
+@pytest.mark.parametrize("errors", [closed_form.QUIET, NOISY], ids=["frozen", "alive"])
+def test_a_press_with_a_skin_that_is_frozen_is_no_touch(errors):
+    """A simulated skin without noise plays it, which calls itself emulated."""
+    procedure = make(errors=errors, gain=np.zeros(READINGS))
+    skin = procedure.skins[0].skin
+    skin._features = skin.features._replace(source="emulated")
+    if errors is NOISY:
+        assert procedure.touch(site(0), MemoryLog()).code == ReturnCode.WRENCH
+        return
+    with pytest.raises(DeviceError, match=r"did not change once in 48 samples: it is frozen"):
+        procedure.touch(site(0), MemoryLog())
+
+
 def stops(batches, board, ambient):
     """Whether the procedure's own stop condition stops a press on samples (looks, 10, channels), a batch each look."""
     looks = iter(range(len(batches)))

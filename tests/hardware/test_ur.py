@@ -209,11 +209,12 @@ def above(touching):
     """The same, with the tool back where it began."""
     host, arm = touching
     ask(host, "wrench 0 0 0 0 0 0")
-    try:
-        arm.go(BEGIN, 0.1)
-    except DeviceError:  # a busy machine did not feed the watchdog while the arm was left alone
-        arm.connect()
-        arm.go(BEGIN, 0.1)
+    for attempt in range(4):  # a busy machine does not feed the watchdog while the arm is left alone
+        with contextlib.suppress(*([DeviceError] if attempt < 3 else [])):
+            if attempt:
+                arm.connect()
+            arm.go(BEGIN, 0.1)
+            break
     return host, arm
 
 
