@@ -1,13 +1,11 @@
 """Dry run of a collection: what would be touched, and whether every device does its part, with nothing moved."""
 
-import math
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
+from i2t.collect.checks import dry_checks, run_checks
 from i2t.collect.path import TouchPath
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
@@ -16,23 +14,6 @@ from i2t.geometry import inverse
 from i2t.hardware.collision import REACTION_S, overrun_force
 from i2t.hardware.limits import BRAKING_M_S2
 from i2t.hardware.rig import summary
-from i2t.hardware.rig_checks import implausible, other_lens
-from i2t.hardware.skin_health import check_skin, require_healthy, rest_samples
-from i2t.terminal import printable
-
-MIN_MEASURED_SHARE = 0.1  # of a view's pixels
-SHOWN_REFUSALS = 5
-
-
-class Check(NamedTuple):
-    """One thing that was tried."""
-
-    what: str
-    good: bool
-    said: str
-
-    def __str__(self) -> str:
-        return f"{'ok' if self.good else 'BAD':<9} {printable(self.what)}: {printable(self.said)}"
 
 
 def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> int:
@@ -52,24 +33,14 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> in
     """
     path, arm = procedure.path, procedure.arm
     path.check_settings()
-    sites = [sampler.site(number) for number in range(args.touches)]
-    refused = {site.number: why for site in sites if (why := path.why_not(site))}
-    checks = [
-        *_device_checks(procedure),
-        *skin_checks(procedure),
-        *(Check("rig", False, doubt) for doubt in implausible(procedure.rig, sampler.mesh.vertices)),
-        Check("sites", len(refused) < len(sites) / 2, f"{len(refused)} of {len(sites)} cannot be reached"),
-    ]
     print(summary(procedure.rig))
     print("\n".join(energy_lines(path, getattr(arm, "stall_s", None))))
     picture = args.out.with_name(f"{args.out.name}-rig.png")
-    _draw_rig(procedure, sampler, sites[0], picture)
+    _draw_rig(procedure, sampler, sampler.site(0), picture)
     print(f"picture   the rig with object, tool and camera is drawn in {picture}: does it look like the lab?")
-    for number, why in list(refused.items())[:SHOWN_REFUSALS]:
-        print(f"          site {number}: {why}")
-    print("\n".join(map(str, checks)))
+    wrong = run_checks(dry_checks(sampler, args.touches), procedure)
     print("nothing was moved" + ("" if arm.features.source == "simulated" else "; the arm was taken and let go"))
-    return 0 if all(check.good for check in checks) else 1
+    return int(bool(wrong))
 
 
 def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
@@ -99,60 +70,6 @@ def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
         f"stall of this computer adds {stall}, a skin that falls silent {more(settings.silence):.1f} N, and no more "
         "than that",
     ]
-
-
-def _device_checks(procedure: Procedure) -> list[Check]:
-    """Checks of arm and camera."""
-    state, view = procedure.arm.state(), procedure.camera.capture()
-    measured = np.isfinite(view.depth)
-    median = f", median {1e3 * np.nanmedian(view.depth):.0f} mm" if measured.any() else ""
-    seen = f"{100 * measured.mean():.0f} % of the pixels measured{median}"
-    return [
-        Check(procedure.arm.features.name, state.safe, f"tool at {np.round(state.T_b_t[:3, 3], 3).tolist()} m"),
-        Check(procedure.camera.features.name, bool(measured.mean() > MIN_MEASURED_SHARE), seen),
-    ]
-
-
-def skin_checks(procedure: Procedure, *, strict: bool = False) -> Iterator[Check]:
-    """Judge the skins at rest.
-
-    Args:
-        procedure: Its skins are connected, and touch nothing.
-        strict: Whether a skin that is dead, frozen or saturated is refused.
-
-    Yields:
-        How each is, and its defects.
-
-    Raises:
-        DeviceError: No session may start on a skin, or it is silent.
-    """
-    for each in procedure.skins:
-        name = f"the skin {each.name}, {each.skin.features.name}" if each.name else each.skin.features.name
-        health = check_skin(rest_samples(each.skin, procedure.clock))
-        if strict:
-            require_healthy(health, name)
-        yield Check(name, not health.defects, f"at rest {health.summary}")
-        yield from (Check(name, False, defect.sentence) for defect in health.defects)
-
-
-def check_camera(procedure: Procedure) -> None:
-    """Refuse a camera that cannot see as near as the rig looks, or has another lens than the rig says.
-
-    Args:
-        procedure: Its camera is connected.
-
-    Raises:
-        ValueError: The camera measures nothing so near, or its lens is another.
-    """
-    camera, distance = procedure.camera.features, procedure.rig.looking_distance
-    if math.isfinite(camera.nearest) and camera.nearest > distance:
-        raise ValueError(
-            f"{camera.name} measures nothing nearer than {1e3 * camera.nearest:.0f} mm, and the rig looks from "
-            f"{1e3 * distance:.0f} mm; raise looking_distance or take another camera"
-        )
-    different = other_lens(procedure.rig.camera, procedure.camera.camera)
-    if different:
-        raise ValueError(different)
 
 
 def _draw_rig(procedure: Procedure, sampler: SiteSampler, site: Site, path: Path) -> None:

@@ -16,9 +16,9 @@ import numpy as np
 
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.beginning import NO_RIG, Beginning
+from i2t.collect.checks import require_checks, run_checks, skins_quiet, still_checks, touch_checks
 from i2t.collect.devices import Devices, make_devices
-from i2t.collect.dry_run import check_camera, dry_run, skin_checks
-from i2t.collect.first_touch import first_touch
+from i2t.collect.dry_run import dry_run
 from i2t.collect.notes import board_notes, device_notes, keep_same, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
@@ -78,16 +78,15 @@ def collect(
         for each in devices.skins:
             if each.note:
                 print(printable(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note))
-        check_camera(procedure)
         if args.dry_run:
             return dry_run(procedure, sampler, args)
-        for check in skin_checks(procedure, strict=True):
-            print(check)
+        require_checks(still_checks(), procedure)
+        run_checks({"noise": skins_quiet}, procedure)  # which only makes readings worse
         info = _session_info(args, procedure, devices, name, notes)
         recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         recorder.check()
         if not args.skip_first_touch:
-            first_touch(procedure, sampler)
+            require_checks(touch_checks(sampler), procedure)
         write_notes(args.out, notes)
         _Session(args, procedure, sampler, recorder, set(done)).run(choose, on_outcome)
     return 0

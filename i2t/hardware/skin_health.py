@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from i2t.errors import DeviceError
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import Samples, Skin
 from i2t.skin.boards import mean_known
@@ -119,22 +118,6 @@ def check_skin(samples: Samples) -> SkinHealth:
     span = float(samples.time[-1] - samples.time[0])
     rate = (len(reading) - 1) / span if span > 0 else float("nan")
     return SkinHealth(rate, noise.ravel(), temperature, missing, tuple(defects))
-
-
-def require_healthy(health: SkinHealth, name: str) -> None:
-    """Refuse a skin that no session may start on.
-
-    Args:
-        health: Of the skin.
-        name: Of the skin.
-
-    Raises:
-        DeviceError: It is dead, frozen or saturated; one sentence names chip and axis.
-    """
-    stopping = [defect.sentence for defect in health.defects if defect.stops]
-    if stopping:
-        more = f" (and {len(stopping) - 1} more)" if len(stopping) > 1 else ""
-        raise DeviceError(f"{name} cannot be used: {stopping[0]}{more}")
 
 
 def press_defect(change: Float[Array, " c"], force: float) -> str:

@@ -95,10 +95,10 @@ def test_no_session_starts_and_no_dry_run_passes_on_a_skin_that_lies(tmp_path, r
     monkeypatch.setattr(SimulatedSkin, "read", frozen)
     options = ["--out", str(tmp_path / "set"), "--rig", str(rig), "--touches", "1"]
     assert command.main(options) == 1
-    assert "the simulated skin cannot be used: chip 2" in capsys.readouterr().err
+    assert "skins: the simulated skin: chip 2" in capsys.readouterr().err
     assert not (tmp_path / "set").exists() or not recorder.touches_in(tmp_path / "set")
     assert command.main([*options, "--dry-run"]) == 1
-    assert "BAD       the simulated skin: chip 2" in capsys.readouterr().out
+    assert "BAD       skins: the simulated skin: chip 2" in capsys.readouterr().out
 
 
 def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):

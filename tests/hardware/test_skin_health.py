@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples
-from i2t.hardware.skin_health import CONVERTER_END_UT, check_skin, frozen_sentence, press_defect, require_healthy
+from i2t.hardware.skin_health import CONVERTER_END_UT, check_skin, frozen_sentence, press_defect
 
 STEPS = np.array([0.150, 0.150, 0.242])
 SIGMA = np.array([3.1, 3.1, 4.6])
@@ -45,7 +44,6 @@ def test_a_healthy_skin_has_no_defect(chips, count, rate):
         health = check_skin(at_rest(seed, count, chips, rate))
         assert health.defects == ()
         assert health.rate == pytest.approx(rate)
-        require_healthy(health, "the skin")
 
 
 def test_a_coarse_converter_is_no_frozen_one():
@@ -87,20 +85,14 @@ def frozen(values):
 )
 def test_a_defect_is_one_sentence_and_what_lies_stops_a_session(part, change, sentence, stops):
     samples = harmed((part, change))
-    (found,) = said(samples)
-    assert found.startswith(sentence)
-    if stops:
-        with pytest.raises(DeviceError, match="cannot be used: " + sentence.split(",")[0]):
-            require_healthy(check_skin(samples), "the skin on /dev/ttyACM0")
-    else:
-        require_healthy(check_skin(samples), "the skin")
+    (found,) = check_skin(samples).defects
+    assert found.sentence.startswith(sentence)
+    assert found.stops == stops
 
 
 def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():
     samples = harmed((np.s_[:, 2], np.zeros_like), (np.s_[:, 1, 1], frozen))
     assert len(said(samples)) == 2
-    with pytest.raises(DeviceError, match=r"and 1 more"):
-        require_healthy(check_skin(samples), "the skin")
     health = check_skin(harmed((np.s_[:, 2], lambda x: np.nan)))
     assert (health.defects, health.missing) == ((), (2,))
     assert "without chip 2" in health.summary
