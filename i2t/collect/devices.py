@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.collect.arguments import CollectArgs, SkinArgs
+from i2t.collect.arguments import CollectArgs
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.clock import Clock, MonotonicClock
@@ -14,7 +14,7 @@ from i2t.hardware.plugins import DeviceSetup, find_plugin, load_device
 from i2t.hardware.protocols import DepthCamera, GuardedArm
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board
-from i2t.types import Array, Board
+from i2t.types import Board
 
 
 class Devices(NamedTuple):
@@ -34,39 +34,28 @@ class Devices(NamedTuple):
         return stated.pop() if len(stated) == 1 else "mixed"
 
 
-class WantedSkin(NamedTuple):
-    """A skin that the command line asks for, or a table of the rig."""
-
-    name: str
-    args: SkinArgs
-    pad: str  # its name in the data set
-    T_tool_skin: Array
-    place: CarriedSkin | None  # of the rig's table
-
-    @property
-    def option(self) -> str:
-        """What names it."""
-        return f"skins.{self.name}.device" if self.place else "--skin"
-
-
-def wanted_skins(args: CollectArgs, rig: Rig) -> list[WantedSkin]:
+def wanted_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
     """The skins of a collection.
 
     Args:
-        args: As on the command line.
+        args: As on the command line, which names the skin at the tool.
         rig: With the further skins of the tool.
 
     Returns:
-        First the one that presses.
+        First the one that presses; each with its name in the data set as its pad.
     """
-    pad = "skin"
-    if "pad" in find_plugin("skin", args.skin.kind).takes:
+    skin, pad = args.skin, "skin"
+    if "pad" in find_plugin("skin", skin.kind).takes:
         pad = f"simulated, {args.world.pad.stem}" if args.world.pad else "simulated pad 0"
-    wanted = [WantedSkin(TOOL, args.skin, args.pad_name or pad, np.eye(4), None)]
-    for place in rig.skins:
-        own = SkinArgs(place.device, place.address or None, place.serial_number or None, place.board)
-        wanted.append(WantedSkin(place.name, own, place.pad or place.name, place.T_tool_skin, place))
-    return wanted
+    pressing = CarriedSkin(
+        TOOL,
+        skin.kind,
+        board=skin.board or "",
+        address=skin.port or "",
+        serial_number=skin.skin_serial or "",
+        pad=args.pad_name or pad,
+    )
+    return [pressing, *(replace(each, pad=each.pad or each.name) for each in rig.skins)]
 
 
 def require_together(args: CollectArgs, rig: Rig) -> None:
@@ -80,10 +69,10 @@ def require_together(args: CollectArgs, rig: Rig) -> None:
         ValueError: The message names the flag, or the field of the rig.
     """
     for each in wanted_skins(args, rig):
-        arms = find_plugin("skin", each.args.kind, each.option).arms
+        arms = find_plugin("skin", each.device, _option(each)).arms
         if arms and args.arm.kind not in arms:
             raise ValueError(
-                f"{each.option} is {each.args.kind}, and feels nothing on this arm; pass --arm {' or '.join(arms)}, or "
+                f"{_option(each)} is {each.device}, and feels nothing on this arm; pass --arm {' or '.join(arms)}, or "
                 "another skin"
             )
 
@@ -108,7 +97,7 @@ def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float 
     require_together(args, rig)
     wanted = wanted_skins(args, rig)
     plugins = [find_plugin("arm", args.arm.kind), find_plugin("camera", args.camera.kind)]
-    plugins += [find_plugin("skin", each.args.kind, each.option) for each in wanted]
+    plugins += [find_plugin("skin", each.device, _option(each)) for each in wanted]
     clocks = {each.make_clock for each in plugins}
     clock = clocks.pop()(begin) if len(clocks) == 1 else MonotonicClock()
     setup = DeviceSetup(rig, board=args.skin.board, world=args.world, clock=clock, stack=stack)
@@ -119,15 +108,19 @@ def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float 
     return Devices(arm, skins, camera, clock)
 
 
-def _make_skin(wanted: WantedSkin, setup: DeviceSetup) -> SkinOnTool:
+def _option(skin: CarriedSkin) -> str:
+    """What names a skin."""
+    return "--skin" if skin.name == TOOL else f"skins.{skin.name}.device"
+
+
+def _make_skin(wanted: CarriedSkin, setup: DeviceSetup) -> SkinOnTool:
     """A skin, not connected, with its board."""
-    args = wanted.args
-    own = replace(setup, address=args.port, skin_serial=args.skin_serial, board=args.board, place=wanted.place)
-    skin = load_device("skin", args.kind, own, wanted.option)
-    board = getattr(skin, "board", None) or (make_board(wanted.place.board) if wanted.place else None)
+    own = replace(setup, skin=wanted, address=wanted.address or None, board=wanted.board or None)
+    skin = load_device("skin", wanted.device, own, _option(wanted))
+    board = getattr(skin, "board", None) or (None if wanted.name == TOOL else make_board(wanted.board))
     if board is None:
         raise ValueError(
-            f"{wanted.option} {args.kind}: does not say where its chips are; give it an attribute board, such as "
+            f"{_option(wanted)} {wanted.device}: does not say where its chips are; give it an attribute board, such as "
             "i2t.skin.boards.reskin_board(), or grid_board() for chips in a square"
         )
     board, values = Board(*(np.asarray(part) for part in board)), len(skin.features.channels)
@@ -136,5 +129,5 @@ def _make_skin(wanted: WantedSkin, setup: DeviceSetup) -> SkinOnTool:
             f"{skin.features.name} sends {values} values, and a board of {board.num_chips} chips has "
             f"{board.num_readings}; give the skin an attribute board with its own chips"
         )
-    note = board_note(args.board or DEFAULT_BOARD)
+    note = board_note(wanted.board or DEFAULT_BOARD)
     return SkinOnTool(wanted.name, skin, board, wanted.T_tool_skin, wanted.pad, note)

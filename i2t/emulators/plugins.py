@@ -68,10 +68,9 @@ def make_simulated_skin(setup: DeviceSetup) -> "SimulatedSkin":
     """
     from i2t.emulators.in_process import SimulatedSkin, SkinInLab
 
-    lab, place, world = _lab_of(setup.arm), setup.place, setup.world
-    if place is None:
+    lab, place, world, number = _lab_of(setup.arm), setup.skin, setup.world, _number_of(setup)
+    if place is None or not number:
         return SimulatedSkin(lab)
-    number = _number_of(setup)
     scene = make_scene(world, setup.rig, place.board, number)
     return SimulatedSkin(lab, lab.carry(SkinInLab(scene, place.T_tool_skin, world.seed + number)))
 
@@ -163,8 +162,8 @@ def _lab_of(arm: Any) -> Any:
 
 def _number_of(setup: DeviceSetup) -> int:
     """Number of a skin: 0 at the tool, then those of the rig."""
-    place = setup.place
-    return 0 if place is None else 1 + [each.name for each in setup.rig.skins].index(place.name)
+    name, further = setup.skin.name if setup.skin else "", [each.name for each in setup.rig.skins]
+    return 1 + further.index(name) if name in further else 0
 
 
 simulated_arm = DevicePlugin(make_simulated_arm, takes=frozenset(), make_clock=virtual_clock)

@@ -1,4 +1,4 @@
-"""Further skins that the tool carries next to the one that presses: the tables `[skins.NAME]` of a rig's file.
+"""Skins that the tool carries; those next to the one that presses are the tables `[skins.NAME]` of a rig's file.
 
     [tool]
     skin = "left"                    # the skin in the tool's frame: it presses, and the command line names its device
@@ -29,27 +29,26 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 
 @dataclass(frozen=True, eq=False)
 class CarriedSkin:
-    """A further skin on the tool. Raises ValueError, with one sentence that names the field, for what cannot be."""
+    """A skin on the tool. Raises ValueError, with one sentence that names the field, for what cannot be."""
 
     name: str
     device: str = "reskin"  # reskin, simulated, emulated, or another package's, as --skin
     T_tool_skin: Array = field(default_factory=lambda: np.eye(4))  # (4, 4)
-    board: str = DEFAULT_BOARD  # as `i2t.skin.boards.make_board` knows it; another package's device knows its own
+    # As `i2t.skin.boards.make_board` knows it, or empty: another package's device knows its own.
+    board: str = DEFAULT_BOARD
     address: str = ""  # its port; empty: by its serial number
     serial_number: str = ""  # of a board on USB
     pad: str = ""  # of the skin in the data set; empty: its own name
 
     def __post_init__(self) -> None:
         try:
-            make_board(self.board)
+            make_board(self.board or DEFAULT_BOARD)
         except (ValueError, OSError) as error:
             raise ValueError(f"skins.{self.name}.board: {error}") from error
         if self.serial_number and self.device != "reskin":
             raise ValueError(f"skins.{self.name}.serial_number is of a board on USB; leave it out")
         if self.serial_number and self.address:
             raise ValueError(f"skins.{self.name} has an address and a serial_number; keep one of them")
-        if self.device == "reskin" and not (self.serial_number or self.address):
-            raise ValueError(f"skins.{self.name} names no board; add its address or its serial_number")
 
 
 def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:
@@ -60,8 +59,11 @@ def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:
         skins: The others.
 
     Raises:
-        ValueError: A name is none, or a name or a board is there twice.
+        ValueError: A name is none, a board is not named, or a name or a board is there twice.
     """
+    for each in skins:
+        if each.device == "reskin" and not (each.serial_number or each.address):
+            raise ValueError(f"skins.{each.name} names no board; add its address or its serial_number")
     names = [tool_skin, *(each.name for each in skins)]
     boards = [each.serial_number or each.address for each in skins if each.device == "reskin"]
     for name in names:

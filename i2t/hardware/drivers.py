@@ -46,8 +46,8 @@ def make_reskin(setup: DeviceSetup) -> "ReSkin":
     """
     from i2t.hardware.reskin.driver import ReSkin
 
-    board = make_board(setup.board or DEFAULT_BOARD)
-    skin = ReSkin(setup.address, chips=board.num_chips, serial_number=setup.skin_serial)
+    board, serial_number = make_board(setup.board or DEFAULT_BOARD), setup.skin.serial_number if setup.skin else None
+    skin = ReSkin(setup.address, chips=board.num_chips, serial_number=serial_number or None)
     skin.board = board
     return skin
 

@@ -45,9 +45,8 @@ class DeviceSetup:
     rig: Rig  # the lab's calibration: frames, payload, limits
     address: str | None = None  # --host for an arm, --port for a skin, --camera-serial for a camera
     arm: Arm | None = None  # that carries it
-    skin_serial: str | None = None  # serial number of a skin's board
+    skin: CarriedSkin | None = None  # where a skin is on the tool, and its serial number
     board: str | None = None  # name of the board of the skin, or of the one that the arm carries
-    place: CarriedSkin | None = None  # a further skin's; None for the one that presses
     watch: Mapping[str, Any] = field(default_factory=dict)  # state_timeout (s), watchdog_rate (Hz), where given
     size: tuple[int, int] | None = None  # pixels of a camera's images
     world: WorldArgs = field(default_factory=WorldArgs)  # in which it is, unless it is real
