@@ -8,8 +8,9 @@ Frames: B robot base, T tool; metres, radians, newtons.
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -29,7 +30,9 @@ MOST_START_SHARE = 2.0  # of the rig's limits, that may be felt where a free mot
 BOX_MARGIN_M, TRAVEL_MARGIN_M = 5e-3, 3e-3  # of a state: outside the box; past the goal
 SPEED_FACTOR, SPEED_MARGIN_M_S = 1.5, 0.02  # of a state, over the speed that was asked
 STATE_AGE_S = 0.25  # of a state in a motion, at the most: a press gains 5 N meanwhile, at 10 N/mm
+HALT_S = 1.0  # in which an arm must have been told to brake, and stand
 STILL_S = 3.0  # in which the pose of an arm that says that it moves must have changed
+T = TypeVar("T")
 NUMBERS = ("T_b_t", "joints", "velocity", "wrench")  # of a state
 
 
@@ -174,7 +177,9 @@ class GuardedByPolling(DeviceBase):
     """A guarded arm (`i2t.hardware.protocols.GuardedArm`) of a driver with seven short methods.
 
     Its states are asked for every `poll_s` seconds while it moves. It brakes where something is above a limit, a state
-    is old or nonsense, the caller's stop condition says so, or an error ends the call. A driver gives
+    is old or nonsense, the caller's stop condition says so, an error ends the call, or nobody has looked for a quarter
+    of a second, as where a stop condition hangs. A motion that `move` began is watched by nobody but its caller. What a
+    driver raises becomes a DeviceError. A driver gives
 
         open_link, close_link     to the arm; closing may be asked for at any time
         read_state                the newest `ArmState`, as fresh as it can be had
@@ -197,6 +202,7 @@ class GuardedByPolling(DeviceBase):
         self.limits, self.clock = limits, clock or MonotonicClock()
         self._open, self._stops, self._begun = False, 0, -np.inf
         self._ordering = threading.RLock()  # a line is sent before a brake or not at all
+        self._looked = np.inf  # s, of this machine's clock, when a motion was looked at last
 
     # What a driver gives
 
@@ -239,14 +245,13 @@ class GuardedByPolling(DeviceBase):
     def connect(self) -> None:
         """Connect, anew if need be; raises DeviceError."""
         self.close()
-        self.open_link()
+        self._ask(self.open_link)
         self._open = True
 
     def close(self) -> None:
         """Brake and disconnect; raises nothing."""
-        with contextlib.suppress(Exception):
-            if self._open:
-                self.stop()
+        if self._open:
+            self._halt()
         self._open = False
         with contextlib.suppress(Exception):
             self.close_link()
@@ -255,12 +260,12 @@ class GuardedByPolling(DeviceBase):
         """The newest state, as in `Arm.state`."""
         if not self._open:
             raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")
-        state, now = self.read_state(), self.clock.now()
+        state, now = self._ask(self.read_state), self.clock.now()
         if not now - state.time <= timeout:
-            self.brake()
+            self._ask(self.brake)
             raise DeviceTimeoutError(f"{self.name} has given no state for {now - state.time:.2g} s; it was stopped")
         if wrong := not_numbers(state):
-            self.brake()
+            self._ask(self.brake)
             raise DeviceError(f"{self.name} says that its {wrong}, which is no number; it was stopped")
         self._begun = -np.inf if state.moving else self._begun
         return state._replace(moving=state.moving or now - self._begun < self.start_s)
@@ -272,11 +277,11 @@ class GuardedByPolling(DeviceBase):
         self._begin(goal, speed, acceleration)
         return goal
 
-    def stop(self, timeout: float = 1.0) -> None:
+    def stop(self, timeout: float = HALT_S) -> None:
         """Brake and return when the arm stands, as in `Arm.stop`."""
         with self._ordering:
             self._stops, self._begun = self._stops + 1, -np.inf
-            self.brake()
+            self._ask(self.brake)
         until = self.clock.now() + timeout
         while self.state().moving:
             if not self.clock.now() <= until:
@@ -287,7 +292,7 @@ class GuardedByPolling(DeviceBase):
         """Take the wrench felt now as zero, as in `Arm.zero_wrench`."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
-        self.zero_sensor()
+        self._ask(self.zero_sensor)
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait, as in `GuardedArm.go`."""
@@ -332,7 +337,7 @@ class GuardedByPolling(DeviceBase):
             if self._stops != stops:
                 raise MotionStoppedError(f"{self.name} was stopped by request.")
             self._begun = self.clock.now()
-            self.begin_line(goal, speed, acceleration)
+            self._ask(self.begin_line, goal, speed, acceleration)
         return start, stops
 
     def _guarded(
@@ -345,8 +350,12 @@ class GuardedByPolling(DeviceBase):
         stop_condition: Callable[[ArmState], Any] | None = None,
     ) -> tuple[StopReason, Any, ArmState]:
         """Follow a motion until the arm stands: what ended it, the stop condition's answer, and the state that did."""
+        ended = threading.Event()
         try:
             start, stops = self._begin(goal, speed, acceleration)
+            self._looked = time.monotonic()
+            if isinstance(self.clock, MonotonicClock):
+                threading.Thread(target=self._attend, args=(ended,), name=f"{self.name}, attended", daemon=True).start()
             until = self.clock.now() + longest_duration(start.T_b_t, goal, speed, acceleration)
             distance = float(np.linalg.norm(goal[:3, 3] - start.T_b_t[:3, 3]))
             bounds = {"distance": distance, "speed": speed, "force": force, "torque": torque}
@@ -356,18 +365,50 @@ class GuardedByPolling(DeviceBase):
                 state = self.state()
                 above = watch(state)
                 if self._stops != stops:
-                    raise MotionStoppedError(f"{self.name} was stopped by request.")
+                    neglected = self._looked == -np.inf
+                    why = f"as nobody looked at it for {STATE_AGE_S:g} s" if neglected else "by request"
+                    raise MotionStoppedError(f"{self.name} was stopped {why}.")
                 if not self.clock.now() <= until:
                     raise DeviceError(f"{self.name} took longer for a motion than it may, and was stopped")
                 if not state.moving:
                     require_arrived(state, goal)
                     return "distance", None, state
+                self._looked = time.monotonic()
                 answer = stop_condition(state) if stop_condition is not None else None
                 if above or answer:
                     break
+            self.stop()
         except BaseException:
-            with contextlib.suppress(DeviceError):
-                self.stop()
+            self._halt()
             raise
-        self.stop()
+        finally:
+            ended.set()
         return (above, None, state) if above else ("condition", answer, state)
+
+    def _attend(self, ended: threading.Event) -> None:
+        """Brake where nobody has looked at a motion for a while."""
+        while not ended.wait(self.poll_s):
+            if not time.monotonic() - self._looked <= STATE_AGE_S:
+                self._looked = -np.inf
+                self._halt()
+                return
+
+    def _halt(self) -> None:
+        """Brake until it stands, again where the driver fails; gives up after a second."""
+        until = self.clock.now() + HALT_S
+        while self.clock.now() <= until:
+            try:
+                self.stop(HALT_S)
+            except Exception:
+                self.clock.sleep(self.poll_s)
+            else:
+                return
+
+    def _ask(self, call: Callable[..., T], *arguments: Any) -> T:
+        """What a driver answers; whatever it raises is a DeviceError."""
+        try:
+            return call(*arguments)
+        except DeviceError:
+            raise
+        except Exception as error:  # a library may raise anything
+            raise DeviceError(f"{self.name} failed ({error}); check its connection") from error

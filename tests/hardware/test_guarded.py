@@ -1,6 +1,7 @@
 """Motions that i2t guards itself: a watch that judges states, and arms that do not keep to what they are asked."""
 
 import itertools
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,10 @@ from helpers.closed_form import HEIGHT, make
 
 from experiments.faults.closed_form import ForeignArm, MemoryLog
 from i2t.collect.settings import TouchSettings
-from i2t.emulators.in_process import SimulatedArm
-from i2t.errors import DeviceError
-from i2t.hardware.guarded import free_limits
+from i2t.emulators.in_process import SimulatedArm, SimulatedLab
+from i2t.errors import DeviceError, MotionStoppedError
+from i2t.hardware.clock import MonotonicClock
+from i2t.hardware.guarded import STATE_AGE_S, free_limits
 from i2t.hardware.limits import MotionLimits
 
 STIFFNESS = 10e3  # N/m, of the plane
@@ -136,6 +138,52 @@ def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
     assert begun
     assert arm.lab.robot.motion is None
     assert STIFFNESS * (HEIGHT - arm.lab.robot.position[2]) < 8.0 * 1.1
+
+
+def slow_arm(**broken):
+    """An arm in this machine's time, half a metre from anything, some of whose methods are others."""
+    arm = SimulatedArm(SimulatedLab(make().arm.lab.scene, MonotonicClock()), make().rig.limits)
+    for name, method in broken.items():
+        setattr(arm, name, method)
+    return arm
+
+
+def test_an_approach_whose_stop_condition_hangs_is_braked_meanwhile():
+    with slow_arm() as arm:
+        stood = []
+
+        def hang(state):
+            time.sleep(4 * STATE_AGE_S)
+            stood.append(not arm.read_state().moving)
+
+        with pytest.raises(MotionStoppedError, match="nobody looked"):
+            arm.approach(0.05, 0.02, hang)
+        assert stood == [True]
+
+
+@pytest.mark.parametrize("name", ["read_state", "begin_line", "brake", "zero_sensor", "open_link"])
+def test_what_a_library_raises_is_one_sentence_and_the_arm_stands(name):
+    calls = []
+
+    def fail(*_):
+        calls.append(name)
+        if len(calls) < 3:
+            raise OSError(104, "Connection reset by peer")
+        return getattr(SimulatedArm, name)(arm, *_)
+
+    arm = slow_arm()
+    arm.connect()
+    setattr(arm, name, fail)
+
+    def use():
+        if name == "open_link":
+            arm.connect()
+        arm.zero_wrench()
+        arm.approach(0.05, 0.02, lambda state: state.T_b_t[2, 3] < 0.29)
+
+    with pytest.raises(DeviceError, match=r"the simulated arm failed \(.*reset by peer\); check its connection"):
+        use()
+    assert arm.lab.robot.motion is None
 
 
 def test_no_free_motion_begins_with_a_force_that_is_no_number_or_beyond_reason():
