@@ -49,6 +49,7 @@ OBJECT_SPREAD_M, PAYLOAD_SPREAD_KG = (
     20e-3,
     0.05,
 )  # of right rigs, either way: of where the object stands, of the payload
+LOW_OBJECT_M, LOW_BOX_M = 15e-3, -30e-3  # an object's height, and where its box ends in the base
 HOLE_SHARE, HOLE_PIXELS = 0.3, 12  # of a shiny object's view, and the edge of a hole
 PRESSED_OBJECTS = ("hexagon", "star", "square", "cylinder", "parallelogram", "flower", "screwdriver", "hammer")
 LEAST_UP = -0.1  # cosine between a normal and up
@@ -154,7 +155,7 @@ def try_mistake(mistake: RigMistake, name: str, seed: int = 0) -> Found:
         Where it was noticed.
     """
     try:
-        wrong = mistake.make(right_rig())
+        wrong = mistake.make(_lab_rig(name))
     except ValueError as error:
         return Found("file", str(error))
     return try_rig(wrong, name, seed)
@@ -172,7 +173,7 @@ def try_rig(wrong: Rig, name: str, seed: int = 0, right: Rig | None = None) -> F
     Returns:
         Where it was contradicted.
     """
-    right, mesh, said = right or right_rig(), rig_object(name), list[str]()
+    right, mesh, said = right or _lab_rig(name), rig_object(name), list[str]()
     try:
         require_plausible(wrong, mesh.vertices)
     except ValueError as error:
@@ -199,7 +200,7 @@ def rig_mistake(name: str, number: int) -> Trial:
 def right_rig_refused(number: int) -> Trial:
     """A right rig, whose object stands elsewhere than in others and whose payload is as a careful user knows it."""
     rng, name = np.random.default_rng((number, 6)), RIG_OBJECTS[number % len(RIG_OBJECTS)]
-    right = right_rig()
+    right = _lab_rig(name)
     x, y = right.T_world_object[:2, 3] + rng.uniform(-OBJECT_SPREAD_M, OBJECT_SPREAD_M, 2)
     T_world_object = pose_from_vector([x, y, 0.0, 0.0, 0.0, rng.uniform(-np.pi, np.pi)])
     right = replace(right, T_world_object=T_world_object)
@@ -224,6 +225,13 @@ def wrong_rig_accepted(number: int) -> Trial:
         "object": name,
         "found": found.sentence,
     }
+
+
+def _lab_rig(name: str) -> Rig:
+    """A right rig; under a low object its box ends below the table, where presses that meet nothing end."""
+    rig, low = right_rig(), float(rig_object(name).vertices[:, 2].max()) < LOW_OBJECT_M
+    x, y, z = rig.limits.lower
+    return replace(rig, limits=replace(rig.limits, lower=(x, y, LOW_BOX_M if low else z)))
 
 
 # Sites

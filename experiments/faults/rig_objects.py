@@ -53,5 +53,5 @@ def _made(name: str) -> trimesh.Trimesh | None:
             handle.apply_translation([44e-3, 0.0, 0.0])
             walls, bottom = annulus(36e-3, 40e-3, 90e-3, sections=48), cylinder(37e-3, 4e-3, sections=48)
             bottom.apply_translation([0.0, 0.0, -43e-3])
-            return trimesh.util.concatenate([walls, bottom, handle])
+            return walls + bottom + handle
     return None
