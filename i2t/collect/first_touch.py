@@ -47,7 +47,7 @@ LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
 DEPTH_TOLERANCE_M = 6e-3  # of where a pixel's surface is seen, at the least
 CAMERA_STD_M = 1.5e-3  # of where the camera looks: it may be off by 1 mm, and by half a degree from 120 mm
 STANDARD_DEVIATIONS = 3  # by which a right rig may be off
-MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.3, 0.6  # of the pixels of all looks; of a single look, at once
+MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.1, 0.3  # of the pixels of all looks; of a single look, at once
 MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
 TOUCH_TOLERANCE_M = 4e-3  # of where the object is met, at the least
 SIDE_TILTS_DEG, SIDE_TURN_DEG = (60.0, 45.0), 15  # of the tool at a side; between the sides that are tried
@@ -210,7 +210,7 @@ def _slowed(procedure: Procedure, name: str, site: Site, past: float | None = No
             contact=count,
         )
         slowed = replace(procedure, settings=slow)
-        if not slowed.path.why_not(site):
+        if not slowed.path.why_not(site, looks=False):
             return SlowTouch(name, site, tolerance, slowed)
     return None
 
