@@ -50,6 +50,7 @@ OBJECT_SPREAD_M, PAYLOAD_SPREAD_KG = (
     0.05,
 )  # of right rigs, either way: of where the object stands, of the payload
 LOW_OBJECT_M, LOW_BOX_M = 15e-3, -30e-3  # an object's height, and where its box ends in the base
+STIFFNESS_N_M = 2e3  # that rigs state: understated, so that motions in the air are quick and trials short
 HOLE_SHARE, HOLE_PIXELS = 0.3, 12  # of a shiny object's view, and the edge of a hole
 PRESSED_OBJECTS = ("hexagon", "star", "square", "cylinder", "parallelogram", "flower", "screwdriver", "hammer")
 LEAST_UP = -0.1  # cosine between a normal and up
@@ -228,10 +229,13 @@ def wrong_rig_accepted(number: int) -> Trial:
 
 
 def _lab_rig(name: str) -> Rig:
-    """A right rig; under a low object its box ends below the table, where presses that meet nothing end."""
+    """A right rig with quick motions in the air; under a low object its box ends below the table, where presses that
+    meet nothing end.
+    """
     rig, low = right_rig(), float(rig_object(name).vertices[:, 2].max()) < LOW_OBJECT_M
     x, y, z = rig.limits.lower
-    return replace(rig, limits=replace(rig.limits, lower=(x, y, LOW_BOX_M if low else z)))
+    limits = replace(rig.limits, lower=(x, y, LOW_BOX_M if low else z), stiffness=STIFFNESS_N_M)
+    return replace(rig, limits=limits)
 
 
 # Sites
