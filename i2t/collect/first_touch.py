@@ -21,7 +21,6 @@ from dataclasses import replace
 from io import BytesIO
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
@@ -52,6 +51,7 @@ STANDARD_DEVIATIONS = 3  # by which a right rig may be off
 MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.1, 0.3  # of the pixels of all looks; of a single look, at once
 MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
 TOUCH_TOLERANCE_M = 4e-3  # of where the object is met, at the least
+FELT_WITHIN_M = 1e-3  # past first contact, in which a press is felt
 SIDE_TILTS_DEG, SIDE_TURN_DEG = (60.0, 45.0), 15  # of the tool at a side; between the sides that are tried
 SIDE_EDGE_M = 0.5e-3  # within which several corners of a mesh are met at once
 MOST_SIDES_COSINE = 0.5  # between the directions of both sides
@@ -167,7 +167,7 @@ def _sides(procedure: Procedure, sampler: SiteSampler) -> list[SlowTouch]:
     turns = [(tilt, begin + turn) for tilt in SIDE_TILTS_DEG for turn in range(0, 360, SIDE_TURN_DEG)]
     ways = Rotation.from_euler("yz", turns, degrees=True).apply([0.0, 0.0, 1.0])
     tried = [_side(sampler.placed, way, rig.T_tool_camera) for way in ways]
-    tried = [site for site in tried if is_above_table(jnp.asarray(site.T_w_t), sampler.limits)]
+    tried = [site for site in tried if is_above_table(site.T_w_t, sampler.limits)]
     tried.sort(key=lambda site: (round(-site.T_w_t[2, 2], 2), touch_tolerance(rig, site)))
     first = next((site for site in tried if _slowed(procedure, "side", site)), None)
     if first is None:
@@ -188,7 +188,7 @@ def _by_both_rims(procedure: Procedure, site: Site, limits: SiteLimits) -> list[
     up = np.array([0.0, 0.0, 1.0]) - T_w_t[2, 2] * T_w_t[:3, 2]
     aside = max(rim, 0.0) * up / np.linalg.norm(up)
     sites = [Site(0, transform(T_w_t[:3, :3], T_w_t[:3, 3] + way * aside)) for way in (-1, 1)]
-    sites = [each for each in sites if is_above_table(jnp.asarray(each.T_w_t), limits)]
+    sites = [each for each in sites if is_above_table(each.T_w_t, limits)]
     return list(filter(None, (_slowed(procedure, "side", each) for each in sites)))
 
 
@@ -203,12 +203,12 @@ def _side(placed: Mesh, from_: Array, T_tool_camera: Array) -> Site:
 
 
 def _slowed(procedure: Procedure, name: str, site: Site, past: float | None = None) -> SlowTouch | None:
-    """Slow touch of a site, which ends so far (m) past it, by default as far as its place may err: it is guarded from
-    as high as box and arm allow, and presses from where others prepare. None where they allow none.
+    """Slow touch of a site, which ends so far (m) past it, by default as far as its place may err and the skin gives:
+    it is guarded from as high as box and arm allow, and presses from where others prepare. None where they allow none.
     """
     path, settings, limits = procedure.path, procedure.settings, procedure.rig.limits
     tolerance = touch_tolerance(procedure.rig, site)
-    past = tolerance if past is None else past
+    past = tolerance + FELT_WITHIN_M if past is None else past
     if not settings.prepare + past <= limits.approach_distance:
         return None
     prepare = path.poses(site)[1]

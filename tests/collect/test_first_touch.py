@@ -64,7 +64,7 @@ def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(off):
 
 
 @pytest.mark.parametrize(("off", "gain", "sentence"), [
-    (0.010, GAIN, "met nothing up to 4 mm past"),
+    (0.010, GAIN, "met nothing up to 5 mm past"),
     (-0.018, GAIN, "something was met 16 mm before"),
     (0.0, 0 * GAIN, r"a press of \d\.\d N changed its reading by 0\.0 uT"),
 ])  # fmt: skip
@@ -107,7 +107,7 @@ def _slow_settings(procedure, sampler):
 
 def test_the_slow_touch_goes_as_far_as_the_placement_may_err():
     procedure, sampler = _unsure(), Block()
-    assert _slow_settings(procedure, sampler).overtravel == pytest.approx(15e-3, abs=1e-5)
+    assert _slow_settings(procedure, sampler).overtravel == pytest.approx(16e-3, abs=1e-5)
     sampler.height = HEIGHT + 0.012  # the plane is met 12 mm past where the sites are
     said = module._touch(plan_first_touch(procedure, sampler).touches[0])
     late = float(re.search(r"met the object ([+-][\d.]+) mm", said)[1])
@@ -128,12 +128,12 @@ def test_the_slow_touch_goes_no_further_than_the_arm_can():
     procedure.arm.why_unreachable = why_unreachable
     slow = _slow_settings(procedure, Block())
     assert slow.overtravel == QUICK.overtravel
-    assert min(goal[2, 3] for goal in asked) == pytest.approx(HEIGHT - 15e-3, abs=1e-5)  # it was asked
+    assert min(goal[2, 3] for goal in asked) == pytest.approx(HEIGHT - 16e-3, abs=1e-5)  # it was asked
     assert slow.prepare > highest - HEIGHT
     # Not to the place above that where it prepares: it begins at the latter.
     procedure.arm.why_unreachable = lambda goals: "turned" if goals[-2][2, 3] > highest else ""
     slow = _slow_settings(procedure, Block())
-    assert slow.overtravel == pytest.approx(15e-3, abs=1e-5)
+    assert slow.overtravel == pytest.approx(16e-3, abs=1e-5)
     assert slow.prepare == QUICK.prepare
     # Nor where the box ends in the object.
     procedure.arm.why_unreachable = lambda goals: ""
