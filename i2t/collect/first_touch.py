@@ -3,13 +3,13 @@
     air       what the arm feels while it touches nothing and nothing has been zeroed: a payload that is wrong
     looks     the camera over some sites; near each the depth must be that of the mesh where the rig has it
     touches   slow presses, as any other but with lighter limits and guarded from as far as box and arm allow: of the
-              site that points up most, then of two sides with a tilted tool, which meets what is aside early or late,
-              by both rims of the skin, one of which misses if the skin is aside in its own plane; the tool must meet
-              the object where the rig has it, and the skin must feel it
+              site that points up most, then of two sides with a tilted tool, which meets what is aside early or late;
+              it must meet the object where the rig has it, and the skin must feel it
 
 A pixel contradicts the rig if no surface within the tolerance of it, in any direction, has the depth that it should
 have: what stands a little aside is still near, even if it is thin. A side is touched where the object ends in the
-direction from which the tool comes, so that nothing else of it can be in the way of the tool.
+direction from which the tool comes, so that nothing else of it can be in the way of the tool. Presses along the tool's
+axis do not tell where the skin is across it: a T_flange_tool that is less than 10 mm aside passes them.
 
 What contradicts the rig is one sentence, and nothing else is touched. A camera that shows recorded views is not asked.
 
@@ -32,18 +32,17 @@ from i2t.collect.stopping import onset_distance, press_samples
 from i2t.collect.touch import TOOL, Site, TouchFailedError, UnreachableError
 from i2t.depth.camera import Camera, Distortion
 from i2t.errors import DeviceError
-from i2t.geometry import contact_frame, transform
+from i2t.geometry import contact_frame
 from i2t.hardware.rig import Rig
 from i2t.hardware.skin_health import press_defect
 from i2t.objects.solids import Mesh
 from i2t.simulation.depth_camera import render_view
-from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.sites import is_above_table
 from i2t.types import Array
 from i2t.windows import TWIST_LEVER_M
 
 FELT_S, FELT_SAMPLES = 0.5, 200  # of which a reading is the mean, whichever is less
-FIRST_SITES, FIRST_LOOKS, FIRST_SIDES = 32, 3, 4  # sites among which is chosen; looks; touches of sides
+FIRST_SITES, FIRST_LOOKS, FIRST_SIDES = 32, 3, 2  # sites among which is chosen; looks; sides that are touched
 LOOK_RADIUS_M = 40e-3  # around a site, in which depth is compared
 DEPTH_TOLERANCE_M = 6e-3  # of where a pixel's surface is seen, at the least
 CAMERA_STD_M = 1.5e-3  # of where the camera looks: it may be off by 1 mm, and by half a degree from 120 mm
@@ -55,7 +54,6 @@ FELT_WITHIN_M = 1e-3  # past first contact, in which a press is felt
 SIDE_TILTS_DEG, SIDE_TURN_DEG = (60.0, 45.0), 15  # of the tool at a side; between the sides that are tried
 SIDE_EDGE_M = 0.5e-3  # within which several corners of a mesh are met at once
 MOST_SIDES_COSINE = 0.5  # between the directions of both sides
-QUARTER_TURN = transform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))  # about tool z
 LIGHT_FORCE_N = 3.0  # that ends the first touch: above what a UR's sensor errs in motion
 FIRST_TOUCH_SPEED_M_S = 5e-3
 MAX_PREPARE_M = 0.3  # before a site, as settings allow
@@ -80,7 +78,7 @@ class SlowTouch(NamedTuple):
 
 
 class FirstTouchPlan(NamedTuple):
-    """Sites to look at, and slow touches: of the first of them, then up to four of two sides."""
+    """Sites to look at, and slow touches: of the first of them, then of up to two sides."""
 
     looks: tuple[Site, ...]
     touches: tuple[SlowTouch, ...]
@@ -159,8 +157,7 @@ def place_covariance(rig: Rig, point: Array) -> np.ndarray:
 
 def _sides(procedure: Procedure, sampler: SiteSampler) -> list[SlowTouch]:
     """Slow touches of two sides from directions that are about perpendicular, or of one or none where no others can be
-    reached: as tilted as possible, then where the object's place is known best. At the second the tool is turned by a
-    quarter, so that its other rims are tried.
+    reached: as tilted as possible, then where the object's place is known best.
     """
     rig = procedure.rig
     begin = np.degrees(np.arctan2(rig.T_world_object[1, 0], rig.T_world_object[0, 0]))
@@ -169,27 +166,14 @@ def _sides(procedure: Procedure, sampler: SiteSampler) -> list[SlowTouch]:
     tried = [_side(sampler.placed, way, rig.T_tool_camera) for way in ways]
     tried = [site for site in tried if is_above_table(site.T_w_t, sampler.limits)]
     tried.sort(key=lambda site: (round(-site.T_w_t[2, 2], 2), touch_tolerance(rig, site)))
-    first = next((site for site in tried if _slowed(procedure, "side", site)), None)
+    first = next(filter(None, (_slowed(procedure, "side", site) for site in tried)), None)
     if first is None:
         return []
-    across = np.array([site.T_w_t[:2, 2] / np.linalg.norm(site.T_w_t[:2, 2]) for site in (first, *tried)])
+    across = np.array([site.T_w_t[:2, 2] / np.linalg.norm(site.T_w_t[:2, 2]) for site in (first.site, *tried)])
     cosines = np.round(np.abs(across[1:] @ across[0]), 2)
     square = [tried[i] for i in np.argsort(cosines, kind="stable") if cosines[i] < MOST_SIDES_COSINE]
-    second = next((site for site in square if _slowed(procedure, "side", site)), None)
-    turned = [] if second is None else [Site(0, second.T_w_t @ QUARTER_TURN)]
-    return [touch for site in (first, *turned) for touch in _by_both_rims(procedure, site, sampler.limits)]
-
-
-def _by_both_rims(procedure: Procedure, site: Site, limits: SiteLimits) -> list[SlowTouch]:
-    """Slow touches of a side with the upper and with the lower part of the skin, where that can be done: a skin that is
-    aside in its own plane misses one of them.
-    """
-    T_w_t, rim = site.T_w_t, limits.half - touch_tolerance(procedure.rig, site)
-    up = np.array([0.0, 0.0, 1.0]) - T_w_t[2, 2] * T_w_t[:3, 2]
-    aside = max(rim, 0.0) * up / np.linalg.norm(up)
-    sites = [Site(0, transform(T_w_t[:3, :3], T_w_t[:3, 3] + way * aside)) for way in (-1, 1)]
-    sites = [each for each in sites if is_above_table(each.T_w_t, limits)]
-    return list(filter(None, (_slowed(procedure, "side", each) for each in sites)))
+    second = next(filter(None, (_slowed(procedure, "side", site) for site in square)), None)
+    return [first] if second is None else [first, second]
 
 
 def _side(placed: Mesh, from_: Array, T_tool_camera: Array) -> Site:
@@ -264,7 +248,7 @@ def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[st
         procedure.retreat()
     sides = len(plan.touches) - 1
     if sides < FIRST_SIDES:
-        report(f"first touches: {sides} of {FIRST_SIDES} at sides can be made, so that what is aside may go unnoticed")
+        report(f"first touches: {sides} of {FIRST_SIDES} sides can be touched, so that what is aside may go unnoticed")
 
 
 def depth_contradiction(
