@@ -57,8 +57,8 @@ MOST_SIDES_COSINE = 0.5  # between the directions of both sides
 LIGHT_FORCE_N = 3.0  # that ends the first touch: above what a UR's sensor errs in motion
 FIRST_TOUCH_SPEED_M_S = 5e-3
 MAX_PREPARE_M = 0.3  # before a site, as settings allow
-# Felt in the air before anything is zeroed: more is a payload off by 0.3 kg. A UR5e's data sheet allows errors of 4 N
-# over its whole range; one that errs by that in the air would err as much in presses, and is to be zeroed first.
+# Felt in the air before anything is zeroed: more is a payload off by 0.3 kg. A UR5e's data sheet states an accuracy of
+# 4 N and a precision of 3.5 N over its whole range; of an arm that stands in the air less is expected, not measured.
 MAX_AIR_FORCE_N = 3.0
 
 CHECK_CAMERA = "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (python -m i2t.place)"
