@@ -3,13 +3,14 @@
 A mistake is tried against a lab that is as the right file says: is it refused, or shown? The arm reports its tool by
 the wrong TCP and carries a payload of another weight than it was told; camera, skin and object are where they really
 are. As in `python -m i2t.collect` the file is read, checked for plausibility (`i2t.hardware.rig_checks`), compared with
-the camera's lens, and then the first looks and the first slow touch are made.
+the camera's lens, and then the first looks and the first slow touches are made.
 
 Sites are drawn on the surface by trimesh, with normals that point up, sideways and a little down. After each press a
 ray caster that is not ours (Embree, by trimesh) casts rays over the skin's square along its approach: a press that is
 said to have met something must have, and one that met air must not have gone through anything. All simulated.
 """
 
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -18,7 +19,8 @@ import numpy as np
 import trimesh
 
 from experiments.faults.closed_form import WALL_TIME_S, MemoryLog
-from experiments.faults.rig_mistakes import MISTAKES, RigMistake, right_rig
+from experiments.faults.rig_mistakes import MISTAKES, WRONG_RIGS, RigMistake, right_rig
+from experiments.faults.rig_objects import RIG_OBJECTS, SHINY, STRETCHED, rig_object
 from experiments.faults.table import Fault, Measure, Trial
 from i2t.collect.first_touch import RigContradictedError, first_touch
 from i2t.collect.procedure import Procedure
@@ -28,23 +30,26 @@ from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab
 from i2t.emulators.scene import ObjectScene
 from i2t.errors import DeviceError
 from i2t.geometry import contact_frame, inverse, nearest_rigid
-from i2t.hardware.protocols import ArmState
+from i2t.hardware.poses import pose_from_vector
+from i2t.hardware.protocols import ArmState, View
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import other_lens, require_plausible
-from i2t.objects.catalogue import make_object
-from i2t.objects.solids import Mesh
 from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import sample_pad
 from i2t.types import Array, ReturnCode
 from i2t.windows import PAD_WINDOW
 
-RIG_OBJECTS = ("star", "hammer")  # a prism, and a tool that is another one upside down
+MISTAKEN_OBJECTS = ("star", "hammer")  # a prism, and a tool that is another one upside down
 ACCEPTED_SHARE = 5 / 53
 GRAVITY_M_S2 = 9.81
-RIGHT_SEEDS = 10  # labs of each object in which the right rig is tried
+RIGHT_RIGS, REFUSED_SHARE = 100, 0.01
+WRONG_SHARE = 3 / 50  # of wrong rigs, that may pass
+OBJECT_SPREAD_M, PAYLOAD_SPREAD_KG = 20e-3, 0.05  # of right rigs, either way: of the object's place, of the payload
+LOW_OBJECT_M, LOW_BOX_M = 15e-3, -30e-3  # an object's height, and where its box ends in the base
+STIFFNESS_N_M = 2e3  # that rigs state: understated, so that motions in the air are quick and trials short
+HOLE_SHARE, HOLE_PIXELS = 0.3, 12  # of a shiny object's view, and the edge of a hole
 PRESSED_OBJECTS = ("hexagon", "star", "square", "cylinder", "parallelogram", "flower", "screwdriver", "hammer")
-TALL = {"tall star": ("star", (0.5, 0.5, 2.2)), "tall cylinder": ("cylinder", (0.4, 0.4, 2.5))}
 LEAST_UP = -0.1  # cosine between a normal and up
 RAYS, RAYS_BEGIN_M = 41, 0.04  # along an edge of the skin; behind the skin
 TOLERANCE_M = 0.6e-3  # of a judgement: repeatability, the tilt of an approach at the skin's edge, and the pitch of rays
@@ -89,6 +94,17 @@ class MistakenArm(SimulatedArm):
         super().begin_line(T_b_t @ inverse(self._to_reported), speed, acceleration)
 
 
+class ShinyCamera(SimulatedCamera):
+    """A camera to which a shiny object's depth is full of holes."""
+
+    def capture(self, timeout: float = 2.0) -> View:
+        """A view with holes."""
+        view = super().capture(timeout)
+        holes = self._random.random(np.array(view.depth.shape) // HOLE_PIXELS + 1) < HOLE_SHARE
+        holes = np.kron(holes, np.ones((HOLE_PIXELS, HOLE_PIXELS), bool))[tuple(map(slice, view.depth.shape))]
+        return view._replace(depth=np.where(holes, np.nan, view.depth))
+
+
 def object_lab(name: str, rig: Rig, seed: int, believed: Rig | None = None) -> tuple[Procedure, ObjectScene]:
     """A procedure over an object whose devices are connected.
 
@@ -101,11 +117,12 @@ def object_lab(name: str, rig: Rig, seed: int, believed: Rig | None = None) -> t
     Returns:
         The procedure and what its tool meets.
     """
-    clock, mesh, wrong = VirtualClock(WALL_TIME_S), _mesh(name), believed or rig
+    clock, mesh, wrong = VirtualClock(WALL_TIME_S), rig_object(name), believed or rig
     scene = ObjectScene(mesh, rig.T_base_world @ rig.T_world_object, _pad(), SimulationErrors(), seed=seed)
     lab = SimulatedLab(scene, clock, seed=seed)
     arm, skin = MistakenArm(lab, rig, wrong), SimulatedSkin(lab)
-    camera = SimulatedCamera(scene, rig.camera, rig.T_tool_camera, lambda: arm.tool, clock, seed=seed)
+    camera_type = ShinyCamera if name == SHINY else SimulatedCamera
+    camera = camera_type(scene, rig.camera, rig.T_tool_camera, lambda: arm.tool, clock, seed=seed)
     for device in (arm, skin, camera):
         device.connect()
     top = float(np.max(mesh.vertices @ wrong.T_world_object[2, :3]) + wrong.T_world_object[2, 3])
@@ -128,24 +145,25 @@ def try_mistake(mistake: RigMistake, name: str, seed: int = 0) -> Found:
         Where it was noticed.
     """
     try:
-        wrong = mistake.make(right_rig())
+        wrong = mistake.make(_lab_rig(name))
     except ValueError as error:
         return Found("file", str(error))
     return try_rig(wrong, name, seed)
 
 
-def try_rig(wrong: Rig, name: str, seed: int = 0) -> Found:
-    """Try a rig in a lab that is as `right_rig` says.
+def try_rig(wrong: Rig, name: str, seed: int = 0, right: Rig | None = None) -> Found:
+    """Try a rig in a lab.
 
     Args:
         wrong: The rig that is believed.
         name: Of the object.
         seed: Of the lab's errors.
+        right: How the lab is; by default as `right_rig` says.
 
     Returns:
         Where it was contradicted.
     """
-    right, mesh = right_rig(), _mesh(name)
+    right, mesh, said = right or _lab_rig(name), rig_object(name), list[str]()
     try:
         require_plausible(wrong, mesh.vertices)
     except ValueError as error:
@@ -154,12 +172,12 @@ def try_rig(wrong: Rig, name: str, seed: int = 0) -> Found:
         return Found("lens", different)
     try:
         sampler = SiteSampler(mesh, wrong.T_world_object, SiteLimits(), seed, name)
-        first_touch(object_lab(name, right, seed, wrong)[0], sampler, report=lambda line: None)
+        first_touch(object_lab(name, right, seed, wrong)[0], sampler, said.append)
     except RigContradictedError as error:
         return Found("first touch", str(error))
     except (DeviceError, ValueError) as error:
         return Found("arm", str(error))
-    return Found("accepted", "")
+    return Found("accepted", "; ".join(said))
 
 
 def rig_mistake(name: str, number: int) -> Trial:
@@ -169,10 +187,44 @@ def rig_mistake(name: str, number: int) -> Trial:
     return {"accepted": accepted, "mistakes": 1, "said": f"accepted: {MISTAKES[number].name}" if accepted else where}
 
 
-def refused_right_rig(name: str, seed: int) -> Trial:
-    """The right rig in a lab of some seed."""
-    found = try_rig(right_rig(), name, seed)
-    return {"refused": found.where != "accepted", "said": found.sentence or found.where}
+def right_rig_refused(number: int) -> Trial:
+    """A right rig, whose object stands elsewhere than in others and whose payload is as a careful user knows it."""
+    rng, name = np.random.default_rng((number, 6)), RIG_OBJECTS[number % len(RIG_OBJECTS)]
+    right = _lab_rig(name)
+    x, y = right.T_world_object[:2, 3] + rng.uniform(-OBJECT_SPREAD_M, OBJECT_SPREAD_M, 2)
+    T_world_object = pose_from_vector([x, y, 0.0, 0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    right = replace(right, T_world_object=T_world_object)
+    believed = replace(right, mass=right.mass + rng.uniform(-PAYLOAD_SPREAD_KG, PAYLOAD_SPREAD_KG))
+    found = try_rig(believed, name, number, right)
+    refused = found.where != "accepted"
+    said = f"{name}: {found.sentence}" if refused else found.where
+    return {"refused": refused, "rigs": 1, "said": said, "object": name, "found": found.sentence}
+
+
+def wrong_rig_accepted(number: int) -> Trial:
+    """A wrong rig of a list over many objects."""
+    mistake, name = WRONG_RIGS[number]
+    found = try_mistake(mistake, name, number)
+    accepted = found.where == "accepted"
+    said = f"accepted: {mistake.name}, {name}" if accepted else found.where
+    return {
+        "accepted": accepted,
+        "rigs": 1,
+        "said": said,
+        "mistake": mistake.name,
+        "object": name,
+        "found": found.sentence,
+    }
+
+
+def _lab_rig(name: str) -> Rig:
+    """A right rig with quick motions in the air; under a low object its box ends below the table, where presses that
+    meet nothing end.
+    """
+    rig, low = right_rig(), float(rig_object(name).vertices[:, 2].max()) < LOW_OBJECT_M
+    x, y, z = rig.limits.lower
+    limits = replace(rig.limits, lower=(x, y, LOW_BOX_M if low else z), stiffness=STIFFNESS_N_M)
+    return replace(rig, limits=limits)
 
 
 # Sites
@@ -180,7 +232,7 @@ def refused_right_rig(name: str, seed: int) -> Trial:
 
 def press_judged(number: int) -> Trial | None:
     """A press at a random site, and the ray caster's word on it; None where no site could be reached."""
-    names = (*PRESSED_OBJECTS, *TALL)
+    names = (*PRESSED_OBJECTS, *STRETCHED)
     name, rng = names[number % len(names)], np.random.default_rng((number, 5))
     procedure, scene = object_lab(name, Rig(), number)
     site = _drawn_site(procedure, name, number, rng)
@@ -231,15 +283,8 @@ def _drawn_site(procedure: Procedure, name: str, number: int, rng: np.random.Gen
 
 
 @lru_cache
-def _mesh(name: str) -> Mesh:
-    of, scale = TALL.get(name, (name, (1.0, 1.0, 1.0)))
-    mesh = make_object(of).mesh
-    return Mesh(mesh.vertices * np.array(scale), mesh.faces)
-
-
-@lru_cache
 def _witness(name: str) -> trimesh.Trimesh:
-    mesh = _mesh(name)
+    mesh = rig_object(name)
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
@@ -250,8 +295,10 @@ def _pad() -> Any:
 
 RIG_FAULTS = (
     *(Fault("rig", f"mistake in a rig, {name}", partial(rig_mistake, name), len(MISTAKES),
-            (Measure("accepted", ACCEPTED_SHARE, of="mistakes"),)) for name in RIG_OBJECTS),
-    *(Fault("rig", f"right rig, {name}", partial(refused_right_rig, name), RIGHT_SEEDS, (Measure("refused", 0),))
-      for name in RIG_OBJECTS),
+            (Measure("accepted", ACCEPTED_SHARE, of="mistakes"),)) for name in MISTAKEN_OBJECTS),
+    Fault("rig", "wrong rigs over many objects", wrong_rig_accepted, len(WRONG_RIGS),
+          (Measure("accepted", WRONG_SHARE, of="rigs"),)),
+    Fault("rig", "right rigs over many objects", right_rig_refused, RIGHT_RIGS,
+          (Measure("refused", REFUSED_SHARE, of="rigs"),)),
     Fault("sites", "press at a random site, judged by a ray caster", press_judged, 500, (Measure("wrong", 0),)),
 )  # fmt: skip

@@ -1,17 +1,19 @@
 """Mistakes that people make in a lab's calibration file: each turns a right rig into a wrong one.
 
-The list was written before any of them was tried. Some are refused by the file's own checks, some by
+The lists were written before any of them was tried. Some are refused by the file's own checks, some by
 `i2t.hardware.rig_checks`, some only by camera, arm and skin in the first looks and the first slow touch
 (`i2t.collect.first_touch`).
 """
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.faults.rig_objects import RIG_OBJECTS
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
@@ -209,3 +211,29 @@ MISTAKES: tuple[RigMistake, ...] = (
     RigMistake("force ten times as much", "limits", {"force": 300.0}),
     RigMistake("longest approach in millimetres", "limits", {"approach_distance": 100.0}),
 )  # fmt: skip
+SMALL_MISTAKES = (  # each with the object over which it is tried; none is one of the object's symmetries
+    (RigMistake("payload 0.4 kg too much", "mass", 1.0), "star"),
+    (RigMistake("payload 0.4 kg too little", "mass", 0.2), "wall"),
+    (RigMistake("TCP 7 mm aside along x", TOOL, _shifted(x=7.0)), "hexagon"),
+    (RigMistake("TCP 7 mm aside along y", TOOL, _shifted(y=7.0)), "cone"),
+    (RigMistake("TCP 7 mm aside along x", TOOL, _shifted(x=7.0)), "wall"),
+    (RigMistake("TCP 7 mm aside along y", TOOL, _shifted(y=-7.0)), "cube"),
+    (RigMistake("TCP 7 mm aside along x", TOOL, _shifted(x=-7.0)), "hammer"),
+    (RigMistake("TCP 7 mm too long", TOOL, _shifted(z=7.0)), "ball"),
+    (RigMistake("TCP 7 mm too short", TOOL, _shifted(z=-7.0)), "screwdriver"),
+    (RigMistake("object 7 mm aside along x", OBJECT, _shifted(x=7.0)), "star"),
+    (RigMistake("object 7 mm aside along y", OBJECT, _shifted(y=7.0)), "dome"),
+    (RigMistake("object 7 mm aside along y", OBJECT, _shifted(y=-7.0)), "rod"),
+    (RigMistake("object 7 mm aside along x", OBJECT, _shifted(x=-7.0)), "mug"),
+    (RigMistake("object 7 mm too high", OBJECT, _shifted(z=7.0)), "plate"),
+    (RigMistake("object 7 mm too low", OBJECT, _shifted(z=-7.0)), "hexagon"),
+    (RigMistake("object turned by 20 degrees about z", OBJECT, _turned(z=20.0)), "star"),
+    (RigMistake("object turned by 20 degrees about z", OBJECT, _turned(z=20.0)), "wall"),
+    (RigMistake("object turned by 20 degrees about z", OBJECT, _turned(z=-20.0)), "screwdriver"),
+    (RigMistake("camera 15 mm aside along x", CAMERA, _shifted(x=15.0)), "hexagon"),
+    (RigMistake("camera 15 mm aside along y", CAMERA, _shifted(y=15.0)), "rod"),
+    (RigMistake("camera 15 mm aside along x", CAMERA, _shifted(x=-15.0)), "cone"),
+    (RigMistake("camera tilted by 8 degrees", CAMERA, _turned(x=8.0)), "dome"),
+    (RigMistake("base 10 mm aside", BASE, _shifted(x=10.0)), "star"),
+)
+WRONG_RIGS = (*zip(MISTAKES[1::3], cycle(RIG_OBJECTS), strict=False), *SMALL_MISTAKES)

@@ -133,7 +133,7 @@ class CollectArgs:
     # name of the session in the data set; by default the object and the time at which it was begun
     session: str | None = None
     dry_run: bool = False  # check everything and draw the rig; move nothing and write no touch
-    skip_first_touch: bool = False  # leave out the looks and the slow touch that try the rig before the first touch
+    skip_first_touch: bool = False  # leave out the looks and the slow touches that try the rig before the first touch
     settings: TouchSettings = field(default_factory=TouchSettings)  # how a touch is made
     sites: SiteLimits = field(default_factory=SiteLimits)  # what makes a site safe
 

@@ -63,11 +63,12 @@ class TouchPath:
         if why := self.why_not(site):
             raise UnreachableError(why)
 
-    def why_not(self, site: Site) -> str:
+    def why_not(self, site: Site, looks: bool = True) -> str:
         """Reason why a site cannot be reached.
 
         Args:
             site: Where.
+            looks: Whether the camera is to look at it before it is touched.
 
         Returns:
             A sentence; empty where it can.
@@ -75,18 +76,18 @@ class TouchPath:
         Raises:
             UnreachableError: No site can, as the way across the object is outside the box.
         """
-        poses = self.poses(site)
-        for name, goal in zip(("look", "prepare", "slow down", "end"), poses, strict=True):
+        look, prepare, near, end = self.poses(site)
+        goals = {"look": look} if looks else {}
+        for name, goal in (goals | {"prepare": prepare, "slow down": near, "end": end}).items():
             if not self.rig.limits.contains(goal[:3, 3]):
                 return (
                     f"to {name} at site {site.number} the tool would be at {format_position(goal[:3, 3])} m, outside "
                     "the box"
                 )
         # The lines of a touch: down to look, up, across, down to prepare, to the end.
-        look, prepare, _, end = poses
         height = self.transfer_height()
         above_look, above = (_at_height(pose, height) for pose in (look, prepare))
-        lines = (above_look, look, above_look, above, prepare, end)
+        lines = (*((above_look, look, above_look) if looks else ()), above, prepare, end)
         refused = "" if self.why_unreachable is None else self.why_unreachable(lines)
         return f"site {site.number}: {refused}" if refused else ""
 

@@ -43,7 +43,7 @@ class SiteSampler:
         self.placed = transform_mesh(mesh, np.asarray(T_w_o))
         self.top = float(self.placed.vertices[:, 2].max())  # m, in W
         self._surface = prepare_surface(self.placed)
-        self._limits, self._seed, self._name = limits, seed, name
+        self.limits, self._seed, self._name = limits, seed, name
         self._sites: list[Site] = []
 
     def site(self, number: int) -> Site:
@@ -60,7 +60,7 @@ class SiteSampler:
         """
         while number >= len(self._sites):
             key = jax.random.fold_in(jax.random.key(self._seed), len(self._sites) // SITE_BATCH)
-            poses = np.asarray(collect_sites(key, self._surface, SITE_BATCH, self._limits, self._name), float)
+            poses = np.asarray(collect_sites(key, self._surface, SITE_BATCH, self.limits, self._name), float)
             self._sites += [Site(len(self._sites) + i, nearest_rigid(pose)) for i, pose in enumerate(poses)]
         return self._sites[number]
 

@@ -3,7 +3,7 @@
 `i2t.hardware.rig` refuses what cannot be. Here is refused what can be but is nearly always a mistake: a tool that looks
 back into its flange, metres for millimetres where both are in range, a camera in front of the skin, a lens of another
 image, an object below the table, a box that does not hold it. What only a motion tells (a TCP 20 mm off) is left to the
-first slow touch (`i2t.collect.first_touch`).
+first slow touches (`i2t.collect.first_touch`).
 
 Frames: W world (z up, the table at its z = 0), B robot base, F flange, T tool, C camera, O object.
 """

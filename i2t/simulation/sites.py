@@ -15,7 +15,7 @@ made); lengths in metres. Degenerate faces, which pad a surface to its size clas
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -302,11 +302,11 @@ def is_unoccluded(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimi
     return nearest_in_square(surface, inverse(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
 
 
-def is_above_table(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
+def is_above_table(T_w_t: Float[Any, "4 4"], limits: SiteLimits) -> Bool[Any, ""]:
     """Third check: the boxes of mount and flange keep their clearance above the table.
 
     Args:
-        T_w_t: Pose of the tool at the site.
+        T_w_t: Pose of the tool at the site; a NumPy array is checked by NumPy, without a compiler.
         limits: The boxes and their clearance.
 
     Returns:
@@ -316,10 +316,11 @@ def is_above_table(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array
     lowest = [
         T_w_t[2, 3]
         - T_w_t[2, 2] * 0.5 * (near + far)
-        - 0.5 * (jnp.abs(T_w_t[2, :2]).sum() * edge + jnp.abs(T_w_t[2, 2]) * (far - near))
+        - 0.5 * (abs(T_w_t[2, :2]).sum() * edge + abs(T_w_t[2, 2]) * (far - near))
         for edge, near, far in boxes
     ]
-    return jnp.minimum(*lowest) >= limits.table + limits.clearance
+    least = limits.table + limits.clearance
+    return (lowest[0] >= least) & (lowest[1] >= least)
 
 
 def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:

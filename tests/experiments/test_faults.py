@@ -104,7 +104,7 @@ def test_what_breaks_in_a_motion_moves_nothing_afterwards():
 def test_presses_from_all_sides_are_judged_by_embree():
     scene = rig.object_lab("hexagon", Rig(), 0)[1]
     T_b_t = scene.T_b_o @ np.diag([1.0, -1.0, -1.0, 1.0])
-    top = rig._mesh("hexagon").vertices[:, 2].max()
+    top = rig.rig_object("hexagon").vertices[:, 2].max()
     for away in (0.001, 0.0, -0.002):
         pose = T_b_t.copy()
         pose[:3, 3] = scene.T_b_o[:3, 3] + (top + away) * scene.T_b_o[:3, 2]
