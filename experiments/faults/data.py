@@ -80,7 +80,7 @@ def _small_disk(size: str) -> Iterator[Path]:
 
 def full_disk(number: int) -> Trial | None:
     """A disk that is full after some touches."""
-    with contextlib.suppress(PermissionError), _small_disk(f"{1500 + 130 * number}k") as folder:
+    with contextlib.suppress(PermissionError), _small_disk(f"{1500 + 60 * number}k") as folder:
         return _session(folder / "data", make_procedure(seed=number), 50)
     return None
 
@@ -171,10 +171,10 @@ def killed_collection(signals: Sequence[int], number: int) -> Trial | None:
 KEPT = (Measure("lost", 0, of="acknowledged"), Measure("unreadable", 0))
 ENDED = (*KEPT, Measure("moving", 0), Measure("not ended", 0))
 DATA_FAULTS = (
-    Fault("disk", "full disk", full_disk, 5, ENDED),
-    Fault("disk", "folder becomes read-only", read_only, 5, ENDED),
-    Fault("disk", "clock set back an hour", clock_set_back, 5, ENDED),
-    Fault("disk", "camera unplugged", camera_unplugged, 5, ENDED),
+    Fault("disk", "full disk", full_disk, 20, ENDED),
+    Fault("disk", "folder becomes read-only", read_only, 20, ENDED),
+    Fault("disk", "clock set back an hour", clock_set_back, 20, ENDED),
+    Fault("disk", "camera unplugged", camera_unplugged, 20, ENDED),
     *(
         Fault("kill", f"{name} of an emulated collection", partial(killed_collection, signals), count,
               (*KEPT, Measure("stands after", STAND_GOAL_S, "s"), Measure("incomplete", 0), Measure("rambling", 0)))

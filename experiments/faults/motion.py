@@ -44,7 +44,7 @@ Harm: TypeAlias = Callable[[str, "subprocess.Popen[str]"], Any]  # of a controll
 
 SETTINGS, LIMITS = TouchSettings(), Rig().limits
 OVERRUN = partial(overrun_force, SETTINGS.press, LIMITS.stiffness, braking=BRAKING_M_S2)
-TRAVEL_M = 0.15  # of a motion in which something breaks
+TRAVEL_M, BREAKING_SPEED_M_S = 0.15, 0.1  # of a motion in which something breaks
 FROZEN_S = 1.0
 STOP_GOAL_S = 0.2
 WATCHED_S = 1.0  # after the arm stood, in which it must not move again
@@ -129,7 +129,7 @@ def break_in_motion(harm: Harm, number: int, rate: float, watched: bool = True) 
 def _go_down(arm: UrArm, travel: float) -> None:
     goal = arm.state(1.0).T_b_t.copy()
     goal[2, 3] -= travel
-    arm.go(goal)
+    arm.go(goal, BREAKING_SPEED_M_S)
 
 
 def _error_of(motion: "Future[None]") -> BaseException | None:
@@ -318,8 +318,6 @@ OVER = Measure("over", OVER_GOAL_N, "N")
 STALL = (Measure("gained", OVERRUN(delay=REACTION_S + 1 / WATCHDOG_RATE_HZ), "N"), NEVER)
 HARMS: dict[str, Harm] = {
     "stream stalled": _ask("stall"),
-    "control stream stalled alone": _ask("stall-control"),
-    "force no number": _ask("forge actual_TCP_force nan"),
     "all ports mute": _ask("mute"),
     "protective stop": _ask("protective"),
     "program ended (pendant, lost script)": _ask("kill-program"),
@@ -337,10 +335,12 @@ BLINDNESS = {
 BROKEN_LINKS: dict[str, Harm] = {"control connection lost": _ask("drop-control"), "controller frozen": _freeze}
 MOTION_FAULTS = (
     Fault("arm", "controller killed", partial(break_in_motion, lambda _, process: process.kill(), rate=10.0,
-          watched=False), 10, (NOTICED, CRASHED)),
+          watched=False), 20, (NOTICED, CRASHED)),
     *(Fault("arm", name, partial(break_in_motion, harm, rate=10.0), 20, (NOTICED, _stands(10.0), NEVER, CRASHED))
       for name, harm in HARMS.items()),
-    Fault("arm", "second client", second_client, 10, (Measure("accepted", 0), Measure("disturbed", 0))),
+    *(Fault("arm", name, partial(break_in_motion, _ask(line), rate=10.0), 20, (NOTICED, *STANDS, CRASHED))
+      for name, (line, _) in BLINDNESS.items()),
+    Fault("arm", "second client", second_client, 20, (Measure("accepted", 0), Measure("disturbed", 0))),
     *(Fault("links", f"{name}, watchdog at {rate:g} Hz", partial(break_in_motion, harm, rate=rate), 50,
             (_stands(rate), NEVER, CRASHED)) for name, harm in BROKEN_LINKS.items() for rate in (10.0, 2.0, 5.0, 25.0)),
     Fault("force", f"past the limit, {PRESSES_AT_ONCE} emulated presses", emulated_presses, 20, (OVER,)),
