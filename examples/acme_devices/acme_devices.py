@@ -34,6 +34,10 @@ class AcmeArm(GuardedByPolling):
         """Connect."""
         self.robot = acme_sdk.Robot(self.address)
 
+    def close_link(self) -> None:
+        """Disconnect."""
+        self.robot.disconnect()
+
     def read_state(self) -> ArmState:
         """The newest state: metres, radians, newtons, the wrench along the tool's axes."""
         said = self.robot.status()
@@ -70,9 +74,8 @@ class AcmeSkin(StreamedSkin):
         return acme_sdk.Board(self.port)
 
     def receive(self, link: acme_sdk.Board) -> list[Measurement]:
-        """The next sample, in microtesla."""
-        measured, milligauss, celsius = link.sample()
-        return [Measurement(measured, 0.1 * milligauss, celsius)]
+        """The samples that have come, in microtesla."""
+        return [Measurement(measured, 0.1 * milligauss, celsius) for measured, milligauss, celsius in link.samples()]
 
     def close_link(self, link: acme_sdk.Board) -> None:
         """Close the port."""

@@ -75,14 +75,14 @@ class Board:
         self._skin.connect()
         self._number = int(self._skin.latest().number[-1])
 
-    def sample(self) -> tuple[float, Any, Any]:
-        """Wait for the next sample: its time (s), field (milligauss), temperatures (degrees Celsius)."""
-        while True:
-            newer = self._skin.since(self._number)
-            if len(newer.number):
-                self._number = int(newer.number[0])
-                return float(newer.time[0]), 10 * newer.reading[0], newer.temperature[0]
+    def samples(self) -> list[tuple[float, Any, Any]]:
+        """Samples that come within 20 ms: time (s), field (milligauss), temperatures (degrees Celsius)."""
+        until, newer = time.monotonic() + 0.02, self._skin.since(self._number)
+        while not len(newer.number) and time.monotonic() < until:
             time.sleep(1e-3)
+            newer = self._skin.since(self._number)
+        self._number = max([self._number, *newer.number.tolist()])
+        return list(zip(newer.time.tolist(), 10 * newer.reading, newer.temperature, strict=True))
 
     def shut(self) -> None:
         """Close the port."""

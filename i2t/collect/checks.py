@@ -1,7 +1,8 @@
 """Checks before the first touch of a session: each is a function `check(procedure) -> list[str]` of what is wrong.
 
 A session runs those with which nothing moves, then the first looks and slow touches (`i2t.collect.first_touch`), and
-ends at the first sentence; of noise it only speaks. A dry run goes on to the end. What else a check finds is printed.
+ends at the first sentence; of noise it only speaks. A dry run goes on, unless a device fails. What else a check finds
+is printed.
 """
 
 import math

@@ -69,11 +69,16 @@ def require_together(args: CollectArgs, rig: Rig) -> None:
         ValueError: The message names the flag, or the field of the rig.
     """
     for each in wanted_skins(args, rig):
-        arms = find_plugin("skin", each.device, _option(each)).arms
-        if arms and args.arm.kind not in arms:
+        plugin = find_plugin("skin", each.device, _option(each))
+        if plugin.arms and args.arm.kind not in plugin.arms:
             raise ValueError(
-                f"{_option(each)} is {each.device}, and feels nothing on this arm; pass --arm {' or '.join(arms)}, or "
-                "another skin"
+                f"{_option(each)} is {each.device}, and feels nothing on this arm; pass --arm "
+                f"{' or '.join(plugin.arms)}, or another skin"
+            )
+        if plugin.with_the_arm_s and bool(args.arm.host) != bool(each.address):
+            raise ValueError(
+                f"{_option(each)} is {each.device}, and emulators that run already have a --host and a port; give "
+                "both, or neither"
             )
 
 

@@ -83,12 +83,16 @@ def make_simulated_camera(setup: DeviceSetup) -> "SimulatedCamera":
 
     Returns:
         The camera; it sees what the arm's lab holds, or the object of the world where the arm is in none.
+
+    Raises:
+        ValueError: There is no arm.
     """
     from i2t.depth.camera import Distortion
     from i2t.emulators.in_process import SimulatedCamera
 
     arm, rig = setup.arm, setup.rig
-    assert arm is not None
+    if arm is None:
+        raise ValueError("a simulated camera looks from where an arm is; pass --arm simulated")
     lab = getattr(arm, "lab", None)
     scene = lab.scene if lab is not None else make_scene(setup.world, rig, setup.board)
     lens = replace(rig.camera, model=Distortion.NONE, coefficients=())
@@ -142,13 +146,8 @@ def make_emulated_skin(setup: DeviceSetup) -> "ReSkin":
 
     Returns:
         The skin.
-
-    Raises:
-        ValueError: Only one of arm and skin has an address.
     """
     ports: Path | None = getattr(setup.arm, "skin_ports", None)
-    if bool(ports) == bool(setup.address):
-        raise ValueError("emulators that run already have a --host and a port of the skin; give both, or neither")
     return make_reskin(setup if ports is None else replace(setup, address=str(ports / str(_number_of(setup)))))
 
 
@@ -172,4 +171,9 @@ simulated_skin = DevicePlugin(
 )
 simulated_camera = DevicePlugin(make_simulated_camera, takes=frozenset(), make_clock=virtual_clock)
 emulated_arm = DevicePlugin(make_emulated_arm, takes=WATCH)
-emulated_skin = DevicePlugin(make_emulated_skin, takes=(BOARD | {"pad"}) - {"skin_serial"}, arms=frozenset({EMULATED}))
+emulated_skin = DevicePlugin(
+    make_emulated_skin,
+    takes=(BOARD | {"pad"}) - {"skin_serial"},
+    arms=frozenset({EMULATED}),
+    with_the_arm_s=True,
+)

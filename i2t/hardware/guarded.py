@@ -7,9 +7,10 @@ Frames: B robot base, T tool; metres, radians, newtons.
 """
 
 import contextlib
+import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -29,10 +30,16 @@ RETREAT_FACTOR = 1.1  # by which the force may grow in a motion that begins abov
 MOST_START_SHARE = 2.0  # of the rig's limits, that may be felt where a free motion begins
 BOX_MARGIN_M, TRAVEL_MARGIN_M = 5e-3, 3e-3  # of a state: outside the box; past the goal
 SPEED_FACTOR, SPEED_MARGIN_M_S = 1.5, 0.02  # of a state, over the speed that was asked
+MOST_TURN_RAD_S = 10.0  # of a tool: no arm that carries a skin turns it so fast
 STATE_AGE_S = 0.25  # of a state in a motion, at the most: a press gains 5 N meanwhile, at 10 N/mm
+LEAST_WAY = 1e-5  # m or rad, of a motion that is one
 HALT_S = 1.0  # in which an arm must have been told to brake, and stand
 STILL_S = 3.0  # in which the pose of an arm that says that it moves must have changed
+START_S, START_SHARE = 0.5, 0.1  # in which an arm must have begun a motion, and gone that part of it
+SLOWEST_SHARE = 0.05  # of the asked speed, to which a person may turn an arm down
 T = TypeVar("T")
+# Windows has no SIGHUP.
+BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 NUMBERS = ("T_b_t", "joints", "velocity", "wrench")  # of a state
 
 
@@ -48,6 +55,9 @@ class MotionWatch:
         force: N, norm of the force that ends the motion.
         torque: Nm, likewise.
         clock: That dates states.
+        age: s, that a state may be old.
+        still: s, in which the pose of an arm that says that it moves must have changed; infinite for one that a person
+            may pause.
     """
 
     def __init__(
@@ -61,8 +71,10 @@ class MotionWatch:
         force: float,
         torque: float,
         clock: Clock,
+        age: float = STATE_AGE_S,
+        still: float = STILL_S,
     ) -> None:
-        self._name, self._limits, self._clock = name, limits, clock
+        self._name, self._limits, self._clock, self._age, self._still = name, limits, clock, age, still
         self._start, self._distance, self._speed = start.T_b_t[:3, 3], distance, speed
         self._force, self._torque = force, torque
         self._newest, self._changed = start, clock.now()  # when the pose was another for the last time
@@ -83,7 +95,7 @@ class MotionWatch:
         now, position, before = self._clock.now(), state.T_b_t[:3, 3], self._newest
         if wrong := not_numbers(state):
             raise DeviceError(f"{self._name} says that its {wrong}, which is no number; it was stopped")
-        if not state.time - before.time >= 0 or not now - state.time <= STATE_AGE_S:
+        if not state.time - before.time >= 0 or not abs(now - state.time) <= self._age:
             raise DeviceTimeoutError(f"{self._name} gives no new states; it was stopped, check its connection")
         if not state.safe:
             raise DeviceError(f"{self._name} made a protective or emergency stop; clear its cause, and release it")
@@ -94,9 +106,11 @@ class MotionWatch:
             raise DeviceError(f"{self._name} went {1e3 * travel:.3g} mm where {1e3 * self._distance:.3g} were asked")
         if not speed <= SPEED_FACTOR * self._speed + SPEED_MARGIN_M_S:
             raise DeviceError(f"{self._name} moves at {speed:.3g} m/s where {self._speed:.3g} were asked")
+        if not np.linalg.norm(state.velocity[3:]) <= MOST_TURN_RAD_S:
+            raise DeviceError(f"{self._name} turns at {np.linalg.norm(state.velocity[3:]):.3g} rad/s; it was stopped")
         if not state.moving or not np.array_equal(state.T_b_t, before.T_b_t):
             self._changed = now
-        if not now - self._changed <= STILL_S:
+        if not now - self._changed <= self._still:
             raise DeviceError(f"{self._name} says that it moves, but its pose stands still; is its speed slider at 0?")
         self._newest = state
         force, torque = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
@@ -168,13 +182,13 @@ def require_arrived(state: ArmState, goal: Array) -> None:
     Raises:
         DeviceError: The tool is elsewhere.
     """
-    distance, turn = apart(state.T_b_t, goal)
-    if not (distance <= GOAL_TOLERANCE[0] and turn <= GOAL_TOLERANCE[1]):
+    if _off_goal(state, goal):
+        distance, turn = apart(state.T_b_t, goal)
         raise DeviceError(f"The motion ended {1e3 * distance:.1f} mm and {np.degrees(turn):.1f} degrees off its goal.")
 
 
 class GuardedByPolling(DeviceBase):
-    """A guarded arm (`i2t.hardware.protocols.GuardedArm`) of a driver with seven short methods.
+    """A guarded arm (`i2t.hardware.protocols.GuardedArm`) of a driver with six short methods.
 
     Its states are asked for every `poll_s` seconds while it moves. It brakes where something is above a limit, a state
     is old or nonsense, the caller's stop condition says so, an error ends the call, or nobody has looked for a quarter
@@ -196,11 +210,12 @@ class GuardedByPolling(DeviceBase):
     source = "real"
     rate = 125.0  # Hz, of its states
     poll_s = 0.008  # between two looks
-    start_s = 0.1  # in which a motion that was asked for shows in the states
+    start_s = 0.1  # in which a motion that was asked for shows in the flag `moving` of states of then
 
     def __init__(self, limits: MotionLimits, clock: Clock | None = None) -> None:
         self.limits, self.clock = limits, clock or MonotonicClock()
-        self._open, self._stops, self._begun = False, 0, -np.inf
+        self._open = self._accepting = False  # whether there is a link, and whether a motion may begin
+        self._stops, self._begun = 0, -np.inf  # s, when the newest motion was sent
         self._ordering = threading.RLock()  # a line is sent before a brake or not at all
         self._looked = np.inf  # s, of this machine's clock, when a motion was looked at last
 
@@ -246,29 +261,35 @@ class GuardedByPolling(DeviceBase):
         """Connect, anew if need be; raises DeviceError."""
         self.close()
         self._ask(self.open_link)
-        self._open = True
+        self._open = self._accepting = True
 
     def close(self) -> None:
         """Brake and disconnect; raises nothing."""
+        with self._ordering:
+            self._accepting = False
         if self._open:
             self._halt()
         self._open = False
         with contextlib.suppress(Exception):
             self.close_link()
 
+    def __exit__(self, *error: Any) -> None:
+        with signals_ignored():  # a second Ctrl-C must not keep the arm from being stopped
+            self.close()
+
     def state(self, timeout: float = STATE_AGE_S) -> ArmState:
         """The newest state, as in `Arm.state`."""
         if not self._open:
             raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")
         state, now = self._ask(self.read_state), self.clock.now()
-        if not now - state.time <= timeout:
+        if not -STATE_AGE_S <= now - state.time <= timeout:
             self._ask(self.brake)
-            raise DeviceTimeoutError(f"{self.name} has given no state for {now - state.time:.2g} s; it was stopped")
+            raise DeviceTimeoutError(f"{self.name} gives a state of {now - state.time:.2g} s ago; it was stopped")
         if wrong := not_numbers(state):
             self._ask(self.brake)
             raise DeviceError(f"{self.name} says that its {wrong}, which is no number; it was stopped")
         self._begun = -np.inf if state.moving else self._begun
-        return state._replace(moving=state.moving or now - self._begun < self.start_s)
+        return state._replace(moving=state.moving or state.time - self._begun < self.start_s)
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
         """Start a straight motion, as in `Arm.move`; by default as fast as the limits allow."""
@@ -334,10 +355,14 @@ class GuardedByPolling(DeviceBase):
                 "pendant."
             )
         with self._ordering:
-            if self._stops != stops:
+            if self._stops != stops or not self._accepting:
                 raise MotionStoppedError(f"{self.name} was stopped by request.")
+            try:
+                self._ask(self.begin_line, goal, speed, acceleration)
+            except BaseException:
+                self._halt()  # it may have begun all the same
+                raise
             self._begun = self.clock.now()
-            self._ask(self.begin_line, goal, speed, acceleration)
         return start, stops
 
     def _guarded(
@@ -351,12 +376,13 @@ class GuardedByPolling(DeviceBase):
     ) -> tuple[StopReason, Any, ArmState]:
         """Follow a motion until the arm stands: what ended it, the stop condition's answer, and the state that did."""
         ended = threading.Event()
+        attending = threading.Thread(target=self._attend, args=(ended,), name=f"{self.name}, attended", daemon=True)
         try:
             start, stops = self._begin(goal, speed, acceleration)
-            self._looked = time.monotonic()
+            begun, self._looked = self.clock.now(), time.monotonic()
             if isinstance(self.clock, MonotonicClock):
-                threading.Thread(target=self._attend, args=(ended,), name=f"{self.name}, attended", daemon=True).start()
-            until = self.clock.now() + longest_duration(start.T_b_t, goal, speed, acceleration)
+                attending.start()
+            until = begun + longest_duration(start.T_b_t, goal, speed, acceleration) / SLOWEST_SHARE
             distance = float(np.linalg.norm(goal[:3, 3] - start.T_b_t[:3, 3]))
             bounds = {"distance": distance, "speed": speed, "force": force, "torque": torque}
             watch = MotionWatch(self.name, self.limits, start, clock=self.clock, **bounds)
@@ -364,17 +390,20 @@ class GuardedByPolling(DeviceBase):
                 self.clock.sleep(self.poll_s)
                 state = self.state()
                 above = watch(state)
+                if self._looked == -np.inf:
+                    raise DeviceError(f"Nobody looked at {self.name} for {STATE_AGE_S:g} s: it was stopped.")
                 if self._stops != stops:
-                    neglected = self._looked == -np.inf
-                    why = f"as nobody looked at it for {STATE_AGE_S:g} s" if neglected else "by request"
-                    raise MotionStoppedError(f"{self.name} was stopped {why}.")
-                if not self.clock.now() <= until:
+                    raise MotionStoppedError(f"{self.name} was stopped by request.")
+                now, answer = self.clock.now(), None
+                if not now <= until:
                     raise DeviceError(f"{self.name} took longer for a motion than it may, and was stopped")
-                if not state.moving:
+                self._looked = time.monotonic()
+                if above is None and state.moving and stop_condition is not None:
+                    answer = stop_condition(state)
+                stands = not (state.moving or (_not_begun(start, state, goal) and now < begun + START_S))
+                if stands and not (above and _off_goal(state, goal)):  # what stops itself by a force has met something
                     require_arrived(state, goal)
                     return "distance", None, state
-                self._looked = time.monotonic()
-                answer = stop_condition(state) if stop_condition is not None else None
                 if above or answer:
                     break
             self.stop()
@@ -383,6 +412,8 @@ class GuardedByPolling(DeviceBase):
             raise
         finally:
             ended.set()
+            if attending.is_alive():
+                attending.join()
         return (above, None, state) if above else ("condition", answer, state)
 
     def _attend(self, ended: threading.Event) -> None:
@@ -390,13 +421,15 @@ class GuardedByPolling(DeviceBase):
         while not ended.wait(self.poll_s):
             if not time.monotonic() - self._looked <= STATE_AGE_S:
                 self._looked = -np.inf
-                self._halt()
+                self._halt(ended)
                 return
 
-    def _halt(self) -> None:
-        """Brake until it stands, again where the driver fails; gives up after a second."""
+    def _halt(self, ended: threading.Event | None = None) -> None:
+        """Brake until it stands, again where the driver fails; gives up after a second, or when the motion has ended
+        that it is to stop.
+        """
         until = self.clock.now() + HALT_S
-        while self.clock.now() <= until:
+        while self.clock.now() <= until and not (ended and ended.is_set()):
             try:
                 self.stop(HALT_S)
             except Exception:
@@ -412,3 +445,25 @@ class GuardedByPolling(DeviceBase):
             raise
         except Exception as error:  # a library may raise anything
             raise DeviceError(f"{self.name} failed ({error}); check its connection") from error
+
+
+@contextlib.contextmanager
+def signals_ignored() -> Iterator[None]:
+    """Within, on the main thread, what ends a program does not."""
+    main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, lambda *_: None) for number in BRAKING_SIGNALS if main}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _not_begun(start: ArmState, state: ArmState, goal: Array) -> bool:
+    """Tell whether an arm has gone hardly any part of its way."""
+    asked, gone = apart(start.T_b_t, goal), apart(start.T_b_t, state.T_b_t)
+    return max(asked) > LEAST_WAY and all(part <= START_SHARE * whole for part, whole in zip(gone, asked, strict=True))
+
+
+def _off_goal(state: ArmState, goal: Array) -> bool:
+    return not all(part <= most for part, most in zip(apart(state.T_b_t, goal), GOAL_TOLERANCE, strict=True))

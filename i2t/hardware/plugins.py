@@ -63,6 +63,7 @@ class DevicePlugin:
     needs_address: bool = False
     needs_rig: bool = False  # or the emulators' own lab does
     arms: frozenset[str] = frozenset()  # names of the arms on which a skin feels anything; any if it is real
+    with_the_arm_s: bool = False  # whether a skin has an address where its arm has one, and only there
     make_clock: Callable[[float], Clock] = lambda begin: MonotonicClock()  # of a lab of nothing else, from a Unix time
 
 
@@ -165,7 +166,8 @@ class ToolPose:
 
     def __init__(self, name: str, host: str | None, rig: Rig | None) -> None:
         check_device("arm", name, {"address": host})
-        self._arm = load_device("arm", name, DeviceSetup(rig or Rig(), host))
+        self._setup = DeviceSetup(rig or Rig(), host)  # whose stack holds what was started
+        self._arm = load_device("arm", name, self._setup)
         self._listen: Callable[[], Array] | None = getattr(self._arm, "tool_pose", None)
         self.arm = None if self._listen else self._arm  # that its camera may ask
         if rig is None and not self._listen:

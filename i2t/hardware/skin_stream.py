@@ -22,6 +22,7 @@ from i2t.types import Array, Board
 
 QUEUE_SAMPLES = 4096
 LONGEST_WAIT_S = 0.02  # between two looks into the queue
+MOST_AHEAD_S = 0.25  # of a sample's time, which may be that of another clock's beat
 FIRST_SAMPLE_S = 3.0  # in which a skin that was connected must have sent something
 RATE_WINDOW_S, LEAST_RATE_WINDOW_S = 1.0, 0.2  # over which the rate is taken
 JOIN_S = 1.0  # in which the thread ends
@@ -208,23 +209,31 @@ class StreamedSkin(QueuedSkin):
     def connect(self) -> None:
         """Open the board and wait for its first sample; raises DeviceError."""
         self.close()
-        link = self.open_link()
+        try:
+            link = self.open_link()
+        except DeviceError:
+            raise
+        except Exception as error:  # a library may raise anything
+            raise self._lost(error) from error
         with self._lock:
             self._failure, self._connects = None, self._connects + 1
             self._arrivals.clear()
-        self._stop, before = threading.Event(), self._received
+            self._stop, before = threading.Event(), self._received
         self._thread = threading.Thread(target=self._receive, args=(link, self._stop), name=self._name, daemon=True)
         self._thread.start()
-        until = time.monotonic() + FIRST_SAMPLE_S
-        while self._received == before:
-            self._check()
-            if not time.monotonic() <= until:
-                self.close()
-                raise DeviceTimeoutError(self._silence(FIRST_SAMPLE_S))
-            time.sleep(LONGEST_WAIT_S / 4)
+        try:
+            until = time.monotonic() + FIRST_SAMPLE_S
+            while self._received == before:
+                self._check()
+                if not time.monotonic() <= until:
+                    raise DeviceTimeoutError(self._silence(FIRST_SAMPLE_S))
+                time.sleep(LONGEST_WAIT_S / 4)
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
-        """Stop receiving and give the board back; raises nothing."""
+        """Stop receiving, and give the board back as soon as `receive` returns; raises nothing."""
         self._stop.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(JOIN_S)
@@ -235,21 +244,28 @@ class StreamedSkin(QueuedSkin):
         """Fill the queue until told to stop, or until the board is gone."""
         try:
             while not stop.is_set():
-                self._accept(self.receive(link))
+                self._accept(self.receive(link), stop)
         except DeviceError as error:
-            self._fail(error)
-        except Exception as error:  # a library may raise anything
-            self._fail(self._lost(error))
+            self._fail(error, stop)
+        except BaseException as error:  # a library may raise anything
+            self._fail(self._lost(error), stop)
         finally:
             with contextlib.suppress(Exception):
                 self.close_link(link)
 
-    def _accept(self, measured: Sequence[Measurement]) -> None:
-        """Queue samples that have come now."""
-        if not measured:
-            return
-        now = time.monotonic()
+    def _accept(self, measured: Sequence[Measurement], stop: threading.Event) -> None:
+        """Queue samples that have come now, unless they are of a connection that was closed meanwhile."""
+        now, chips = time.monotonic(), len(self._features.channels) // 3
+        for row in measured:
+            if (np.shape(row.reading), np.shape(row.temperature)) != ((3 * chips,), (chips,)):
+                raise DeviceError(
+                    f"{self._name} sends samples of another shape than {3 * chips} values; see its driver"
+                )
+            if not row.time <= now + MOST_AHEAD_S:
+                raise DeviceError(f"{self._name} dates samples into the future; its driver must use time.monotonic()")
         with self._lock:
+            if not measured or stop.is_set():
+                return
             for row in measured:
                 self._queue.append(StreamRow(self._received, *row))
                 self._received += 1
@@ -257,15 +273,16 @@ class StreamedSkin(QueuedSkin):
             while now - self._arrivals[0][0] > RATE_WINDOW_S:
                 self._arrivals.popleft()
 
-    def _lost(self, error: Exception) -> DeviceError:
+    def _lost(self, error: BaseException) -> DeviceError:
         """What is said of a board that is gone."""
         lost = DeviceError(f"{self._name} is gone ({error}); plug it in and connect again")
         lost.__cause__ = error
         return lost
 
-    def _fail(self, error: DeviceError) -> None:
+    def _fail(self, error: DeviceError, stop: threading.Event | None = None) -> None:
         with self._lock:
-            self._failure = self._failure or error
+            if stop is None or not stop.is_set():
+                self._failure = self._failure or error
 
     def _check(self) -> None:
         if self._failure is not None:

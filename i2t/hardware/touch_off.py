@@ -236,7 +236,8 @@ class TouchOffArgs:
 def _touch_off(asked: TouchOffArgs) -> None:
     rig = Rig.read(asked.rig)
     check_device("arm", asked.arm, {"address": asked.host})
-    with load_device("arm", asked.arm, DeviceSetup(rig, asked.host)) as arm:
+    setup = DeviceSetup(rig, asked.host)  # whose stack holds what is started
+    with setup.stack, load_device("arm", asked.arm, setup) as arm:
         found = touch_off(arm, rig.limits, asked.at, asked.height)
     T = rig.T_flange_tool @ found.T_tool_skin
     tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))

@@ -1,6 +1,8 @@
 """Motions that i2t guards itself: a watch that judges states, and arms that do not keep to what they are asked."""
 
 import itertools
+import signal
+import threading
 import time
 from dataclasses import replace
 
@@ -10,11 +12,13 @@ from helpers.closed_form import HEIGHT, make
 
 from experiments.faults.closed_form import ForeignArm, MemoryLog
 from i2t.collect.settings import TouchSettings
-from i2t.emulators.in_process import SimulatedArm, SimulatedLab
+from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
 from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import MonotonicClock
-from i2t.hardware.guarded import STATE_AGE_S, free_limits
+from i2t.hardware.guarded import STATE_AGE_S, MotionWatch, free_limits
 from i2t.hardware.limits import MotionLimits
+from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.protocols import ArmState
 
 STIFFNESS = 10e3  # N/m, of the plane
 NUMBERS = np.array([np.nan, np.inf, -np.inf, 1e6])
@@ -134,10 +138,66 @@ def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
         ended = press(procedure, log).reason
     except DeviceError as error:
         ended = str(error)
-    assert ended in ("force", "torque") or (ended.count(". ") == 0 and " " in ended)  # a limit, or one sentence
     assert begun
     assert arm.lab.robot.motion is None
-    assert STIFFNESS * (HEIGHT - arm.lab.robot.position[2]) < 8.0 * 1.1
+    force = STIFFNESS * (HEIGHT - arm.lab.robot.position[2])
+    assert ended in ("force", "torque") or (ended.count(". ") == 0 and " " in ended)  # a limit, or one sentence
+    if lie == "frozen pose":  # which leaves it to the force
+        assert force < 8.0 * 1.1
+        return
+    assert force < 1.0 + STIFFNESS * 2e-3 * ((STATE_AGE_S if lie == "frozen" else 0.0) + 0.06)  # N: at once, or too old
+
+
+START = ArmState(0.0, make().arm.read_state().T_b_t, np.zeros(6), np.zeros(6), np.zeros(6), moving=True, safe=True)
+
+
+def at(time, z=0.0, **changes):
+    """A state so many seconds and millimetres after the start."""
+    T_b_t = START.T_b_t.copy()
+    T_b_t[2, 3] -= 1e-3 * z
+    return START._replace(**{"time": time, "T_b_t": T_b_t, **changes})
+
+
+@pytest.mark.parametrize(
+    ("states", "said"),
+    [
+        ([at(0.1, 1.0, wrench=np.full(6, np.nan))], "wrench is .*, which is no number"),
+        ([at(0.1, 1.0, joints=np.full(6, np.inf))], "joints is .*, which is no number"),
+        ([at(0.1, 1.0), at(0.05, 2.0)], "no new states"),
+        ([at(0.1 - 2 * STATE_AGE_S, 1.0)], "no new states"),
+        ([at(0.1 + 2 * STATE_AGE_S, 1.0)], "no new states"),
+        ([at(np.nan, 1.0)], "no new states"),
+        ([at(0.1, 1.0, safe=False)], "protective or emergency stop"),
+        ([at(0.1, 400.0)], "outside its box"),
+        ([at(0.1, 14.0)], r"went 14 mm where 10 were asked"),
+        ([at(0.1, 1.0, velocity=np.array([0, 0, -0.2, 0, 0, 0]))], "moves at 0.2 m/s where 0.1 were asked"),
+        ([at(0.1, 1.0, velocity=np.array([0, 0, 0, 0, 0, 20.0]))], "turns at 20 rad/s"),
+        ([at(0.1 * n, 1.0) for n in range(1, 34)], "its pose stands still"),
+    ],
+)
+def test_each_thing_that_is_wrong_with_a_state_is_said(states, said):
+    clock = VirtualClock(0.0)
+    bounds = {"distance": 0.01, "speed": 0.1, "force": 8.0, "torque": 2.0}
+    watch = MotionWatch("the arm", make().rig.limits, START, **bounds, clock=clock)
+
+    def judge():
+        for state in states:
+            clock.sleep(0.1)
+            assert watch(state) is None
+
+    with pytest.raises(DeviceError, match=said):
+        judge()
+
+
+def test_force_before_torque_is_what_is_above_its_limit():
+    bounds = {"distance": 0.01, "speed": 0.1, "force": 8.0, "torque": 2.0}
+    for wrench, above in (
+        ([8, 0, 0, 2, 0, 0], None),
+        ([8.1, 0, 0, 2.1, 0, 0], "force"),
+        ([0, 0, 0, 0, 2.1, 0], "torque"),
+    ):
+        watch = MotionWatch("the arm", make().rig.limits, START, **bounds, clock=VirtualClock(0.0))
+        assert watch(at(0.0, 1.0, wrench=np.array(wrench, float))) == above
 
 
 def slow_arm(**broken):
@@ -156,9 +216,65 @@ def test_an_approach_whose_stop_condition_hangs_is_braked_meanwhile():
             time.sleep(4 * STATE_AGE_S)
             stood.append(not arm.read_state().moving)
 
-        with pytest.raises(MotionStoppedError, match="nobody looked"):
+        with pytest.raises(DeviceError, match="Nobody looked") as error:
             arm.approach(0.05, 0.02, hang)
+        assert not isinstance(error.value, MotionStoppedError)  # which would take a person for the cause
         assert stood == [True]
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.15])
+def test_an_arm_that_begins_late_is_waited_for_and_one_that_never_does_has_not_arrived(lag):
+    with slow_arm() as arm:
+        told, begun = arm.begin_line, threading.Timer
+        arm.begin_line = lambda *line: begun(lag, told, line).start()
+        home = arm.state().T_b_t
+        arm.go(shifted_along_z(home, 0.01), 0.05)
+        assert not arm.state().moving
+        arm.begin_line = lambda *line: None
+        with pytest.raises(DeviceError, match=r"ended 10\.0 mm and 0\.0 degrees off its goal"):
+            arm.go(home, 0.05)
+
+
+def test_a_line_that_was_sent_is_taken_back_where_its_answer_fails_or_the_arm_is_closed():
+    arm = slow_arm()
+    told = arm.begin_line
+
+    def sent(*line):
+        told(*line)
+        raise TimeoutError("no answer")
+
+    with arm:
+        arm.begin_line = sent
+        with pytest.raises(DeviceError, match="no answer"):
+            arm.move(shifted_along_z(arm.state().T_b_t, 0.05), 0.02)
+        assert arm.lab.robot.motion is None
+        arm.begin_line = told
+        state, looks = arm.state, []
+
+        def closing(*timeout):
+            looks.append(None)
+            if len(looks) == 2:  # the last before the line
+                arm.close()
+                arm._open = True
+            return state(*timeout)
+
+        arm.state = closing
+        with pytest.raises(MotionStoppedError, match="by request"):
+            arm.move(shifted_along_z(state().T_b_t, 0.05), 0.02)
+        assert arm.lab.robot.motion is None
+
+
+def test_a_second_ctrl_c_does_not_keep_an_arm_from_being_stopped():
+    arm = slow_arm()
+    arm.connect()
+    arm.move(shifted_along_z(arm.state().T_b_t, 0.05), 0.02)
+    brake, before = arm.brake, signal.signal(signal.SIGINT, signal.default_int_handler)
+    arm.brake = lambda: signal.raise_signal(signal.SIGINT) or brake()
+    try:
+        arm.__exit__(None, None, None)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert arm.lab.robot.motion is None
 
 
 @pytest.mark.parametrize("name", ["read_state", "begin_line", "brake", "zero_sensor", "open_link"])

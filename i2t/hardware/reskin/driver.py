@@ -259,7 +259,7 @@ class ReSkin(StreamedSkin):
             return f"{port} is in use by another program; close that one"
         return f"{port} cannot be opened ({error}); is it a serial port?"
 
-    def _lost(self, error: Exception) -> DeviceError:
+    def _lost(self, error: BaseException) -> DeviceError:
         port = self._info.port if self._info else self._asked_port
         lost = DeviceError(f"the skin on {port} is gone ({error}); plug it in and connect again")
         lost.__cause__ = error

@@ -35,7 +35,14 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from i2t.errors import DeviceError
-from i2t.hardware.guarded import BOX_MARGIN_M, GOAL_TOLERANCE, free_limits, longest_duration, require_arrived
+from i2t.hardware.guarded import (
+    BOX_MARGIN_M,
+    BRAKING_SIGNALS,
+    GOAL_TOLERANCE,
+    free_limits,
+    longest_duration,
+    require_arrived,
+)
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.poses import pose_from_vector, pose_to_vector, shifted_along_z
 from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState, StopReason
@@ -52,8 +59,6 @@ from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
 
 SLIDER_MIN = 0.01  # speed fraction below which waiting no longer counts as slow motion
-# Windows has no SIGHUP.
-BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class UrArm:
@@ -72,6 +77,8 @@ class UrArm:
         ValueError: `state_timeout` or `watchdog_rate` protects nobody, or no controller can keep to it.
         DeviceError: ur_rtde is not installed.
     """
+
+    can_be_paused = True  # by the pendant's speed slider
 
     def __init__(
         self,
@@ -173,6 +180,11 @@ class UrArm:
             DeviceError: The controller does not answer.
         """
         return tool_pose(self.host)
+
+    @property
+    def state_timeout(self) -> float:
+        """Time (s) without a state, after which it is taken for lost."""
+        return self.connection.state_timeout
 
     @property
     def stall_s(self) -> float:
