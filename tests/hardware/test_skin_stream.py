@@ -1,0 +1,108 @@
+"""Skins whose samples a thread receives: whatever their library does, samples are of this connection, or it is said."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.hardware import skin_stream
+from i2t.hardware.skin_stream import Measurement, StreamedSkin
+
+CHIPS = 2
+
+
+def sample(ahead=0.0, values=3 * CHIPS):
+    return Measurement(time.monotonic() + ahead, np.zeros(values), np.full(CHIPS, 24.0))
+
+
+class Board(StreamedSkin):
+    """A board whose `receive` is what a test gives: a function of the number of the connection."""
+
+    def __init__(self, receive):
+        super().__init__("the board", CHIPS, rate=400.0)
+        self.received, self.opened, self.closed = receive, 0, []
+
+    def open_link(self):
+        self.opened += 1
+        return self.opened
+
+    def receive(self, link):
+        time.sleep(1e-3)
+        return self.received(link)
+
+    def close_link(self, link):
+        self.closed.append(link)
+
+
+def eventually(condition):
+    end = time.monotonic() + 5.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def fail(error):
+    raise error
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda link: fail(OSError(5, "gone")), r"the board is gone \(.*gone\); plug it in"),
+        (lambda link: fail(SystemExit(3)), r"the board is gone \(3\)"),
+        (lambda link: [sample(values=4)], "of another shape than 6 values"),
+        (lambda link: [sample(ahead=100.0)], "dates samples into the future"),
+    ],
+)
+def test_whatever_ends_the_thread_every_call_says_why(wrong, said):
+    sent = []
+    skin = Board(lambda link: sent.append(link) or ([sample()] if len(sent) < 3 else wrong(link)))
+    skin.connect()
+    eventually(lambda: skin.closed == [1])
+    for call in (skin.latest, lambda: skin.read(5), lambda: skin.since(skin.counters.samples)):
+        with pytest.raises(DeviceError, match=said):
+            call()
+
+
+def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection(monkeypatch):
+    monkeypatch.setattr(skin_stream, "JOIN_S", 0.05)
+    hangs, outcomes = threading.Event(), iter([lambda: [sample(), sample()], lambda: fail(OSError("late"))])
+
+    def receive(link):
+        if link == 3 or not hangs.is_set():
+            return [sample()]
+        time.sleep(0.3)
+        return next(outcomes)()
+
+    skin = Board(receive)
+    for _ in range(2):
+        hangs.clear()
+        skin.connect()
+        hangs.set()
+        time.sleep(0.02)  # the thread is in its long call
+    before = skin.counters.samples
+    skin.connect()
+    assert skin.opened == 3
+    skin.read(200)
+    numbers = skin.since(before - 1).number
+    assert (np.diff(numbers) == 1).all()
+    assert sorted(skin.closed) == [1, 2]
+    skin.close()
+
+
+def test_a_board_that_cannot_be_opened_or_says_nothing_leaves_nothing_open(monkeypatch):
+    monkeypatch.setattr(skin_stream, "FIRST_SAMPLE_S", 0.1)
+    silent = Board(lambda link: [])
+    with pytest.raises(DeviceTimeoutError, match="has been silent"):
+        silent.connect()
+    assert silent.closed == [1]
+    silent.open_link = lambda: fail(PermissionError(13, "denied"))
+    with pytest.raises(DeviceError, match=r"the board is gone \(.*denied\)"):
+        silent.connect()
+    interrupted = Board(lambda link: [])
+    interrupted._check = lambda: fail(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        interrupted.connect()
+    assert interrupted.closed == [1]
