@@ -28,7 +28,12 @@ SHOWN_REFUSALS = 5
 
 def still_checks() -> dict[str, Check]:
     """Checks by their names, with which nothing moves, and without which no session starts."""
-    return {"camera": camera_fits, "skins": skins_alive}
+    return {"camera": _camera_fits, "skins": _skins_alive}
+
+
+def noise_checks() -> dict[str, Check]:
+    """Checks by their names, of what makes readings worse, and stops nothing."""
+    return {"noise": _skins_quiet}
 
 
 def dry_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
@@ -42,10 +47,10 @@ def dry_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
         All with which nothing moves.
     """
     plans = {
-        "rig": partial(rig_plausible, sampler=sampler),
-        "reach": partial(sites_reached, sampler=sampler, count=count),
+        "rig": partial(_rig_plausible, sampler=sampler),
+        "reach": partial(_sites_reached, sampler=sampler, count=count),
     }
-    return {"arm": arm_ready, "view": view_measured, **still_checks(), "noise": skins_quiet, **plans}
+    return {"arm": _arm_ready, "view": _view_measured, **still_checks(), "noise": _skins_quiet, **plans}
 
 
 def touch_checks(sampler: SiteSampler) -> dict[str, Check]:
@@ -57,7 +62,7 @@ def touch_checks(sampler: SiteSampler) -> dict[str, Check]:
     Returns:
         The checks.
     """
-    return {"first touch": partial(rig_touched, sampler=sampler)}
+    return {"first touch": partial(_rig_touched, sampler=sampler)}
 
 
 def run_checks(checks: Mapping[str, Check], procedure: Procedure) -> list[str]:
@@ -98,14 +103,14 @@ def require_checks(checks: Mapping[str, Check], procedure: Procedure) -> None:
 # Checks
 
 
-def arm_ready(procedure: Procedure) -> list[str]:
+def _arm_ready(procedure: Procedure) -> list[str]:
     """Find an arm in a protective or emergency stop."""
     arm, state = procedure.arm, procedure.arm.state()
     print(f"{arm.features.name}: tool at {np.round(state.T_b_t[:3, 3], 3).tolist()} m")
     return [] if state.safe else [f"{arm.features.name} is in a protective or emergency stop; release it"]
 
 
-def view_measured(procedure: Procedure) -> list[str]:
+def _view_measured(procedure: Procedure) -> list[str]:
     """Find a camera that measures hardly anything."""
     name, depth = procedure.camera.features.name, procedure.camera.capture().depth
     measured = np.isfinite(depth)
@@ -115,7 +120,7 @@ def view_measured(procedure: Procedure) -> list[str]:
     return [] if measured.mean() > MIN_MEASURED_SHARE else [f"{name} sees hardly anything, {seen}; is it covered?"]
 
 
-def camera_fits(procedure: Procedure) -> list[str]:
+def _camera_fits(procedure: Procedure) -> list[str]:
     """Find a camera that cannot see as near as the rig looks, or has another lens than the rig says."""
     camera, distance = procedure.camera.features, procedure.rig.looking_distance
     if math.isfinite(camera.nearest) and camera.nearest > distance:
@@ -127,22 +132,22 @@ def camera_fits(procedure: Procedure) -> list[str]:
     return [different] if different else []
 
 
-def skins_alive(procedure: Procedure) -> list[str]:
+def _skins_alive(procedure: Procedure) -> list[str]:
     """Find skins that are dead, frozen or saturated at rest; raises DeviceError for one that is silent."""
     return _skin_defects(procedure, stopping=True)
 
 
-def skins_quiet(procedure: Procedure) -> list[str]:
+def _skins_quiet(procedure: Procedure) -> list[str]:
     """Find skins that are too noisy at rest; raises DeviceError for one that is silent."""
     return _skin_defects(procedure, stopping=False)
 
 
-def rig_plausible(procedure: Procedure, sampler: SiteSampler) -> list[str]:
+def _rig_plausible(procedure: Procedure, sampler: SiteSampler) -> list[str]:
     """Find values of the rig that are nearly always mistakes."""
     return implausible(procedure.rig, sampler.mesh.vertices)
 
 
-def sites_reached(procedure: Procedure, sampler: SiteSampler, count: int) -> list[str]:
+def _sites_reached(procedure: Procedure, sampler: SiteSampler, count: int) -> list[str]:
     """Find a plan of which half of the sites cannot be reached."""
     sites = [sampler.site(number) for number in range(count)]
     refused = {site.number: why for site in sites if (why := procedure.path.why_not(site))}
@@ -152,7 +157,7 @@ def sites_reached(procedure: Procedure, sampler: SiteSampler, count: int) -> lis
     return [] if len(refused) < len(sites) / 2 else [f"{len(refused)} of {len(sites)} sites cannot be reached"]
 
 
-def rig_touched(procedure: Procedure, sampler: SiteSampler) -> list[str]:
+def _rig_touched(procedure: Procedure, sampler: SiteSampler) -> list[str]:
     """Find what camera, arm and skin contradict in the rig; raises DeviceError where a device fails."""
     try:
         first_touch(procedure, sampler)

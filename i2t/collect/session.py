@@ -16,7 +16,7 @@ import numpy as np
 
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.beginning import NO_RIG, Beginning
-from i2t.collect.checks import require_checks, run_checks, skins_quiet, still_checks, touch_checks
+from i2t.collect.checks import noise_checks, require_checks, run_checks, still_checks, touch_checks
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import dry_run
 from i2t.collect.notes import board_notes, device_notes, keep_same, serial_number, write_notes
@@ -81,7 +81,7 @@ def collect(
         if args.dry_run:
             return dry_run(procedure, sampler, args)
         require_checks(still_checks(), procedure)
-        run_checks({"noise": skins_quiet}, procedure)  # which only makes readings worse
+        run_checks(noise_checks(), procedure)
         info = _session_info(args, procedure, devices, name, notes)
         recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         recorder.check()
