@@ -269,6 +269,8 @@ def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[st
     report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not where the rig has them")
     if plan.pair:
         report(_compared(looks[plan.looks.index(plan.pair[0])], looks[-1]))
+    else:
+        report("first looks: none can be repeated with the tool turned, so that a TCP that is aside may go unnoticed")
     if not missed > MAX_WRONG_SHARE:
         report("first looks: they could not judge, as they would not miss the object; only the slow touches could")
     for touch in plan.touches:

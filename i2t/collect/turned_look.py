@@ -81,6 +81,7 @@ def camera_aside(
     across = turned[0][:, :2] @ np.linalg.inv(turn - np.eye(2)).T
     angles = np.pi / DIRECTIONS * np.arange(DIRECTIONS)
     along = np.column_stack([np.cos(angles), np.sin(angles)])
-    may_be = ((first @ across)[:, None] - (second @ across)[None]).reshape(-1, 2) @ along.T
-    aside = may_be.mean(0)
-    return along, aside, np.abs(may_be - aside).max(0)
+    by_first, by_second = (shifts @ across @ along.T for shifts in (first, second))
+    aside = by_first.mean(0) - by_second.mean(0)
+    unsure = np.maximum(by_first.max(0) - by_second.min(0) - aside, aside - by_first.min(0) + by_second.max(0))
+    return along, aside, unsure

@@ -169,6 +169,9 @@ def test_one_site_is_looked_at_again_with_the_tool_turned_as_far_as_the_arm_can(
     assert _turn(plan_first_touch(procedure, sampler).pair) == pytest.approx(120)
     procedure.arm.why_unreachable = lambda goals: "wound up" if goals[0][0, 0] < 0.6 else ""
     assert plan_first_touch(procedure, sampler).pair == ()
+    said = []
+    first_touch(procedure, sampler, said.append)
+    assert "none can be repeated with the tool turned" in said[1]
 
 
 @pytest.mark.parametrize(("off", "unsure", "passes"), [
