@@ -52,6 +52,7 @@ CAMERA_STD_M = 1.5e-3  # of where the camera looks: it may be off by 1 mm, and b
 STANDARD_DEVIATIONS = 3  # by which a right rig may be off
 MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.1, 0.3  # of the pixels of all looks; of a single look, at once
 ASIDE_TOLERANCE_M = 4e-3  # of where the camera is across the tool's axis, at the least
+ASIDE_TOLD_M = 4e-3  # by which what it is taken from may disagree; along other directions it is not told
 TURNS_DEG = (180, 120, -120, 90, -90)  # of the tool for another look: the first that can be reached
 MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
 TOUCH_TOLERANCE_M = 4e-3  # of where the object is met, at the least
@@ -381,18 +382,17 @@ def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> Look:
 def _compared(first: Look, second: Look) -> str:
     """Compare a look with one for which the tool was turned; says what they tell, or raises RigContradictedError."""
     along, aside, unsure = camera_aside(first.shifts, second.shifts, (first.R_w_t, second.R_w_t))
-    least = max(ASIDE_TOLERANCE_M, STANDARD_DEVIATIONS * CAMERA_STD_M)
-    tolerance = np.hypot(least, unsure)
-    worst = int(np.argmax(np.abs(aside) / tolerance))
+    told = ~(unsure > ASIDE_TOLD_M)
+    if not told.any():
+        return "first looks: they could not tell whether the camera is aside"
+    worst = int(np.argmax(np.abs(aside) * told))
     x, y = 1e3 * aside[worst] * along[worst]
-    if not np.all(np.abs(aside) <= tolerance):
+    if not abs(aside[worst]) <= max(ASIDE_TOLERANCE_M, STANDARD_DEVIATIONS * CAMERA_STD_M):
         raise RigContradictedError(
             f"two looks at a site, with the tool turned in between, tell that the camera is off by {x:+.0f} and "
             f"{y:+.0f} mm along the tool's x and y; check T_flange_tool and T_tool_camera"
         )
-    if not unsure.min() <= least:
-        return "first looks: they could not tell whether the camera is aside"
-    further = "" if unsure.max() <= least else ", and maybe further in directions that they could not tell"
+    further = "" if told.all() else ", and maybe further in directions that they could not tell"
     return f"first looks: the camera is off by {x:+.1f} and {y:+.1f} mm along the tool's x and y{further}"
 
 
