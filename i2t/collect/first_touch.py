@@ -1,7 +1,8 @@
 """Check of the rig against camera, arm and skin, before the first touch of a session.
 
     air       what the arm feels while it touches nothing and nothing has been zeroed: a payload that is wrong
-    looks     the camera over some sites; near each the depth must be that of the mesh where the rig has it
+    looks     the camera over some sites; near each the depth must be that of the mesh where the rig has it; and over
+              one of them again with the tool turned, which tells a camera that is aside (`i2t.collect.turned_look`)
     touches   slow presses, as any other but with lighter limits and guarded from as far as box and arm allow: of the
               site that points up most, then of two sides with a tilted tool, which meets what is aside early or late;
               it must meet the object where the rig has it, and the skin must feel it
@@ -9,7 +10,8 @@
 A pixel contradicts the rig if no surface within the tolerance of it, in any direction, has the depth that it should
 have: what stands a little aside is still near, even if it is thin. A side is touched where the object ends in the
 direction from which the tool comes, so that nothing else of it can be in the way of the tool. Presses along the tool's
-axis do not tell where the skin is across it: a T_flange_tool that is less than 10 mm aside passes them.
+axis do not tell where the skin is across it. The turned look does, unless T_tool_camera was measured with the wrong
+T_flange_tool, so that both errors cancel.
 
 What contradicts the rig is one sentence, and nothing else is touched. A camera that shows recorded views is not asked.
 
@@ -30,9 +32,10 @@ from i2t.collect.recorder import EventLog
 from i2t.collect.site_plan import SiteSampler
 from i2t.collect.stopping import onset_distance, press_samples
 from i2t.collect.touch import TOOL, Site, TouchFailedError, UnreachableError
+from i2t.collect.turned_look import camera_aside, matching_shifts
 from i2t.depth.camera import Camera, Distortion
 from i2t.errors import DeviceError
-from i2t.geometry import contact_frame
+from i2t.geometry import contact_frame, transform
 from i2t.hardware.rig import Rig
 from i2t.hardware.skin_health import press_defect
 from i2t.objects.solids import Mesh
@@ -48,6 +51,9 @@ DEPTH_TOLERANCE_M = 6e-3  # of where a pixel's surface is seen, at the least
 CAMERA_STD_M = 1.5e-3  # of where the camera looks: it may be off by 1 mm, and by half a degree from 120 mm
 STANDARD_DEVIATIONS = 3  # by which a right rig may be off
 MAX_WRONG_SHARE, CLEARLY_WRONG_SHARE = 0.1, 0.3  # of the pixels of all looks; of a single look, at once
+ASIDE_TOLERANCE_M = 4e-3  # of where the camera is across the tool's axis, at the least
+ASIDE_TOLD_M = 4e-3  # by which what it is taken from may disagree; along other directions it is not told
+TURNS_DEG = (180, 120, -120, 90, -90)  # of the tool for another look: the first that can be reached
 MIN_SEEN_SHARE = 0.3  # of the object's pixels, that must have been measured
 TOUCH_TOLERANCE_M = 4e-3  # of where the object is met, at the least
 FELT_WITHIN_M = 1e-3  # past first contact, in which a press is felt
@@ -78,10 +84,22 @@ class SlowTouch(NamedTuple):
 
 
 class FirstTouchPlan(NamedTuple):
-    """Sites to look at, and slow touches: of the first of them, then of up to two sides."""
+    """Sites to look at, one of them again with the tool turned where it can be reached, and slow touches: of the site
+    that points up most, then of up to two sides.
+    """
 
     looks: tuple[Site, ...]
+    pair: tuple[Site, ...]  # a site and the same turned; empty where none can be reached
     touches: tuple[SlowTouch, ...]
+
+
+class Look(NamedTuple):
+    """What a look tells."""
+
+    wrong: float  # share of the object's pixels that contradict the rig
+    missed: float  # share of those that would if there were no object
+    shifts: Array  # (n, 3) m in W, that explain it
+    R_w_t: Array  # (3, 3) of the tool
 
 
 def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPlan:
@@ -121,7 +139,19 @@ def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPl
     while len(chosen) < min(FIRST_LOOKS, len(sites)):
         away = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(1)
         chosen.append(int(np.argmax(away)))
-    return FirstTouchPlan(tuple(sites[i] for i in chosen), (top, *_sides(procedure, sampler)))
+    looks = tuple(sites[i] for i in chosen)
+    return FirstTouchPlan(looks, _pair(procedure, looks), (top, *_sides(procedure, sampler)))
+
+
+def _pair(procedure: Procedure, looks: tuple[Site, ...]) -> tuple[Site, ...]:
+    """A site, and the same with the tool turned as far as can be reached; empty where it cannot."""
+    for turn in TURNS_DEG:
+        T_t_turned = transform(Rotation.from_euler("z", turn, degrees=True).as_matrix(), np.zeros(3))
+        for site in looks:
+            turned = site._replace(T_w_t=site.T_w_t @ T_t_turned)
+            if not procedure.path.why_not(turned):
+                return site, turned
+    return ()
 
 
 def touch_tolerance(rig: Rig, site: Site) -> float:
@@ -233,10 +263,15 @@ def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[st
     plan = plan_first_touch(procedure, sampler)
     _check_air(procedure)
     procedure.retreat()
-    wrong, missed = np.mean([_look(procedure, sampler, site) for site in plan.looks], axis=0)
+    looks = [_look(procedure, sampler, site) for site in (*plan.looks, *plan.pair[1:])]
+    wrong, missed = (float(np.mean(shares)) for shares in zip(*(look[:2] for look in looks), strict=True))
     if not wrong <= MAX_WRONG_SHARE:
         raise _seen_elsewhere("in the first looks", wrong, procedure, plan.looks[0])
     report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not where the rig has them")
+    if plan.pair:
+        report(_compared(looks[plan.looks.index(plan.pair[0])], looks[-1]))
+    else:
+        report("first looks: none can be repeated with the tool turned, so that a TCP that is aside may go unnoticed")
     if not missed > MAX_WRONG_SHARE:
         report("first looks: they could not judge, as they would not miss the object; only the slow touches could")
     for touch in plan.touches:
@@ -316,21 +351,21 @@ def _check_air(procedure: Procedure) -> None:
         )
 
 
-def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> tuple[float, float]:
-    """Share of the object's pixels that contradict the rig, and share of those that would if there were no object;
-    raises RigContradictedError.
-    """
+def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> Look:
+    """Look at a site; raises RigContradictedError."""
     procedure.move_above(procedure.path.poses(site)[0])
     procedure.clock.sleep(procedure.settings.settle)
-    T_w_c = procedure.rig.T_world_base @ procedure.arm.state().T_b_t @ procedure.rig.T_tool_camera
+    T_w_t = procedure.rig.T_world_base @ procedure.arm.state().T_b_t
+    T_w_c = T_w_t @ procedure.rig.T_tool_camera
     view, camera = procedure.camera.capture(), procedure.camera.camera
     mesh, point = sampler.placed, site.T_w_t[:3, 3]
     expected, on_object, table = expected_view(mesh.vertices[mesh.faces], point, T_w_c, camera)
     if not on_object.any():
         raise RigContradictedError(f"the camera would not see site {site.number} at all; {CHECK_CAMERA}")
     tolerance = look_tolerance(procedure.rig, point)
-    within = tolerance, max(1, round(camera.fx * tolerance / float(np.median(expected[on_object]))))
-    seen, wrong = depth_contradiction(np.asarray(view.depth, float), expected, on_object, *within)
+    depth, middle = np.asarray(view.depth, float), float(np.median(expected[on_object]))
+    within = tolerance, max(1, round(camera.fx * tolerance / middle))
+    seen, wrong = depth_contradiction(depth, expected, on_object, *within)
     if not seen >= MIN_SEEN_SHARE:
         raise RigContradictedError(
             f"the camera measured {100 * seen:.0f} % of the pixels in which site {site.number} should be; is it "
@@ -338,7 +373,27 @@ def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> tuple[float
         )
     if not wrong <= CLEARLY_WRONG_SHARE:
         raise _seen_elsewhere(f"at site {site.number}", wrong, procedure, site)
-    return wrong, depth_contradiction(table, expected, on_object, *within)[1]
+    missed = depth_contradiction(table, expected, on_object, *within)[1]
+    pixel = middle / camera.fx, middle / camera.fy
+    shifts = matching_shifts(depth, np.fmin(expected, table), on_object, pixel, tolerance)
+    return Look(wrong, missed, shifts @ T_w_c[:3, :3].T, T_w_t[:3, :3])
+
+
+def _compared(first: Look, second: Look) -> str:
+    """Compare a look with one for which the tool was turned; says what they tell, or raises RigContradictedError."""
+    along, aside, unsure = camera_aside(first.shifts, second.shifts, (first.R_w_t, second.R_w_t))
+    told = ~(unsure > ASIDE_TOLD_M)
+    if not told.any():
+        return "first looks: they could not tell whether the camera is aside"
+    worst = int(np.argmax(np.abs(aside) * told))
+    x, y = 1e3 * aside[worst] * along[worst]
+    if not abs(aside[worst]) <= max(ASIDE_TOLERANCE_M, STANDARD_DEVIATIONS * CAMERA_STD_M):
+        raise RigContradictedError(
+            f"two looks at a site, with the tool turned in between, tell that the camera is off by {x:+.0f} and "
+            f"{y:+.0f} mm along the tool's x and y; check T_flange_tool and T_tool_camera"
+        )
+    further = "" if told.all() else ", and maybe further in directions that they could not tell"
+    return f"first looks: the camera is off by {x:+.1f} and {y:+.1f} mm along the tool's x and y{further}"
 
 
 def look_tolerance(rig: Rig, point: Array) -> float:

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.closed_form import GAIN, HEIGHT, make, site
+from scipy.spatial.transform import Rotation
 
 from experiments.faults.rig import MISTAKEN_OBJECTS, right_rig_refused, try_mistake, try_rig
 from experiments.faults.rig_mistakes import MISTAKES, WRONG_RIGS, right_rig
 from i2t.collect import first_touch as module
 from i2t.collect.first_touch import (
+    Look,
     RigContradictedError,
     depth_contradiction,
     expected_view,
@@ -43,11 +45,18 @@ class Block:
         return site(number, x=2e-3 * (number % 5 - 2), y=2e-3 * (number // 5 % 5 - 2), height=self.height)
 
 
+def _looked(site, missed):
+    """A look at a site that contradicts nothing, and tells no shift."""
+    shifts = 12e-3 * np.array([[x, y, 0.0] for x in (-1, 0, 1) for y in (-1, 0, 1)])
+    return Look(0.0, missed, shifts, site.T_w_t[:3, :3])
+
+
 def test_a_right_rig_passes_and_says_what_it_found():
     procedure, said = make(settings=QUICK), []
     first_touch(procedure, Block(), said.append)
     assert "0 % of the object's pixels" in said[0]
     assert [line.split(": met the object ")[0] for line in said[1:]] == [
+        "first looks: they could not tell whether the camera is aside",
         "top",
         "first touches: 0 of 2 sides can be touched, so that what is aside may go unnoticed",
     ]
@@ -70,7 +79,7 @@ def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(off):
 ])  # fmt: skip
 def test_what_is_met_elsewhere_or_not_felt_is_said_and_the_tool_retreats(monkeypatch, off, gain, sentence):
     procedure, sampler = make(gain=gain, settings=QUICK), Block()
-    monkeypatch.setattr(module, "_look", lambda *_: (0.0, 1.0))
+    monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 1.0))
     sampler.height = HEIGHT + off
     with pytest.raises(RigContradictedError, match=sentence):
         first_touch(procedure, sampler, lambda line: None)
@@ -143,6 +152,45 @@ def test_the_slow_touch_goes_no_further_than_the_arm_can():
     assert _slow_settings(procedure, Block()).overtravel == QUICK.overtravel
 
 
+def _turn(pair):
+    """Degrees by which the tool is turned about its own axis between a site and the same turned."""
+    site, turned = (each.T_w_t for each in pair)
+    np.testing.assert_allclose(site[:3, 2:], turned[:3, 2:], atol=1e-12)
+    return Rotation.from_matrix(site[:3, :3].T @ turned[:3, :3]).as_euler("zyx", degrees=True)[0]
+
+
+def test_one_site_is_looked_at_again_with_the_tool_turned_as_far_as_the_arm_can():
+    procedure, sampler = make(settings=QUICK), Block()
+    plan = plan_first_touch(procedure, sampler)
+    assert plan.pair[0] is plan.looks[0]
+    assert abs(_turn(plan.pair)) == pytest.approx(180)
+    # The tool's x points along W's x at the sites; it may not point away from it, then not anywhere else.
+    procedure.arm.why_unreachable = lambda goals: "wound up" if goals[0][0, 0] < -0.6 else ""
+    assert _turn(plan_first_touch(procedure, sampler).pair) == pytest.approx(120)
+    procedure.arm.why_unreachable = lambda goals: "wound up" if goals[0][0, 0] < 0.6 else ""
+    assert plan_first_touch(procedure, sampler).pair == ()
+    said = []
+    first_touch(procedure, sampler, said.append)
+    assert "none can be repeated with the tool turned" in said[1]
+
+
+@pytest.mark.parametrize(("off", "unsure", "said"), [
+    (4.4e-3, 0.0, r"the camera is off by [+-]0\.0 and \+4\.4 mm along the tool's x and y$"),
+    (-4.6e-3, 3.9e-3, "refused"),
+    (9e-3, 12e-3, "maybe further in directions that they could not tell"),
+    (np.nan, 0.0, "refused"),
+])  # fmt: skip
+def test_a_camera_that_is_aside_of_what_the_rig_has_is_told_from_an_object_that_is(off, unsure, said):
+    moved, turns = np.array([9e-3, 2e-3, 0.0]), (np.eye(3), np.diag([-1.0, -1.0, 1.0]))
+    aside = np.array([[0.0, off - unsure, 0.0], [0.0, off + unsure, 0.0]])
+    looks = [Look(0.0, 1.0, moved - aside @ turn.T, turn) for turn in turns]
+    if said == "refused":
+        with pytest.raises(RigContradictedError, match="check T_flange_tool and T_tool_camera"):
+            module._compared(*looks)
+    else:
+        assert re.search(said, module._compared(*looks))
+
+
 def test_sides_are_met_where_the_object_ends_from_square_directions_with_the_camera_above():
     procedure, sampler = make(settings=QUICK), Block()
     sampler.limits = SiteLimits()
@@ -162,9 +210,9 @@ def test_a_flat_object_has_no_sides_and_looks_that_would_not_miss_it_say_so(monk
     procedure, sampler, said = make(settings=QUICK), Block(), []
     flat = Mesh(sampler.placed.vertices * np.array([1.0, 1.0, 0.1]), sampler.placed.faces)
     sampler.limits, sampler.placed = SiteLimits(), flat
-    monkeypatch.setattr(module, "_look", lambda *_: (0.0, 0.0))
+    monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 0.0))
     first_touch(procedure, sampler, said.append)
-    assert "could not judge" in said[1]
+    assert "could not judge" in said[2]
     assert "0 of 2 sides can be touched" in said[-1]
 
 
@@ -212,6 +260,13 @@ def test_right_rigs_over_thin_small_and_shiny_objects_pass(number):
 def test_an_object_that_is_aside_is_met_early_or_not_at_all_at_a_side():
     aside = [(mistake, name) for mistake, name in WRONG_RIGS if "object 7 mm aside" in mistake.name]
     assert all("slow touch of the side met" in try_mistake(*each).sentence for each in aside[:2])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("place", [0, 2])
+def test_a_tcp_that_is_aside_is_seen_by_turning_the_tool(place):
+    aside = [each for each in WRONG_RIGS if "TCP 7 mm aside" in each[0].name]
+    assert "two looks at a site" in try_mistake(*aside[place]).sentence
 
 
 @pytest.mark.full
