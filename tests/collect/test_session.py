@@ -54,7 +54,7 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
     code, said = run(touches=1)
     assert code == 0
     for sentence in ("SIMULATED: no real device takes part", "the simulated skin: at rest 400 Hz",
-                     "first touch: met the object", "touch 1/1"):  # fmt: skip
+                     "top: met the object", "touch 1/1"):  # fmt: skip
         assert sentence in said
     first = dataset.load_dataset(tmp_path / "set")
     assert (len(first), first.source, first.objects) == (1, "simulated", ("hexagon",))

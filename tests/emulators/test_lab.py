@@ -105,7 +105,9 @@ def test_a_press_is_felt_as_the_physics_says_with_the_noise_of_its_world(touchin
 def test_the_command_collects_with_an_arm_by_its_address_and_a_skin_by_its_port(touching, tmp_path, capsys):
     """As a lab types it: the real drivers, and a simulated camera."""
     (host, link), out = touching, tmp_path / "touched"
-    replace(Rig(), camera=Camera(160, 90, 80.6, 80.5, 79.5, 44.5)).write(tmp_path / "lab.toml")
+    rig = replace(Rig(), camera=Camera(160, 90, 80.6, 80.5, 79.5, 44.5))
+    rig = replace(rig, limits=replace(rig.limits, stiffness=1e3))  # so that motions in the air are quick
+    rig.write(tmp_path / "lab.toml")
     words = ["--arm", "ur", "--host", host, "--skin", "reskin", "--port", link, "--rig", str(tmp_path / "lab.toml"),
              "--object", "star", "--camera", "simulated", "--no-pose-error", "--touches", "1", *PATIENT]  # fmt: skip
     assert any(command.main(["--out", str(out), *words]) == 0 for _ in range(ATTEMPTS))
