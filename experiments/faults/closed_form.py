@@ -72,9 +72,9 @@ class ForeignArm(SimulatedArm):
         distance: float,
         speed: float = 0.005,
         stop_condition: Callable[[ArmState], Any] | None = None,
-        force: float = 8.0,
-        torque: float = 8.0,
+        *_: float,
         acceleration: float = 0.2,
+        **ignored: float,
     ) -> ApproachResult:
         """Move along tool z until the distance is over, or the stop condition says so; force and torque are ignored."""
         start, answer = self.read_state().T_b_t, None

@@ -26,14 +26,16 @@ MIN_MEASURED_SHARE = 0.1  # of a view's pixels
 SHOWN_REFUSALS = 5
 
 
-def still_checks() -> dict[str, Check]:
-    """Checks by their names, with which nothing moves, and without which no session starts."""
-    return {"camera": _camera_fits, "skins": _skins_alive}
+def still_checks(*, strict: bool) -> dict[str, Check]:
+    """Checks by their names, with which nothing moves, and without which no session starts.
 
+    Args:
+        strict: Whether what only makes readings worse, as noise, is wrong too; else it is printed.
 
-def noise_checks() -> dict[str, Check]:
-    """Checks by their names, of what makes readings worse, and stops nothing."""
-    return {"noise": _skins_quiet}
+    Returns:
+        The checks.
+    """
+    return {"camera": _camera_fits, "skins": partial(_skins_healthy, strict=strict)}
 
 
 def dry_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
@@ -50,7 +52,7 @@ def dry_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
         "rig": partial(_rig_plausible, sampler=sampler),
         "reach": partial(_sites_reached, sampler=sampler, count=count),
     }
-    return {"arm": _arm_ready, "view": _view_measured, **still_checks(), "noise": _skins_quiet, **plans}
+    return {"arm": _arm_ready, "view": _view_measured, **still_checks(strict=True), **plans}
 
 
 def touch_checks(sampler: SiteSampler) -> dict[str, Check]:
@@ -132,14 +134,19 @@ def _camera_fits(procedure: Procedure) -> list[str]:
     return [different] if different else []
 
 
-def _skins_alive(procedure: Procedure) -> list[str]:
-    """Find skins that are dead, frozen or saturated at rest; raises DeviceError for one that is silent."""
-    return _skin_defects(procedure, stopping=True)
-
-
-def _skins_quiet(procedure: Procedure) -> list[str]:
-    """Find skins that are too noisy at rest; raises DeviceError for one that is silent."""
-    return _skin_defects(procedure, stopping=False)
+def _skins_healthy(procedure: Procedure, strict: bool) -> list[str]:
+    """Find skins that are dead, frozen or saturated at rest, or noisy; raises DeviceError for one that is silent."""
+    found = []
+    for each in procedure.skins:
+        name = f"the skin {each.name}, {each.skin.features.name}" if each.name else each.skin.features.name
+        health = check_skin(rest_samples(each.skin, procedure.clock))
+        print(printable(f"{name}: at rest {health.summary}"))
+        for sentence, stops in health.defects:
+            if stops or strict:
+                found.append(f"{name}: {sentence}")
+            else:
+                print(printable(f"{name}: {sentence}"))
+    return found
 
 
 def _rig_plausible(procedure: Procedure, sampler: SiteSampler) -> list[str]:
@@ -164,15 +171,3 @@ def _rig_touched(procedure: Procedure, sampler: SiteSampler) -> list[str]:
     except RigContradictedError as error:
         return [str(error)]
     return []
-
-
-def _skin_defects(procedure: Procedure, stopping: bool) -> list[str]:
-    """Defects of the skins at rest, those that stop a session or the others."""
-    found = []
-    for each in procedure.skins:
-        name = f"the skin {each.name}, {each.skin.features.name}" if each.name else each.skin.features.name
-        health = check_skin(rest_samples(each.skin, procedure.clock))
-        if stopping:
-            print(printable(f"{name}: at rest {health.summary}"))
-        found += [f"{name}: {defect.sentence}" for defect in health.defects if defect.stops == stopping]
-    return found

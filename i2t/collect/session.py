@@ -16,7 +16,7 @@ import numpy as np
 
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.beginning import NO_RIG, Beginning
-from i2t.collect.checks import noise_checks, require_checks, run_checks, still_checks, touch_checks
+from i2t.collect.checks import require_checks, still_checks, touch_checks
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import dry_run
 from i2t.collect.notes import board_notes, device_notes, keep_same, serial_number, write_notes
@@ -80,8 +80,7 @@ def collect(
                 print(printable(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note))
         if args.dry_run:
             return dry_run(procedure, sampler, args)
-        require_checks(still_checks(), procedure)
-        run_checks(noise_checks(), procedure)
+        require_checks(still_checks(strict=False), procedure)
         info = _session_info(args, procedure, devices, name, notes)
         recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         recorder.check()

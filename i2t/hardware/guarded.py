@@ -155,6 +155,23 @@ def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
     return max(limits.trip_force, RETREAT_FACTOR * force), max(limits.torque, RETREAT_FACTOR * torque)
 
 
+def require_inside(limits: MotionLimits, start: ArmState) -> None:
+    """Refuse to begin a motion outside the box.
+
+    Args:
+        limits: Of the rig.
+        start: Where it would begin.
+
+    Raises:
+        DeviceError: A person is needed.
+    """
+    position = start.T_b_t[:3, 3]
+    if not limits.contains(position, GOAL_TOLERANCE[0]):
+        raise DeviceError(
+            f"The tool at {format_position(position)} m is outside its box: bring it back with the pendant."
+        )
+
+
 def longest_duration(start: Array, goal: Array, speed: float, acceleration: float) -> float:
     """Time that a straight motion may take.
 
@@ -349,11 +366,7 @@ class GuardedByPolling(DeviceBase):
         if self.state().moving:
             self.stop()
         stops, start = self._stops, self.state()
-        if not self.limits.contains(start.T_b_t[:3, 3], GOAL_TOLERANCE[0]):
-            raise DeviceError(
-                f"The tool at {format_position(start.T_b_t[:3, 3])} m is outside its box: bring it back with the "
-                "pendant."
-            )
+        require_inside(self.limits, start)
         with self._ordering:
             if self._stops != stops or not self._accepting:
                 raise MotionStoppedError(f"{self.name} was stopped by request.")

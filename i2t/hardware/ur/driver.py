@@ -38,10 +38,11 @@ from i2t.errors import DeviceError
 from i2t.hardware.guarded import (
     BOX_MARGIN_M,
     BRAKING_SIGNALS,
-    GOAL_TOLERANCE,
     free_limits,
     longest_duration,
     require_arrived,
+    require_inside,
+    signals_ignored,
 )
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.poses import pose_from_vector, pose_to_vector, shifted_along_z
@@ -117,10 +118,9 @@ class UrArm:
         return self
 
     def __exit__(self, *error: object) -> None:
-        for number in self._handlers:  # a second Ctrl-C must not keep the arm from being stopped
-            signal.signal(number, lambda *_: None)
         try:
-            self.close()
+            with signals_ignored():  # a second Ctrl-C must not keep the arm from being stopped
+                self.close()
         finally:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
@@ -305,11 +305,7 @@ class UrArm:
         if start.moving:
             connection.stop()
             stops = connection.stops
-        position = start.T_b_t[:3, 3]
-        if not self.limits.contains(position, GOAL_TOLERANCE[0]):
-            raise DeviceError(
-                f"The tool at {format_position(position)} m is outside its box: bring it back with the pendant."
-            )
+        require_inside(self.limits, start)
         guard = MotionGuard(*(bounds or free_limits(self.limits, start.wrench)), attended=bounds is not None)
         connection.start_motion(goal, speed=speed, acceleration=acceleration, guard=guard, stops=stops)
         return longest_duration(start.T_b_t, goal, speed, acceleration), stops
