@@ -64,6 +64,7 @@ def test_a_disk_that_fails_is_one_sentence_and_leaves_nothing(tmp_path, monkeypa
 FULL_DISK = """
 import resource, sys
 from i2t.convert.commands import main
+sys.dont_write_bytecode = True  # Python would cut modules that it compiles, and others would read them
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # as full as a disk with room for a page
 sys.exit(main(sys.argv[1:]))
 """

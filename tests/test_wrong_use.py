@@ -168,6 +168,7 @@ def test_help_imports_neither_jax_nor_numpy():
 FULL_DISK = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # Python would cut modules that it compiles, and others would read them
 resource.setrlimit(resource.RLIMIT_FSIZE, (512, 512))
 from i2t.convert.commands import main
 sys.exit(main(sys.argv[1:]))
