@@ -63,7 +63,7 @@ class ForeignArm(SimulatedArm):
         """What it says of a state."""
         return state
 
-    def state(self, timeout: float = 0.1) -> ArmState:
+    def state(self, timeout: float | None = None) -> ArmState:
         """The newest state, whatever it is."""
         return self.lie(self.read_state())
 

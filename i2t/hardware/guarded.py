@@ -155,62 +155,13 @@ def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
     return max(limits.trip_force, RETREAT_FACTOR * force), max(limits.torque, RETREAT_FACTOR * torque)
 
 
-def require_inside(limits: MotionLimits, start: ArmState) -> None:
-    """Refuse to begin a motion outside the box.
-
-    Args:
-        limits: Of the rig.
-        start: Where it would begin.
-
-    Raises:
-        DeviceError: A person is needed.
-    """
-    position = start.T_b_t[:3, 3]
-    if not limits.contains(position, GOAL_TOLERANCE[0]):
-        raise DeviceError(
-            f"The tool at {format_position(position)} m is outside its box: bring it back with the pendant."
-        )
-
-
-def longest_duration(start: Array, goal: Array, speed: float, acceleration: float) -> float:
-    """Time that a straight motion may take.
-
-    Args:
-        start: (4, 4) T_b_t, m.
-        goal: (4, 4) T_b_t, m.
-        speed: m/s.
-        acceleration: m/s^2.
-
-    Returns:
-        s: twice the time of a trapezoid of speed, and two seconds.
-    """
-    distance, turn = apart(start, goal)
-    length = max(distance, ROTATION_LEVER_M * turn)
-    return DURATION_FACTOR * (length / speed + speed / acceleration) + DURATION_MARGIN_S
-
-
-def require_arrived(state: ArmState, goal: Array) -> None:
-    """Refuse an end of a motion that is not its goal.
-
-    Args:
-        state: At rest.
-        goal: (4, 4) T_b_t, m.
-
-    Raises:
-        DeviceError: The tool is elsewhere.
-    """
-    if _off_goal(state, goal):
-        distance, turn = apart(state.T_b_t, goal)
-        raise DeviceError(f"The motion ended {1e3 * distance:.1f} mm and {np.degrees(turn):.1f} degrees off its goal.")
-
-
 class GuardedByPolling(DeviceBase):
     """A guarded arm (`i2t.hardware.protocols.GuardedArm`) of a driver with six short methods.
 
     Its states are asked for every `poll_s` seconds while it moves. It brakes where something is above a limit, a state
-    is old or nonsense, the caller's stop condition says so, an error ends the call, or nobody has looked for a quarter
-    of a second, as where a stop condition hangs. A motion that `move` began is watched by nobody but its caller. What a
-    driver raises becomes a DeviceError. A driver gives
+    is old or nonsense, the caller's stop condition says so, an error ends the call, or nobody has looked for
+    `state_timeout` seconds, as where a stop condition hangs. A motion that `move` began is judged whenever its caller
+    asks for a state. What a driver raises becomes a DeviceError. A driver gives
 
         open_link, close_link     to the arm; closing may be asked for at any time
         read_state                the newest `ArmState`, as fresh as it can be had
@@ -224,8 +175,10 @@ class GuardedByPolling(DeviceBase):
     """
 
     name = "the arm"  # for messages
-    source = "real"
+    source: Literal["real", "simulated", "emulated"] = "real"
     rate = 125.0  # Hz, of its states
+    state_timeout = STATE_AGE_S  # s, that a state may be old
+    can_be_paused = False  # by a person, so that it moves and its pose stands still
     poll_s = 0.008  # between two looks
     start_s = 0.1  # in which a motion that was asked for shows in the flag `moving` of states of then
 
@@ -233,6 +186,8 @@ class GuardedByPolling(DeviceBase):
         self.limits, self.clock = limits, clock or MonotonicClock()
         self._open = self._accepting = False  # whether there is a link, and whether a motion may begin
         self._stops, self._begun = 0, -np.inf  # s, when the newest motion was sent
+        self._free: MotionWatch | None = None  # of a motion that `move` began
+        self.bounds = (0.0, 0.0)  # N, Nm, of the motion that is begun: for a driver whose arm can stop itself by them
         self._ordering = threading.RLock()  # a line is sent before a brake or not at all
         self._looked = np.inf  # s, of this machine's clock, when a motion was looked at last
 
@@ -294,31 +249,54 @@ class GuardedByPolling(DeviceBase):
         with signals_ignored():  # a second Ctrl-C must not keep the arm from being stopped
             self.close()
 
-    def state(self, timeout: float = STATE_AGE_S) -> ArmState:
-        """The newest state, as in `Arm.state`."""
+    def state(self, timeout: float | None = None) -> ArmState:
+        """The newest state, as in `Arm.state`; by default it may be as old as the state timeout.
+
+        Raises:
+            DeviceTimeoutError: It is older; the arm has been told to stop.
+            DeviceError: It is nonsense, or a motion that `move` began has met something or is not as it was asked; the
+                arm has been told to stop.
+        """
         if not self._open:
             raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")
         state, now = self._ask(self.read_state), self.clock.now()
-        if not -STATE_AGE_S <= now - state.time <= timeout:
+        if not -STATE_AGE_S <= now - state.time <= (self.state_timeout if timeout is None else timeout):
             self._ask(self.brake)
             raise DeviceTimeoutError(f"{self.name} gives a state of {now - state.time:.2g} s ago; it was stopped")
         if wrong := not_numbers(state):
             self._ask(self.brake)
             raise DeviceError(f"{self.name} says that its {wrong}, which is no number; it was stopped")
         self._begun = -np.inf if state.moving else self._begun
-        return state._replace(moving=state.moving or state.time - self._begun < self.start_s)
+        state = state._replace(moving=state.moving or state.time - self._begun < self.start_s)
+        free, self._free = self._free, None
+        if free is not None:
+            try:
+                above = free(state)
+            except DeviceError:
+                self._ask(self.brake)
+                raise
+            if above:
+                self.stop()
+                raise _met_something(state)
+            self._free = free if state.moving else None
+        return state
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
-        """Start a straight motion, as in `Arm.move`; by default as fast as the limits allow."""
+        """Start a straight motion and return at once, as in `Arm.move`; by default as fast as the limits allow.
+
+        A force above a third of the limit (`MotionLimits.trip_force`) or a torque above its own ends the motion, of
+        which the next `state` tells; one that begins above them, as one that backs out of a contact, ends where it gets
+        worse by a tenth.
+        """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         goal = np.array(T_b_t, float)
-        self._begin(goal, speed, acceleration)
+        self._free = self._begin(goal, speed, acceleration)[0]
         return goal
 
     def stop(self, timeout: float = HALT_S) -> None:
         """Brake and return when the arm stands, as in `Arm.stop`."""
         with self._ordering:
-            self._stops, self._begun = self._stops + 1, -np.inf
+            self._stops, self._begun, self._free = self._stops + 1, -np.inf, None
             self._ask(self.brake)
         until = self.clock.now() + timeout
         while self.state().moving:
@@ -335,11 +313,9 @@ class GuardedByPolling(DeviceBase):
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait, as in `GuardedArm.go`."""
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
-        bounds = free_limits(self.limits, self.state().wrench)
-        reason, _, state = self._guarded(np.array(T_b_t, float), speed, acceleration, *bounds)
+        reason, _, state = self._guarded(np.array(T_b_t, float), speed, acceleration)
         if reason != "distance":
-            felt = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
-            raise DeviceError(f"The arm met something on its way ({felt[0]:.1f} N, {felt[1]:.1f} Nm) and was stopped.")
+            raise _met_something(state)
         return state
 
     def approach(
@@ -356,67 +332,90 @@ class GuardedByPolling(DeviceBase):
         start = self.state().T_b_t
         goal = shifted_along_z(start, distance)
         self.limits.check(goal, speed, acceleration)
-        reason, answer, trigger = self._guarded(goal, speed, acceleration, force, torque, stop_condition)
+        reason, answer, trigger = self._guarded(goal, speed, acceleration, (force, torque), stop_condition)
         state = self.state()
         moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
         return ApproachResult(reason, answer, trigger, state, moved)
 
-    def _begin(self, goal: Array, speed: float, acceleration: float) -> tuple[ArmState, int]:
-        """Start a motion from a stand, inside the box; returns where it begins, and the number of stops so far."""
+    def _begin(
+        self, goal: Array, speed: float, acceleration: float, bounds: tuple[float, float] | None = None
+    ) -> tuple[MotionWatch, ArmState, int]:
+        """Start a motion from a stand, inside the box, under bounds (N, Nm), by default those of free motions; returns
+        its judge, where it begins, and the number of stops so far.
+        """
         if self.state().moving:
             self.stop()
         stops, start = self._stops, self.state()
-        require_inside(self.limits, start)
+        position = start.T_b_t[:3, 3]
+        if not start.safe:
+            raise DeviceError(f"{self.name} made a protective or emergency stop; release it, and connect again")
+        if not self.limits.contains(position, GOAL_TOLERANCE[0]):
+            at = format_position(position)
+            raise DeviceError(f"The tool at {at} m is outside its box: bring it back with the pendant.")
+        force, torque = bounds or free_limits(self.limits, start.wrench)
+        watch = MotionWatch(
+            self.name,
+            self.limits,
+            start,
+            distance=float(np.linalg.norm(goal[:3, 3] - position)),
+            speed=speed,
+            force=force,
+            torque=torque,
+            clock=self.clock,
+            age=max(STATE_AGE_S, self.state_timeout),
+            still=np.inf if self.can_be_paused else STILL_S,
+        )
         with self._ordering:
             if self._stops != stops or not self._accepting:
                 raise MotionStoppedError(f"{self.name} was stopped by request.")
+            self.bounds = force, torque
             try:
                 self._ask(self.begin_line, goal, speed, acceleration)
             except BaseException:
                 self._halt()  # it may have begun all the same
                 raise
             self._begun = self.clock.now()
-        return start, stops
+        return watch, start, stops
 
     def _guarded(
         self,
         goal: Array,
         speed: float,
         acceleration: float,
-        force: float,
-        torque: float,
+        bounds: tuple[float, float] | None = None,
         stop_condition: Callable[[ArmState], Any] | None = None,
     ) -> tuple[StopReason, Any, ArmState]:
         """Follow a motion until the arm stands: what ended it, the stop condition's answer, and the state that did."""
         ended = threading.Event()
         attending = threading.Thread(target=self._attend, args=(ended,), name=f"{self.name}, attended", daemon=True)
         try:
-            start, stops = self._begin(goal, speed, acceleration)
-            begun, self._looked = self.clock.now(), time.monotonic()
+            watch, start, stops = self._begin(goal, speed, acceleration, bounds)
+            begun, self._looked, newest = self.clock.now(), time.monotonic(), start
             if isinstance(self.clock, MonotonicClock):
                 attending.start()
-            until = begun + longest_duration(start.T_b_t, goal, speed, acceleration) / SLOWEST_SHARE
-            distance = float(np.linalg.norm(goal[:3, 3] - start.T_b_t[:3, 3]))
-            bounds = {"distance": distance, "speed": speed, "force": force, "torque": torque}
-            watch = MotionWatch(self.name, self.limits, start, clock=self.clock, **bounds)
+            until = begun + _longest_duration(start.T_b_t, goal, speed, acceleration) / SLOWEST_SHARE
             while True:
                 self.clock.sleep(self.poll_s)
-                state = self.state()
-                above = watch(state)
+                before, newest = newest, self.state()
+                above = watch(newest)
                 if self._looked == -np.inf:
-                    raise DeviceError(f"Nobody looked at {self.name} for {STATE_AGE_S:g} s: it was stopped.")
+                    raise DeviceError(f"Nobody looked at {self.name} for {self.state_timeout:g} s: it was stopped.")
                 if self._stops != stops:
                     raise MotionStoppedError(f"{self.name} was stopped by request.")
                 now, answer = self.clock.now(), None
                 if not now <= until:
                     raise DeviceError(f"{self.name} took longer for a motion than it may, and was stopped")
                 self._looked = time.monotonic()
-                if above is None and state.moving and stop_condition is not None:
-                    answer = stop_condition(state)
-                stands = not (state.moving or (_not_begun(start, state, goal) and now < begun + START_S))
-                if stands and not (above and _off_goal(state, goal)):  # what stops itself by a force has met something
-                    require_arrived(state, goal)
-                    return "distance", None, state
+                if above is None and newest.moving and newest.time != before.time and stop_condition is not None:
+                    answer = stop_condition(newest)
+                stands = not (newest.moving or (_not_begun(start, newest, goal) and now < begun + START_S))
+                off = apart(newest.T_b_t, goal)
+                arrived = all(part <= most for part, most in zip(off, GOAL_TOLERANCE, strict=True))
+                if stands and (arrived or not above):  # what stops itself by a force has met something
+                    if not arrived:
+                        away = f"{1e3 * off[0]:.1f} mm and {np.degrees(off[1]):.1f} degrees"
+                        raise DeviceError(f"The motion ended {away} off its goal.")
+                    return "distance", None, newest
                 if above or answer:
                     break
             self.stop()
@@ -427,12 +426,12 @@ class GuardedByPolling(DeviceBase):
             ended.set()
             if attending.is_alive():
                 attending.join()
-        return (above, None, state) if above else ("condition", answer, state)
+        return (above, None, newest) if above else ("condition", answer, newest)
 
     def _attend(self, ended: threading.Event) -> None:
         """Brake where nobody has looked at a motion for a while."""
         while not ended.wait(self.poll_s):
-            if not time.monotonic() - self._looked <= STATE_AGE_S:
+            if not time.monotonic() - self._looked <= self.state_timeout:
                 self._looked = -np.inf
                 self._halt(ended)
                 return
@@ -478,5 +477,13 @@ def _not_begun(start: ArmState, state: ArmState, goal: Array) -> bool:
     return max(asked) > LEAST_WAY and all(part <= START_SHARE * whole for part, whole in zip(gone, asked, strict=True))
 
 
-def _off_goal(state: ArmState, goal: Array) -> bool:
-    return not all(part <= most for part, most in zip(apart(state.T_b_t, goal), GOAL_TOLERANCE, strict=True))
+def _longest_duration(start: Array, goal: Array, speed: float, acceleration: float) -> float:
+    """Time (s) that a straight motion may take at full speed."""
+    distance, turn = apart(start, goal)
+    length = max(distance, ROTATION_LEVER_M * turn)
+    return DURATION_FACTOR * (length / speed + speed / acceleration) + DURATION_MARGIN_S
+
+
+def _met_something(state: ArmState) -> DeviceError:
+    force, torque = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
+    return DeviceError(f"The arm met something on its way ({force:.1f} N, {torque:.1f} Nm) and was stopped.")

@@ -148,6 +148,34 @@ def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
     assert force < 1.0 + STIFFNESS * 2e-3 * ((STATE_AGE_S if lie == "frozen" else 0.0) + 0.06)  # N: at once, or too old
 
 
+@pytest.mark.parametrize(
+    ("lie", "said"),
+    [(lambda state: state, "met something"), (LIES["not safe"], "protective"), (LIES["velocity 1e+06"], "turns at")],
+)
+def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_begun_anew(lie, said):
+    procedure = make(stiffness=STIFFNESS)
+    arm, told = procedure.arm, procedure.arm.read_state
+    arm.lab.robot.position = np.array([0.4, 0.0, HEIGHT + 3e-3])
+    goal = shifted_along_z(arm.state().T_b_t, 0.02)
+    arm.move(goal, 0.04)
+    arm.clock.sleep(0.05)
+    arm.read_state = lambda: lie(told())
+
+    def ask():
+        while arm.state().moving:
+            arm.clock.sleep(arm.poll_s)
+
+    with pytest.raises(DeviceError, match=said):
+        ask()
+    arm.clock.sleep(0.1)
+    assert not told().moving
+    assert pushed(procedure) < arm.limits.force
+    if said == "protective":
+        with pytest.raises(DeviceError, match=said):
+            arm.move(goal, 0.04)
+        assert arm.lab.robot.motion is None
+
+
 START = ArmState(0.0, make().arm.read_state().T_b_t, np.zeros(6), np.zeros(6), np.zeros(6), moving=True, safe=True)
 
 

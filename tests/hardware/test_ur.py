@@ -157,7 +157,7 @@ def test_a_motion_is_made_under_a_fed_watchdog_only():
     library = Library()
     worker = rtde_worker.Worker(theirs, library, library, watchdog_rate=4.0, state_timeout=STATE_TIMEOUT)
     worker.observe()
-    motion = {"motion": 1, "pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
+    motion = {"pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
     heartbeat, move = {"heartbeat": True}, {"command": "move", "id": 1, "arguments": motion}
 
     def error(*messages):
@@ -260,7 +260,7 @@ def test_an_approach_ends_on_force(above):
     _, arm = above
     begun = arm.state(STATE_TIMEOUT).T_b_t
     done = arm.approach(0.02, SPEED, force=4.0)
-    assert done.reason == "force"
+    assert (done.reason, done.state.moving) == ("force", False)
     np.testing.assert_allclose(done.distance, begun[2, 3] - done.state.T_b_t[2, 3], atol=1e-9)  # straight down
     reached = STIFFNESS * (PLANE - done.state.T_b_t[2, 3])
     assert np.linalg.norm(done.trigger.wrench[:3]) > 4.0
@@ -279,7 +279,7 @@ def test_an_approach_ends_on_torque(above):
             ask(host, "wrench 0 0 0 0 6 0")
 
     done = arm.approach(0.02, 0.002, push, torque=5.0)
-    assert done.reason == "torque"
+    assert (done.reason, done.state.moving) == ("torque", False)
     np.testing.assert_allclose(done.state.wrench[3:], [0, -6, 0], atol=1e-9)  # tool axes
 
 
@@ -293,7 +293,7 @@ def test_a_motion_that_meets_something_is_stopped_and_may_back_out(above):
 
 def test_an_approach_that_nobody_watches_is_stopped(above):
     host, arm = above
-    with pytest.raises(DeviceError, match="Nobody watched"):
+    with pytest.raises(DeviceError, match="Nobody looked"):
         arm.approach(0.02, 0.002, lambda state: time.sleep(3 * STATE_TIMEOUT))
     assert not status(host)["moving"]
 
@@ -331,7 +331,8 @@ def in_motion(arm, host, fault) -> tuple[str, float]:
     return f"{type(caught.value).__name__}: {caught.value}", began[0]
 
 
-BROKEN = "TimeoutError: .*(No news from the controller|The connection to the controller .* broke)"
+NO_NEWS = "No news from the controller|gives a state of"
+BROKEN = f"TimeoutError: .*({NO_NEWS}|The connection to the controller .* broke)"
 
 
 @pytest.mark.parametrize(
@@ -343,7 +344,7 @@ BROKEN = "TimeoutError: .*(No news from the controller|The connection to the con
         ("drop-state", BROKEN),
         (signal.SIGSEGV, "TimeoutError: .*SIGSEGV"),
         (signal.SIGKILL, "TimeoutError: .*SIGKILL"),
-        (signal.SIGSTOP, "TimeoutError: .*No news"),
+        (signal.SIGSTOP, f"TimeoutError: .*({NO_NEWS})"),
         ("kill-program", "program on the controller"),
     ],
     ids=["stall", "stall-control", "drop-control", "drop-state", "SIGSEGV", "SIGKILL", "SIGSTOP", "kill-program"],
@@ -376,7 +377,6 @@ def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_as
         "actual_TCP_pose nan", "actual_TCP_pose inf", "actual_TCP_pose 9", "actual_TCP_pose 0.4 0 0.3 0 0 nan",
         "actual_TCP_speed nan", "actual_q nan",
         "timestamp nan", "timestamp inf", "timestamp -1", "timestamp 1",
-        "target_speed_fraction nan", "target_speed_fraction inf",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("guarded", [False, True], ids=["go", "approach"])
@@ -428,7 +428,7 @@ def test_a_controller_that_sends_no_states_is_given_up_also_at_rest(start, fault
         assert status(host)["runtime"] == ur_controller.PLAYING
         ask(host, fault)
         eventually(lambda: status(host)["runtime"] == ur_controller.STOPPED)
-        with pytest.raises(DeviceTimeoutError, match=r"No news|silent"):
+        with pytest.raises(DeviceTimeoutError, match=f"{NO_NEWS}|silent"):
             arm.state(STATE_TIMEOUT)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
 from i2t.hardware.poses import pose_from_vector, pose_to_vector
-from i2t.hardware.protocols import ArmState, StopReason
+from i2t.hardware.protocols import ArmState
 from i2t.hardware.rig_checks import other_tool
 from i2t.hardware.ur import rtde_worker
 from i2t.hardware.ur.access import ask_dashboard
@@ -41,24 +41,7 @@ class ControllerState(NamedTuple):
     """Last state that the controller sent."""
 
     arm: ArmState
-    clock: float  # s, the controller's own
-    speed_fraction: float  # of the asked speed that the slider on the pendant leaves
     program: bool  # whether the program that obeys us runs
-
-
-class MotionGuard(NamedTuple):
-    """Limits that end a motion early."""
-
-    force: float  # N
-    torque: float  # Nm
-    attended: bool  # whether it ends also when its caller has not called `attend` for the state timeout
-
-
-class Trip(NamedTuple):
-    """Reason why the newest motion was stopped by its limits."""
-
-    reason: StopReason  # force or torque
-    arm: ArmState  # the state that was above the limit
 
 
 class RtdeConnection:
@@ -81,17 +64,13 @@ class RtdeConnection:
 
     def _reset(self) -> None:
         self._state: ControllerState | None = None
-        self._failure: DeviceError | None = None
+        self._failure: DeviceTimeoutError | None = None
         self._answers: dict[int, Future[None]] = {}
         self._commands = 0
         self._heartbeat_time = -np.inf
         self._stop_requested = False
         self._brake: Future[None] | None = None
-        self.stops = 0  # by request
-        self._motion = 0  # number of the newest motion
-        self._guard: MotionGuard | None = None  # of that motion, until it has ended
-        self._attended_time = 0.0
-        self.trip: Trip | None = None  # why the newest motion was stopped, if its limits stopped it
+        self._trip: ArmState | None = None  # that was above a motion's limits, until a brake or the next motion
 
     @property
     def is_open(self) -> bool:
@@ -157,7 +136,7 @@ class RtdeConnection:
         while self._thread is not None and self._state is None and time.monotonic() < deadline:
             time.sleep(POLL_S / 2)
         state = self._state
-        if isinstance(self._failure, DeviceTimeoutError):
+        if self._failure is not None:
             raise self._failure
         if self._thread is None:
             raise NotConnectedError(f"The arm at {self.host} is not connected.")
@@ -166,58 +145,27 @@ class RtdeConnection:
             raise self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
         return state
 
-    def running(self, timeout: float) -> ControllerState:
-        """The newest state of an arm whose program runs; raises, once, also what has stopped the arm before.
+    def running(self, timeout: float) -> ArmState:
+        """The newest state of an arm whose program runs.
 
         Args:
             timeout: s, as in `newest`.
 
         Returns:
-            The state.
+            The state; one that was above its motion's limits until the arm is told to brake, or to move.
 
         Raises:
-            DeviceError: The program has ended, or something stopped the arm; and as in `newest`.
+            DeviceError: The program has ended; and as in `newest`.
         """
-        failure = self._failure
-        if failure is not None and not isinstance(failure, DeviceTimeoutError):
-            self._failure = None
-            raise failure
-        state = self.newest(timeout)
+        state, trip = self.newest(timeout), self._trip
         if not state.program and state.arm.safe:
             raise DeviceError(
                 f"The program on the controller at {self.host} has ended, by the pendant, another client or the "
                 "watchdog: connect() starts it again."
             )
-        return state
-
-    def movable(self, stops: int) -> ControllerState:
-        """The newest state of an arm that may start a motion or go on with one.
-
-        Args:
-            stops: What `stops` was when the motion was asked for.
-
-        Returns:
-            The state.
-
-        Raises:
-            MotionStoppedError: It has been stopped by request since.
-            DeviceError: It is in a protective or emergency stop; and as in `running`.
-        """
-        state = self.running(self.state_timeout)
-        if self._stop_requested or self.stops != stops:
-            raise MotionStoppedError(f"The arm at {self.host} was stopped by request.")
-        if not state.arm.safe:
-            raise DeviceError(
-                f"The robot at {self.host} made a protective or emergency stop: clear its cause, release it on the "
-                "pendant, then connect()."
-            )
-        return state
+        return state.arm if trip is None else trip._replace(time=state.arm.time)
 
     # Commands
-
-    def attend(self) -> None:
-        """Say that the caller of an attended motion looks at it."""
-        self._attended_time = time.monotonic()
 
     def request_stop(self) -> None:
         """Have the thread brake; a plain assignment, for a signal handler, which must not wait for a lock."""
@@ -243,34 +191,27 @@ class RtdeConnection:
             time.sleep(POLL_S / 2)
         raise self.give_up(f"The arm at {self.host} was not seen to stop within {timeout:g} s.")
 
-    def start_motion(self, goal: Array, *, speed: float, acceleration: float, guard: MotionGuard, stops: int) -> None:
+    def start_motion(self, goal: Array, *, speed: float, acceleration: float, bounds: tuple[float, float]) -> None:
         """Start a straight motion; on return the newest state says that the arm moves.
 
         Args:
             goal: (4, 4) pose of the tool in the base, m.
             speed: m/s.
             acceleration: m/s^2.
-            guard: What ends it early.
-            stops: What `stops` was when the motion was asked for.
+            bounds: N and Nm that end it early.
 
         Raises:
-            DeviceError: As in `movable`, or the controller did not take it.
+            MotionStoppedError: A stop was asked for meanwhile.
+            DeviceError: As in `running`, or the controller did not take it.
         """
-        arguments = {
-            "motion": self._motion + 1, "pose": pose_to_vector(goal), "speed": speed, "acceleration": acceleration,
-            "force": guard.force, "torque": guard.torque,
-        }  # fmt: skip
-        try:
-            with self._ordering:
-                self.movable(stops)
-                self._motion += 1
-                self.trip, self._guard = None, guard
-                self.attend()
-                answer = self._send("move", arguments)
-            self._wait(answer, ANSWER_S)
-        except BaseException:
-            self.request_stop()  # it may have begun all the same
-            raise
+        motion = {"pose": pose_to_vector(goal), "speed": speed, "acceleration": acceleration}
+        with self._ordering:
+            self.running(self.state_timeout)
+            if self._stop_requested:
+                raise MotionStoppedError(f"The arm at {self.host} was stopped by request.")
+            self._trip = None
+            answer = self._send("move", {**motion, "force": bounds[0], "torque": bounds[1]})
+        self._wait(answer, ANSWER_S)
 
     def zero_wrench(self, timeout: float) -> None:
         """Take the wrench felt now for zero, as in `Arm.zero_wrench`."""
@@ -289,7 +230,7 @@ class RtdeConnection:
         Returns:
             The error to raise; the first one if the arm was lost already.
         """
-        if isinstance(self._failure, DeviceTimeoutError):
+        if self._failure is not None:
             return self._failure
         lost = self._failure = DeviceTimeoutError(sentence)
 
@@ -342,7 +283,7 @@ class RtdeConnection:
 
     def _take(self, message: Message) -> None:
         if "state" in message:
-            self._take_state(message["state"])
+            self._take_state(message["state"], message["tripped"])
         elif "answer" in message:
             answer = self._answers.pop(message["answer"])
             if message["error"] is None:
@@ -353,47 +294,31 @@ class RtdeConnection:
         else:
             raise OSError(message["error"])
 
-    def _take_state(self, raw: Message) -> None:
+    def _take_state(self, raw: Message, tripped: bool) -> None:
         T_b_t = pose_from_vector(raw["pose"])
         wrench = np.array(raw["wrench"]).reshape(2, 3) @ T_b_t[:3, :3]
         joints, twist = np.array(raw["joints"]), np.array(raw["twist"])
         arm = ArmState(raw["time"], T_b_t, joints, twist, wrench.ravel(), moving=raw["moving"], safe=raw["safe"])
-        if self._guard is not None and raw["motion"] == self._motion:
-            if raw["tripped"]:
-                self.trip = Trip(raw["tripped"], arm)
-                if not self._guard.attended:
-                    force, torque = np.linalg.norm(wrench, axis=1)
-                    self._failure = DeviceError(
-                        f"The arm met something on its way ({force:.1f} N, {torque:.1f} Nm) and was stopped."
-                    )
-            if raw["tripped"] or not raw["moving"]:
-                self._guard = None
-        self._state = ControllerState(arm, raw["clock"], raw["speed_fraction"], raw["program"])
+        if tripped:
+            self._trip = arm
+        self._state = ControllerState(arm, raw["program"])
 
     def _react(self) -> None:
-        """Give up a controller that fell silent in a motion; brake where nobody attends, or by request."""
-        state, guard, now = self._state, self._guard, time.monotonic()
-        if state is not None and guard is not None:
+        """Give up a controller that fell silent in a motion; brake by request."""
+        state, now = self._state, time.monotonic()
+        if state is not None and state.arm.moving:
             age = now - state.arm.time
-            if not age <= self.state_timeout and state.arm.moving:
+            if not age <= self.state_timeout:
                 self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
                 return
-            if guard.attended and now - self._attended_time > self.state_timeout:
-                self._guard = None
-                self._failure = DeviceError(
-                    f"Nobody watched the arm's approach for {self.state_timeout:g} s: it was stopped."
-                )
-                self._send("brake")
         if self._stop_requested and self._brake is None:
             if state is not None and not now - state.arm.time <= self.state_timeout:  # it would not answer
                 self.give_up(f"The controller at {self.host} fell silent: it was told to stop.")
                 return
             with self._ordering:
-                self.stops += 1
-                self._guard = None
                 self._brake = self._send("brake")
         elif self._brake is not None and self._brake.done():
-            self._brake, self._stop_requested = None, False
+            self._brake, self._stop_requested, self._trip = None, False, None
 
     def _send_heartbeat(self, channel: Channel) -> None:
         state, now = self._state, time.monotonic()

@@ -51,7 +51,6 @@ VARIABLES = [
     "actual_TCP_speed",
     "actual_TCP_force",
     "actual_q",
-    "target_speed_fraction",
     "runtime_state",
     "safety_status_bits",
 ]
@@ -164,9 +163,7 @@ class Worker:
         self.pendant_tcp = [0.0] * 6  # m, rad: the TCP that the controller had before it was told another
         self.heartbeat_time = -math.inf
         self.state: Message | None = None
-        self.motion = 0  # the driver's number of the newest motion
         self.limits: tuple[float, float] | None = None  # N, Nm, of the motion under way
-        self.tripped = ""  # force or torque, once the motion has been stopped by it
         self.pending: tuple[int, float] | None = None  # operation before a motion that was asked for, and when
         self.braked_clock = -math.inf  # s, the controller's clock at the last brake
 
@@ -230,10 +227,10 @@ class Worker:
         if wrong:
             raise ConnectionError(f"its {wrong[0]} is {state[wrong[0]]}, which is no number")
         force, torque = math.hypot(*state["wrench"][:3]), math.hypot(*state["wrench"][3:])
-        if self.limits is not None and not (force <= self.limits[0] and torque <= self.limits[1]):  # NaN trips too
-            self.tripped = state["tripped"] = "torque" if force <= self.limits[0] else "force"
-        self.send_state(state)
-        if self.tripped and self.limits is not None:
+        # NaN trips too.
+        tripped = self.limits is not None and not (force <= self.limits[0] and torque <= self.limits[1])
+        self.send_state(state, tripped)
+        if tripped:
             self.brake()
         elif not state["moving"]:
             self.limits = None
@@ -269,19 +266,17 @@ class Worker:
             "moving": bool(busy or braking or not math.hypot(*twist) <= STANDING_SPEED),
             "safe": safe,
             "program": program,
-            "speed_fraction": receive.getTargetSpeedFraction(),
-            "motion": self.motion,
-            "tripped": self.tripped,
         }
 
-    def send_state(self, state: Message) -> None:
+    def send_state(self, state: Message, tripped: bool = False) -> None:
         """Keep a state and tell the driver.
 
         Args:
             state: As in `read_state`.
+            tripped: Whether it is above the limits of the motion, which is therefore stopped.
         """
         self.state = state
-        self.channel.send({"state": state})
+        self.channel.send({"state": state, "tripped": tripped})
 
     def set_watchdog(self) -> None:
         """Have the controller end the program when it is fed no longer; raises RuntimeError."""
@@ -289,13 +284,10 @@ class Worker:
             raise RuntimeError("it did not take the watchdog")
         self.watchdog_set = True
 
-    def move(
-        self, motion: int, pose: list[float], speed: float, acceleration: float, force: float, torque: float
-    ) -> None:
+    def move(self, pose: list[float], speed: float, acceleration: float, force: float, torque: float) -> None:
         """Start a straight motion that is stopped above a force or torque.
 
         Args:
-            motion: Its number, by which the driver knows what stopped it.
             pose: (x, y, z, rotation vector), m and rad, of the tool in the base.
             speed: m/s.
             acceleration: m/s^2.
@@ -310,8 +302,7 @@ class Worker:
         if not self.watchdog_set or time.monotonic() - self.heartbeat_time > 1 / self.watchdog_rate:
             raise RuntimeError("its watchdog is not being fed")
         before = self.control.getAsyncOperationProgressEx().operationId()
-        self.motion, self.tripped, self.limits = motion, "", None
-        self.pending = before, time.monotonic()
+        self.limits, self.pending = None, (before, time.monotonic())
         if not self.control.moveL(pose, speed, acceleration, True):
             self.pending = None
             raise RuntimeError("it did not take the motion")
