@@ -11,7 +11,7 @@ said to have met something must have, and one that met air must not have gone th
 """
 
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +19,7 @@ import numpy as np
 import trimesh
 
 from experiments.faults.closed_form import WALL_TIME_S, MemoryLog
-from experiments.faults.rig_mistakes import MISTAKES, WRONG_RIGS, RigMistake, right_rig
+from experiments.faults.rig_mistakes import WRONG_RIGS, RigMistake, right_rig
 from experiments.faults.rig_objects import RIG_OBJECTS, SHINY, STRETCHED, rig_object
 from experiments.faults.table import Fault, Measure, Trial
 from i2t.collect.first_touch import RigContradictedError, first_touch
@@ -40,8 +40,6 @@ from i2t.skin.pad import sample_pad
 from i2t.types import Array, ReturnCode
 from i2t.windows import PAD_WINDOW
 
-MISTAKEN_OBJECTS = ("star", "hammer")  # a prism, and a tool that is another one upside down
-ACCEPTED_SHARE = 5 / 53
 GRAVITY_M_S2 = 9.81
 RIGHT_RIGS, REFUSED_SHARE = 100, 0.01
 WRONG_SHARE = 3 / 50  # of wrong rigs, that may pass
@@ -137,7 +135,7 @@ def try_mistake(mistake: RigMistake, name: str, seed: int = 0) -> Found:
     """Try a mistake.
 
     Args:
-        mistake: Of `MISTAKES`.
+        mistake: Of the list.
         name: Of the object.
         seed: Of the lab's errors.
 
@@ -178,13 +176,6 @@ def try_rig(wrong: Rig, name: str, seed: int = 0, right: Rig | None = None) -> F
     except (DeviceError, ValueError) as error:
         return Found("arm", str(error))
     return Found("accepted", "; ".join(said))
-
-
-def rig_mistake(name: str, number: int) -> Trial:
-    """One of all mistakes."""
-    where = try_mistake(MISTAKES[number], name).where
-    accepted = where == "accepted"
-    return {"accepted": accepted, "mistakes": 1, "said": f"accepted: {MISTAKES[number].name}" if accepted else where}
 
 
 def right_rig_refused(number: int) -> Trial:
@@ -294,8 +285,6 @@ def _pad() -> Any:
 
 
 RIG_FAULTS = (
-    *(Fault("rig", f"mistake in a rig, {name}", partial(rig_mistake, name), len(MISTAKES),
-            (Measure("accepted", ACCEPTED_SHARE, of="mistakes"),)) for name in MISTAKEN_OBJECTS),
     Fault("rig", "wrong rigs over many objects", wrong_rig_accepted, len(WRONG_RIGS),
           (Measure("accepted", WRONG_SHARE, of="rigs"),)),
     Fault("rig", "right rigs over many objects", right_rig_refused, RIGHT_RIGS,

@@ -145,7 +145,7 @@ class UrArm(GuardedByPolling):
         return self.connection.running(np.inf)
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion, as in `GuardedByPolling.begin_line`, whose bounds the library's process keeps, too."""
+        """Start a straight motion, as in `GuardedByPolling.begin_line`; the library's process keeps its bounds, too."""
         self.connection.start_motion(T_b_t, speed=speed, acceleration=acceleration, bounds=self.bounds)
 
     def brake(self) -> None:
