@@ -56,13 +56,13 @@ def paper_methods(measured: Measured) -> str:
     return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
 
 
-def paper_differences(measured: Measured) -> str:
+def paper_differences(measured: Measured, hidden: Sequence[str] = ()) -> str:
     """Paired differences on the paper's two sets with how many pads would tell them within 3 points, and of the means
-    over all objects.
+    over all objects; none of a pair whose name has a hidden word.
     """
     sets, means = measured["sets"], measured["differences of these means"]
     rows = []
-    for pair in next(iter(sets.values()))["paired"]:
+    for pair in (each for each in next(iter(sets.values()))["paired"] if shown(each, *hidden)):
         found = (each["paired"][pair] for each in sets.values())
         cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
         _, _, rule = pair.rpartition(", ")
@@ -200,7 +200,7 @@ OWN_TABLES: dict[str, dict[str, Table]] = {
 TABLES: dict[str, dict[str, Table]] = {
     "paper": {
         "methods": paper_methods,
-        "differences": paper_differences,
+        "differences": partial(paper_differences, hidden=("measured force", "median force", "constant")),
     },
     "recognize": {
         "all": methods_of_set("all"),
