@@ -34,9 +34,13 @@ METHOD_CELLS: tuple[Cell, ...] = (
 
 
 def methods_of_set(name: str) -> Table:
-    """Accuracy of every evidence on a set of objects and, of the paper's rules, by votes with masks and with the GP."""
+    """Accuracy of each evidence, of readings with presence and of all on a set of objects and, of the paper's rules, by
+    votes with masks and with the GP.
+    """
     others = (", product", "depth", "measured force", "median force", "constant")  # in the paper's own table
-    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=others)
+    return rows_over(
+        f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=(*others, "and position", "position and")
+    )
 
 
 def paper_methods(measured: Measured) -> str:
@@ -50,7 +54,7 @@ def paper_methods(measured: Measured) -> str:
     ]
     chances = [1 / len(each["objects"]) for each in sets.values()]
     rows.append(["chance", *(number(each, 2) for each in (*chances, len(sets) / sum(1 / each for each in chances)))])
-    for method in filter(shown, means):
+    for method in (each for each in means if shown(each, "measured force")):
         found = [last(each["methods"][method]) for each in sets.values()]
         rows.append([method, *found, estimate(means[method])])
     return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
@@ -113,12 +117,18 @@ def physics_by_touches(measured: Measured) -> str:
     return markdown(["own touches", *columns], rows)
 
 
-def study_table(name: str) -> Table:
-    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`)."""
+def study_table(name: str, hidden: Sequence[str] = ()) -> Table:
+    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`), without rows
+    whose first cell has a hidden word.
+    """
 
     def render(measured: Measured) -> str:
         found = measured["tables"][name]
-        rows = [[_cell(x, column) for x, column in zip(row, found["columns"], strict=True)] for row in found["rows"]]
+        rows = [
+            [_cell(x, column) for x, column in zip(row, found["columns"], strict=True)]
+            for row in found["rows"]
+            if shown(str(row[0]), *hidden)
+        ]
         return markdown([column["name"] for column in found["columns"]], rows)
 
     return render
@@ -194,6 +204,7 @@ STUDY_TABLES = {
 OWN_TABLES: dict[str, dict[str, Table]] = {
     "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm "))},
     "physics": {"readings": physics_by_touches},
+    "stopping": {"errors": study_table("errors", hidden=("half",))},
 }
 
 
