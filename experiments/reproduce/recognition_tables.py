@@ -38,9 +38,8 @@ def methods_of_set(name: str) -> Table:
     votes with masks and with the GP.
     """
     others = (", product", "depth", "measured force", "median force", "constant")  # in the paper's own table
-    return rows_over(
-        f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=(*others, "and position", "position and")
-    )
+    pairs = ("and position", "position and", "presence, ")  # of kinds of evidence
+    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=others + pairs)
 
 
 def paper_methods(measured: Measured) -> str:
@@ -202,7 +201,7 @@ STUDY_TABLES = {
     "stopping": ("errors", "constants", "hardness"),
 }
 OWN_TABLES: dict[str, dict[str, Table]] = {
-    "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm "))},
+    "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "chip "))},
     "physics": {"readings": physics_by_touches},
     "stopping": {"errors": study_table("errors", hidden=("half",))},
 }
