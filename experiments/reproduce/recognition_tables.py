@@ -210,7 +210,7 @@ OWN_TABLES: dict[str, dict[str, Table]] = {
 TABLES: dict[str, dict[str, Table]] = {
     "paper": {
         "methods": paper_methods,
-        "differences": partial(paper_differences, hidden=("measured force", "median force", "constant")),
+        "differences": partial(paper_differences, hidden=("Gaussian", "measured force", "constant")),
     },
     "recognize": {
         "all": methods_of_set("all"),
