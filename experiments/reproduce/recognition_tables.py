@@ -34,9 +34,12 @@ METHOD_CELLS: tuple[Cell, ...] = (
 
 
 def methods_of_set(name: str) -> Table:
-    """Accuracy of every evidence on a set of objects and, of the paper's rules, by votes with masks and with the GP."""
+    """Accuracy of each evidence, of readings with presence and of all on a set of objects and, of the paper's rules, by
+    votes with masks and with the GP.
+    """
     others = (", product", "depth", "measured force", "median force", "constant")  # in the paper's own table
-    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=others)
+    pairs = ("and position", "position and", "presence, ")  # of kinds of evidence
+    return rows_over(f"sets/{name}/methods", METHOD_HEAD, *METHOD_CELLS, hidden=others + pairs)
 
 
 def paper_methods(measured: Measured) -> str:
@@ -50,19 +53,19 @@ def paper_methods(measured: Measured) -> str:
     ]
     chances = [1 / len(each["objects"]) for each in sets.values()]
     rows.append(["chance", *(number(each, 2) for each in (*chances, len(sets) / sum(1 / each for each in chances)))])
-    for method in filter(shown, means):
+    for method in (each for each in means if shown(each, "measured force")):
         found = [last(each["methods"][method]) for each in sets.values()]
         rows.append([method, *found, estimate(means[method])])
     return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
 
 
-def paper_differences(measured: Measured) -> str:
+def paper_differences(measured: Measured, hidden: Sequence[str] = ()) -> str:
     """Paired differences on the paper's two sets with how many pads would tell them within 3 points, and of the means
-    over all objects.
+    over all objects; none of a pair whose name has a hidden word.
     """
     sets, means = measured["sets"], measured["differences of these means"]
     rows = []
-    for pair in next(iter(sets.values()))["paired"]:
+    for pair in (each for each in next(iter(sets.values()))["paired"] if shown(each, *hidden)):
         found = (each["paired"][pair] for each in sets.values())
         cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
         _, _, rule = pair.rpartition(", ")
@@ -113,12 +116,18 @@ def physics_by_touches(measured: Measured) -> str:
     return markdown(["own touches", *columns], rows)
 
 
-def study_table(name: str) -> Table:
-    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`)."""
+def study_table(name: str, hidden: Sequence[str] = ()) -> Table:
+    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`), without rows
+    whose first cell has a hidden word.
+    """
 
     def render(measured: Measured) -> str:
         found = measured["tables"][name]
-        rows = [[_cell(x, column) for x, column in zip(row, found["columns"], strict=True)] for row in found["rows"]]
+        rows = [
+            [_cell(x, column) for x, column in zip(row, found["columns"], strict=True)]
+            for row in found["rows"]
+            if shown(str(row[0]), *hidden)
+        ]
         return markdown([column["name"] for column in found["columns"]], rows)
 
     return render
@@ -192,15 +201,16 @@ STUDY_TABLES = {
     "stopping": ("errors", "constants", "hardness"),
 }
 OWN_TABLES: dict[str, dict[str, Table]] = {
-    "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm "))},
+    "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "chip "))},
     "physics": {"readings": physics_by_touches},
+    "stopping": {"errors": study_table("errors", hidden=("half",))},
 }
 
 
 TABLES: dict[str, dict[str, Table]] = {
     "paper": {
         "methods": paper_methods,
-        "differences": paper_differences,
+        "differences": partial(paper_differences, hidden=("Gaussian", "measured force", "constant")),
     },
     "recognize": {
         "all": methods_of_set("all"),
