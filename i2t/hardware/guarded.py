@@ -36,7 +36,7 @@ LEAST_WAY = 1e-5  # m or rad, of a motion that is one
 HALT_S = 1.0  # in which an arm must have been told to brake, and stand
 STILL_S = 3.0  # in which the pose of an arm that says that it moves must have changed
 START_S, START_SHARE = 0.5, 0.1  # in which an arm must have begun a motion, and gone that part of it
-SLOWEST_SHARE = 0.05  # of the asked speed, to which a person may turn an arm down
+SLOWEST_SHARE, PAUSED_SHARE = 0.05, 0.01  # of the asked speed, to which a person may turn an arm down; below, it waits
 T = TypeVar("T")
 # Windows has no SIGHUP.
 BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -77,7 +77,8 @@ class MotionWatch:
         self._name, self._limits, self._clock, self._age, self._still = name, limits, clock, age, still
         self._start, self._distance, self._speed = start.T_b_t[:3, 3], distance, speed
         self._force, self._torque = force, torque
-        self._newest, self._changed = start, clock.now()  # when the pose was another for the last time
+        self.begun = self._changed = clock.now()  # when the pose was another for the last time
+        self._newest = start
 
     def __call__(self, state: ArmState) -> Literal["force", "torque"] | None:
         """Judge a state.
@@ -160,12 +161,12 @@ class GuardedByPolling(DeviceBase):
 
     Its states are asked for every `poll_s` seconds while it moves. It brakes where something is above a limit, a state
     is old or nonsense, the caller's stop condition says so, an error ends the call, or nobody has looked for
-    `state_timeout` seconds, as where a stop condition hangs. A motion that `move` began is judged whenever its caller
+    `state_timeout` seconds, as where a stop condition hangs. A motion that `move` began is judged only where its caller
     asks for a state. What a driver raises becomes a DeviceError. A driver gives
 
         open_link, close_link     to the arm; closing may be asked for at any time
         read_state                the newest `ArmState`, as fresh as it can be had
-        begin_line                a straight motion, without waiting for its end
+        begin_line                a straight motion, without waiting for its end; its arm may stop itself by `bounds`
         brake                     to a stand, at once, without waiting for it; from any thread
         zero_sensor               of force and torque; the arm stands
 
@@ -187,7 +188,8 @@ class GuardedByPolling(DeviceBase):
         self._open = self._accepting = False  # whether there is a link, and whether a motion may begin
         self._stops, self._begun = 0, -np.inf  # s, when the newest motion was sent
         self._free: MotionWatch | None = None  # of a motion that `move` began
-        self.bounds = (0.0, 0.0)  # N, Nm, of the motion that is begun: for a driver whose arm can stop itself by them
+        self._judging = threading.RLock()  # states are judged in the order in which they are read
+        self.bounds = (0.0, 0.0)  # N, Nm, of the motion that is begun
         self._ordering = threading.RLock()  # a line is sent before a brake or not at all
         self._looked = np.inf  # s, of this machine's clock, when a motion was looked at last
 
@@ -220,6 +222,10 @@ class GuardedByPolling(DeviceBase):
     def zero_sensor(self) -> None:
         """Take the wrench felt now for zero."""
         raise NotImplementedError
+
+    def speed_share(self) -> float:
+        """Share of the asked speed that a person leaves at the arm now; where that is not known, the least."""
+        return SLOWEST_SHARE
 
     # What it has by that
 
@@ -259,38 +265,40 @@ class GuardedByPolling(DeviceBase):
         """
         if not self._open:
             raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")
-        state, now = self._ask(self.read_state), self.clock.now()
-        if not -STATE_AGE_S <= now - state.time <= (self.state_timeout if timeout is None else timeout):
+        with self._judging:
+            state, now = self._ask(self.read_state), self.clock.now()
+            wrong, oldest = not_numbers(state), self.state_timeout if timeout is None else timeout
+            fresh, failure, free = -STATE_AGE_S <= now - state.time <= oldest, None, self._free
+            if fresh and not wrong:
+                self._begun = -np.inf if state.moving else self._begun
+                state = state._replace(moving=state.moving or state.time - self._begun < self.start_s)
+                try:
+                    failure = _met_something(state) if free is not None and free(state) else None
+                except DeviceError as error:
+                    failure = error
+                if free is not None and not state.moving and now > free.begun + START_S:
+                    self._free = None
+        if failure is not None:
+            self._halt()
+            raise failure
+        if not (fresh and not wrong):
+            self._stops += 1
             self._ask(self.brake)
-            raise DeviceTimeoutError(f"{self.name} gives a state of {now - state.time:.2g} s ago; it was stopped")
-        if wrong := not_numbers(state):
-            self._ask(self.brake)
+            if not fresh:
+                raise DeviceTimeoutError(f"{self.name} gives a state of {now - state.time:.2g} s ago; it was stopped")
             raise DeviceError(f"{self.name} says that its {wrong}, which is no number; it was stopped")
-        self._begun = -np.inf if state.moving else self._begun
-        state = state._replace(moving=state.moving or state.time - self._begun < self.start_s)
-        free, self._free = self._free, None
-        if free is not None:
-            try:
-                above = free(state)
-            except DeviceError:
-                self._ask(self.brake)
-                raise
-            if above:
-                self.stop()
-                raise _met_something(state)
-            self._free = free if state.moving else None
         return state
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
         """Start a straight motion and return at once, as in `Arm.move`; by default as fast as the limits allow.
 
         A force above a third of the limit (`MotionLimits.trip_force`) or a torque above its own ends the motion, of
-        which the next `state` tells; one that begins above them, as one that backs out of a contact, ends where it gets
-        worse by a tenth.
+        which the next `state` tells, unless `stop` came first; one that begins above them, as one that backs out of a
+        contact, ends where it gets worse by a tenth.
         """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         goal = np.array(T_b_t, float)
-        self._free = self._begin(goal, speed, acceleration)[0]
+        self._begin(goal, speed, acceleration, followed=False)
         return goal
 
     def stop(self, timeout: float = HALT_S) -> None:
@@ -338,10 +346,15 @@ class GuardedByPolling(DeviceBase):
         return ApproachResult(reason, answer, trigger, state, moved)
 
     def _begin(
-        self, goal: Array, speed: float, acceleration: float, bounds: tuple[float, float] | None = None
+        self,
+        goal: Array,
+        speed: float,
+        acceleration: float,
+        bounds: tuple[float, float] | None = None,
+        followed: bool = True,
     ) -> tuple[MotionWatch, ArmState, int]:
         """Start a motion from a stand, inside the box, under bounds (N, Nm), by default those of free motions; returns
-        its judge, where it begins, and the number of stops so far.
+        its judge, whom `state` asks where nobody follows it, where it begins, and the number of stops so far.
         """
         if self.state().moving:
             self.stop()
@@ -371,10 +384,13 @@ class GuardedByPolling(DeviceBase):
             self.bounds = force, torque
             try:
                 self._ask(self.begin_line, goal, speed, acceleration)
+                if self._stops != stops:
+                    raise MotionStoppedError(f"{self.name} was stopped by request.")
             except BaseException:
                 self._halt()  # it may have begun all the same
                 raise
-            self._begun = self.clock.now()
+            with self._judging:
+                self._begun, self._free = self.clock.now(), None if followed else watch
         return watch, start, stops
 
     def _guarded(
@@ -386,38 +402,39 @@ class GuardedByPolling(DeviceBase):
         stop_condition: Callable[[ArmState], Any] | None = None,
     ) -> tuple[StopReason, Any, ArmState]:
         """Follow a motion until the arm stands: what ended it, the stop condition's answer, and the state that did."""
-        ended = threading.Event()
-        attending = threading.Thread(target=self._attend, args=(ended,), name=f"{self.name}, attended", daemon=True)
+        ended, unattended = threading.Event(), threading.Event()
+        age = max(self.state_timeout, STATE_AGE_S if stop_condition is None else 0.0)  # a busy computer is no fault
+        attending = threading.Thread(target=self._attend, args=(ended, unattended, age), daemon=True)
         try:
             watch, start, stops = self._begin(goal, speed, acceleration, bounds)
-            begun, self._looked, newest = self.clock.now(), time.monotonic(), start
+            now, self._looked, newest = self.clock.now(), time.monotonic(), start
             if isinstance(self.clock, MonotonicClock):
                 attending.start()
-            until = begun + _longest_duration(start.T_b_t, goal, speed, acceleration) / SLOWEST_SHARE
+            used, longest = 0.0, _longest_duration(start.T_b_t, goal, speed, acceleration)
             while True:
                 self.clock.sleep(self.poll_s)
-                before, newest = newest, self.state()
+                before, newest, answer = newest, self.state(), None
                 above = watch(newest)
-                if self._looked == -np.inf:
-                    raise DeviceError(f"Nobody looked at {self.name} for {self.state_timeout:g} s: it was stopped.")
+                if unattended.is_set():
+                    raise DeviceError(f"Nobody looked at {self.name} for {age:g} s: it was stopped.")
                 if self._stops != stops:
                     raise MotionStoppedError(f"{self.name} was stopped by request.")
-                now, answer = self.clock.now(), None
-                if not now <= until:
+                last, now = now, self.clock.now()
+                used += (now - last) * max(self.speed_share(), PAUSED_SHARE)  # NaN stays NaN
+                if not used <= longest:
                     raise DeviceError(f"{self.name} took longer for a motion than it may, and was stopped")
                 self._looked = time.monotonic()
                 if above is None and newest.moving and newest.time != before.time and stop_condition is not None:
                     answer = stop_condition(newest)
-                stands = not (newest.moving or (_not_begun(start, newest, goal) and now < begun + START_S))
-                off = apart(newest.T_b_t, goal)
-                arrived = all(part <= most for part, most in zip(off, GOAL_TOLERANCE, strict=True))
-                if stands and (arrived or not above):  # what stops itself by a force has met something
-                    if not arrived:
+                    self._looked = time.monotonic()
+                if above or answer:
+                    break
+                if not (newest.moving or (_not_begun(start, newest, goal) and now < watch.begun + START_S)):
+                    off = apart(newest.T_b_t, goal)
+                    if not all(part <= most for part, most in zip(off, GOAL_TOLERANCE, strict=True)):
                         away = f"{1e3 * off[0]:.1f} mm and {np.degrees(off[1]):.1f} degrees"
                         raise DeviceError(f"The motion ended {away} off its goal.")
                     return "distance", None, newest
-                if above or answer:
-                    break
             self.stop()
         except BaseException:
             self._halt()
@@ -428,11 +445,11 @@ class GuardedByPolling(DeviceBase):
                 attending.join()
         return (above, None, newest) if above else ("condition", answer, newest)
 
-    def _attend(self, ended: threading.Event) -> None:
-        """Brake where nobody has looked at a motion for a while."""
+    def _attend(self, ended: threading.Event, unattended: threading.Event, age: float) -> None:
+        """Brake where nobody has looked at a motion for so long (s)."""
         while not ended.wait(self.poll_s):
-            if not time.monotonic() - self._looked <= self.state_timeout:
-                self._looked = -np.inf
+            if not time.monotonic() - self._looked <= age:
+                unattended.set()
                 self._halt(ended)
                 return
 

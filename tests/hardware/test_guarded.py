@@ -176,6 +176,50 @@ def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_
         assert arm.lab.robot.motion is None
 
 
+def test_a_motion_is_judged_also_where_two_ask_for_states_a_brake_fails_or_it_begins_late():
+    arm = slow_arm()
+    told, line, brake = arm.read_state, arm.begin_line, arm.brake
+    arm.begin_line = lambda *way: threading.Timer(0.2, line, way).start()
+    with arm:
+        home, looking = arm.state().T_b_t, threading.Event()
+
+        def look():
+            while not looking.is_set():
+                arm.state()
+
+        watcher = threading.Thread(target=look)
+        watcher.start()
+        arm.move(shifted_along_z(home, 5e-3), 0.05)
+        time.sleep(0.8)
+        looking.set()
+        watcher.join()
+        assert not np.allclose(arm.state().T_b_t, home)  # nobody took states of two threads for old ones
+        calls = []
+        arm.brake = lambda: calls.append(None) or (brake() if len(calls) > 1 else told(None))
+        arm.move(home, 0.02)
+        assert not arm.state().moving or arm.lab.robot.motion is None  # before it has begun
+        time.sleep(0.3)
+        arm.read_state = lambda: told()._replace(wrench=np.full(6, 100.0))
+        with pytest.raises(DeviceError, match="met something"):
+            arm.state()
+        assert len(calls) > 1
+        assert arm.lab.robot.motion is None
+
+
+def test_a_motion_is_not_begun_where_a_stop_was_asked_for_meanwhile():
+    with slow_arm() as arm:
+        told = arm.begin_line
+
+        def stopped_before(*line):
+            arm._stops += 1  # as a signal does, which waits for no lock
+            told(*line)
+
+        arm.begin_line = stopped_before
+        with pytest.raises(MotionStoppedError, match="by request"):
+            arm.move(shifted_along_z(arm.state().T_b_t, 0.05), 0.02)
+        assert arm.lab.robot.motion is None
+
+
 START = ArmState(0.0, make().arm.read_state().T_b_t, np.zeros(6), np.zeros(6), np.zeros(6), moving=True, safe=True)
 
 

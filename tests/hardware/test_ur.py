@@ -291,6 +291,27 @@ def test_a_motion_that_meets_something_is_stopped_and_may_back_out(above):
     arm.go(BEGIN, 0.1)
 
 
+def test_a_force_above_its_limit_where_the_tool_arrives_is_told_and_forgotten(above):
+    host, arm = above
+    force = STIFFNESS * 5e-4
+    done = arm.approach(5.5e-3, 0.005, lambda state: None, force=0.999 * force)
+    assert (done.reason, done.state.moving) == ("force", False)
+    ask(host, "wrench 0 0 7 0 0 0")  # in the base
+    eventually(lambda: arm.state(STATE_TIMEOUT).wrench[2] < -force - 6.0)
+    arm.zero_wrench()
+    eventually(lambda: abs(arm.state(STATE_TIMEOUT).wrench[2]) < 1e-6)
+    ask(host, "wrench 0 0 0 0 0 0")
+    arm.go(BEGIN, 0.1)
+    arm.zero_wrench()
+
+
+def test_a_paused_motion_is_waited_for(above):
+    host, arm = above
+    ask(host, "speed 0")
+    threading.Timer(4.0, ask, (host, "speed 1")).start()  # s; at full speed it may take 2.8
+    np.testing.assert_allclose(arm.go(pose(0.4, 0.02, 0.3), 0.1).T_b_t[1, 3], 0.02, atol=1e-6)
+
+
 def test_an_approach_that_nobody_watches_is_stopped(above):
     host, arm = above
     with pytest.raises(DeviceError, match="Nobody looked"):
@@ -377,6 +398,7 @@ def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_as
         "actual_TCP_pose nan", "actual_TCP_pose inf", "actual_TCP_pose 9", "actual_TCP_pose 0.4 0 0.3 0 0 nan",
         "actual_TCP_speed nan", "actual_q nan",
         "timestamp nan", "timestamp inf", "timestamp -1", "timestamp 1",
+        "target_speed_fraction nan", "target_speed_fraction inf",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("guarded", [False, True], ids=["go", "approach"])

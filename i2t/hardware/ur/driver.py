@@ -12,9 +12,9 @@ What stops the arm, besides `stop` and the limits of a motion:
   connection.
 - A lost connection: one of the library's connections breaks, or its process dies. The arm is given up in the same way;
   nothing connects again before `connect` is called.
-- Nobody watches: a motion at which its caller has not looked for `state_timeout` seconds, as when its stop condition
-  hangs. What else every state of a motion must be is judged in `i2t.hardware.guarded`; force and torque are judged in
-  the library's process, too, as soon as it knows them.
+- Nobody watches: an approach whose caller has not looked for `state_timeout` seconds, as when its stop condition hangs.
+  What else every state of a motion must be is judged in `i2t.hardware.guarded`; force and torque are judged in the
+  library's process, too, as soon as it knows them.
 - This process dies or hangs, even by kill -9: the watchdog runs dry (`watchdog_rate` Hz; 0.1 s by default) and the
   controller ends the program. Ctrl-C, SIGTERM and SIGHUP (a terminal that is closed) brake at once, inside a `with`
   block on the main thread.
@@ -110,6 +110,7 @@ class UrArm(GuardedByPolling):
             self._handlers.clear()
 
     def _interrupted(self, number: int, frame: FrameType | None) -> None:
+        self._stops += 1
         self.connection.request_stop()
         if number == signal.SIGINT:
             raise KeyboardInterrupt
@@ -156,11 +157,14 @@ class UrArm(GuardedByPolling):
         """Take the wrench felt now for zero."""
         self.connection.zero_wrench(1.0)
 
+    def speed_share(self) -> float:
+        """Share of the asked speed that the pendant's slider leaves now."""
+        return self.connection.speed_share
+
     def stop(self, timeout: float = 1.0) -> None:
         """Brake and return when the arm stands, as in `Arm.stop`; one that is not seen to is given up."""
-        with self._ordering:
-            self._stops, self._free = self._stops + 1, None
-            self.connection.request_stop()
+        # No lock, as a motion that is being begun holds it: that one asks for the number of stops again.
+        self._stops, self._free = self._stops + 1, None
         self.connection.stop(timeout)
 
     def _halt(self, ended: threading.Event | None = None) -> None:

@@ -41,6 +41,7 @@ class ControllerState(NamedTuple):
     """Last state that the controller sent."""
 
     arm: ArmState
+    speed_share: float  # of the asked speed that the slider on the pendant leaves
     program: bool  # whether the program that obeys us runs
 
 
@@ -76,6 +77,11 @@ class RtdeConnection:
     def is_open(self) -> bool:
         """Tell whether there is a connection, be it a broken one that has not been closed."""
         return self._thread is not None
+
+    @property
+    def speed_share(self) -> float:
+        """Share of the asked speed that the slider on the pendant leaves; NaN before the first state."""
+        return np.nan if self._state is None else self._state.speed_share
 
     def open(self, tool: Array | None, payload: tuple[float, tuple[float, float, float]] | None) -> None:
         """Connect, set tool, payload and watchdog, and wait for the first state.
@@ -152,7 +158,7 @@ class RtdeConnection:
             timeout: s, as in `newest`.
 
         Returns:
-            The state; one that was above its motion's limits until the arm is told to brake, or to move.
+            The state; pose and wrench that were above a motion's limits until the arm is told to brake, or to move.
 
         Raises:
             DeviceError: The program has ended; and as in `newest`.
@@ -163,7 +169,7 @@ class RtdeConnection:
                 f"The program on the controller at {self.host} has ended, by the pendant, another client or the "
                 "watchdog: connect() starts it again."
             )
-        return state.arm if trip is None else trip._replace(time=state.arm.time)
+        return state.arm if trip is None else trip._replace(time=state.arm.time, safe=state.arm.safe)
 
     # Commands
 
@@ -301,7 +307,7 @@ class RtdeConnection:
         arm = ArmState(raw["time"], T_b_t, joints, twist, wrench.ravel(), moving=raw["moving"], safe=raw["safe"])
         if tripped:
             self._trip = arm
-        self._state = ControllerState(arm, raw["program"])
+        self._state = ControllerState(arm, raw["speed_share"], raw["program"])
 
     def _react(self) -> None:
         """Give up a controller that fell silent in a motion; brake by request."""

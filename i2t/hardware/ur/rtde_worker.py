@@ -40,6 +40,7 @@ STANDING_SPEED = 1e-3  # m/s and rad/s, below which the tool stands
 BRAKE_SETTLING_S = 0.05  # of the controller's clock after a brake: states of before may still be on their way
 START_OF_MOTION_S = 0.5  # in which a motion that was asked for shows in the state
 EXIT_GRACE_S = 2  # to end the program on the controller, after which this process ends in any case
+ROUNDING = 1 + 1e-9  # of limits, as the driver judges the same wrench in other axes
 STANDARD_STREAMS = 3  # file descriptors 0, 1 and 2
 RTDE_PORT = 30004
 NUMBERS = ("pose", "twist", "wrench", "joints")  # of a state
@@ -51,6 +52,7 @@ VARIABLES = [
     "actual_TCP_speed",
     "actual_TCP_force",
     "actual_q",
+    "target_speed_fraction",
     "runtime_state",
     "safety_status_bits",
 ]
@@ -227,8 +229,8 @@ class Worker:
         if wrong:
             raise ConnectionError(f"its {wrong[0]} is {state[wrong[0]]}, which is no number")
         force, torque = math.hypot(*state["wrench"][:3]), math.hypot(*state["wrench"][3:])
-        # NaN trips too.
-        tripped = self.limits is not None and not (force <= self.limits[0] and torque <= self.limits[1])
+        most_force, most_torque = self.limits or (math.inf, math.inf)
+        tripped = not (force <= most_force and torque <= most_torque)  # NaN trips too
         self.send_state(state, tripped)
         if tripped:
             self.brake()
@@ -266,6 +268,7 @@ class Worker:
             "moving": bool(busy or braking or not math.hypot(*twist) <= STANDING_SPEED),
             "safe": safe,
             "program": program,
+            "speed_share": receive.getTargetSpeedFraction(),
         }
 
     def send_state(self, state: Message, tripped: bool = False) -> None:
@@ -306,7 +309,7 @@ class Worker:
         if not self.control.moveL(pose, speed, acceleration, True):
             self.pending = None
             raise RuntimeError("it did not take the motion")
-        self.limits = force, torque
+        self.limits = ROUNDING * force, ROUNDING * torque
 
     def brake(self) -> None:
         """Slow down to a stand, if a program runs that obeys."""
