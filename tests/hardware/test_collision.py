@@ -66,22 +66,6 @@ def test_speeds_of_a_touch_are_bounded_and_shown():
     assert re.findall(r"([\d.]+) N\b(?!/)", press) == ["8.8", "2.8", "3.8"]
 
 
-@pytest.mark.parametrize(
-    ("settings", "why"),
-    [
-        ({"approach": 0.1}, "approach is 0.1 m/s: told to stop at 8 N it would end at 73 N"),
-        ({"press": 0.05}, "press is 0.05 m/s"),
-        ({"force": 29.9}, "above the rig's limit, 30 N"),
-    ],
-)
-def test_a_press_that_cannot_be_stopped_in_time_is_refused_before_anything_moves(settings, why):
-    procedure = make(settings=TouchSettings(**settings), rig=Rig())
-    begun = procedure.clock.now()
-    with pytest.raises(ValueError, match=why):
-        procedure.path.check_settings()
-    assert procedure.clock.now() == begun
-
-
 @pytest.mark.parametrize("name", LIMIT_RANGES)
 def test_a_rig_s_limit_that_makes_no_sense_is_refused(name):
     least, most, _ = LIMIT_RANGES[name]
