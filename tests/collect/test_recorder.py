@@ -155,16 +155,6 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
 
 
-def test_notes_survive_and_damage_is_named(tmp_path):
-    assert notes.read_notes(tmp_path) is None
-    notes.write_notes(tmp_path, {"session": "a", "seed": 3})
-    assert notes.read_notes(tmp_path) == {"session": "a", "seed": 3}
-    for damaged in ("{", "3", "{}"):
-        (tmp_path / notes.NOTES).write_text(damaged)
-        with pytest.raises(DataError, match="cannot be read"):
-            notes.read_notes(tmp_path)
-
-
 def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the_order_of_time(lab):
     """The clock of a later touch is read between its check and its date: set back by 0.3 s, it would sort first."""
     procedure, recording = lab

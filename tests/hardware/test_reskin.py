@@ -86,15 +86,11 @@ def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_boar
 
 
 @pytest.mark.full
-def test_the_baud_rate_is_found_or_said_to_be_wrong(monkeypatch):
+def test_a_wrong_baud_rate_is_said(monkeypatch):
     monkeypatch.setattr(driver, "FIRST_FRAME_S", 0.3)
-    with started("--baud", "460800") as (port, _):
-        with monkeypatch.context() as hurried:
-            hurried.setattr(driver, "START_UP_S", 0.0)
-            with pytest.raises(DeviceError, match=r"at 9600 baud .* check the baud rate"):
-                ReSkin(port, 9600).connect()
-        with ReSkin(port) as skin:
-            assert skin.info.baud == 460800
+    monkeypatch.setattr(driver, "START_UP_S", 0.0)
+    with started("--baud", "460800") as (port, _), pytest.raises(DeviceError, match=r"at 9600 baud .* the baud rate"):
+        ReSkin(port, 9600).connect()
 
 
 def test_what_cannot_be_opened_says_why(tmp_path):
@@ -227,7 +223,7 @@ def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
 
 
 @pytest.mark.full
-def test_rubbish_after_a_reset_is_waited_out(monkeypatch):
+def test_the_baud_rate_is_found_and_rubbish_after_a_reset_is_waited_out(monkeypatch):
     monkeypatch.setattr(driver, "BAUD_RATES", (115200, 921600))
     switches = ("--format", "framed", "--garbage-for", "1.6", "--baud", "921600")
     with started(*switches) as (port, _), ReSkin(port) as skin:

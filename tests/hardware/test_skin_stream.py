@@ -93,8 +93,7 @@ def test_a_board_that_cannot_be_opened_or_says_nothing_leaves_nothing_open(monke
         silent.connect()
     assert silent.closed == [1]
     silent.open_link = lambda: fail(PermissionError(13, "denied"))
-    with pytest.raises(DeviceError, match=r"the board is gone \(.*denied\)"):
-        silent.connect()
+    refuse(DeviceError, [(silent.connect, (), r"the board is gone \(.*denied\)")])
     interrupted = Board(lambda link: [])
     interrupted._check = lambda: fail(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):

@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 from helpers.closed_form import BOARD, QUIET
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
 from i2t.emulators.scene import SpringPlane
@@ -38,26 +36,6 @@ def skin(z, rx, ry):
 
 def corners(T_b_t, true):
     return CORNERS @ (T := T_b_t @ true)[:3, :3].T + T[:3, 3]
-
-
-@given(st.floats(-3e-3, 3e-3), st.floats(-0.04, 0.04), st.floats(-0.04, 0.04))
-@settings(max_examples=30, deadline=None)
-def test_a_plane_through_four_corners_is_the_skin(z, rx, ry):
-    true = skin(z, rx, ry)
-    touches = []
-    for i, side in enumerate(CORNER_SIGNS):
-        T = np.diag([1.0, -1.0, -1.0, 1.0])
-        T[:3, :3] = T[:3, :3] @ corner_rotation(side)
-        heights = corners(T, true)[:, 2]
-        assert heights.argmin() == i  # its own corner touches first
-        T[2, 3] = HEIGHT - heights.min()
-        touches.append(T)
-    found = fit_plane(touches, HEIGHT)
-    # A tilted face's corners come closer to the axis by 1 - cos 0.06 = 0.2 % of 10 mm, on a slope of 0.06: 1 um; twice
-    # for both tilts, and the tool's own 6 degrees let a corner that is 20 um aside stand 2 um higher.
-    np.testing.assert_allclose(found.T_tool_skin[2, 3], z, atol=8e-6)
-    np.testing.assert_allclose(found.T_tool_skin[:3, 2], true[:3, 2], atol=1e-3)
-    assert found.flatness_error < 4e-6
 
 
 LOOKS = np.arange(0.0, 8e-3, 2e-3 / 125)  # m: 125 looks a second at 2 mm/s
@@ -105,8 +83,9 @@ def arm_with(true, height=HEIGHT):
     return SimulatedArm(lab, LIMITS)
 
 
-def test_an_arm_finds_its_skin():
-    true, messages = skin(0.8e-3, 0.02, -0.03), []
+@pytest.mark.parametrize(("z", "rx", "ry"), [(0.8e-3, 0.04, -0.04), (-3e-3, -0.04, 0.01)])
+def test_an_arm_finds_its_skin(z, rx, ry):
+    true, messages = skin(z, rx, ry), []
     with arm_with(true) as arm:
         found = touch_off(arm, LIMITS, AT, HEIGHT, messages.append)
         assert arm.state().T_b_t[2, 3] > HEIGHT + CLEARANCE_M
