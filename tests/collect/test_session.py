@@ -106,7 +106,7 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
     notes.write_notes(tmp_path, begun)
     harder = replace(args, settings=replace(args.settings, press=0.004, force=9.0))
     heavier, larger = replace(Rig(), mass=Rig().mass + 0.1), BOX._replace(vertices=1.1 * BOX.vertices)
-    fingers = replace(Rig(), skin="left", skins=(CarriedSkin("right", "simulated", np.diag([1.0, -1, -1, 1])),))
+    fingers = replace(Rig(), skins=(CarriedSkin("right", "simulated", np.diag([1.0, -1, -1, 1])),))
     others = [
         ((harder, "hexagon", Rig(), BOX), r"settings\.force and settings\.press|settings\.press and settings\.force"),
         *(((args, "hexagon", other, BOX), "begun with another rig") for other in (heavier, fingers)),

@@ -50,7 +50,7 @@ def test_what_is_missing_or_damaged_is_named_in_one_sentence(views, tmp_path):
         (lambda: Image.fromarray(np.ones((5, 6), np.uint16)).save(depth), r"has the shape \(5, 6\) where the"),
         (lambda: [each.unlink() for each in depth.parent.iterdir()], "holds no views"),
         (lambda: lens.write_text(text.replace("scale = 0.0001\n", "")), f"^{lens}.*'scale' is missing"),
-        (lambda: lens.write_text(text.replace("width", "breadth")), f"^{lens}.*unknown key breadth"),
+        (lambda: lens.write_text(f"breadth = 6\n{text}"), f"^{lens}.*unknown key breadth"),
         (lambda: lens.write_text(text.replace("fx = 60.0", "fx = -1.0")), f"^{lens}.*focal lengths"),
         (lambda: lens.write_text(text.replace("fx = 60.0", "fx =")), f"^{lens}.*is not TOML"),
     ):
