@@ -37,13 +37,6 @@ def acme(monkeypatch):
     monkeypatch.setattr(plugins, "entry_points", lambda **wanted: [*ours(**wanted), *registered.select(**wanted)])
 
 
-@pytest.fixture
-def lab_file(tmp_path):
-    """The rig of Acme's lab."""
-    Rig().write(tmp_path / "lab.toml")
-    return tmp_path / "lab.toml"
-
-
 def test_an_arm_is_written_in_32_lines_and_a_skin_in_18_with_docstrings(acme):
     import acme_devices
 
@@ -52,9 +45,10 @@ def test_an_arm_is_written_in_32_lines_and_a_skin_in_18_with_docstrings(acme):
 
 
 @pytest.mark.full
-def test_the_examples_are_collected_with(acme, lab_file, tmp_path, capsys):
+def test_the_examples_are_collected_with(acme, tmp_path, capsys):
     """Four chips: twelve values from the device to the data set."""
-    shared = ["--skip-first-touch", "--touches", "1", "--rig", str(lab_file), "--no-pose-error",
+    Rig().write(tmp_path / "lab.toml")
+    shared = ["--skip-first-touch", "--touches", "1", "--rig", str(tmp_path / "lab.toml"), "--no-pose-error",
               "--settings.approach", "0.04", "--settings.press", "0.005", "--settings.settle", "0.02"]  # fmt: skip
     devices = ["--arm=acme_devices:AcmeArm", "--skin=acme_devices:AcmeSkin", "--camera=acme"]
     assert command.main(["--out", str(tmp_path / "set"), *devices, *shared]) == 0
@@ -111,9 +105,7 @@ def test_the_example_passes_its_own_tests():
     assert done.returncode == 0, done.stdout
 
 
-def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
-    acme, lab_file, tmp_path, monkeypatch, capsys
-):
+def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(acme, tmp_path, monkeypatch, capsys):
     """The arm is let go between views, so that a person can move it."""
     import acme_devices
 
@@ -123,13 +115,13 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
     monkeypatch.setattr(acme_devices.AcmeArm, "close", lambda arm: held.append(False) or close(arm))
     answers, seen_held = iter(["", "", "q"]), []
     monkeypatch.setattr("builtins.input", lambda said: seen_held.append(held[-1]) or next(answers))
-    words = ["--arm", "acme", "--camera", "acme_devices:AcmeCamera", "--rig", str(lab_file)]
+    Rig().write(tmp_path / "lab.toml")
+    words = ["--arm", "acme", "--camera", "acme_devices:AcmeCamera", "--rig", str(tmp_path / "lab.toml")]
     assert hand_eye.main(["capture", str(tmp_path / "views"), *words]) == 0, capsys.readouterr().err
     assert "2 views" in capsys.readouterr().out
     assert not any(seen_held)
     poses = np.loadtxt(tmp_path / "views" / "poses.csv", delimiter=",", usecols=range(1, 7))
-    arm = acme_devices.AcmeArm(DeviceSetup(Rig.read(lab_file)))
-    with arm:
+    with acme_devices.AcmeArm(DeviceSetup(Rig())) as arm:
         np.testing.assert_allclose(poses[0, :3], arm.state().T_b_t[:3, 3], atol=1e-6)
     lens, given = camera_folder.read_lens(tmp_path / "views", {"T_camera_image": None})
     assert (lens.width, lens.height) == (640, 360)

@@ -20,10 +20,10 @@ def _seen(block):
     return depth
 
 
-def _matching(depth, expected, around=AROUND):
+def _matching(depth, expected, around=AROUND, pixel=PIXEL):
     on_object = np.zeros(depth.shape, bool)
     on_object[around] = True
-    return matching_shifts(depth, expected, on_object, PIXEL, TOLERANCE)
+    return matching_shifts(depth, expected, on_object, pixel, TOLERANCE)
 
 
 @pytest.mark.parametrize(("u", "v", "nearer"), [(0, 0, 0.0), (9, -4, 0.0), (-5, 7, 2e-3), (-16, 16, 0.0)])
@@ -49,10 +49,7 @@ def test_a_plane_tells_no_shift_an_edge_one_direction_and_nothing_measured_none(
 
 
 def test_a_finer_view_is_shifted_in_no_more_steps():
-    block = (slice(30, 60), slice(44, 74))
-    on_object = np.zeros(TABLE.shape, bool)
-    on_object[AROUND] = True
-    shifts = matching_shifts(_seen(block), _seen(AROUND), on_object, (0.4e-3, 0.4e-3), TOLERANCE)
+    shifts = _matching(_seen((slice(30, 60), slice(44, 74))), _seen(AROUND), pixel=(0.4e-3, 0.4e-3))
     np.testing.assert_allclose(shifts.mean(0)[:2], [3.6e-3, 0.0], atol=0.4e-3)
 
 

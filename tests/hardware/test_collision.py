@@ -13,6 +13,7 @@ from i2t.collect.settings import TouchSettings
 from i2t.errors import DeviceError
 from i2t.hardware.collision import REACTION_S, fastest_speed, overrun_force
 from i2t.hardware.limits import LIMIT_RANGES, MotionLimits
+from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.rig import Rig
 
 
@@ -34,9 +35,7 @@ def test_free_motion_is_as_fast_as_can_be_stopped_within_the_limit():
     soft = replace(limits, stiffness=1e3)
     assert soft.free_speed > 4 * limits.free_speed
     assert replace(soft, speed=0.1).free_speed == 0.1
-    T = np.diag([1.0, -1, -1, 1])
-    T[:3, 3] = 0.4, 0.0, 0.3
-    assert limits.checked(T, None, None)[0] == limits.free_speed
+    assert limits.checked(pose_from_vector([0.4, 0.0, 0.3, np.pi, 0.0, 0.0]), None, None)[0] == limits.free_speed
 
 
 @pytest.mark.parametrize("stiffness", [10e3, 2e3])

@@ -5,6 +5,7 @@ import re
 import shutil
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -145,17 +146,14 @@ def taken(tmp_path_factory):
     poses = list(tools(8, rng))
     poses.insert(4, poses[0] @ pose([1.5, 0, 0], [0, 0, 0]))  # looks away: no board
     now = []
-
-    class Taker:
-        def colour(self):
-            return ColourImage(0.0, view(now[-1], drawing, rng), CAMERA, T_c_colour)
+    camera = SimpleNamespace(colour=lambda: ColourImage(0.0, view(now[-1], drawing, rng), CAMERA, T_c_colour))
 
     def arm():
         now.append(poses[len(now)])
         return reported(now[-1], rng)
 
     path = tmp_path_factory.mktemp("hand_eye") / "views"
-    assert hand_eye.capture(path, lambda: (arm(), colour_view(Taker())), lambda number: number < len(poses), BOARD) == 9
+    assert hand_eye.capture(path, lambda: (arm(), colour_view(camera)), lambda number: number < len(poses), BOARD) == 9
     return path, T_c_colour
 
 

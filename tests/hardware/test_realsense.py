@@ -15,6 +15,7 @@ import pytest
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware import realsense
+from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import View
 from i2t.hardware.realsense import RealSense, check_distance, nearest
 
@@ -62,9 +63,7 @@ def test_it_gives_metres_lens_and_aligned_colour_of_views_that_are_new(file):
 
 
 def test_colour_keeps_its_own_frame(tmp_path):
-    T = np.eye(4)
-    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    T[:3, 3] = 0.015, 0.001, -0.002
+    T = pose_from_vector([0.015, 0.001, -0.002, 0.0, 0.0, np.pi / 2])
     realsense_file.write(tmp_path / "views.db3", CAMERA, [View(0.0, DEPTH, COLOUR)] * 4, T_depth_colour=T)
     with RealSense(file=tmp_path / "views.db3", size=(64, 48)) as camera:
         colour = camera.colour(PATIENCE)

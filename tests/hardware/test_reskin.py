@@ -16,7 +16,7 @@ import pytest
 from helpers.waiting import PATIENCE, eventually
 
 from i2t.emulators.reskin_board import Readings, started
-from i2t.errors import DeviceError, DeviceTimeoutError
+from i2t.errors import DeviceError
 from i2t.hardware.contract import refuse
 from i2t.hardware.reskin import driver
 from i2t.hardware.reskin.driver import BoardInfo, ReSkin
@@ -70,15 +70,12 @@ def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
 
             eventually(again)
             assert skin.read(20, PATIENCE).number[0] >= before
-            assert skin.counters.connects == 2
             assert np.all(np.diff(skin.since(-1).time) >= 0)
 
 
 def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_board(monkeypatch):
     with started("--silent-after", "0.4", "--silent-for", "2.0") as (port, _), ReSkin(port) as skin:
         assert "check its cable" in failure(skin, "has been silent for")
-        with pytest.raises(DeviceTimeoutError, match="samples in"):
-            skin.read(4000, timeout=0.05)
         skin.read(20, PATIENCE)
         skin.latest(PATIENCE)
         monkeypatch.setattr(skin, "receive", lambda port: time.sleep(PATIENCE / 20) or [])
