@@ -96,10 +96,10 @@ def test_an_unplugged_camera_is_noticed_before_the_timeout(file):
     camera.connect()
     camera._pipe.stop()
     camera._file, camera._pipe = None, Mock()
-    camera._pipe.try_wait_for_frames.return_value = False, None
+    camera._pipe.try_wait_for_frames = lambda milliseconds: time.sleep(1e-3 * milliseconds) or (False, None)
     camera._pipe.stop.side_effect = RuntimeError("stop() cannot be called before start()")
     with pytest.raises(DeviceError, match=r"is gone; plug it in"):
-        camera.capture(600.0)
+        camera.capture(PATIENCE)
     with pytest.raises(NotConnectedError):
         camera.capture()
 

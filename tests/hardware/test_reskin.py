@@ -133,7 +133,7 @@ def test_a_late_read_is_dated_back_and_the_reader_does_not_die_quietly():
     skin._serial = lambda *_, **__: port
     skin.connect()
     failure(skin, "the skin on /dev/skin is gone")
-    port.close.assert_called()
+    eventually(lambda: port.close.called)
     times = skin.since(-1).time
     assert len(times) == len(whole)  # what came before the error is still there
     steps = np.diff(times[20:])  # the late chunk's frames, at the rate of the last second: 100 since the first chunk
