@@ -37,16 +37,24 @@ def test_importing_it_loads_nothing_heavy():
     assert not {"jax", "numpy", "scipy", "trimesh", "tyro", "h5py", "matplotlib"} & _loaded_by("import i2t")
 
 
-def test_types_data_sets_objects_and_the_hardware_side_import_no_jax():
-    """So tools of devices start at once, and run where no JAX is."""
-    modules = ["i2t.types", "i2t.errors", "i2t.skin.boards", "i2t.collect.procedure", "i2t.collect.recorder"]
+def test_types_data_sets_objects_and_the_hardware_side_import_no_jax_and_no_sdk():
+    """So tools of devices start at once, and run where no JAX and no other device's library is."""
+    sdks = {"cv2", "serial", "pyrealsense2", "rtde_control", "rtde_receive"}
+    modules = [
+        "i2t.emulators.reskin_board",
+        "i2t.types",
+        "i2t.errors",
+        "i2t.skin.boards",
+        "i2t.collect.procedure",
+        "i2t.collect.recorder",
+    ]
     for package in ("dataset", "objects", "hardware"):
         paths = sorted((ROOT / "i2t" / package).rglob("*.py"))
         names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths if path.stem != "__main__"]
         modules += [name.removesuffix(".__init__") for name in names]
     assert len(modules) > 20
     imported = _loaded_by(f"import importlib\nfor name in {modules!r}: importlib.import_module(name)")
-    assert not {"jax", "jaxlib"} & imported
+    assert not {"jax", "jaxlib", *sdks} & imported
 
 
 # What may be given by position: the data. Everything else, how it is done, is named.

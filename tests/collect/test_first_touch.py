@@ -12,16 +12,7 @@ from scipy.spatial.transform import Rotation
 from experiments.faults.rig import right_rig_refused, try_mistake, try_rig
 from experiments.faults.rig_mistakes import MISTAKES, WRONG_RIGS, right_rig
 from i2t.collect import first_touch as module
-from i2t.collect.first_touch import (
-    Look,
-    RigContradictedError,
-    depth_contradiction,
-    expected_view,
-    first_touch,
-    look_tolerance,
-    place_covariance,
-    plan_first_touch,
-)
+from i2t.collect.first_touch import Look, RigContradictedError, depth_contradiction, first_touch, plan_first_touch
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import UnreachableError
 from i2t.hardware.rig import Rig
@@ -82,7 +73,7 @@ def test_what_is_met_elsewhere_or_not_felt_is_said_and_the_tool_retreats(monkeyp
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 1.0))
     sampler.height = HEIGHT + off
     with pytest.raises(RigContradictedError, match=sentence):
-        first_touch(procedure, sampler, lambda line: None)
+        first_touch(procedure, sampler, str)
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029
 
 
@@ -126,18 +117,16 @@ def test_the_slow_touch_goes_as_far_as_the_placement_may_err():
 def test_the_slow_touch_goes_no_further_than_the_arm_can():
     """An arm that plans is asked of both ends of the line; where it forbids them the touch begins and ends nearer."""
     procedure = _unsure()
-    lowest, highest = HEIGHT - 7e-3, HEIGHT + 16e-3
-    asked = []
+    lowest, highest, asked = HEIGHT - 7e-3, HEIGHT + 16e-3, []
 
-    def why_unreachable(goals):
-        asked.extend(goals)
-        below = [goal[2, 3] < lowest for goal in goals]
-        return "too low" if any(below) else ""
+    def too_low(goals):
+        asked.extend(goal[2, 3] for goal in goals)
+        return "too low" if min(goal[2, 3] for goal in goals) < lowest else ""
 
-    procedure.arm.why_unreachable = why_unreachable
+    procedure.arm.why_unreachable = too_low
     slow = _slow_settings(procedure, Block())
     assert slow.overtravel == QUICK.overtravel
-    assert min(goal[2, 3] for goal in asked) == pytest.approx(HEIGHT - 16e-3, abs=1e-5)  # it was asked
+    assert min(asked) == pytest.approx(HEIGHT - 16e-3, abs=1e-5)
     assert slow.prepare > highest - HEIGHT
     # Not to the place above that where it prepares: it begins at the latter.
     procedure.arm.why_unreachable = lambda goals: "turned" if goals[-2][2, 3] > highest else ""
@@ -219,16 +208,17 @@ def test_a_flat_object_has_no_sides_and_looks_that_would_not_miss_it_say_so(monk
 def test_the_place_of_a_point_is_known_as_well_as_the_object_s_pose():
     far = np.array([0.1, 0.0, 0.0])
     turned = np.array([0.0, 0.1 * np.radians(1), 0.1 * np.radians(1)])
-    np.testing.assert_allclose(place_covariance(Rig(), far), np.diag(1e-6 + turned**2), atol=1e-12)
-    assert look_tolerance(Rig(), np.zeros(3)) == 6e-3
-    assert look_tolerance(Rig(), far) == pytest.approx(3 * np.sqrt(1e-6 + 1.5e-3**2 + turned[1] ** 2))
+    np.testing.assert_allclose(module.place_covariance(Rig(), far), np.diag(1e-6 + turned**2), atol=1e-12)
+    assert module.look_tolerance(Rig(), np.zeros(3)) == 6e-3
+    assert module.look_tolerance(Rig(), far) == pytest.approx(3 * np.sqrt(1e-6 + 1.5e-3**2 + turned[1] ** 2))
 
 
 def test_the_expected_view_is_the_block_s_top_above_the_table():
     mesh, camera = Block().placed, right_rig().camera
     T_w_c = np.diag([1.0, -1.0, -1.0, 1.0])
     T_w_c[2, 3] = HEIGHT + 0.1
-    depth, on_object, table = expected_view(mesh.vertices[mesh.faces], np.array([0.0, 0.0, HEIGHT]), T_w_c, camera)
+    view = module.expected_view(mesh.vertices[mesh.faces], np.array([0.0, 0.0, HEIGHT]), T_w_c, camera)
+    depth, on_object, table = view
     np.testing.assert_allclose(depth[on_object], 0.1)
     np.testing.assert_allclose(table, HEIGHT + 0.1)
     radius = np.sqrt(on_object.sum() * 0.1**2 / camera.fx / camera.fy)
@@ -257,16 +247,13 @@ def test_right_rigs_over_thin_small_and_shiny_objects_pass(number):
 
 
 @pytest.mark.full
-def test_an_object_that_is_aside_is_met_early_or_not_at_all_at_a_side():
-    aside = [(mistake, name) for mistake, name in WRONG_RIGS if "object 7 mm aside" in mistake.name]
-    assert all("slow touch of the side met" in try_mistake(*each).sentence for each in aside[:2])
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("place", [0, 2])
-def test_a_tcp_that_is_aside_is_seen_by_turning_the_tool(place):
-    aside = [each for each in WRONG_RIGS if "TCP 7 mm aside" in each[0].name]
-    assert "two looks at a site" in try_mistake(*aside[place]).sentence
+@pytest.mark.parametrize(("what", "place", "said"), [
+    *(("object 7 mm aside", place, "slow touch of the side met") for place in (0, 1)),
+    *(("TCP 7 mm aside", place, "two looks at a site") for place in (0, 2)),
+])  # fmt: skip
+def test_an_object_that_is_aside_is_met_so_at_a_side_and_a_tcp_is_seen_by_turning_the_tool(what, place, said):
+    aside = [each for each in WRONG_RIGS if what in each[0].name]
+    assert said in try_mistake(*aside[place]).sentence
 
 
 @pytest.mark.full

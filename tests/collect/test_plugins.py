@@ -5,18 +5,16 @@ import inspect
 import os
 import subprocess
 import sys
-import types
-from contextlib import ExitStack
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.refusals import refused
 
 from i2t import dataset
 from i2t.collect import command
-from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, SkinArgs
-from i2t.collect.devices import make_devices
 from i2t.hardware import camera_folder, hand_eye, plugins
 from i2t.hardware.plugins import DeviceSetup, load_device
 from i2t.hardware.rig import Rig
@@ -40,13 +38,6 @@ def acme(monkeypatch):
     monkeypatch.setattr(plugins, "entry_points", lambda **wanted: [*ours(**wanted), *registered.select(**wanted)])
 
 
-@pytest.fixture
-def lab_file(tmp_path):
-    """The rig of Acme's lab."""
-    Rig().write(tmp_path / "lab.toml")
-    return tmp_path / "lab.toml"
-
-
 def code_lines(made):
     """Lines of a class without docstrings and blank lines."""
     tree = ast.parse(inspect.getsource(made))
@@ -64,9 +55,10 @@ def test_an_arm_is_written_in_25_lines_and_a_skin_in_15(acme):
 
 
 @pytest.mark.full
-def test_the_examples_are_collected_with(acme, lab_file, tmp_path, capsys):
+def test_the_examples_are_collected_with(acme, tmp_path, capsys):
     """Four chips: twelve values from the device to the data set."""
-    shared = ["--skip-first-touch", "--touches", "1", "--rig", str(lab_file), "--no-pose-error",
+    Rig().write(tmp_path / "lab.toml")
+    shared = ["--skip-first-touch", "--touches", "1", "--rig", str(tmp_path / "lab.toml"), "--no-pose-error",
               "--settings.approach", "0.04", "--settings.press", "0.005", "--settings.settle", "0.02"]  # fmt: skip
     devices = ["--arm=acme_devices:AcmeArm", "--skin=acme_devices:AcmeSkin", "--camera=acme"]
     assert command.main(["--out", str(tmp_path / "set"), *devices, *shared]) == 0
@@ -89,16 +81,12 @@ def test_the_examples_are_collected_with(acme, lab_file, tmp_path, capsys):
         ("acme_devices:Nothing", "acme_devices has no Nothing; give package.module:Class"),
         ("broken_devices:NoArguments", "cannot be built"),
         ("broken_devices:NoMethods", "lacks approach, close, connect, features, go, move, state, stop, zero_wrench"),
-        (
-            "other",
-            "is not known; give a name that an installed package registers (acme, emulated, simulated, ur)",
-        ),
+        ("other", "is not known; give a name that an installed package registers (acme, emulated, simulated, ur)"),
     ],
 )
 def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said):
-    broken = types.ModuleType("broken_devices")
-    broken.NoArguments = type("NoArguments", (), {})
-    broken.NoMethods = type("NoMethods", (), {"__init__": lambda self, setup: None})
+    no_methods = type("NoMethods", (), {"__init__": lambda self, setup: None})
+    broken = SimpleNamespace(NoArguments=type("NoArguments", (), {}), NoMethods=no_methods)
     monkeypatch.setitem(sys.modules, "broken_devices", broken)
     with pytest.raises(ValueError, match=r"^--arm ") as error:
         load_device("arm", name, DeviceSetup(Rig()))
@@ -113,8 +101,7 @@ def test_a_real_arm_of_another_package_needs_a_rig(acme, monkeypatch, tmp_path, 
     real = property(lambda arm: features(arm)._replace(source="real"))
     monkeypatch.setattr(acme_devices.AcmeArm, "features", real)
     monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: pytest.fail("the arm was connected"))
-    assert command.main(["--out", str(tmp_path / "set"), *CLASSES]) == 2
-    assert "a real arm needs to know its lab" in capsys.readouterr().err
+    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why="a real arm needs to know its lab")
 
 
 @pytest.mark.full
@@ -128,9 +115,7 @@ def test_the_example_passes_its_own_tests():
     assert done.returncode == 0, done.stdout
 
 
-def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
-    acme, lab_file, tmp_path, monkeypatch, capsys
-):
+def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(acme, tmp_path, monkeypatch, capsys):
     """The arm is let go between views, so that a person can move it."""
     import acme_devices
 
@@ -138,16 +123,15 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
     held, connect, close = [], acme_devices.AcmeArm.connect, acme_devices.AcmeArm.close
     monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: held.append(True) or connect(arm))
     monkeypatch.setattr(acme_devices.AcmeArm, "close", lambda arm: held.append(False) or close(arm))
-    answers = iter(["", "", "q"])
-    seen_held = []
+    answers, seen_held = iter(["", "", "q"]), []
     monkeypatch.setattr("builtins.input", lambda said: seen_held.append(held[-1]) or next(answers))
-    words = ["--arm", "acme", "--camera", "acme_devices:AcmeCamera", "--rig", str(lab_file)]
+    Rig().write(tmp_path / "lab.toml")
+    words = ["--arm", "acme", "--camera", "acme_devices:AcmeCamera", "--rig", str(tmp_path / "lab.toml")]
     assert hand_eye.main(["capture", str(tmp_path / "views"), *words]) == 0, capsys.readouterr().err
     assert "2 views" in capsys.readouterr().out
     assert not any(seen_held)
     poses = np.loadtxt(tmp_path / "views" / "poses.csv", delimiter=",", usecols=range(1, 7))
-    arm = acme_devices.AcmeArm(DeviceSetup(Rig.read(lab_file)))
-    with arm:
+    with acme_devices.AcmeArm(DeviceSetup(Rig())) as arm:
         np.testing.assert_allclose(poses[0, :3], arm.state().T_b_t[:3, 3], atol=1e-6)
     lens, given = camera_folder.read_lens(tmp_path / "views", {"T_camera_image": None})
     assert (lens.width, lens.height) == (640, 360)
@@ -157,11 +141,11 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(
 @pytest.mark.parametrize(
     ("board", "said"),
     [
-        (None, "--skin acme: does not say where its chips are; give it an attribute board"),
+        (None, "AcmeSkin: does not say where its chips are; give it an attribute board"),
         (reskin_board(), "Acme's skin sends 12 values, and a board of 5 chips"),
     ],
 )
-def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch, board, said):
+def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch, tmp_path, capsys, board, said):
     """Its chips are not taken for ReSkin's five."""
     import acme_devices
 
@@ -169,6 +153,4 @@ def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch, board
     monkeypatch.setattr(
         acme_devices.AcmeSkin, "__init__", lambda skin, setup: made(skin, setup) or setattr(skin, "board", board)
     )
-    args = CollectArgs(arm=ArmArgs("acme"), skin=SkinArgs("acme"), camera=CameraArgs("acme"))
-    with ExitStack() as stack, pytest.raises(ValueError, match=said):
-        make_devices(args, Rig(), stack)
+    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why=said)

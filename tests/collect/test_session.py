@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,15 +15,16 @@ from helpers import random_touches
 
 from i2t import dataset
 from i2t.collect import command, notes, recorder, session
-from i2t.collect.arguments import ArmArgs, CameraArgs, CollectArgs, LabArgs, SkinArgs
+from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.beginning import begin
-from i2t.collect.devices import Devices, make_devices
+from i2t.collect.devices import Devices
 from i2t.collect.touch import SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
 from i2t.errors import DataError
+from i2t.hardware.carried_skins import CarriedSkin
+from i2t.hardware.contract import refuse
 from i2t.hardware.rig import Rig
-from i2t.hardware.world import WorldArgs
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
@@ -74,14 +74,13 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
     code, said = run(touches=2)
     assert code == 0
     assert "there already" in said
-    for other, why in ((["--object", "star"], "begun with another object"), (["--seed", "1"], "another seed")):
-        code, said = run(*other, touches=2)
-        assert code == 2
-        assert why in said
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / recorder.touches_in(tmp_path / "set")[0].name).write_bytes(b"")
-    assert command.main(["--out", str(tmp_path / "other")]) == 2
-    assert "another making" in capsys.readouterr().err
+    code, said = run("--object", "star", touches=2)
+    assert code == 2
+    assert "begun with another object" in said
+    (tmp_path / "set" / notes.NOTES).unlink()
+    code, said = run(touches=2)
+    assert code == 2
+    assert "another making" in said
 
 
 def test_no_session_starts_and_no_dry_run_passes_on_a_skin_that_lies(tmp_path, rig, capsys, monkeypatch):
@@ -107,13 +106,13 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
     notes.write_notes(tmp_path, begun)
     harder = replace(args, settings=replace(args.settings, press=0.004, force=9.0))
     heavier, larger = replace(Rig(), mass=Rig().mass + 0.1), BOX._replace(vertices=1.1 * BOX.vertices)
-    for now, lab_now, mesh, said in (
-        (harder, Rig(), BOX, r"settings\.force and settings\.press|settings\.press and settings\.force"),
-        (args, heavier, BOX, "begun with another rig"),
-        (args, Rig(), larger, "begun with another mesh"),  # of the same name, in another folder
-    ):
-        with pytest.raises(DataError, match=said):
-            notes.resume(now, "hexagon", lab_now, mesh)
+    fingers = replace(Rig(), skins=(CarriedSkin("right", "simulated", np.diag([1.0, -1, -1, 1])),))
+    others = [
+        ((harder, "hexagon", Rig(), BOX), r"settings\.force and settings\.press|settings\.press and settings\.force"),
+        *(((args, "hexagon", other, BOX), "begun with another rig") for other in (heavier, fingers)),
+        ((args, "hexagon", Rig(), larger), "begun with another mesh"),  # of the same name, in another folder
+    ]
+    refuse(DataError, [(notes.resume, *other) for other in others])
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
     _, begun = notes.resume(patient, "hexagon", Rig(), BOX)
     for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):
@@ -143,12 +142,8 @@ def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
 @pytest.mark.full
 def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
     args = CollectArgs(out=tmp_path / "stopped", lab=LabArgs(rig), touches=5, skip_first_touch=True)
-    before = signal.signal(signal.SIGTERM, command.end_by_signal)
-    try:
-        with pytest.raises(SystemExit) as ended:
-            session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with pytest.raises(SystemExit) as ended, command.left_by_signals():
+        session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
     assert ended.value.code == 128 + signal.SIGTERM
     assert len(dataset.load_dataset(tmp_path / "stopped")) == 1
     assert "the same command goes on" in capsys.readouterr().out
@@ -190,49 +185,41 @@ def test_a_folder_of_an_earlier_version_goes_on_with_the_pad_that_its_touches_na
     assert begin(replace(args, pad_name="blue")).notes["pad-name"] == "blue"
 
 
+@pytest.fixture(scope="module")
+def four_chips(tmp_path_factory):
+    """A folder with a rig, and a pad on another board."""
+    folder = tmp_path_factory.mktemp("pad")
+    Rig().write(folder / "lab.toml")
+    save_pad(folder / "four_chips.npz", jax.jit(lambda: nominal_pad(board=grid_board(2, 2)))())
+    return folder
+
+
+UR, RESKIN = "--arm ur --host 10.0.0.2", "--skin reskin --port /dev/skin"
+
+
 @pytest.mark.parametrize(("wrong", "said"), [
+    (f"--arm ur {RESKIN} --camera realsense", "pass --host"),
+    (f"{UR} --rig lab.toml --skin emulated", "--skin is emulated, and feels nothing on this arm"),
+    ("--arm emulated --skin emulated --host 10.0.0.2", "give both, or neither"),
+    ("--skin emulated", "pass --arm emulated"),
+    (f"{UR} --skin somewhere:Skin", "--skin somewhere:Skin: somewhere cannot be imported"),
+    ("--arm emulated --skin emulated --pad four_chips.npz",
+     "four_chips.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"),
     ("--arm emulated", "--skin is simulated, and feels nothing on this arm; pass --arm simulated"),
     ("--settings.press 0.25", "settings.press is 0.25; give 0.0001 to 0.05"),
     ("--state-timeout 60", "--state-timeout is 60; give 0.02 to 5"),
     ("--pose 30 0 0 0 0 0", "--pose is 30 0 0"),
     ("--pose 0 0 0.2 0 0 0", "above the table"),
 ])  # fmt: skip
-def test_what_does_not_go_together_is_said_in_a_sentence(tmp_path, capsys, wrong, said):
-    try:
-        code = command.main(["--out", str(tmp_path / "set"), *wrong.split()])
-    except SystemExit as error:
-        code = error.code
-    assert code == 2
+def test_what_does_not_go_together_is_said_in_a_sentence_before_anything_starts(
+    tmp_path, capsys, monkeypatch, four_chips, wrong, said
+):
+    monkeypatch.chdir(four_chips)
+    with pytest.raises(SystemExit) as ended:
+        sys.exit(command.main(["--out", str(tmp_path / "set"), *wrong.split()]))
+    assert ended.value.code == 2
     assert said in "".join(capsys.readouterr())
     assert not (tmp_path / "set").exists()
-
-
-def test_devices_that_do_not_go_together_are_refused_before_anything_starts(tmp_path):
-    arm, skin = ArmArgs("ur", "10.0.0.2", watchdog_rate=5.0), SkinArgs("reskin", "/dev/skin", board="grid-4x4")
-    args = CollectArgs(arm=arm, skin=skin, camera=CameraArgs("realsense"))
-
-    def made(args):
-        args.check()
-        with ExitStack() as stack:
-            return make_devices(args, Rig(), stack)
-
-    for wrong_arm, wrong_skin, said in (
-        ({"host": None}, {}, "pass --host"),
-        ({}, {"kind": "emulated", "port": None}, "--skin is emulated, and feels nothing on this arm"),
-        ({"kind": "emulated"}, {"kind": "emulated", "port": None}, "give both, or neither"),
-        ({"kind": "simulated", "host": None, "watchdog_rate": None}, {"kind": "emulated"}, "pass --arm emulated"),
-        ({}, {"kind": "somewhere:Skin"}, "--skin somewhere:Skin: somewhere cannot be imported"),
-        ({"kind": "somewhere"}, {}, "--arm somewhere is not known; give a name that an installed package registers"),
-    ):
-        wrong = replace(args, arm=replace(arm, **wrong_arm), skin=replace(skin, **wrong_skin))
-        with pytest.raises(ValueError, match=said):
-            made(wrong)
-    four_chips = tmp_path / "four_chips.npz"
-    save_pad(four_chips, jax.jit(lambda: nominal_pad(board=grid_board(2, 2)))())
-    of_four_chips = CollectArgs(arm=ArmArgs("emulated"), skin=SkinArgs("emulated"), world=WorldArgs(pad=four_chips))
-    said = r"four_chips\.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"
-    with pytest.raises(ValueError, match=said):
-        made(of_four_chips)
 
 
 @pytest.mark.parametrize(("sources", "said"), [

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedLab, SimulatedSkin, SkinInLab, VirtualClock
 from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, SpringPlane, _meet
+from i2t.geometry import transform
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
@@ -29,9 +30,7 @@ def scene():
 
 
 def pose(x, y, z, turned=DOWN):
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = turned, [x, y, z]
-    return T
+    return transform(turned, np.array([x, y, z]))
 
 
 def lab(errors=QUIET):
@@ -124,8 +123,8 @@ def test_a_view_of_a_plane_is_its_equation():
     """Any plane, any pose: every pixel that sees it measures where its ray meets it."""
     rng = np.random.default_rng(0)
     for _ in range(5):
-        T = pose(*rng.uniform(-0.05, 0.05, 2), 0.2, Rotation.random(rng=rng).as_matrix())
-        T[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix() @ DOWN
+        turned = Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix() @ DOWN
+        T = pose(*rng.uniform(-0.05, 0.05, 2), 0.2, turned)
         corners = np.array([[-0.3, -0.25, 0], [0.3, -0.25, 0.05], [0, 0.3, -0.05]])
         depth, which = render_view(corners[None], T, LENS)
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])

@@ -127,8 +127,7 @@ def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, see
     assert [frame.end for frame in found] == [frame.end for frame in expected]
     np.testing.assert_array_equal([frame.reading for frame in found], [frame.reading for frame in expected])
     for one, other in zip(candidates, once, strict=True):
-        for name in Decoder._fields:
-            np.testing.assert_equal(getattr(one, name), getattr(other, name))
+        np.testing.assert_equal(one._asdict(), other._asdict())
     for frame in found:
         size = np.abs(frame.reading)
         assert not ((size > 0) & (size < FIELD_RANGE_UT[0])).any()

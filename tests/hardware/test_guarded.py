@@ -1,10 +1,10 @@
 """Motions that i2t guards itself: a watch that judges states, and arms that do not keep to what they are asked."""
 
-import itertools
 import signal
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from i2t.collect.settings import TouchSettings
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
 from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import MonotonicClock
+from i2t.hardware.contract import refuse
 from i2t.hardware.guarded import STATE_AGE_S, MotionWatch, free_limits
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.poses import shifted_along_z
@@ -84,7 +85,7 @@ def test_an_arm_that_goes_too_far_or_too_fast_or_asks_nobody_ends_the_touch(chan
 def forged(name, value):
     """Lies about one number of a state, about the pose also in its rotation."""
 
-    def lie(state):
+    def lie(state, first):
         wrong = np.array(getattr(state, name), float)
         wrong[..., -1] = value
         return state._replace(**{name: wrong})
@@ -92,28 +93,19 @@ def forged(name, value):
     return lie
 
 
-LIES = {
+LIES = {  # what becomes of a state, by the first of which that is so
     **{f"{name} {value:g}": forged(name, value) for name in ("T_b_t", "velocity", "wrench") for value in NUMBERS},
     **{f"joints {value:g}": forged("joints", value) for value in NUMBERS[:3]},
-    "old": lambda state: state._replace(time=state.time - 5.0),
-    "of no time": lambda state: state._replace(time=np.nan),
-    "of the future": lambda state: state._replace(time=np.inf),
-    "not safe": lambda state: state._replace(safe=False),
+    "old": lambda state, first: state._replace(time=state.time - 5.0),
+    "of no time": lambda state, first: state._replace(time=np.nan),
+    "of the future": lambda state, first: state._replace(time=np.inf),
+    "not safe": lambda state, first: state._replace(safe=False),
+    "frozen": lambda state, first: first,
+    "frozen pose": lambda state, first: state._replace(T_b_t=first.T_b_t, moving=True),
 }
 
 
-class Frozen:
-    """Gives one state, or one pose, again and again."""
-
-    def __init__(self, whole):
-        self.whole, self.first = whole, None
-
-    def __call__(self, state):
-        self.first = self.first or state
-        return self.first if self.whole else state._replace(T_b_t=self.first.T_b_t, moving=True)
-
-
-@pytest.mark.parametrize("lie", [*LIES.values(), "frozen", "frozen pose"], ids=[*LIES, "frozen", "frozen pose"])
+@pytest.mark.parametrize("lie", LIES)
 @pytest.mark.parametrize("own", [True, False], ids=["its own approach", "guarded by polling"])
 def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
     """NaN, infinite, frozen and absurd values of every number that stops or allows a motion."""
@@ -124,16 +116,16 @@ def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
         told = arm.read_state
         arm.lie = lambda state: state
         arm.read_state = lambda: arm.lie(told())
-    log, begun = MemoryLog(), []
+    log, begun, ended = MemoryLog(), [], ""
     keep = log.state
 
     def state(heard):
         keep(heard)
         if not begun and pushed(procedure) > 1.0:
             begun.append(heard)
-            arm.lie = Frozen(lie == "frozen") if isinstance(lie, str) else lie
+            arm.lie = partial(LIES[lie], first=heard)
 
-    log.state, ended = state, ""
+    log.state = state
     try:
         ended = press(procedure, log).reason
     except DeviceError as error:
@@ -150,7 +142,7 @@ def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
 
 @pytest.mark.parametrize(
     ("lie", "said"),
-    [(lambda state: state, "met something"), (LIES["not safe"], "protective"), (LIES["velocity 1e+06"], "turns at")],
+    [(lambda state, first: state, "met something"), (LIES["not safe"], "protective"), (LIES["velocity 1e+06"], "turns at")],
 )
 def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_begun_anew(lie, said):
     procedure = make(stiffness=STIFFNESS)
@@ -159,7 +151,7 @@ def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_
     goal = shifted_along_z(arm.state().T_b_t, 0.02)
     arm.move(goal, 0.04)
     arm.clock.sleep(0.05)
-    arm.read_state = lambda: lie(told())
+    arm.read_state = lambda: lie(told(), first=None)
 
     def ask():
         while arm.state().moving:
@@ -220,6 +212,7 @@ def test_a_motion_is_not_begun_where_a_stop_was_asked_for_meanwhile():
         assert arm.lab.robot.motion is None
 
 
+BOUNDS = {"distance": 0.01, "speed": 0.1, "force": 8.0, "torque": 2.0}
 START = ArmState(0.0, make().arm.read_state().T_b_t, np.zeros(6), np.zeros(6), np.zeros(6), moving=True, safe=True)
 
 
@@ -249,8 +242,7 @@ def at(time, z=0.0, **changes):
 )
 def test_each_thing_that_is_wrong_with_a_state_is_said(states, said):
     clock = VirtualClock(0.0)
-    bounds = {"distance": 0.01, "speed": 0.1, "force": 8.0, "torque": 2.0}
-    watch = MotionWatch("the arm", make().rig.limits, START, **bounds, clock=clock)
+    watch = MotionWatch("the arm", make().rig.limits, START, **BOUNDS, clock=clock)
 
     def judge():
         for state in states:
@@ -261,15 +253,10 @@ def test_each_thing_that_is_wrong_with_a_state_is_said(states, said):
         judge()
 
 
-def test_force_before_torque_is_what_is_above_its_limit():
-    bounds = {"distance": 0.01, "speed": 0.1, "force": 8.0, "torque": 2.0}
-    for wrench, above in (
-        ([8, 0, 0, 2, 0, 0], None),
-        ([8.1, 0, 0, 2.1, 0, 0], "force"),
-        ([0, 0, 0, 0, 2.1, 0], "torque"),
-    ):
-        watch = MotionWatch("the arm", make().rig.limits, START, **bounds, clock=VirtualClock(0.0))
-        assert watch(at(0.0, 1.0, wrench=np.array(wrench, float))) == above
+@pytest.mark.parametrize(("force", "torque", "above"), [(8, 2, None), (8.1, 2.1, "force"), (0, 2.1, "torque")])
+def test_force_before_torque_is_what_is_above_its_limit(force, torque, above):
+    watch = MotionWatch("the arm", make().rig.limits, START, **BOUNDS, clock=VirtualClock(0.0))
+    assert watch(at(0.0, 1.0, wrench=np.array([0, force, 0, 0, 0, torque]))) == above
 
 
 def slow_arm(**broken):
@@ -378,8 +365,5 @@ def test_no_free_motion_begins_with_a_force_that_is_no_number_or_beyond_reason()
     limits = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5))
     assert free_limits(limits, np.zeros(6)) == (limits.trip_force, limits.torque)
     assert free_limits(limits, np.array([0, 0, 40.0, 0, 0, 0]))[0] == pytest.approx(44.0)
-    for place, value in itertools.product((2, 5), NUMBERS):
-        wrench = np.zeros(6)
-        wrench[place] = value
-        with pytest.raises(DeviceError, match="before it moves"):
-            free_limits(limits, wrench)
+    wrenches = (np.where(np.arange(6) == place, value, 0.0) for place in (2, 5) for value in NUMBERS)
+    refuse(DeviceError, [(free_limits, (limits, wrench), "before it moves") for wrench in wrenches])

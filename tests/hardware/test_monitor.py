@@ -32,11 +32,6 @@ def test_a_table_has_each_chips_change_and_says_which_is_missing():
     assert lines[4] == "change of all: 2.2 uT"
 
 
-def test_what_cannot_be_shown_is_said(tmp_path, capsys):
-    assert monitor.main(["--port", str(tmp_path / "nowhere")]) == 1
-    assert "there is no port" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(("noise", "health"), [("1", monitor.HEALTHY_TEXT), ("0", "UNHEALTHY: chip 0 stands still")])
 def test_a_board_is_drawn_kept_and_judged(capsys, monkeypatch, tmp_path, noise, health):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)

@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from i2t.depth.camera import Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.hardware import realsense
+from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import View
 from i2t.hardware.realsense import RealSense, check_distance, nearest
 
@@ -61,9 +63,7 @@ def test_it_gives_metres_lens_and_aligned_colour_of_views_that_are_new(file):
 
 
 def test_colour_keeps_its_own_frame(tmp_path):
-    T = np.eye(4)
-    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    T[:3, 3] = 0.015, 0.001, -0.002
+    T = pose_from_vector([0.015, 0.001, -0.002, 0.0, 0.0, np.pi / 2])
     realsense_file.write(tmp_path / "views.db3", CAMERA, [View(0.0, DEPTH, COLOUR)] * 4, T_depth_colour=T)
     with RealSense(file=tmp_path / "views.db3", size=(64, 48)) as camera:
         colour = camera.colour(PATIENCE)
@@ -90,24 +90,16 @@ def test_exposures_are_dated_where_the_clock_is_the_computers(file):
     assert exposed(rs.timestamp_domain.hardware_clock, 0.0) is None
 
 
-class Gone:
-    """A pipeline whose camera was unplugged: the SDK gives no frames and says nothing."""
-
-    def try_wait_for_frames(self, milliseconds):
-        time.sleep(1e-3 * milliseconds)
-        return False, None
-
-    def stop(self):
-        raise RuntimeError("stop() cannot be called before start()")
-
-
 def test_an_unplugged_camera_is_noticed_before_the_timeout(file):
+    """The SDK then gives no frames and says nothing, and its pipeline cannot be stopped."""
     camera = RealSense(file=file, size=(64, 48))
     camera.connect()
     camera._pipe.stop()
-    camera._file, camera._pipe = None, Gone()
+    camera._file, camera._pipe = None, Mock()
+    camera._pipe.try_wait_for_frames = lambda milliseconds: time.sleep(1e-3 * milliseconds) or (False, None)
+    camera._pipe.stop.side_effect = RuntimeError("stop() cannot be called before start()")
     with pytest.raises(DeviceError, match=r"is gone; plug it in"):
-        camera.capture(600.0)
+        camera.capture(PATIENCE)
     with pytest.raises(NotConnectedError):
         camera.capture()
 

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.faults.rig_mistakes import MISTAKES, right_rig
 from i2t.hardware.rig import Rig
-from i2t.hardware.rig_checks import implausible, other_lens, other_tool, require_plausible
+from i2t.hardware.rig_checks import implausible, other_lens, require_plausible
 from i2t.objects.catalogue import make_object
 
 # What a file does not show, and only camera, arm and skin can contradict (tests/collect/test_first_touch.py).
@@ -60,11 +60,3 @@ def test_a_doubt_is_refused_with_the_way_round_it_and_a_mesh_in_another_unit_is_
         require_plausible(wrong, vertices)
     (found,) = implausible(Rig(), 1e-3 * vertices)
     assert "check --unit" in found
-
-
-def test_the_pendant_s_tool_is_compared_where_it_has_one():
-    tool = right_rig().T_flange_tool
-    shifted = np.array(tool)
-    shifted[2, 3] += 0.05
-    assert other_tool(tool, np.eye(4)) == other_tool(tool, tool) == ""
-    assert "50 mm and 0 degrees" in other_tool(tool, shifted)

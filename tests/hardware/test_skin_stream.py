@@ -5,9 +5,11 @@ import time
 
 import numpy as np
 import pytest
+from helpers.waiting import eventually
 
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware import skin_stream
+from i2t.hardware.contract import refuse
 from i2t.hardware.skin_stream import Measurement, StreamedSkin
 
 CHIPS = 2
@@ -36,13 +38,6 @@ class Board(StreamedSkin):
         self.closed.append(link)
 
 
-def eventually(condition):
-    end = time.monotonic() + 5.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 def fail(error):
     raise error
 
@@ -61,9 +56,8 @@ def test_whatever_ends_the_thread_every_call_says_why(wrong, said):
     skin = Board(lambda link: sent.append(link) or ([sample()] if len(sent) < 3 else wrong(link)))
     skin.connect()
     eventually(lambda: skin.closed == [1])
-    for call in (skin.latest, lambda: skin.read(5), lambda: skin.since(skin.counters.samples)):
-        with pytest.raises(DeviceError, match=said):
-            call()
+    calls = (skin.latest, ()), (skin.read, (5,)), (skin.since, (skin.counters.samples,))
+    refuse(DeviceError, [(*call, said) for call in calls])
 
 
 def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection(monkeypatch):
@@ -99,8 +93,7 @@ def test_a_board_that_cannot_be_opened_or_says_nothing_leaves_nothing_open(monke
         silent.connect()
     assert silent.closed == [1]
     silent.open_link = lambda: fail(PermissionError(13, "denied"))
-    with pytest.raises(DeviceError, match=r"the board is gone \(.*denied\)"):
-        silent.connect()
+    refuse(DeviceError, [(silent.connect, (), r"the board is gone \(.*denied\)")])
     interrupted = Board(lambda link: [])
     interrupted._check = lambda: fail(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):

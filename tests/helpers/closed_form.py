@@ -12,6 +12,7 @@ from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import SpringPlane
 from i2t.errors import NotConnectedError
+from i2t.geometry import transform
 from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.hardware.rig import Rig
@@ -59,9 +60,7 @@ def extract_patch(view, camera, T_w_c, T_w_t, nearest=None, visible_share=1.0):
 
 
 def site(number, x=0.0, y=0.0, height=HEIGHT, turned=DOWN):
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turned, [x, y, height]
-    return Site(number, pose)
+    return Site(number, transform(turned, np.array([x, y, height])))
 
 
 def listed(*sites):

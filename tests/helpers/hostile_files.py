@@ -357,6 +357,7 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("readings", "a.csv"): {"a cell of a million letters": lambda _: 'b0x_uT,"' + "z" * 10**6},
     ("session", "theirs/.collection.json"): {
         "nested deep": DEEP,
+        "a number": "3",
         "no session": json.dumps({"object": "cube"}),
     },
     ("raw", "a.raw"): {

@@ -9,7 +9,7 @@ What it cannot show is what only a camera does: USB, exposure, and times on the 
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def write(
     Args:
         path: Of the file.
         camera: Lens of depth and of colour.
-        views: Depth in m; 0 is written where nothing was measured.
+        views: Depth in m, of which 0 is written where nothing was measured, and colour.
         model: That the recording says.
         unit: m per unit of depth.
         rate: Hz.
@@ -55,10 +55,11 @@ def write(
     ):
         device.register_info(info, text)
     channels = [_channel(rs, device, camera, number, rate) for number in range(len(SENSORS))]
-    channels[0].sensor.add_read_only_option(rs.option.depth_units, unit)
+    (depth, depth_stream), (_, colour_stream) = channels
+    depth.add_read_only_option(rs.option.depth_units, unit)
     T, extrinsics = inverse(np.eye(4) if T_depth_colour is None else T_depth_colour), rs.extrinsics()
     extrinsics.rotation, extrinsics.translation = T[:3, :3].ravel(order="F").tolist(), T[:3, 3].tolist()
-    channels[0].stream.register_extrinsics_to(channels[1].stream, extrinsics)
+    depth_stream.register_extrinsics_to(colour_stream, extrinsics)
 
     recorder, queue = rs.recorder(str(path), device), rs.frame_queue(4)
     recorded = recorder.query_sensors()
@@ -66,26 +67,19 @@ def write(
         sensor.open(sensor.get_stream_profiles()[0])
         sensor.start(queue)
     for number, view in enumerate(views):
-        for channel, pixels in zip(channels, _images(view, unit), strict=True):
-            frame = _frame(rs, pixels, channel.stream, number=number, rate=rate)
-            if channel is channels[0]:
-                frame.depth_units = unit
-            channel.sensor.on_video_frame(frame)
+        units = np.nan_to_num(np.round(view.depth / unit), nan=0.0).astype(np.uint16)
+        for (sensor, stream), pixels in zip(channels, (units, view.colour), strict=True):
+            frame = _frame(rs, pixels, stream, number=number, rate=rate)
+            frame.depth_units = unit
+            sensor.on_video_frame(frame)
         time.sleep(1 / rate)  # the file's own times are those of the writing
     for sensor in recorded:
         sensor.stop()
         sensor.close()
 
 
-class _Channel(NamedTuple):
-    """A sensor of the software device, and the stream of its images."""
-
-    sensor: Any
-    stream: Any
-
-
-def _channel(rs: Any, device: Any, camera: Camera, number: int, rate: int) -> _Channel:
-    """One of `SENSORS`, with the lens of the camera."""
+def _channel(rs: Any, device: Any, camera: Camera, number: int, rate: int) -> tuple[Any, Any]:
+    """One of `SENSORS`, with the lens of the camera, and the stream of its images."""
     name, kind, form, size = SENSORS[number]
     lens, stream = rs.intrinsics(), rs.video_stream()
     lens.width, lens.height, lens.fx, lens.fy = camera.width, camera.height, camera.fx, camera.fy
@@ -95,13 +89,7 @@ def _channel(rs: Any, device: Any, camera: Camera, number: int, rate: int) -> _C
     stream.index, stream.uid, stream.bpp = 0, number + 1, size
     stream.width, stream.height, stream.fps, stream.intrinsics = camera.width, camera.height, rate, lens
     sensor = device.add_sensor(name)
-    return _Channel(sensor, sensor.add_video_stream(stream, True))
-
-
-def _images(view: View, unit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Depth in units, 0 where nothing was measured, and colour, black where there is none."""
-    units = np.nan_to_num(np.round(np.asarray(view.depth, float) / unit), nan=0.0).astype(np.uint16)
-    return units, np.zeros((*units.shape, 3), np.uint8) if view.colour is None else view.colour
+    return sensor, sensor.add_video_stream(stream, True)
 
 
 def _frame(rs: Any, pixels: np.ndarray, stream: Any, *, number: int, rate: int) -> Any:

@@ -1,0 +1,13 @@
+"""Waiting for what other processes and threads do."""
+
+import time
+
+PATIENCE = 20.0  # s that a loaded machine may need for what takes a moment
+
+
+def eventually(condition) -> None:
+    """Ask again until it is so."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
