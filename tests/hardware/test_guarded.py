@@ -142,7 +142,11 @@ def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
 
 @pytest.mark.parametrize(
     ("lie", "said"),
-    [(lambda state, first: state, "met something"), (LIES["not safe"], "protective"), (LIES["velocity 1e+06"], "turns at")],
+    [
+        (lambda state, first: state, "met something"),
+        (LIES["not safe"], "protective"),
+        (LIES["velocity 1e+06"], "turns at"),
+    ],
 )
 def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_begun_anew(lie, said):
     procedure = make(stiffness=STIFFNESS)
