@@ -48,7 +48,7 @@ from i2t.collect.touch import (
 )
 from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.guarded import STATE_AGE_S, STILL_S, MotionWatch
+from i2t.hardware.guarded import MotionWatch
 from i2t.hardware.limits import format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import (
@@ -336,9 +336,7 @@ class Procedure:
         settings, start = self.settings, self.arm.state()
         most = {"force": settings.force, "torque": settings.torque}
         motion = {"distance": distance, "speed": speed, **most}
-        motion["age"] = max(STATE_AGE_S, getattr(self.arm, "state_timeout", 0.0))
-        motion["still"] = np.inf if getattr(self.arm, "can_be_paused", False) else STILL_S
-        watch = MotionWatch(self.arm.features.name, self.rig.limits, start, **motion, clock=self.clock)
+        watch = MotionWatch(self.arm, self.rig.limits, start, **motion, clock=self.clock)
         stop = StopCondition(self.skins, settings, ambient, log, watch)
         if distance <= 0:
             return ApproachResult("distance", None, start, start, 0.0), stop

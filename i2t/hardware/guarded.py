@@ -20,7 +20,7 @@ from i2t.hardware.base import DeviceBase
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.hardware.poses import apart, shifted_along_z
-from i2t.hardware.protocols import ApproachResult, ArmFeatures, ArmState, StopReason
+from i2t.hardware.protocols import ApproachResult, Arm, ArmFeatures, ArmState, StopReason
 from i2t.types import Array
 
 GOAL_TOLERANCE = (1e-3, 0.01)  # m, rad: how near its goal a finished motion ends
@@ -47,7 +47,8 @@ class MotionWatch:
     """Judge of the states of one motion.
 
     Args:
-        name: Of the arm, for messages.
+        arm: Whose they are. One that is taken for lost only later (`state_timeout`, s) may give older states, and the
+            pose of one that a person may pause (`can_be_paused`) may stand still while it says that it moves.
         limits: Of the rig.
         start: Where the motion begins.
         distance: m, that the tool goes.
@@ -55,14 +56,11 @@ class MotionWatch:
         force: N, norm of the force that ends the motion.
         torque: Nm, likewise.
         clock: That dates states.
-        age: s, that a state may be old.
-        still: s, in which the pose of an arm that says that it moves must have changed; infinite for one that a person
-            may pause.
     """
 
     def __init__(
         self,
-        name: str,
+        arm: Arm,
         limits: MotionLimits,
         start: ArmState,
         *,
@@ -71,10 +69,10 @@ class MotionWatch:
         force: float,
         torque: float,
         clock: Clock,
-        age: float = STATE_AGE_S,
-        still: float = STILL_S,
     ) -> None:
-        self._name, self._limits, self._clock, self._age, self._still = name, limits, clock, age, still
+        self._name, self._limits, self._clock = arm.features.name, limits, clock
+        self._age = max(STATE_AGE_S, getattr(arm, "state_timeout", 0.0))
+        self._still = np.inf if getattr(arm, "can_be_paused", False) else STILL_S
         self._start, self._distance, self._speed = start.T_b_t[:3, 3], distance, speed
         self._force, self._torque = force, torque
         self.begun = self._changed = clock.now()  # when the pose was another for the last time
@@ -367,7 +365,7 @@ class GuardedByPolling(DeviceBase):
             raise DeviceError(f"The tool at {at} m is outside its box: bring it back with the pendant.")
         force, torque = bounds or free_limits(self.limits, start.wrench)
         watch = MotionWatch(
-            self.name,
+            self,
             self.limits,
             start,
             distance=float(np.linalg.norm(goal[:3, 3] - position)),
@@ -375,8 +373,6 @@ class GuardedByPolling(DeviceBase):
             force=force,
             torque=torque,
             clock=self.clock,
-            age=max(STATE_AGE_S, self.state_timeout),
-            still=np.inf if self.can_be_paused else STILL_S,
         )
         with self._ordering:
             if self._stops != stops or not self._accepting:

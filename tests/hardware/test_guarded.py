@@ -246,7 +246,7 @@ def at(time, z=0.0, **changes):
 )
 def test_each_thing_that_is_wrong_with_a_state_is_said(states, said):
     clock = VirtualClock(0.0)
-    watch = MotionWatch("the arm", make().rig.limits, START, **BOUNDS, clock=clock)
+    watch = MotionWatch(make().arm, make().rig.limits, START, **BOUNDS, clock=clock)
 
     def judge():
         for state in states:
@@ -259,7 +259,7 @@ def test_each_thing_that_is_wrong_with_a_state_is_said(states, said):
 
 @pytest.mark.parametrize(("force", "torque", "above"), [(8, 2, None), (8.1, 2.1, "force"), (0, 2.1, "torque")])
 def test_force_before_torque_is_what_is_above_its_limit(force, torque, above):
-    watch = MotionWatch("the arm", make().rig.limits, START, **BOUNDS, clock=VirtualClock(0.0))
+    watch = MotionWatch(make().arm, make().rig.limits, START, **BOUNDS, clock=VirtualClock(0.0))
     assert watch(at(0.0, 1.0, wrench=np.array([0, force, 0, 0, 0, torque]))) == above
 
 

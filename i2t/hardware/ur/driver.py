@@ -131,10 +131,9 @@ class UrArm(GuardedByPolling):
         """End the program and let go, from any thread."""
         with self._closing:
             try:
-                if self.connection.is_open:
-                    with contextlib.suppress(DeviceError):
-                        if self.connection.newest(self.state_timeout).program:
-                            self.connection.end_program()
+                with contextlib.suppress(DeviceError):
+                    if self.connection.newest(self.state_timeout).program:
+                        self.connection.end_program()
                 self.connection.close()
             finally:
                 lock, self._lock = self._lock, None

@@ -74,11 +74,6 @@ class RtdeConnection:
         self._trip: ArmState | None = None  # that was above a motion's limits, until a brake or the next motion
 
     @property
-    def is_open(self) -> bool:
-        """Tell whether there is a connection, be it a broken one that has not been closed."""
-        return self._thread is not None
-
-    @property
     def speed_share(self) -> float:
         """Share of the asked speed that the slider on the pendant leaves; NaN before the first state."""
         return np.nan if self._state is None else self._state.speed_share
