@@ -33,8 +33,9 @@ SPARE_BYTES = 16 * 2**20  # that a small archive may unpack to, however small it
 MAX_INFLATION = 40  # times its size, that an archive may unpack to beyond that: numbers as text reach 10
 MAX_ARCHIVE_ENTRIES = 4096
 MAX_LINE_BYTES = 2**16  # of a text that is read line by line: a row of 25 chips has some 1000
+MAX_MESH_BYTES = 2**28  # of a file of a mesh, and of the files that it names
 MARK_OF_TOUCHES = b"i2t-touches "  # with which a file of touches begins (`i2t.dataset.files`)
-TABLE_SUFFIXES, MESH_SUFFIXES = (".csv", ".tsv", ".txt"), (".stl", ".obj", ".ply", ".glb")
+TABLE_SUFFIXES, MESH_SUFFIXES = (".csv", ".tsv", ".txt"), (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 

@@ -1,12 +1,11 @@
 """Mesh files of other people: read with an explicit unit, cleaned, and honest about what was cleaned.
 
-A file says nothing reliable about its unit, so the caller does; STL, OBJ, PLY and GLB are read through trimesh.
+A file says nothing reliable about its unit, so the caller does. `i2t.objects.mesh_formats` reads its triangles.
 Cleaning merges equal vertices, drops degenerate and repeated faces, keeps the largest connected piece by area (stray
 facets of scans go) and turns faces outward. Holes are counted but left open: the renderer needs no closed surface,
 and an invented one would be touched as if it were there.
 """
 
-import io
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +17,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from i2t import files
-from i2t.errors import DataError
+from i2t.objects.mesh_formats import foreign_kind, parse_mesh
 from i2t.objects.solids import Mesh, Object, place_on_table, transform_mesh
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
-MAX_MESH_BYTES = 2**28  # of a file
-MAX_NODES = 1000  # of a scene in a GLB file, whose parser walks them one by one
-GLB_SCENE = 20  # bytes before the scene of a GLB file
 STRAY_AREA = 1e-3  # share of the area, up to which loose pieces are stray facets of a scan
 MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, longest side of something to touch
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a frame whose y is up
@@ -80,7 +76,7 @@ def read_mesh(
     """Read and clean a mesh file. (A text file cut off between two lines cannot be distinguished from a whole one.)
 
     Args:
-        path: An STL, OBJ, PLY or GLB file.
+        path: An STL, OBJ, PLY, OFF, GLB or glTF file.
         unit: Of its coordinates: m, cm, mm or inch.
         table: Whether to place it on the table: box centred in x and y, lowest point on z = 0, without turning it;
             otherwise it keeps its own frame.
@@ -99,27 +95,10 @@ def read_mesh(
     scale = to_metres(path, unit)
     if up not in ("z", "y"):
         raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
-    _check_whole(path, data)
-    try:
-        _check_scene(path, data)
-        kind = path.suffix[1:].lower()
-        raw = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True).to_mesh()
-        vertices, faces = np.asarray(raw.vertices, np.float64) * scale, np.asarray(raw.faces, np.int64)
-    except DataError:
-        raise
-    except Exception as error:  # whatever a parser trips over, the file is at fault
-        kind, reason = path.suffix[1:].upper(), " ".join(f"{type(error).__name__} {error}".split())
-        raise ValueError(
-            f"{path}: cannot be read as {kind} ({reason}); export it again, or check its ending"
-        ) from error
-    if not len(faces):
-        raise ValueError(
-            f"{path}: holds no faces; export it as a mesh (a point cloud is made one first, for instance with Open3D)"
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(f"{path}: a face refers to a vertex that is not there; export it again")
-    if not np.isfinite(vertices).all():
-        raise ValueError(f"{path}: {np.sum(~np.isfinite(vertices).all(1))} vertices are not finite; repair the mesh")
+    vertices, faces, left_out = parse_mesh(path, data)
+    if left_out:
+        warnings.warn(f"{path}: left out {' and '.join(left_out)}, which have no surface", stacklevel=2)
+    vertices = vertices * scale
     check_size(path, vertices[faces].reshape(-1, 3), unit)
     raw_mesh = Mesh(vertices, faces.astype(np.int32))
     mesh, report = clean_mesh(transform_mesh(raw_mesh, Y_UP) if up == "y" else raw_mesh, str(path), largest)
@@ -130,7 +109,7 @@ def load_mesh(path: str | Path, unit: str, *, table: bool = True, largest: bool 
     """The mesh in a file, cleaned.
 
     Args:
-        path: An STL, OBJ, PLY or GLB file.
+        path: An STL, OBJ, PLY, OFF, GLB or glTF file.
         unit: Of its coordinates: m, cm, mm or inch.
         table: Whether to place it on the table: box centred in x and y, lowest point on z = 0, without turning it;
             otherwise it keeps its own frame.
@@ -158,7 +137,7 @@ def load_object(path: str | Path, unit: str) -> Object:
     """The object in a mesh file, standing on the table, with a warning where a body of it is left out.
 
     Args:
-        path: An STL, OBJ, PLY or GLB file.
+        path: An STL, OBJ, PLY, OFF, GLB or glTF file.
         unit: Of its coordinates: m, cm, mm or inch.
 
     Returns:
@@ -247,14 +226,14 @@ def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
         ValueError: It has another ending, is a folder or is empty.
     """
     if path.suffix.lower() not in suffixes:
-        raise ValueError(
-            f"{path}: its ending {path.suffix!r} is none of {', '.join(suffixes)}; convert it to one of them"
-        )
+        kind, remedy = foreign_kind(path.suffix)
+        is_kind = f"is {kind}: " if kind else ""
+        raise ValueError(f"{path}: {is_kind}its ending {path.suffix!r} is none of {', '.join(suffixes)}; {remedy}")
     if not path.exists():
         raise FileNotFoundError(f"{path}: there is no such file; check the name")
     if path.is_dir():
         raise ValueError(f"{path}: is a folder; name a file in it")
-    data = files.read_bytes(path, MAX_MESH_BYTES)
+    data = files.read_bytes(path, files.MAX_MESH_BYTES)
     if not data:
         raise ValueError(f"{path}: is empty; export it again")
     return data
@@ -302,31 +281,6 @@ def check_size(path: Path, points: NDArray, unit: str) -> None:
         f"{path}: too {word} to touch, {longest:.3g} m across when its unit is {unit} "
         f"({MIN_SIZE_M:g} to {MAX_SIZE_M:g} m are allowed); {hint}"
     )
-
-
-def _check_whole(path: Path, data: bytes) -> None:
-    """Compare the lengths that STL and GLB files announce with what is there; parsers do not."""
-    suffix = path.suffix.lower()
-    if suffix == ".stl":
-        announced = 84 + 50 * int.from_bytes(data[80:84], "little")
-        text = data.lstrip()[:5].lower() == b"solid"
-        broken = b"endsolid" not in data.lower() if text and len(data) != announced else len(data) < max(announced, 84)
-    elif suffix == ".glb":
-        broken = data[:4] == b"glTF" and int.from_bytes(data[8:12], "little") > len(data)
-    else:
-        broken = False
-    if broken:
-        raise ValueError(f"{path}: is cut off or no {suffix[1:].upper()} file; export or copy it again")
-
-
-def _check_scene(path: Path, data: bytes) -> None:
-    """Refuse a scene of more parts than a parser reads in good time."""
-    if path.suffix.lower() != ".glb" or data[:4] != b"glTF":
-        return
-    size = int.from_bytes(data[12:16], "little")
-    parts = len(files.parse_json(data[GLB_SCENE : GLB_SCENE + size].decode(), path).get("nodes", ()))
-    if parts > MAX_NODES:
-        raise DataError(f"{path}: is a scene of {parts} parts, and at most {MAX_NODES} are read; join them to one mesh")
 
 
 def _once(faces: NDArray) -> NDArray:

@@ -1,0 +1,346 @@
+"""The triangles of a glTF 2.0 scene, in one file (GLB) or in JSON with its buffers next to it.
+
+Reads what the standard says of a static surface: buffers, views with a stride, sparse accessors, normalized integers
+(KHR_mesh_quantization), triangle strips and fans, and the tree of nodes. What it does not understand it refuses by
+name, as a compressed or skinned mesh read without that has another size. Source: Khronos Group, "glTF 2.0
+Specification" (2021), and the registry of its extensions.
+"""
+
+import base64
+import urllib.parse
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from i2t import files
+from i2t.errors import DataError
+from i2t.objects.polygons import strip_triangles
+
+# glTF 2.0, 3.6.2.2: codes of component types, and of what else is in JSON.
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3}
+TRIANGLES, STRIP, FAN = 4, 5, 6
+MODES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}  # what has no surface
+JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
+# Extensions that may be required and leave the shape as it is.
+HARMLESS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_",
+            "KHR_xmp", "KHR_animation_pointer")  # fmt: skip
+RESHAPING = ("EXT_mesh_gpu_instancing", "KHR_node_visibility")  # of a node, whether required or not
+COMPRESSION = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
+UNCOMPRESSED = "export it again without compression, or decompress it, for instance with gltf-transform"
+MAX_NODES = 10_000  # of a scene
+MAX_SCENE_FACES = 2**23  # of all instances of all meshes: nodes of a small file may repeat a mesh
+BOX_TOLERANCE = 1e-4  # of a mesh's longest side, to which its stated minimum and maximum are right
+
+
+class Scene(NamedTuple):
+    """Triangles of a scene, and what of it has none."""
+
+    vertices: NDArray[np.float64]  # (n, 3), in the file's unit, which the standard says is metres
+    faces: NDArray[np.int64]  # (m, 3)
+    left_out: tuple[str, ...]
+
+
+def read_scene(path: Path, data: bytes) -> Scene:
+    """The triangles of the default scene, each node in its place.
+
+    Args:
+        path: The file, for messages and for the buffers next to it.
+        data: Its bytes, GLB or JSON.
+
+    Returns:
+        The triangles, and what was left out.
+
+    Raises:
+        DataError: It is cut off, or holds what is not understood.
+        Exception: A field of the JSON is missing or of another type.
+    """
+    document = _Document(path, data)
+    document.check_extensions()
+    vertices, faces, left_out, start, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], [], 0, 0
+    for mesh, matrix in document.placed_meshes():
+        for corners, triangles in document.primitives(mesh):
+            mirrored = np.linalg.det(matrix[:3, :3]) < 0
+            vertices.append(corners @ matrix[:3, :3].T + matrix[:3, 3])
+            faces.append((triangles[:, ::-1] if mirrored else triangles) + start)
+            start, count = start + len(corners), count + len(triangles)
+            if max(start, count) > MAX_SCENE_FACES:
+                raise DataError(
+                    f"{path}: its scene has more than {MAX_SCENE_FACES} faces, all instances counted; simplify it"
+                )
+    left_out = [f"{count} primitives of {kind}" for kind, count in document.skipped.items()]
+    if len(document.scenes) > 1:
+        left_out.append(f"{len(document.scenes) - 1} scenes that are not its default one")
+    return Scene(np.concatenate(vertices), np.concatenate(faces), tuple(left_out))
+
+
+class _Document:
+    """A glTF file: its JSON, and the buffers that this names."""
+
+    def __init__(self, path: Path, data: bytes) -> None:
+        self.path, self.binary = path, b""
+        if data[:4] == b"glTF":
+            text, self.binary = _chunks(path, data)
+        else:
+            text = data
+        self.json: dict[str, Any] = files.parse_json(text, path)
+        version = str(self.json["asset"]["version"])
+        if version.split(".")[0] != "2":
+            raise DataError(f"{path}: is glTF {version}; export it as glTF 2.0")
+        self.buffers: dict[int, bytes] = {}
+        self.shapes: dict[int, list[tuple[NDArray, NDArray]]] = {}
+        self.skipped: dict[str, int] = {}
+
+    def check_extensions(self) -> None:
+        """Refuse a file that requires what is not understood."""
+        for name in self.json.get("extensionsRequired", ()):
+            if not name.startswith(HARMLESS):
+                remedy = UNCOMPRESSED if name in COMPRESSION else "export it again without that extension"
+                raise DataError(f"{self.path}: needs the glTF extension {name}, which is not read; {remedy}")
+
+    @cached_property
+    def scenes(self) -> list[dict[str, Any]]:
+        return self.json.get("scenes", [])
+
+    def placed_meshes(self) -> Iterator[tuple[int, NDArray]]:
+        """Each mesh of the default scene with its matrix `(4, 4)`, from the mesh's frame to the scene's."""
+        nodes = self.json.get("nodes", [])
+        if len(nodes) > MAX_NODES:
+            raise DataError(
+                f"{self.path}: is a scene of {len(nodes)} parts, and at most {MAX_NODES} are read; join them to one mesh"
+            )
+        if not nodes:
+            yield from ((mesh, np.eye(4)) for mesh in range(len(self.json.get("meshes", []))))
+            return
+        waiting, reached = [(int(root), np.eye(4)) for root in self._roots(nodes)], set()
+        while waiting:
+            number, parent = waiting.pop()
+            if number in reached or not 0 <= number < len(nodes):
+                raise DataError(f"{self.path}: its nodes are no tree (node {number}); export it again")
+            reached.add(number)
+            node = nodes[number]
+            matrix = parent @ _matrix(node)
+            waiting.extend((int(child), matrix) for child in node.get("children", ()))
+            if "mesh" in node:
+                self._check_node(node)
+                yield int(node["mesh"]), matrix
+
+    def _roots(self, nodes: list[dict[str, Any]]) -> list[int]:
+        if not self.scenes:
+            return sorted(set(range(len(nodes))) - {child for node in nodes for child in node.get("children", ())})
+        if "scene" not in self.json and len(self.scenes) > 1:
+            raise DataError(
+                f"{self.path}: has {len(self.scenes)} scenes and says of none that it is the default; export one of them"
+            )
+        return self.scenes[self.json.get("scene", 0)].get("nodes", [])
+
+    def _check_node(self, node: dict[str, Any]) -> None:
+        for name in RESHAPING:
+            if name in node.get("extensions", {}):
+                raise DataError(
+                    f"{self.path}: uses the glTF extension {name}, which is not read; export it again without it"
+                )
+        if "skin" in node:
+            raise DataError(
+                f"{self.path}: is a skinned mesh, whose shape its bones decide; apply the armature and export the mesh "
+                "alone"
+            )
+        if any(node.get("weights", self.json["meshes"][node["mesh"]].get("weights", ()))):
+            raise DataError(
+                f"{self.path}: has morph targets (shape keys) that are not zero; apply them and export again"
+            )
+
+    def primitives(self, mesh: int) -> list[tuple[NDArray, NDArray]]:
+        """Vertices `(n, 3)` and triangles `(m, 3)` of each primitive of a mesh that has a surface."""
+        if mesh not in self.shapes:
+            primitives = self.json["meshes"][mesh]["primitives"]
+            self.shapes[mesh] = [shape for shape in map(self._primitive, primitives) if shape]
+        return self.shapes[mesh]
+
+    def _primitive(self, primitive: dict[str, Any]) -> tuple[NDArray, NDArray] | None:
+        mode = primitive.get("mode", TRIANGLES)
+        if mode in MODES:
+            self.skipped[MODES[mode]] = self.skipped.get(MODES[mode], 0) + 1
+            return None
+        positions, accessor = primitive["attributes"]["POSITION"], self.json["accessors"]
+        for name in COMPRESSION:
+            numbers = [positions, *([primitive["indices"]] if "indices" in primitive else [])]
+            if name in primitive.get("extensions", {}) and any(
+                "bufferView" not in accessor[number] and "sparse" not in accessor[number] for number in numbers
+            ):
+                raise DataError(f"{self.path}: is compressed ({name}), which is not read; {UNCOMPRESSED}")
+        vertices = self._values(positions, "VEC3")
+        corners = np.arange(len(vertices))
+        if "indices" in primitive:
+            corners = self._values(primitive["indices"], "SCALAR")[:, 0]
+        if not np.issubdtype(corners.dtype, np.integer):
+            raise DataError(f"{self.path}: the corners of its faces are no whole numbers; export it again")
+        corners = corners.astype(np.int64)
+        if len(corners) and corners.max() >= len(vertices):
+            raise DataError(f"{self.path}: a face refers to a vertex that is not there; export it again")
+        return vertices.astype(np.float64), self._faces(mode, corners)
+
+    def _faces(self, mode: int, corners: NDArray) -> NDArray:
+        if mode == STRIP:
+            return strip_triangles(corners)
+        if mode == FAN:
+            first = np.full(max(len(corners) - 2, 0), corners[0] if len(corners) else 0)
+            return np.stack([corners[1:-1], corners[2:], first], 1) if len(first) else np.empty((0, 3), np.int64)
+        if mode != TRIANGLES:
+            raise DataError(f"{self.path}: has a primitive of mode {mode}, which glTF does not have; export it again")
+        if len(corners) % 3:
+            raise DataError(
+                f"{self.path}: has {len(corners)} corners of triangles, which is not a multiple of three; export it again"
+            )
+        return corners.reshape(-1, 3)
+
+    def _values(self, number: int, kind: str) -> NDArray:
+        """Values of an accessor `(count, width)`; normalized integers as the numbers that they stand for."""
+        accessor = self.json["accessors"][number]
+        count, dtype = int(accessor["count"]), np.dtype(COMPONENTS[accessor["componentType"]])
+        if accessor["type"] != kind:
+            raise DataError(
+                f"{self.path}: accessor {number} is of type {accessor['type']} and not {kind}; export it again"
+            )
+        if count < 0 or count * dtype.itemsize > files.MAX_MESH_BYTES:
+            raise DataError(f"{self.path}: accessor {number} has {count} entries, which no file holds; export it again")
+        values = np.zeros((count, WIDTHS[kind]), dtype)
+        if "bufferView" in accessor:
+            values = self._array(accessor, values.shape, dtype)
+        if "sparse" in accessor:
+            sparse = accessor["sparse"]
+            size = int(sparse["count"])
+            indices = self._array(
+                sparse["indices"], (size, 1), np.dtype(COMPONENTS[sparse["indices"]["componentType"]])
+            )
+            values = values.copy()
+            values[indices[:, 0]] = self._array(sparse["values"], (size, WIDTHS[kind]), dtype)
+        exact = values
+        if accessor.get("normalized") and dtype.kind in "iu":
+            exact = np.maximum(values / np.iinfo(dtype).max, -1.0)  # glTF 2.0, 3.11
+        if kind == "VEC3":
+            self._check_box(number, accessor, values, exact)
+        return exact
+
+    def _array(self, place: dict[str, Any], shape: tuple[int, int], dtype: np.dtype) -> NDArray:
+        """An array `(count, width)` of a view, which says where it begins and how far apart its rows are."""
+        view = self.json["bufferViews"][place["bufferView"]]
+        data = self._buffer(view)
+        begin, end = int(view.get("byteOffset", 0)), int(view.get("byteOffset", 0)) + int(view["byteLength"])
+        offset, row = int(place.get("byteOffset", 0)), shape[1] * dtype.itemsize
+        stride = int(view.get("byteStride", row))
+        last = begin + offset + stride * (shape[0] - 1) + row if shape[0] else begin
+        if min(begin, offset) < 0 or stride < row or end > len(data) or last > end:
+            raise DataError(
+                f"{self.path}: is cut off or wrong: view {place['bufferView']} needs {max(end, last)} bytes of its "
+                f"buffer, which has {len(data)}; export or copy it again"
+            )
+        return np.ndarray(shape, dtype, data, begin + offset, (stride, dtype.itemsize))
+
+    def _buffer(self, view: dict[str, Any]) -> bytes:
+        """The bytes of the buffer of a view."""
+        number = int(view["buffer"])
+        if number not in self.buffers:
+            buffer = self.json["buffers"][number]
+            packed = [name for name in COMPRESSION if name in view.get("extensions", {})]
+            if "uri" in buffer:
+                data = self._bytes_at(buffer["uri"])
+            elif number == 0 and self.binary and not (packed and packed[0] in buffer.get("extensions", {})):
+                data = self.binary
+            elif packed:
+                raise DataError(f"{self.path}: is compressed ({packed[0]}), which is not read; {UNCOMPRESSED}")
+            else:
+                raise DataError(f"{self.path}: buffer {number} is not in it; export it again")
+            size = int(buffer["byteLength"])
+            if len(data) < size:
+                raise DataError(
+                    f"{self.path}: is cut off: buffer {number} should have {size} bytes and has {len(data)}; export or "
+                    "copy it again"
+                )
+            self.buffers[number] = data
+        return self.buffers[number]
+
+    def _bytes_at(self, uri: str) -> bytes:
+        """What is in the address itself, or in a file next to this one. Nothing is fetched from anywhere else."""
+        head, _, body = uri.partition(",")
+        if head.startswith("data:"):
+            return (
+                base64.b64decode(body, validate=True)
+                if head.endswith("base64")
+                else urllib.parse.unquote_to_bytes(body)
+            )
+        if "://" in head:
+            raise DataError(f"{self.path}: its data are at {uri[:80]}; download that next to it, and name it there")
+        name = urllib.parse.unquote(uri).removeprefix("./")
+        file = files.file_in(self.path.parent, name, self.path)
+        if not file.is_file():
+            raise DataError(f"{self.path}: its data are in {name!r}, which is not next to it; copy that file as well")
+        data = files.read_bytes(file, files.MAX_MESH_BYTES)
+        if sum(map(len, self.buffers.values())) + len(data) > files.MAX_MESH_BYTES:
+            raise DataError(f"{self.path}: its data are more than {files.MAX_MESH_BYTES} bytes; simplify the mesh")
+        return data
+
+    def _check_box(self, number: int, accessor: dict[str, Any], values: NDArray, exact: NDArray) -> None:
+        """Compare the smallest and largest coordinates with those that the file says it has.
+
+        The standard counts them before integers are normalized; some programs count after it.
+        """
+        if not len(values) or "min" not in accessor or "max" not in accessor:
+            return
+        stated = np.array([accessor["min"], accessor["max"]], np.float64)
+        for coordinates in (values, exact):
+            used = coordinates[np.isfinite(coordinates).all(1)]
+            box = np.stack([used.min(0), used.max(0)]) if len(used) else np.zeros((2, 3))
+            slack = BOX_TOLERANCE * max(np.ptp(stated, 0).max(), np.finfo(np.float32).eps * np.abs(stated).max())
+            if np.abs(box - stated).max() <= slack:
+                return
+        numbers = " to ".join("(" + ", ".join(f"{x:g}" for x in row) + ")" for row in (*stated, *box))
+        stated_text, read_text = numbers.split(" to ")[:2], numbers.split(" to ")[2:]
+        raise DataError(
+            f"{self.path}: accessor {number} says that it spans {' to '.join(stated_text)}, and its numbers span "
+            f"{' to '.join(read_text)}; export it again"
+        )
+
+
+def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
+    """The JSON and the binary chunk of a GLB file (glTF 2.0, 4.4)."""
+    version, length = (int.from_bytes(data[i : i + 4], "little") for i in (4, 8))
+    if version != 2:
+        raise DataError(f"{path}: is glTF {version}; export it as glTF 2.0")
+    if length > len(data):
+        raise DataError(
+            f"{path}: is cut off: its header announces {length} bytes, and {len(data)} are there; export or copy it again"
+        )
+    chunks: dict[bytes, bytes] = {}
+    start = 12
+    while start + 8 <= length:
+        size, kind = int.from_bytes(data[start : start + 4], "little"), data[start + 4 : start + 8]
+        if start + 8 + size > length:
+            raise DataError(f"{path}: is cut off within its part {kind.decode('latin-1')!r}; export or copy it again")
+        chunks.setdefault(kind, data[start + 8 : start + 8 + size])
+        start += 8 + size
+    if JSON_CHUNK not in chunks:
+        raise DataError(f"{path}: has no description of its scene; export it again")
+    return chunks[JSON_CHUNK], chunks.get(BINARY_CHUNK, b"")
+
+
+def _matrix(node: dict[str, Any]) -> NDArray:
+    """The matrix `(4, 4)` of a node, from its frame to its parent's (glTF 2.0, 3.5.3)."""
+    if "matrix" in node:
+        matrix = np.array(node["matrix"], np.float64).reshape(4, 4).T
+    else:
+        quat_xyzw = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
+        x, y, z, w = quat_xyzw / np.linalg.norm(quat_xyzw)
+        turn = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])  # fmt: skip
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), np.float64)
+        matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    if not np.isfinite(matrix).all():
+        raise ValueError("a node's place is not finite")
+    return matrix
