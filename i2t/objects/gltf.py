@@ -111,7 +111,7 @@ class _Document:
         nodes = self.json.get("nodes", [])
         if len(nodes) > MAX_NODES:
             raise DataError(
-                f"{self.path}: is a scene of {len(nodes)} parts, and at most {MAX_NODES} are read; join them to one mesh"
+                f"{self.path}: is a scene of {len(nodes)} parts, and at most {MAX_NODES} are read; join them"
             )
         if not nodes:
             yield from ((mesh, np.eye(4)) for mesh in range(len(self.json.get("meshes", []))))
@@ -134,7 +134,7 @@ class _Document:
             return sorted(set(range(len(nodes))) - {child for node in nodes for child in node.get("children", ())})
         if "scene" not in self.json and len(self.scenes) > 1:
             raise DataError(
-                f"{self.path}: has {len(self.scenes)} scenes and says of none that it is the default; export one of them"
+                f"{self.path}: has {len(self.scenes)} scenes, none of which is the default; export one of them"
             )
         return self.scenes[self.json.get("scene", 0)].get("nodes", [])
 
@@ -150,9 +150,7 @@ class _Document:
                 "alone"
             )
         if any(node.get("weights", self.json["meshes"][node["mesh"]].get("weights", ()))):
-            raise DataError(
-                f"{self.path}: has morph targets (shape keys) that are not zero; apply them and export again"
-            )
+            raise DataError(f"{self.path}: has morph targets (shape keys) in use; apply them and export again")
 
     def primitives(self, mesh: int) -> list[tuple[NDArray, NDArray]]:
         """Vertices `(n, 3)` and triangles `(m, 3)` of each primitive of a mesh that has a surface."""
@@ -194,7 +192,7 @@ class _Document:
             raise DataError(f"{self.path}: has a primitive of mode {mode}, which glTF does not have; export it again")
         if len(corners) % 3:
             raise DataError(
-                f"{self.path}: has {len(corners)} corners of triangles, which is not a multiple of three; export it again"
+                f"{self.path}: has {len(corners)} corners of triangles, no multiple of three; export it again"
             )
         return corners.reshape(-1, 3)
 
@@ -203,9 +201,7 @@ class _Document:
         accessor = self.json["accessors"][number]
         count, dtype = int(accessor["count"]), np.dtype(COMPONENTS[accessor["componentType"]])
         if accessor["type"] != kind:
-            raise DataError(
-                f"{self.path}: accessor {number} is of type {accessor['type']} and not {kind}; export it again"
-            )
+            raise DataError(f"{self.path}: accessor {number} is {accessor['type']} and not {kind}; export it again")
         if count < 0 or count * dtype.itemsize > files.MAX_MESH_BYTES:
             raise DataError(f"{self.path}: accessor {number} has {count} entries, which no file holds; export it again")
         values = np.zeros((count, WIDTHS[kind]), dtype)
@@ -213,10 +209,8 @@ class _Document:
             values = self._array(accessor, values.shape, dtype)
         if "sparse" in accessor:
             sparse = accessor["sparse"]
-            size = int(sparse["count"])
-            indices = self._array(
-                sparse["indices"], (size, 1), np.dtype(COMPONENTS[sparse["indices"]["componentType"]])
-            )
+            size, index_type = int(sparse["count"]), np.dtype(COMPONENTS[sparse["indices"]["componentType"]])
+            indices = self._array(sparse["indices"], (size, 1), index_type)
             values = values.copy()
             values[indices[:, 0]] = self._array(sparse["values"], (size, WIDTHS[kind]), dtype)
         exact = values
@@ -268,11 +262,8 @@ class _Document:
         """What is in the address itself, or in a file next to this one. Nothing is fetched from anywhere else."""
         head, _, body = uri.partition(",")
         if head.startswith("data:"):
-            return (
-                base64.b64decode(body, validate=True)
-                if head.endswith("base64")
-                else urllib.parse.unquote_to_bytes(body)
-            )
+            plain = urllib.parse.unquote_to_bytes(body)
+            return base64.b64decode(plain, validate=True) if head.endswith(";base64") else plain
         if "://" in head:
             raise DataError(f"{self.path}: its data are at {uri[:80]}; download that next to it, and name it there")
         name = urllib.parse.unquote(uri).removeprefix("./")
@@ -313,7 +304,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
         raise DataError(f"{path}: is glTF {version}; export it as glTF 2.0")
     if length > len(data):
         raise DataError(
-            f"{path}: is cut off: its header announces {length} bytes, and {len(data)} are there; export or copy it again"
+            f"{path}: is cut off: it announces {length} bytes, and {len(data)} are there; export or copy it again"
         )
     chunks: dict[bytes, bytes] = {}
     start = 12

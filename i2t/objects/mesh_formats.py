@@ -156,8 +156,8 @@ def _mesh(
     if wrong.any():
         first = int(wrong.argmax())
         raise DataError(
-            f"{path}: {name(int(number[first]) + 1)} refers to vertex {corners[first]} of {len(vertices)} (counted from "
-            "0), a vertex that is not there; export it again"
+            f"{path}: {name(int(number[first]) + 1)} refers to a vertex that is not there (number {corners[first]} "
+            f"from 0 on, of {len(vertices)}); export it again"
         )
     enough = sizes >= 3
     order = np.flatnonzero(enough)
@@ -180,7 +180,7 @@ def _check_kind(path: Path, suffix: str, data: bytes) -> None:
     welcome = (".glb", ".gltf") if suffix in (".glb", ".gltf") else (suffix,)
     if kinds and not set(kinds) & set(welcome):
         raise DataError(
-            f"{path}: is {kinds[0][1:].upper()} by its contents, and its ending says {suffix[1:].upper()}; rename it to "
+            f"{path}: is {kinds[0][1:].upper()} by its contents and {suffix[1:].upper()} by its ending; rename it to "
             f"{path.stem}{kinds[0]}"
         )
 
@@ -209,9 +209,9 @@ def _numbers(path: Path, text: bytes, count: int, dtype: type = np.float64) -> N
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # which says that a word is no number
         try:
-            values = np.fromstring(text, dtype, sep=" ")
+            values: NDArray = np.fromstring(text, dtype, sep=" ")
         except (DeprecationWarning, ValueError):
-            values = np.empty(0, dtype)
+            values = np.array([], dtype)
     if len(values) == count:
         return values
     return np.array([_number(path, word, dtype) for word in text.split()], dtype)
@@ -309,7 +309,7 @@ def _without_titles(text: bytes) -> tuple[bytes, list[bool]]:
             ends.append(before.endswith(b"end"))
             facets[-1] = before.removesuffix(b"end")
         title, line_end, rest = part.partition(b"\n")
-        name, facet, row = title.partition(b" facet normal ")  # where all is in one line
+        _, facet, row = title.partition(b" facet normal ")  # where all is in one line
         in_title = not (facet or line_end)
         facets.append(facet + row + line_end + rest)
     return b"".join(facets), ends
@@ -336,8 +336,8 @@ def _read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...
     if unlike.any():
         count = counts[unlike.argmax()]
         raise DataError(
-            f"{path}: vertex {unlike.argmax() + 1} has {count} numbers instead of x, y, z and perhaps a colour; export or "
-            "copy it again"
+            f"{path}: vertex {unlike.argmax() + 1} has {count} numbers instead of x, y, z and perhaps a colour; "
+            "export or copy it again"
         )
     starts = np.cumsum(counts) - counts
     if (values[(starts + 3)[counts == 4]] != 1).any():
@@ -400,13 +400,13 @@ def _obj_rows(path: Path, lines: list[bytes]) -> tuple[list[bytes], list[bytes],
 class _Property(NamedTuple):
     name: str
     dtype: np.dtype
-    count: np.dtype | None  # of a list: the type of the number of its entries
+    size_dtype: np.dtype | None  # of a list: the type of the number of its entries
 
 
 class _Element(NamedTuple):
     """Columns of an element: numbers `(count,)`, or for a list all its entries and how many each row has."""
 
-    count: int
+    rows: int
     columns: dict[str, NDArray | tuple[NDArray, NDArray]]
 
 
@@ -416,7 +416,7 @@ def _read_ply(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...
     if "vertex" not in elements or not {"x", "y", "z"} <= set(elements["vertex"].columns):
         raise _unreadable(path, "it has no vertices with x, y and z", "export it again")
     vertices = np.stack([np.asarray(elements["vertex"].columns[axis], np.float64) for axis in "xyz"], 1)
-    name = next((name for name in ("face", "tristrips") if name in elements and elements[name].count), None)
+    name = next((name for name in ("face", "tristrips") if name in elements and elements[name].rows), None)
     if name is None:
         return vertices, np.empty((0, 3), np.int64), ("points on a range grid",) if "range_grid" in elements else ()
     columns = elements[name].columns
@@ -443,7 +443,7 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list
     end = re.search(rb"\nend_header *(\r\n|\n)|\rend_header *\r", data[:MAX_PLY_HEADER])
     if not data.startswith(b"ply") or not end:
         raise _unreadable(path, "it has no header of PLY, or is cut off in it", "export or copy it again")
-    form, schema = "", []
+    form, schema = "", list[tuple[str, int, list[_Property]]]()
     for line in data[: end.start()].decode("utf-8", "replace").splitlines()[1:]:
         words = line.split()
         if words[:1] == ["format"]:
@@ -454,7 +454,7 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list
             types = words[2:4] if words[1] == "list" else words[1:2]
             if unknown := [name for name in types if name not in PLY_TYPES]:
                 raise _unreadable(path, f"its header has the type {unknown[0]!r}", "export it again")
-            *count, dtype = (np.dtype(PLY_TYPES[name]).newbyteorder(PLY_ORDERS.get(form, "=")) for name in types)
+            *count, dtype = (np.dtype(PLY_ORDERS.get(form, "=") + PLY_TYPES[name]) for name in types)
             schema[-1][2].append(_Property(words[-1], dtype, count[0] if count else None))
     if form not in PLY_ORDERS or any(count < 0 for _, count, _ in schema):
         raise _unreadable(path, f"its header has the format {form!r}, or a negative number", "export it again")
@@ -485,11 +485,13 @@ def _text_element(path: Path, name: str, rows: list[bytes], properties: list[_Pr
     columns: dict[str, NDArray | tuple[NDArray, NDArray]] = {}
     for prop in properties:
         short = place >= ends
-        size = np.zeros(len(rows), np.int64) if short.any() or prop.count is None else values[place].astype(np.int64)
-        short |= (size < 0) | (place + (prop.count is not None) + size > ends)
+        size = (
+            np.zeros(len(rows), np.int64) if short.any() or prop.size_dtype is None else values[place].astype(np.int64)
+        )
+        short |= (size < 0) | (place + (prop.size_dtype is not None) + size > ends)
         if short.any():
             break
-        columns[prop.name] = values[place] if prop.count is None else (values[_ranges(place + 1, size)], size)
+        columns[prop.name] = values[place] if prop.size_dtype is None else (values[_ranges(place + 1, size)], size)
         place = place + 1 + size
     else:
         short = place != ends
@@ -524,11 +526,11 @@ def _row_sizes(body: bytes, start: int, properties: list[_Property]) -> tuple[in
     sizes = []
     for prop in properties:
         size = 1
-        if prop.count is not None:
-            if start + prop.count.itemsize > len(body):
+        if prop.size_dtype is not None:
+            if start + prop.size_dtype.itemsize > len(body):
                 return None
-            size = int(np.frombuffer(body, prop.count, 1, start)[0])
-            start += prop.count.itemsize
+            size = int(np.frombuffer(body, prop.size_dtype, 1, start)[0])
+            start += prop.size_dtype.itemsize
             sizes.append(size)
         start += size * prop.dtype.itemsize
         if size < 0 or start > len(body):
@@ -540,10 +542,10 @@ def _row_type(properties: list[_Property], sizes: tuple[int, ...]) -> np.dtype:
     remaining = list(sizes)
     fields: list[tuple] = []
     for i, prop in enumerate(properties):
-        if prop.count is None:
+        if prop.size_dtype is None:
             fields.append((f"value {i}", prop.dtype))
         else:
-            fields += [(f"count {i}", prop.count), (f"value {i}", prop.dtype, (remaining.pop(0),))]
+            fields += [(f"count {i}", prop.size_dtype), (f"value {i}", prop.dtype, (remaining.pop(0),))]
     return np.dtype(fields)
 
 
@@ -556,7 +558,7 @@ def _alike(count: int, properties: list[_Property], sizes: tuple[int, ...], body
     columns: dict[str, NDArray | tuple[NDArray, NDArray]] = {}
     for i, prop in enumerate(properties):
         values = table[f"value {i}"]
-        if prop.count is None:
+        if prop.size_dtype is None:
             columns[prop.name] = values
             continue
         size = values.shape[1]
@@ -576,9 +578,10 @@ def _unlike(
     for number in range(count):
         for i, prop in enumerate(properties):
             size = 1
-            if prop.count is not None:
-                width = prop.count.itemsize
-                size = body[start] if width == 1 and start < len(body) else _integer(body, start, prop.count)
+            if prop.size_dtype is not None:
+                width = prop.size_dtype.itemsize
+                plain = prop.size_dtype.kind == "u" and width == 1 and start < len(body)
+                size = body[start] if plain else _integer(body, start, prop.size_dtype)
                 start += width
             places[i].append(start)
             sizes[i].append(size)
@@ -586,16 +589,16 @@ def _unlike(
             if size < 0 or start > len(body):
                 raise _cut_off(path, f"{count} of {name}", number)
     columns: dict[str, NDArray | tuple[NDArray, NDArray]] = {}
-    for prop, begin, size in zip(properties, map(np.array, places), map(np.array, sizes), strict=True):
-        size = size.astype(np.int64)
-        gathered = raw[_ranges(begin.astype(np.int64), size * prop.dtype.itemsize)].view(prop.dtype)
-        columns[prop.name] = gathered if prop.count is None else (gathered, size)
+    for prop, begins, lengths in zip(properties, places, sizes, strict=True):
+        length = np.array(lengths, np.int64)
+        values = raw[_ranges(np.array(begins, np.int64), length * prop.dtype.itemsize)].view(prop.dtype)
+        columns[prop.name] = values if prop.size_dtype is None else (values, length)
     return _Element(count, columns), start
 
 
 def _integer(body: bytes, start: int, dtype: np.dtype) -> int:
-    order = "big" if dtype.str[0] == ">" else "little"
-    return int.from_bytes(body[start : start + dtype.itemsize], order, signed=dtype.kind == "i")
+    data = body[start : start + dtype.itemsize]
+    return int.from_bytes(data, "big" if dtype.str[0] == ">" else "little", signed=dtype.kind == "i")
 
 
 # OFF

@@ -186,7 +186,6 @@ def _clip_ears(points: NDArray, width: float) -> NDArray | None:
     size = len(points)
     before, after = np.roll(np.arange(size), 1).tolist(), np.roll(np.arange(size), -1).tolist()
     place = list(map(tuple, points.tolist()))
-    bent_in = _heights(np.roll(points, 1, 0), points, np.roll(points, -1, 0)) <= width
     there, left, triangles = np.ones(size, bool), size, []
     for tolerance, touching in ((width, False), (0.0, False), (0.0, True)):
         candidates = deque(np.flatnonzero(there).tolist())
@@ -194,26 +193,18 @@ def _clip_ears(points: NDArray, width: float) -> NDArray | None:
             tip = candidates.popleft()
             a, c = before[tip], after[tip]
             coincide = place[c] in (place[tip], place[a])  # then nothing is between the two sides
-            if not there[tip] or not (coincide or _is_ear(points[[a, tip, c]], points[bent_in], tolerance, touching)):
+            if not there[tip] or not (coincide or _is_ear(points[[a, tip, c]], points[there], tolerance, touching)):
                 continue
             if not coincide:
                 triangles.append((a, tip, c))
-            after[a], before[c], there[tip], bent_in[tip] = c, a, False, False
+            after[a], before[c], there[tip] = c, a, False
             left -= 1
-            for changed in (a, c):
-                bent_in[changed] = _heights(*points[[before[changed], changed, after[changed]]]) <= width
-                candidates.append(changed)
+            candidates.extend((a, c))
     pieces = np.array(triangles, np.int64).reshape(-1, 3)
     a, b, c = np.moveaxis(points[pieces], 1, 0)
     sides = np.roll(points, -1, 0) - points
     area, cut = _cross(points, sides).sum() / 2, _cross(b - a, c - a).sum() / 2
     return pieces if abs(cut - area) <= width * np.linalg.norm(sides, axis=1).sum() else None
-
-
-def _heights(a: NDArray, b: NDArray, c: NDArray) -> NDArray:
-    """Heights of triangles over their longest sides; negative where they run clockwise, or have no side."""
-    longest = np.sqrt(np.max([((p - q) ** 2).sum(-1) for p, q in ((a, b), (b, c), (c, a))], 0))
-    return _cross(b - a, c - a) / np.maximum(longest, np.finfo(float).tiny)
 
 
 def _is_ear(triangle: NDArray, others: NDArray, width: float, touching: bool) -> bool:
