@@ -217,7 +217,7 @@ def _numbers(path: Path, text: bytes, count: int, dtype: type = np.float64) -> N
     return np.array([_number(path, word, dtype) for word in text.split()], dtype)
 
 
-def _number(path: Path, word: bytes, dtype: type) -> float:
+def _number(path: Path, word: bytes, dtype: type) -> int | float:
     try:
         return int(word) if dtype is np.int64 else float(word)
     except ValueError:
@@ -390,7 +390,7 @@ def _obj_rows(path: Path, lines: list[bytes]) -> tuple[list[bytes], list[bytes],
             before.append(len(vertices))
             numbers.append(number)
     if any(b"#" in row for row in vertices) or any(b"#" in row for row in faces):
-        vertices, faces = ([row.partition(b"#")[0] for row in rows] for rows in (vertices, faces))
+        vertices, faces = ([re.sub(rb"(?<!1\.)#.*", b"", row) for row in rows] for rows in (vertices, faces))
     return vertices, faces, before, numbers, {name: count for name, count in others.items() if count}
 
 

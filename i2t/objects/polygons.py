@@ -147,14 +147,12 @@ def _clipped(points: NDArray, width: float) -> NDArray | None:
     if spreads[1] <= width:
         return none
     normal = np.cross(centred, np.roll(centred, -1, 0)).sum(0)
-    flat = np.linalg.norm(normal) <= width * spreads[0]
-    if not flat:
+    if np.linalg.norm(normal) > width * spreads[0]:  # else it goes there and back, or crosses itself
         x = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         axes = np.stack([x / np.linalg.norm(x), np.cross(normal, x) / np.linalg.norm(np.cross(normal, x))])
     flattened = centred @ axes[:2].T
-    if _crosses_itself(flattened, width):
-        return None
-    return none if flat else _clip_ears(flattened, width)
+    pieces = None if _crosses_itself(flattened, width) else _clip_ears(flattened, width)
+    return none if pieces is not None and not len(pieces) else pieces
 
 
 def _cross(a: NDArray, b: NDArray) -> NDArray:
