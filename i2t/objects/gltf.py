@@ -85,8 +85,10 @@ class _Document:
         self.path, self.binary = path, b""
         if data[:4] == b"glTF":
             text, self.binary = _chunks(path, data)
-        else:
+        elif data.lstrip()[:1] in (b"{", b"\xef"):  # JSON, perhaps after a byte order mark
             text = data
+        else:
+            raise DataError(f"{path}: is no glTF file, neither binary nor JSON; export it again, or check its ending")
         self.json: dict[str, Any] = files.parse_json(text, path)
         version = str(self.json["asset"]["version"])
         if version.split(".")[0] != "2":

@@ -73,7 +73,7 @@ class CleaningReport:
 def read_mesh(
     path: str | Path, unit: str, *, table: bool = True, largest: bool = True, up: str = "z"
 ) -> tuple[Object, CleaningReport]:
-    """Read and clean a mesh file. (A text file cut off between two lines cannot be distinguished from a whole one.)
+    """Read and clean a mesh file. (An OBJ file cut off between two lines cannot be distinguished from a whole one.)
 
     Args:
         path: An STL, OBJ, PLY, OFF, GLB or glTF file.

@@ -354,15 +354,17 @@ def _read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...
 
 
 def _continued(lines: list[bytes]) -> list[bytes]:
-    """Lines of which those of vertices and faces that end in a backslash go on in the next; lengths stay."""
-    joined = [b""] * len(lines)
-    place = 0
-    for i, line in enumerate(lines):
-        if not (i and joined[place].endswith(b"\\")):
-            place = i
-        joined[place] = joined[place].rstrip(b"\\") + b" " + line if place < i else line
-        if joined[place].lstrip()[:1].lower() not in (b"v", b"f", b"l", b"p"):
-            joined[place] = joined[place].rstrip(b"\\")  # a path or a remark that ends in one
+    """Lines of which those of vertices and faces that end in a backslash go on in the next; numbers of lines stay."""
+    joined, i = [line.rstrip(b"\\") for line in lines], 0
+    while i < len(lines):
+        first = i
+        if lines[i].lstrip()[:1].lower() in (b"v", b"f", b"l", b"p"):  # not a path or a remark that ends in one
+            while lines[i].endswith(b"\\") and i + 1 < len(lines):
+                i += 1
+        if i > first:
+            joined[first] = b" ".join(joined[first : i + 1])
+            joined[first + 1 : i + 1] = [b""] * (i - first)
+        i += 1
     return joined
 
 
@@ -470,7 +472,7 @@ def _ply_text(path: Path, schema: list[tuple[str, int, list[_Property]]], body: 
             continue
         rows = lines[start : start + count]
         if len(rows) < count:
-            raise _cut_off(path, f"{count} of {name}", len(rows))
+            raise _cut_off(path, f"{count} entries of element {name!r}", len(rows))
         start += count
         elements[name] = _text_element(path, name, rows, properties)
     if start < len(lines):
@@ -587,7 +589,7 @@ def _unlike(
             sizes[i].append(size)
             start += size * prop.dtype.itemsize
             if size < 0 or start > len(body):
-                raise _cut_off(path, f"{count} of {name}", number)
+                raise _cut_off(path, f"{count} entries of element {name!r}", number)
     columns: dict[str, NDArray | tuple[NDArray, NDArray]] = {}
     for prop, begins, lengths in zip(properties, places, sizes, strict=True):
         length = np.array(lengths, np.int64)

@@ -20,7 +20,7 @@ from i2t.errors import DataError
 
 ROUNDING = 1e-6  # of the largest coordinate: what files in float32 or with seven digits say of a straight line
 BLOCK = 2**20  # corners that are looked at together, which bounds the memory
-MAX_CLIPPED_SQUARED = 10_000**2  # sum of squared corners of polygons that are clipped: the time of ear clipping
+MAX_CLIPPED_SQUARED = 7000**2  # sum of squared corners of polygons that are clipped: the time of ear clipping
 FULL_TURN = 2 * np.pi - 1e-3  # rad, that a fan may sweep around its first corner
 
 

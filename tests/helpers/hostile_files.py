@@ -263,8 +263,34 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
         "nodes that go round": glb(nodes=[{"children": [1]}, {"children": [0], "mesh": 0}]),
         "nested deep": glb(DEEP),
     },
+    ("mesh", "a.gltf"): {
+        "data elsewhere": json.dumps(SCENE | {"buffers": [{"byteLength": 48, "uri": "../../../etc/passwd"}]}),
+        "data on the network": json.dumps(SCENE | {"buffers": [{"byteLength": 48, "uri": "http://[::1]/a"}]}),
+        "nested deep": DEEP,
+    },
+    ("mesh", "b.glb"): {
+        "a mesh 10_000 times": lambda _: glb(
+            blob=CORNERS + np.tile([0, 1, 2], 100_000).astype("<u4").tobytes(),
+            accessors=[POSITIONS, INDICES | {"count": 300_000}],
+            bufferViews=[SCENE["bufferViews"][0], {"buffer": 0, "byteOffset": 36, "byteLength": 1_200_000}],
+            buffers=[{"byteLength": 1_200_036}],
+            nodes=[{"mesh": 0}] * 10_000,
+            scenes=[{"nodes": [*range(10_000)]}],
+        ),
+        "views that overlap": glb(bufferViews=[{"buffer": 0, "byteLength": 2**40, "byteStride": 252}] * 2),
+    },
     ("mesh", "a.obj"): {
         "an index out of range": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n",
+        "a face of 200_000 corners": lambda _: (
+            "".join(f"v {i} {i * 7919 % 100_003} 0\n" for i in range(200_000))
+            + "f "
+            + " ".join(map(str, range(1, 200_001)))
+        ),
+        "lines that go on without end": "v 0 0 0 \\\n" * 200_000,
+    },
+    ("mesh", "a.off"): {
+        "a trillion corners": "OFF\n1000000000000 1 0\n0 0 0\n",
+        "a face of two billion corners": "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n2000000000 0 1 2\n",
     },
     ("mesh", "a.stl"): {
         "four billion faces": bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50),
@@ -273,6 +299,8 @@ BY_READER: dict[tuple[str, str], dict[str, Content]] = {
     ("mesh", "a.ply"): {
         "a trillion corners": ply(10**12, 1),
         "a face of two billion corners": ply(3, 1, body=CORNERS + b"\xff\xff\xff\x7f" + TRIANGLE),
+        "a trillion rows of nothing": "ply\nformat binary_little_endian 1.0\nelement no 1000000000000\nend_header\n",
+        "faces of no corners": ply(3, 5_000_000, body=CORNERS + bytes(20_000_000 - 5_200_000)),
     },
     ("dataset", "a.h5"): {
         "an external link": put(FORCE, h5py.ExternalLink("/etc/hostname", "/x")),

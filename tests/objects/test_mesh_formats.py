@@ -155,6 +155,7 @@ def replaced(pattern, text=F):
         (V + F).replace(" ", "   ").replace("\n", "  \n"),
         "  " + (V + F).replace("\n", "\n  "),
         V + F.replace(" ", " \\\n", 2).replace(" 7", " \\\r\n 7"),
+        (V + F).replace(" ", " \\\n"),
         V + replaced("{i}/{i}") + "vt 0 0\n",
         V + replaced("{i}//{i}"),
         V + replaced("{i}/{i}/{i}"),
@@ -290,7 +291,10 @@ def test_strips_of_triangles_in_ply_are_read(tmp_path):
     ("data", "words"),
     [
         (ply()[:-20], "cut off|numbers"),
-        (ply("binary_little_endian")[:-9], "cut off: its header announces 6 of face, and 5 are there"),
+        (
+            ply("binary_little_endian")[:-9],
+            "cut off: its header announces 6 entries of element 'face', and 5 are there",
+        ),
         (ply("binary_big_endian", quads=MIXED)[:-9], "cut off"),
         (ply()[:60], "no header of PLY, or is cut off in it"),
         (ply().replace(b"face 6", b"face 5"), "1 lines more than its header announces|numbers"),
@@ -532,6 +536,7 @@ MESHOPT = "EXT_meshopt_compression"
         (scene(accessor={"count": 10**12}), "entries, which no file holds"),
         (scene(buffers=[{"byteLength": 10**6}]), "buffer 0 should have 1000000 bytes"),
         (scene()[:-9], "is cut off: it announces"),
+        (b"rubbish", "is no glTF file"),
         (scene(asset={"version": "1.0"}), "is glTF 1.0"),
         (scene(primitive={"mode": 9}), "mode 9"),
         (scene(indices=TRIANGLES.astype("<u2").tobytes()[:-2]), "35 corners of triangles"),
