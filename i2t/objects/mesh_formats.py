@@ -192,7 +192,7 @@ def _text(path: Path, data: bytes) -> bytes:
     """Text with lines that end in a line feed and words that are spaced; whatever its encoding, numbers are ASCII."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", "replace").encode()
-    data = data.removeprefix(codecs.BOM_UTF8)
+    data = data.removeprefix(codecs.BOM_UTF8).rstrip(b"\x1a")  # the mark of the end in DOS
     if b"\0" in data:
         raise _unreadable(path, "it is no text", "export it again, or check its ending")
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ")
@@ -418,25 +418,31 @@ def _read_ply(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...
     if "vertex" not in elements or not {"x", "y", "z"} <= set(elements["vertex"].columns):
         raise _unreadable(path, "it has no vertices with x, y and z", "export it again")
     vertices = np.stack([np.asarray(elements["vertex"].columns[axis], np.float64) for axis in "xyz"], 1)
-    name = next((name for name in ("face", "tristrips") if name in elements and elements[name].rows), None)
-    if name is None:
-        return vertices, np.empty((0, 3), np.int64), ("points on a range grid",) if "range_grid" in elements else ()
-    columns = elements[name].columns
-    indices = columns.get("vertex_indices", columns.get("vertex_index"))
+    loops = [_ply_corners(path, name, elements[name]) for name in ("face", "tristrips") if name in elements]
+    corners, sizes = loops[0] if "face" in elements else (np.empty(0, np.int64), np.empty(0, np.int64))
+    if "tristrips" in elements:
+        strips, lengths = loops[-1]
+        rows = np.split(strips, np.cumsum(lengths)[:-1])
+        parts = [
+            part[part >= 0] for row in rows for part in np.split(row, np.flatnonzero(row == -1))
+        ]  # -1 ends a strip
+        triangles = np.concatenate([strip_triangles(part) for part in parts] or [np.empty((0, 3), np.int64)])
+        corners = np.append(corners, triangles.reshape(-1))
+        sizes = np.append(sizes, np.full(len(triangles), 3))
+    vertices, faces, few = _mesh(path, vertices, corners, sizes)
+    return vertices, faces, (few, "a range grid" if "range_grid" in elements else "")
+
+
+def _ply_corners(path: Path, name: str, element: _Element) -> tuple[NDArray, NDArray]:
+    """Indices of vertices of all faces or strips, and how many each has."""
+    indices = element.columns.get("vertex_indices", element.columns.get("vertex_index"))
     if not isinstance(indices, tuple):
-        raise _unreadable(path, f"its {name} has no list vertex_indices, but {', '.join(columns)}", "export it again")
+        reason = f"its element {name!r} has no list vertex_indices, but {', '.join(element.columns)}"
+        raise _unreadable(path, reason, "export it again")
     corners, sizes = indices[0].astype(np.int64), indices[1]
     if not np.array_equal(corners, indices[0]):
         raise _unreadable(path, "a corner of a face is no whole number", "export it again")
-    if name == "face":
-        *mesh, few = _mesh(path, vertices, corners, sizes)
-        return mesh[0], mesh[1], (few,)
-    # -1 ends a strip within a list.
-    strips = [part[part >= 0] for row in np.split(corners, np.cumsum(sizes)[:-1])
-              for part in np.split(row, np.flatnonzero(row == -1))]  # fmt: skip
-    faces = np.concatenate([strip_triangles(strip) for strip in strips])
-    *mesh, few = _mesh(path, vertices, faces.reshape(-1), np.full(len(faces), 3))
-    return mesh[0], mesh[1], (few,)
+    return corners, sizes
 
 
 def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list[_Property]]], bytes]:

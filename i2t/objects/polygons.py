@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from i2t.errors import DataError
 
-ROUNDING = 1e-6  # of the largest coordinate: what files in float32 or with seven digits say of a straight line
+ROUNDING = 1e-6  # of the surface's size: how straight a line is that a file gives with seven digits
 BLOCK = 2**20  # corners that are looked at together, which bounds the memory
 MAX_CLIPPED_SQUARED = 7000**2  # sum of squared corners of polygons that are clipped: the time of ear clipping
 FULL_TURN = 2 * np.pi - 1e-3  # rad, that a fan may sweep around its first corner
@@ -49,8 +49,7 @@ def triangulate(
     places = np.cumsum(counts) - counts
     faces = np.full((counts.sum(), 3), -1)
     faces[places[sizes < 3]] = corners[np.minimum(starts[sizes < 3], max(len(corners) - 1, 0)), None]
-    largest = np.abs(vertices[corners]).max(initial=0.0, where=np.isfinite(vertices[corners]))
-    work, width = 0, ROUNDING * float(largest)
+    work, width = 0, _rounding(vertices[corners])
     for size in np.unique(sizes[sizes >= 3]):
         polygons = np.flatnonzero(sizes == size)
         for block in np.array_split(polygons, -(-len(polygons) * size // BLOCK)):
@@ -87,6 +86,15 @@ def strip_triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1) if len(corners) > 2 else np.empty((0, 3), np.int64)
     faces[1::2] = faces[1::2, [1, 0, 2]]
     return faces[(faces != np.roll(faces, 1, 1)).all(1)]
+
+
+def _rounding(points: NDArray) -> float:
+    """How far corners may be from where they are meant to be, in a file with seven digits or in float32."""
+    points = points[np.isfinite(points).all(1)]
+    if not len(points):
+        return 0.0
+    low, high = points.min(0), points.max(0)
+    return float(max(ROUNDING * (high - low).max(), np.finfo(np.float32).eps * max(abs(low).max(), abs(high).max())))
 
 
 def _without_repeats(corners: NDArray, sizes: NDArray) -> tuple[NDArray, NDArray]:
@@ -144,10 +152,10 @@ def _clipped(points: NDArray, width: float) -> NDArray | None:
         return _fan(np.arange(size)[None])[0]
     centred = points - points.mean(0)
     _, spreads, axes = np.linalg.svd(centred, full_matrices=False)
-    if spreads[1] <= width:
-        return none
     normal = np.cross(centred, np.roll(centred, -1, 0)).sum(0)
-    if np.linalg.norm(normal) > width * spreads[0]:  # else it goes there and back, or crosses itself
+    if normal @ np.cross(axes[0], axes[1]) < 0:
+        axes[1] = -axes[1]
+    if np.linalg.norm(normal) > width * spreads[0]:  # else it is narrow, goes there and back, or crosses itself
         x = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         axes = np.stack([x / np.linalg.norm(x), np.cross(normal, x) / np.linalg.norm(np.cross(normal, x))])
     flattened = centred @ axes[:2].T

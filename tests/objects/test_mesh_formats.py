@@ -172,6 +172,7 @@ def replaced(pattern, text=F):
         (V + F).encode("utf-16"),
         (V + F).upper(),
         V + F[:-1],
+        V + F + "\x1a",
         V.replace("20.5", "2.05E+01") + F,
         "v nan nan nan\n"
         + V
@@ -278,13 +279,16 @@ def test_other_lists_next_to_the_faces_are_passed_over(tmp_path):
     assert is_box(parse(tmp_path, "a.ply", "\n".join(lines)))
 
 
-def test_strips_of_triangles_in_ply_are_read(tmp_path):
-    strips = "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
-    header = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n" + strips
-    body = "".join("{} {} {}\n".format(*v) for v in CORNERS)
-    rows = [q[i] for q in QUADS for i in (0, 1, 3, 2)]
-    row = " ".join(f"{' '.join(map(str, rows[i : i + 4]))} -1" for i in range(0, 24, 4))
-    assert is_box(parse(tmp_path, "a.ply", f"{header}{body}30 {row}\n"))
+@pytest.mark.parametrize("faces", [0, 2])
+def test_strips_of_triangles_in_ply_are_read_and_faces_with_them(tmp_path, faces):
+    strips = [" ".join(str(q[i]) for i in (0, 1, 3, 2)) for q in QUADS[faces:]]
+    header = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
+    header += f"element tristrips 1\nproperty list int int vertex_indices\nelement face {faces}\n"
+    header += "property list uchar int vertex_indices\nend_header\n" + "".join("{} {} {}\n".format(*v) for v in CORNERS)
+    rows = f"{5 * len(strips)} {' -1 '.join(strips)} -1\n" + "".join(
+        "4 {} {} {} {}\n".format(*q) for q in QUADS[:faces]
+    )
+    assert is_box(parse(tmp_path, "a.ply", header + rows))
 
 
 @pytest.mark.parametrize(

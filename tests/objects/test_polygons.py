@@ -112,6 +112,15 @@ def test_a_polygon_may_touch_itself_at_a_corner():
     check(vertices, np.array([0, 1, 2, 3, 1, 4]), 50)
 
 
+def test_a_narrow_polygon_far_from_the_origin_keeps_its_area():
+    for height in (0.2, 1e-3):
+        points = [(0, 0), (30, 0), (30, height), (20, height), (15, height / 2), (9, height), (0, height)]
+        vertices = in_space(points, 1) + np.array([5e3, 0, 0])
+        a, b, c = np.moveaxis(vertices[cut(vertices)], 1, 0)
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+        assert area == pytest.approx(abs(flat_area(points)), rel=1e-3)
+
+
 def test_a_polygon_that_bends_a_little_out_of_its_plane_is_cut():
     rng = np.random.default_rng(0)
     vertices = in_space(CHANNEL, 1) + 0.05 * rng.normal(size=(8, 3))
