@@ -74,7 +74,7 @@ def read_scene(path: Path, data: bytes) -> Scene:
                 )
     left_out = [f"{count} primitives of {kind}" for kind, count in document.skipped.items()]
     if len(document.scenes) > 1:
-        left_out.append(f"{len(document.scenes) - 1} scenes that are not its default one")
+        left_out.append(f"{len(document.scenes) - 1} scenes that are not the default one")
     return Scene(np.concatenate(vertices), np.concatenate(faces), tuple(left_out))
 
 

@@ -97,7 +97,8 @@ def read_mesh(
         raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
     vertices, faces, left_out = parse_mesh(path, data)
     if left_out:
-        warnings.warn(f"{path}: left out {' and '.join(left_out)}, which have no surface", stacklevel=2)
+        rule = "faces are read, and of several scenes the default one"
+        warnings.warn(f"{path}: left out {' and '.join(left_out)}; {rule}", stacklevel=2)
     vertices = vertices * scale
     check_size(path, vertices[faces].reshape(-1, 3), unit)
     raw_mesh = Mesh(vertices, faces.astype(np.int32))

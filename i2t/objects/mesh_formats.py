@@ -51,7 +51,7 @@ FOREIGN_MARKS = (  # how files begin that are no mesh of ours, whatever their en
     (rb"(?:\.\./)*\.git/annex|/annex/objects", "a git-annex pointer, not the mesh itself", "run git annex get"),
     (rb"<!doctype html|<html", "a web page, not the mesh itself", "download the file behind it"),
     (rb"iso-10303-21", "a STEP file", FROM_CAD),
-    (rb"[^\r\n]{72}s *1\b", "an IGES file", FROM_CAD),
+    (rb"[^\r\n]{72}s[ 0]{6}1\b", "an IGES file", FROM_CAD),
     (rb"dbrep_drawableshape|cascade topology", "a BREP file", FROM_CAD),
     (rb"3d geometry file format", "a Rhino file (3DM)", FROM_CAD),
     (rb"kaydara fbx|; fbx", "an FBX file", CONVERT),
@@ -71,7 +71,7 @@ OWN_MARKS = (  # how files of the formats begin that are read
     (".off", rb"(?:st)?c?n?4?n?off\b"),
     (".gltf", rb"\{.*\"asset\""),
     (".stl", rb"solid\b.*?facet\s+normal"),
-    (".obj", rb"(?:.*\n)?[ \t]*v[ \t]+[-+.\d].*\n[ \t]*f[ \t]+[-\d]"),
+    (".obj", rb"(?:.*\n)?[ \t]*v(?:[ \t]+[-+.,\de]+){3}"),
 )
 
 
@@ -80,7 +80,7 @@ class ParsedMesh(NamedTuple):
 
     vertices: NDArray[np.float64]  # (n, 3), in the file's unit; all finite, and all used
     faces: NDArray[np.int64]  # (m, 3)
-    left_out: tuple[str, ...]  # what has no surface, with its number
+    left_out: tuple[str, ...]  # what is no face, with its number
 
 
 def foreign_kind(suffix: str) -> tuple[str, str]:

@@ -480,7 +480,7 @@ def test_strips_and_fans_in_glb_are_read_and_lines_left_out(tmp_path):
         mesh = parse(tmp_path, "a.glb", data)
         assert is_box(mesh)
         assert mesh.left_out == ("1 primitives of lines",)
-        with pytest.warns(UserWarning, match="left out 1 primitives of lines, which have no surface"):
+        with pytest.warns(UserWarning, match="left out 1 primitives of lines; faces are read"):
             read_mesh(tmp_path / "a.glb", "mm")
     with pytest.raises(DataError, match="holds no faces but 1 primitives of points"):
         parse(tmp_path, "a.glb", scene(primitive={"mode": 0}))
@@ -503,7 +503,7 @@ def test_of_several_scenes_the_default_is_read(tmp_path):
     nodes, scenes = [{"mesh": 0}, {"mesh": 0, "scale": [2, 2, 2]}], [{"nodes": [0]}, {"nodes": [1]}]
     mesh = parse(tmp_path, "a.glb", scene(nodes=nodes, scenes=scenes, scene=1))
     assert is_box(mesh, 2 * SIZE)
-    assert mesh.left_out == ("1 scenes that are not its default one",)
+    assert mesh.left_out == ("1 scenes that are not the default one",)
     data = scene(nodes=nodes, scenes=scenes, scene=None)
     refused(tmp_path, "a.glb", data, "2 scenes, none of which is the default")
 
@@ -594,7 +594,7 @@ def test_data_of_gltf_come_from_next_to_it_only(tmp_path, uri, words):
     ("name", "data", "words"),
     [
         ("a.stl", V + F, "is OBJ by its contents and STL by its ending; rename it to a.obj"),
-        ("a.stl", "# of ours\n" + V + F, "is OBJ by its contents"),
+        ("a.stl", "# of ours\n" + V * 200 + F, "is OBJ by its contents"),
         ("a.stl", ply(), "is PLY by its contents"),
         ("a.obj", stl(), "is STL by its contents and OBJ by its ending"),
         ("a.ply", f"OFF\n8 6 12\n{OFF_ROWS}", "is OFF by its contents"),
