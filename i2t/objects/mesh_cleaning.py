@@ -101,7 +101,7 @@ def clean_mesh(mesh: Mesh, path: str = "mesh", *, largest_piece: bool = False) -
     if not solid.any():
         raise ValueError(f"{path}: no face has an area; export the mesh again")
     work.update_faces(solid)
-    single = _single_faces(work.faces, work.area_faces)
+    single = _single_faces(work.vertices, work.faces, work.area_faces)
     work.update_faces(single)
 
     vertices, faces = np.asarray(work.vertices, np.float64), np.asarray(work.faces)
@@ -156,13 +156,11 @@ def _compact(vertices: NDArray, faces: NDArray) -> Mesh:
     return Mesh(vertices[used], corners.reshape(-1, 3).astype(np.int32))
 
 
-def _single_faces(faces: NDArray, areas: NDArray) -> NDArray:
+def _single_faces(vertices: NDArray, faces: NDArray, areas: NDArray) -> NDArray:
     """Mask of faces to keep so that no two have the same corners.
 
-    Repeated faces that are connected are a wall. Without a wall, the edges of its rim have the faces that are not
-    repeated. Where these are two at each such edge, the surface is closed without it: the wall lies between two bodies,
-    or is a small fin on one, and goes altogether. Otherwise it is a part of the surface, and one of each face stays.
-    The winding says nothing here, as it may be wrong.
+    One of each repeated face stays, except of small fins, and of walls that lie inside the object: without such a wall
+    the surface around it can be turned outward without a contradiction, and encloses it.
     """
     unique, first, times = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
     keep = np.zeros(len(faces), bool)
@@ -170,20 +168,63 @@ def _single_faces(faces: NDArray, areas: NDArray) -> NDArray:
     repeated = np.flatnonzero(times > 1)
     if not len(repeated):
         return keep
-    edge = np.unique(_edges(unique), axis=0, return_inverse=True)[1].reshape(3, -1)
-    others = np.bincount(edge[:, times == 1].ravel(), minlength=int(edge.max()) + 1)
-    walls, wall = _connected(np.where(others[edge[:, repeated]] == 0, edge[:, repeated], -1))
-    beside = others[edge[:, repeated]]
-    copies = np.bincount(edge[:, repeated].ravel(), minlength=len(others))[edge[:, repeated]]
+    wall, spare, fin = _spare_walls(unique, repeated, times == 1, areas[first])
+    removed = spare | fin
+    keep[first[repeated[removed[wall]]]] = False
+    if not spare.any() or not keep.any():
+        return keep
+    piece = _pieces(faces)[1]
+    outward = _turned_outward(Mesh(vertices, faces[keep])).faces
+    restored = np.zeros(len(faces), bool)
+    torn = _torn_vertices(outward)
+    for number in np.flatnonzero(spare):
+        rows = first[repeated[wall == number]]
+        around = vertices[outward[piece[keep] == piece[rows[0]]]]
+        inside = _encloses(around, _some_centres(vertices[faces[rows]]))
+        if not inside or len(np.intersect1d(faces[rows], torn)):
+            restored[rows] = True
+    return keep | restored
 
-    def holds(condition: NDArray) -> NDArray:
+
+def _torn_vertices(faces: NDArray) -> NDArray:
+    """Vertices of edges that faces do not run through equally often in both directions."""
+    directed = _directed_edges(faces)
+    edges, edge = np.unique(np.sort(directed, 1), axis=0, return_inverse=True)
+    balance = np.bincount(edge.reshape(-1), np.where(directed[:, 0] < directed[:, 1], 1, -1), len(edges))
+    return np.unique(edges[balance != 0])
+
+
+def _spare_walls(
+    faces: NDArray, repeated: NDArray, single: NDArray, areas: NDArray
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Walls of repeated faces: the wall of each of these faces, and which walls may be spared and which are fins.
+
+    Repeated faces that are connected are a wall, and the edges of its rim have single faces. Where these are two at
+    each edge of the rim, the surface is closed without the wall. A wall with other edges that end in the air is a fin,
+    if it is small.
+
+    Args:
+        faces: (n, 3) faces, no two with the same corners.
+        repeated: Rows of those that were given more than once.
+        single: (n,) mask of the others.
+        areas: (n,) of the faces.
+
+    Returns:
+        The wall (number) of each repeated face, and two masks of walls.
+    """
+    edge = np.unique(_edges(faces), axis=0, return_inverse=True)[1].reshape(3, -1)
+    others = np.bincount(edge[:, single].ravel(), minlength=int(edge.max()) + 1)
+    edge = edge[:, repeated]
+    walls, wall = _connected(np.where(others[edge] == 0, edge, -1))
+    beside, copies = others[edge], np.bincount(edge.ravel(), minlength=len(others))[edge]
+
+    def has(condition: NDArray) -> NDArray:
         return np.bincount(wall, condition.any(0), walls) > 0
 
-    free = holds((beside == 0) & (copies == 1))
-    small = np.bincount(wall, areas[first[repeated]], walls) <= MAX_DUST_SHARE * areas.sum()
-    inner = holds(beside > 0) & ~holds(beside % 2 == 1) & (~free | small)
-    keep[first[repeated[inner[wall]]]] = False
-    return keep
+    closed = has(beside > 0) & ~has(beside % 2 == 1)
+    in_air = has((beside == 0) & (copies == 1))
+    small = np.bincount(wall, areas[repeated], walls) <= MAX_DUST_SHARE * areas.sum()
+    return wall, closed & ~in_air, closed & in_air & small
 
 
 def _connected(edge: NDArray) -> tuple[int, NDArray]:
@@ -225,9 +266,9 @@ def _turned_outward(mesh: Mesh) -> Mesh:
 def _neighbours(vertices: NDArray, faces: NDArray) -> NDArray:
     """Pairs (n, 2) of directed edges (rows of `_directed_edges`) at which two faces continue each other.
 
-    The faces around an edge of four or more are sorted by their angle. Neighbours bound an empty wedge or a solid one;
-    of the two ways to pair all of them, the one that has the narrowest wedge is taken, so that walls that lie on each
-    other are paired. An edge with an odd number of faces connects none.
+    The faces around an edge of four or more are sorted by their angle. Neighbours bound an empty wedge or a solid one.
+    Of the two ways to pair all of them, the one that turns fewer faces is taken, or the one that has the narrowest
+    wedge, so that walls that lie on each other are paired. An edge with an odd number of faces connects none.
     """
     directed = _directed_edges(faces)
     _, edge, uses = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
@@ -246,8 +287,11 @@ def _neighbours(vertices: NDArray, faces: NDArray) -> NDArray:
     place = np.arange(len(many)) - start[group]
     following = start[group] + (place + 1) % size[group]
     gap = np.where(place + 1 < size[group], 0, 2 * np.pi) + angle[following] - angle
-    narrowest = np.lexsort((gap, group))[start]
-    first = place % 2 == (place[narrowest] % 2)[group]
+    disagree = (directed[many] == directed[many[following]]).all(1)
+    disagreeing = np.bincount(2 * group + place % 2, disagree, 2 * len(size)).reshape(-1, 2)
+    narrowest = place[np.lexsort((gap, group))[start]] % 2
+    way = np.where(disagreeing[:, 0] == disagreeing[:, 1], narrowest, disagreeing.argmin(1))
+    first = place % 2 == way[group]
     return np.concatenate([pairs, np.stack([many, many[following]], 1)[first]])
 
 
@@ -302,11 +346,11 @@ def _inside_out(vertices: NDArray, faces: NDArray, part: NDArray, pairs: NDArray
     if inward.all() or not inward.any():
         return turned
     box = np.prod(high - low, 1)
+    surfaces = np.split(vertices[faces[np.argsort(part, kind="stable")]], np.cumsum(np.bincount(part))[:-1])
     for child in np.argsort(-box, kind="stable"):
         around = (low <= low[child]).all(1) & (high >= high[child]).all(1) & (inward != inward[child])
-        mine = np.flatnonzero(part == child)
-        points = vertices[faces[mine[:: -(-len(mine) // INSIDE_POINTS)]]].mean(1)
-        parents = [p for p in np.flatnonzero(around) if _encloses(vertices[faces[part == p]], points)]
+        points = _some_centres(surfaces[child])
+        parents = [p for p in np.flatnonzero(around) if _encloses(surfaces[p], points)]
         if parents:  # it stays as it was given, relative to what encloses it
             turned[child] = turned[min(parents, key=lambda p: box[p])]
     return turned
@@ -340,6 +384,11 @@ def _holes(faces: NDArray, part: NDArray, corners: NDArray, rim: NDArray) -> tup
     home[loop] = part[face]
     area = np.bincount(home, np.linalg.norm(normals, axis=1), parts)
     return area, np.bincount(part[face], np.linalg.det(fan) / 6, parts)
+
+
+def _some_centres(corners: NDArray) -> NDArray:
+    """Centres of a few faces (n, 3, 3), at most `INSIDE_POINTS`, evenly over their order."""
+    return corners[:: -(-len(corners) // INSIDE_POINTS)].mean(1)
 
 
 def _encloses(corners: NDArray, points: NDArray) -> bool:

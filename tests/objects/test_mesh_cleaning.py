@@ -197,6 +197,24 @@ def test_a_wall_given_twice_stays_where_it_is_a_part_of_the_surface():
     assert whole(clean_mesh(twice)[0]).volume == pytest.approx(whole(thing).volume)
 
 
+def test_a_lid_that_two_bodies_on_the_same_side_share_stays():
+    outer, inner = box((0.06, 0.06, 0.04), (0, 0, -0.02)), box((0.04, 0.04, 0.02), (0, 0, -0.01))
+    rim = without(inner, (0, 0, 1))  # of the inner body, whose top is cut into the outer one's
+    ring = [[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]]
+    corners = np.array([[*xy, 0] for xy in ring] + [[2 * x / 3, 2 * y / 3, 0] for x, y in ring])
+    frame = [[i, j, 4 + j] for i, j in ((0, 1), (1, 2), (2, 3), (3, 0))]
+    frame += [[i, 4 + j, 4 + i] for i, j in ((0, 1), (1, 2), (2, 3), (3, 0))]
+    lid = Mesh(corners, np.array([[4, 5, 6], [4, 6, 7]], np.int32))
+    for second in (lid, turned(lid)):
+        given = joined(without(outer, (0, 0, 1)), Mesh(corners, np.array(frame, np.int32)), lid, rim, second)
+        mesh, _, report = clean_mesh(given)
+        cast = whole(mesh)
+        top = np.isclose(cast.triangles_center[:, 2], 0, atol=1e-9)
+        assert cast.area_faces[top].sum() == pytest.approx(0.06**2)
+        assert (cast.face_normals[top, 2] > 0).all()
+        assert report.repeated == 2
+
+
 def test_a_flag_of_two_sides_on_a_pole_is_kept():
     pole = box((0.02, 0.02, 0.06))
     corner = pole.vertices.max(0)
