@@ -27,7 +27,7 @@ from i2t.hardware.plugins import REALSENSE, UR, DeviceSetup, ToolPose, find_plug
 from i2t.hardware.poses import apart, pose_from_vector
 from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig
-from i2t.objects.named import read_object, require_object
+from i2t.objects.named import describe_placement, read_object, require_object
 from i2t.types import Array
 from i2t.windows import TWIST_LEVER_M
 
@@ -79,12 +79,12 @@ def place(asked: PlaceArgs) -> str:
     # Not above: JAX takes seconds, which --help and a refusal need not wait for.
     from i2t.registration import camera_covariance, register_by_depth
 
-    mesh = read_object(asked.object, asked.unit).mesh
+    target = read_object(asked.object, asked.unit)
     with pose as T_b_t:
         camera, view = _look(asked, rig, arm)
         T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
         found = register_by_depth(
-            mesh,
+            target.mesh,
             rig.T_world_object,
             view.depth,
             camera,
@@ -105,6 +105,8 @@ def place(asked: PlaceArgs) -> str:
         f"noise leaves {_spread(noise)}, with the camera's own place {_spread(sigma)}; {len(fit)} points fit within "
         f"{1e3 * float(np.sqrt(np.mean(fit**2))):.2f} mm RMS",
     ]
+    if placement := describe_placement(target):
+        lines.append(placement)
     if asked.write:
         placed = replace(rig, T_world_object=T_w_o, object_from="registration", object_covariance=covariance)
         placed.write(asked.rig)

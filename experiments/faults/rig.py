@@ -34,6 +34,7 @@ from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import ArmState, View
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import other_lens, require_plausible
+from i2t.objects.solids import Object
 from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import sample_pad
@@ -169,7 +170,7 @@ def try_rig(wrong: Rig, name: str, seed: int = 0, right: Rig | None = None) -> F
     if different := other_lens(wrong.camera, right.camera):
         return Found("lens", different)
     try:
-        sampler = SiteSampler(mesh, wrong.T_world_object, SiteLimits(), seed, name)
+        sampler = SiteSampler(Object(name, mesh, "file"), wrong.T_world_object, SiteLimits(), seed, name)
         first_touch(object_lab(name, right, seed, wrong)[0], sampler, said.append)
     except RigContradictedError as error:
         return Found("first touch", str(error))

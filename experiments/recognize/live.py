@@ -118,7 +118,7 @@ def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | Non
         arm=args.arm,
         skin=args.skin,
         camera=args.camera,
-        world=WorldArgs(sources.get(there, there), args.unit or "mm", args.worn_pad, seed=args.seed),
+        world=WorldArgs(sources.get(there, there), args.unit or "mm", pad=args.worn_pad, seed=args.seed),
         lab=LabArgs(args.rig),
         name=args.truth or "unknown",
         pad_name=args.worn,

@@ -111,7 +111,7 @@ def split_objects(args: ReconstructArgs, *, hold_out: bool = True) -> ObjectSpli
             if len(part) == count:
                 break
             try:
-                mesh = load_mesh(files[number], args.unit or "m", largest=False)
+                mesh = load_mesh(files[number], args.unit or "m")
                 part[names[number]] = _scaled(mesh, args, int(number))
             except (ValueError, OSError) as error:
                 print(f"left out: {error}", flush=True)

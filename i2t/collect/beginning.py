@@ -17,8 +17,9 @@ from i2t.collect.path import TouchPath
 from i2t.hardware.plugins import find_plugin
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
-from i2t.objects.named import read_object
-from i2t.objects.solids import Mesh, transform_mesh
+from i2t.objects.named import describe_placement, read_object
+from i2t.objects.solids import Object, highest_point
+from i2t.terminal import printable
 
 NO_RIG = "a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
 
@@ -29,7 +30,7 @@ class Beginning(NamedTuple):
     args: CollectArgs
     rig: Rig
     name: str  # of the object
-    mesh: Mesh  # of the object, m
+    target: Object
     done: dict[int, float]  # sites that were touched and when (Unix time)
     notes: dict[str, Any]  # of the folder (`i2t.collect.notes`)
 
@@ -49,13 +50,14 @@ def begin(args: CollectArgs) -> Beginning:
     """
     rig = read_rig(args.lab, real=find_plugin("arm", args.arm.kind).needs_rig)
     require_together(args, rig)
-    target = read_object(args.world.object, args.world.unit)
+    target = read_object(args.world.object, args.world.unit, largest_piece=args.world.largest_piece)
+    if placement := describe_placement(target):
+        print(printable(placement))
     name = args.name or (target.name if args.world.object == target.name else Path(args.world.object).stem)
     if not args.lab.trust_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
-    top = float(transform_mesh(target.mesh, np.asarray(rig.T_world_object)).vertices[:, 2].max())
-    TouchPath(rig, args.settings, top).check_settings()
-    return Beginning(args, rig, name, target.mesh, *resume(args, name, rig, target.mesh))
+    TouchPath(rig, args.settings, highest_point(target, rig.T_world_object)).check_settings()
+    return Beginning(args, rig, name, target, *resume(args, name, rig, target.mesh))
 
 
 def read_rig(args: LabArgs, *, real: bool) -> Rig:

@@ -63,11 +63,11 @@ def collect(
         ValueError: What was asked for does not go together, or cannot be read.
         DeviceError: A person is needed.
     """
-    args, rig, name, mesh, done, notes = begun
+    args, rig, name, target, done, notes = begun
     if not args.dry_run and len(done) >= args.touches:
         print(f"{len(done)} touches are there already; raise --touches for more")
         return 0
-    sampler = SiteSampler(mesh, rig.T_world_object, args.sites, args.world.seed, name)
+    sampler = SiteSampler(target, rig.T_world_object, args.sites, args.world.seed, name)
     with ExitStack() as stack:
         devices = make_devices(args, rig, stack, begin=max(done.values(), default=0.0) + 1.0)
         if args.lab.rig is None and devices.arm.features.source == "real":

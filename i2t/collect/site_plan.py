@@ -10,14 +10,14 @@ from itertools import count
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Key
 
 from i2t.collect.touch import ExtractPatch, SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.depth.patches import view_from_depth
 from i2t.geometry import full_precision, nearest_rigid
 from i2t.hardware.protocols import View
-from i2t.objects.solids import Mesh, transform_mesh
+from i2t.objects.solids import Object, highest_point, transform_mesh
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.sites import SiteLimits, collect_sites
 from i2t.types import Array
@@ -31,18 +31,20 @@ class SiteSampler:
     """Safe sites of an object, in the order in which they are to be touched.
 
     Args:
-        mesh: The object, m.
+        target: The object.
         T_w_o: (4, 4) where it stands.
         limits: What makes a site safe.
         seed: Of the sites.
         name: Of the object, for errors.
     """
 
-    def __init__(self, mesh: Mesh, T_w_o: Float[Array, "4 4"], limits: SiteLimits, seed: int, name: str) -> None:
-        self.mesh = mesh
-        self.placed = transform_mesh(mesh, np.asarray(T_w_o))
-        self.top = float(self.placed.vertices[:, 2].max())  # m, in W
+    def __init__(self, target: Object, T_w_o: Float[Array, "4 4"], limits: SiteLimits, seed: int, name: str) -> None:
+        self.mesh = target.mesh
+        self.placed = transform_mesh(target.mesh, np.asarray(T_w_o))
+        self.top = highest_point(target, T_w_o)  # m, in W
         self._surface = prepare_surface(self.placed)
+        rest = target.left_out
+        self._obstacles = None if rest is None else prepare_surface(transform_mesh(rest, np.asarray(T_w_o)))
         self.limits, self._seed, self._name = limits, seed, name
         self._sites: list[Site] = []
 
@@ -60,9 +62,12 @@ class SiteSampler:
         """
         while number >= len(self._sites):
             key = jax.random.fold_in(jax.random.key(self._seed), len(self._sites) // SITE_BATCH)
-            poses = np.asarray(collect_sites(key, self._surface, SITE_BATCH, self.limits, self._name), float)
+            poses = np.asarray(self._draw(key), float)
             self._sites += [Site(len(self._sites) + i, nearest_rigid(pose)) for i, pose in enumerate(poses)]
         return self._sites[number]
+
+    def _draw(self, key: Key[Array, ""]) -> Float[Array, "n 4 4"]:
+        return collect_sites(key, self._surface, SITE_BATCH, self.limits, self._name, obstacles=self._obstacles)
 
     def next(self, done: Collection[int]) -> Site:
         """The first site that is not done.

@@ -245,12 +245,12 @@ def _mesh_tip(file: Path, unit: str | None, notes: ConversionLog) -> Tip:
     from i2t.rendering import render
 
     try:
-        (_, mesh, _), report = read_mesh(file, unit, table=False)
+        thing, report = read_mesh(file, unit, table=False)
     except (ValueError, OSError) as error:
         raise DataError(str(error)) from error
     notes.info(str(report))
-    lowest = float(np.asarray(mesh.vertices)[:, 2].min())
-    surface = render.prepare_surface(mesh)
+    lowest = float(np.asarray(thing.mesh.vertices)[:, 2].min())
+    surface = render.prepare_surface(thing.mesh)
 
     def patches(x: np.ndarray, y: np.ndarray, window: float, reach: float) -> np.ndarray:
         def depth(T_o_t: Any) -> Any:

@@ -76,6 +76,6 @@ def make_scene(world: WorldArgs, rig: "Rig", board: str | None = None, number: i
 
     pad = _random_pad(CARRIED_PAD_KEY + number, board) if number and board else read_pad(world.pad, board)
     errors = SimulationErrors().scaled(0.0) if world.no_pose_error else SimulationErrors()
-    mesh = read_object(world.object, world.unit).mesh
+    mesh = read_object(world.object, world.unit).mesh  # every piece of it, whichever is to be touched
     T_b_o = rig.T_base_world @ rig.T_world_object
     return ObjectScene(mesh, T_b_o, pad, errors, stiffness=world.stiffness, seed=world.seed)

@@ -16,6 +16,7 @@ class WorldArgs:
     object: str = "hexagon"  # of the catalogue, or a mesh file
     # of a mesh file, which does not say it itself; so there is no default
     unit: Literal["m", "cm", "mm", "inch"] | None = None
+    largest_piece: bool = False  # of a mesh file is touched alone; the arm keeps clear of the rest
     pad: Path | None = None  # a pad on disk, for simulated and emulated skins; by default a random one
     seed: Seed = 0  # of the sites, and of what is simulated
     no_pose_error: bool = False  # simulated: object and camera are where they are believed to be

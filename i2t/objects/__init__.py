@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from i2t.objects.catalogue import make_object as make_object
     from i2t.objects.catalogue import random_object as random_object
     from i2t.objects.catalogue import surrogate_unknown as surrogate_unknown
-    from i2t.objects.mesh_files import CleaningReport as CleaningReport
-    from i2t.objects.mesh_files import clean_mesh as clean_mesh
+    from i2t.objects.mesh_cleaning import CleaningReport as CleaningReport
+    from i2t.objects.mesh_cleaning import clean_mesh as clean_mesh
     from i2t.objects.mesh_files import load_mesh as load_mesh
     from i2t.objects.mesh_files import load_object as load_object
     from i2t.objects.mesh_files import read_mesh as read_mesh
@@ -30,7 +30,8 @@ _HOMES = {
     "catalogue": (
         "NAMES", "PRIMITIVES", "STAMPS", "TOOLS", "make_object", "random_object", "surrogate_unknown",
     ),
-    "mesh_files": ("CleaningReport", "clean_mesh", "load_mesh", "load_object", "read_mesh"),
+    "mesh_cleaning": ("CleaningReport", "clean_mesh"),
+    "mesh_files": ("load_mesh", "load_object", "read_mesh"),
     "poses": ("contact_pose",),
     "solids": ("Mesh", "Object", "place_on_table", "transform_mesh"),
 }  # fmt: skip

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from i2t.objects.solids import Object
 
+SHOWN_SHIFT_MM = 0.005  # smallest shift that two decimals of a millimetre show
+
 
 def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bool = True) -> None:
     """Refuse what is neither an object of the catalogue nor a mesh file with its unit.
@@ -34,12 +36,13 @@ def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bo
         raise ValueError(f"{said}: say in which unit the file is, for instance --unit mm")
 
 
-def read_object(name: str, unit: str | None) -> "Object":
+def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> "Object":
     """An object by its name or file.
 
     Args:
         name: Of the catalogue, or a mesh file.
         unit: Of a mesh file: m, cm, mm or inch; it does not matter for an object of the catalogue.
+        largest_piece: Whether only the largest connected piece of a mesh file is touched.
 
     Returns:
         The object.
@@ -51,4 +54,25 @@ def read_object(name: str, unit: str | None) -> "Object":
     from i2t.objects.mesh_files import load_object
 
     require_object(name, unit)
-    return make_object(name) if name in NAMES else load_object(name, str(unit))
+    return make_object(name) if name in NAMES else load_object(name, str(unit), largest_piece=largest_piece)
+
+
+def describe_placement(thing: "Object") -> str:
+    """Tell how an object's frame differs from its mesh file's, and what of the file is not touched.
+
+    Args:
+        thing: As `read_object` gives it.
+
+    Returns:
+        A sentence for people; empty where the frames are the same and nothing was left out.
+    """
+    x, y, z = (-1e3 * thing.T_file_object[:3, 3]).tolist()
+    sentences = []
+    if max(abs(x), abs(y), abs(z)) >= SHOWN_SHIFT_MM:
+        sentences.append(
+            f"the mesh was moved by {x:.2f}, {y:.2f}, {z:.2f} mm from its file's frame, to stand on z = 0 with its box "
+            "centred in x and y"
+        )
+    if thing.left_out is not None:
+        sentences.append(f"{len(thing.left_out.faces)} faces of other pieces are not touched, but kept clear of")
+    return f"{thing.name}: {'; '.join(sentences)}" if sentences else ""

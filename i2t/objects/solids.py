@@ -26,6 +26,10 @@ class Mesh(NamedTuple):
     faces: NDArray[np.int32]  # (faces, 3) rows of `vertices`
 
 
+IDENTITY = np.eye(4)
+IDENTITY.flags.writeable = False
+
+
 @in_one_line
 class Object(NamedTuple):
     """Something to touch, in its own frame: z up, and unless a file was read otherwise standing on z = 0, centred in x
@@ -35,6 +39,8 @@ class Object(NamedTuple):
     name: str
     mesh: Mesh
     family: str  # "primitive", "stamp", "tool" or "file"
+    T_file_object: NDArray[np.float64] = IDENTITY  # (4, 4) to the frame of the mesh file, m
+    left_out: Mesh | None = None  # pieces of the file that are not to be touched, but are in an arm's way
 
 
 def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
@@ -73,5 +79,33 @@ def place_on_table(mesh: Mesh) -> Mesh:
     Returns:
         The mesh whose box is centred in x and y and stands on z = 0.
     """
+    return transform_mesh(mesh, table_transform(mesh))
+
+
+def table_transform(mesh: Mesh) -> NDArray[np.float64]:
+    """The shift that places a mesh on the table.
+
+    Args:
+        mesh: A mesh in its frame m (m).
+
+    Returns:
+        T_o_m (4, 4), whose frame o has the middle of the mesh's box on its z axis and the box's bottom on z = 0.
+    """
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    return Mesh(mesh.vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], mesh.faces)
+    T_o_m = np.eye(4)
+    T_o_m[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
+    return T_o_m
+
+
+def highest_point(target: Object, T_w_o: NDArray) -> float:
+    """Height that the tool has to clear above an object, with what of it is not to be touched.
+
+    Args:
+        target: The object.
+        T_w_o: (4, 4) where it stands.
+
+    Returns:
+        The largest z of any of its corners in W (m).
+    """
+    meshes = [target.mesh] if target.left_out is None else [target.mesh, target.left_out]
+    return max(float(transform_mesh(mesh, np.asarray(T_w_o)).vertices[:, 2].max()) for mesh in meshes)

@@ -338,7 +338,12 @@ def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) ->
 
 
 def sample_sites(
-    key: Key[Array, ""], surface: Surface, n: int, limits: SiteLimits = COLLECTION_LIMITS, oversample: int = 8
+    key: Key[Array, ""],
+    surface: Surface,
+    n: int,
+    limits: SiteLimits = COLLECTION_LIMITS,
+    oversample: int = 8,
+    obstacles: Surface | None = None,
 ) -> Sites:
     """Draw sites uniformly over the safe part of a surface, each turned about its normal by a uniformly random angle.
 
@@ -351,6 +356,7 @@ def sample_sites(
         n: Number of sites; static.
         limits: Of what is safe.
         oversample: Candidates for each site; static.
+        obstacles: What else stands there in the world, and is not to be touched.
 
     Returns:
         The sites, with a mask of the safe ones, which come first.
@@ -362,7 +368,12 @@ def sample_sites(
     spins = jax.random.uniform(key_spin, (oversample * n,), maxval=2 * jnp.pi)
     frames = jax.vmap(contact_frame)(points, normals, spins)
     batch = math.gcd(len(frames), 64)  # bounds memory, and leaves no rest to compile apart
-    safe = map_batches(lambda T_w_t: is_safe(surface, T_w_t, limits), frames, batch_size=batch)
+
+    def is_free(T_w_t: Float[Array, "4 4"]) -> Bool[Array, ""]:
+        safe = is_safe(surface, T_w_t, limits)
+        return safe if obstacles is None else safe & is_unoccluded(obstacles, T_w_t, limits)
+
+    safe = map_batches(is_free, frames, batch_size=batch)
     first = jnp.argsort(~safe, stable=True)[:n]
     return Sites(jnp.where(safe[first][:, None, None], frames[first], jnp.nan), safe[first])
 
@@ -377,6 +388,7 @@ def collect_sites(
     limits: SiteLimits = COLLECTION_LIMITS,
     name: str = "the object",
     rounds: int = 8,
+    obstacles: Surface | None = None,
 ) -> Float[np.ndarray, "{n} 4 4"]:
     """Draw safe sites in several rounds; for the host, so it compiles what it draws.
 
@@ -387,6 +399,7 @@ def collect_sites(
         limits: Of what is safe.
         name: Of the object, for the message.
         rounds: After which too few is an error.
+        obstacles: What else stands there in the world, and is not to be touched.
 
     Returns:
         T_w_t of the sites.
@@ -397,7 +410,7 @@ def collect_sites(
     found: list[np.ndarray] = []
     count = 0
     for step in range(rounds):
-        sites = _draw_sites(jax.random.fold_in(key, step), surface, n=n, limits=limits)
+        sites = _draw_sites(jax.random.fold_in(key, step), surface, n=n, limits=limits, obstacles=obstacles)
         found.append(np.asarray(sites.T_w_t)[np.asarray(sites.safe)])
         count += len(found[-1])
         if count >= n:

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+import trimesh
 from helpers import random_touches
 
 from i2t import dataset
@@ -18,20 +19,47 @@ from i2t.collect import command, notes, recorder, session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.beginning import begin
 from i2t.collect.devices import Devices
-from i2t.collect.touch import SkinOnTool
+from i2t.collect.site_plan import SiteSampler
+from i2t.collect.touch import SkinOnTool, UnreachableError
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
 from i2t.errors import DataError
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.contract import refuse
 from i2t.hardware.rig import Rig
-from i2t.objects.solids import Mesh
+from i2t.hardware.world import WorldArgs
+from i2t.objects.solids import Mesh, highest_point
+from i2t.simulation.site_limits import SiteLimits
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 from i2t.types import ReturnCode
 
 BOX = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))  # any mesh
+
+
+def test_a_piece_that_is_not_to_be_touched_is_kept_clear_of(tmp_path, capsys):
+    plate, post = trimesh.creation.box((100, 60, 10)), trimesh.creation.cylinder(5, 150)
+    plate.apply_translation((0, 0, 5))
+    post.apply_translation((20, 0, 86))  # loose: 1 mm above the plate
+    path = tmp_path / "plate.stl"
+    trimesh.util.concatenate([plate, post]).export(path)
+    world = WorldArgs(str(path), "mm", largest_piece=True)
+    begun = begin(CollectArgs(out=tmp_path / "set", world=world))
+    assert "moved by 0.00, 0.00, 0.00" not in capsys.readouterr().out
+    T_w_o = np.eye(4)
+    assert begun.target.mesh.vertices[:, 2].max() == pytest.approx(0.01)
+    sampler = SiteSampler(begun.target, T_w_o, SiteLimits(), 0, "plate")
+    assert sampler.top == pytest.approx(0.161)
+    sites = np.stack([sampler.site(number).T_w_t for number in range(64)])
+    assert np.abs(sites[:, 2, 3] - 0.01).max() < 1e-6  # none on the post, and none whose skin would meet it
+    assert np.linalg.norm(sites[:, :2, 3] - (0.02, 0), axis=1).min() > SiteLimits().half
+    both = begin(CollectArgs(out=tmp_path / "set", world=replace(world, largest_piece=False))).target
+    assert highest_point(both, T_w_o) == pytest.approx(0.161)
+    low = replace(Rig(), limits=replace(Rig().limits, upper=(1.0, 1.0, 0.2)))
+    low.write(tmp_path / "low.toml")
+    with pytest.raises(UnreachableError, match="the box ends"):
+        begin(CollectArgs(out=tmp_path / "set", world=world, lab=LabArgs(tmp_path / "low.toml")))
 
 
 @pytest.fixture(scope="module")

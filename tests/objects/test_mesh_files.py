@@ -1,28 +1,18 @@
-"""Mesh files: units, frames, what cleaning counts, and one clear sentence for each kind of bad file."""
+"""Mesh files: units, frames, bodies, and one clear sentence for each kind of bad file."""
 
 import numpy as np
 import pytest
 import trimesh
 
-from i2t.objects import clean_mesh, load_object, make_object, read_mesh
+from i2t.objects import load_object, read_mesh
 from i2t.objects.mesh_files import METRES_PER_UNIT
-from i2t.objects.solids import Mesh
+from i2t.objects.solids import Mesh, transform_mesh
 
 BOX = (0.06, 0.04, 0.02)  # m
 
 
 def box(scale: float = 1.0) -> trimesh.Trimesh:
     return trimesh.creation.box(np.array(BOX) * scale)
-
-
-def joined(*parts: Mesh) -> Mesh:
-    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])
-    faces = [p.faces + s for p, s in zip(parts, starts, strict=False)]
-    return Mesh(np.concatenate([p.vertices for p in parts]), np.concatenate(faces).astype(np.int32))
-
-
-def plain(mesh: trimesh.Trimesh) -> Mesh:
-    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, np.int32))
 
 
 def whole(mesh: Mesh) -> trimesh.Trimesh:
@@ -57,57 +47,6 @@ def test_frames(tmp_path):
     np.testing.assert_allclose(upright.mesh.vertices.max(0), [0.03, 0.01, 0.04], atol=1e-7)
     assert whole(upright.mesh).volume > 0
     np.testing.assert_allclose(report.size, [0.06, 0.02, 0.04], atol=1e-7)
-
-
-def test_cleaning_counts_what_it_does():
-    rng = np.random.default_rng(0)
-    good = plain(trimesh.creation.icosphere(2, 0.03))
-    speck = plain(trimesh.creation.box((1e-3, 1e-3, 1e-3)))
-    soup = Mesh(good.vertices[good.faces.ravel()], np.arange(3 * len(good.faces), dtype=np.int32).reshape(-1, 3))
-    turned = rng.permutation(len(good.faces))[:70]
-    soup.faces[turned] = soup.faces[turned][:, ::-1]
-    extra = np.array([[0, 0, 1], [0, 1, 2], [3, 4, 5], [3, 5, 4]], np.int32)  # one of no area, three repeated
-    dirty = joined(Mesh(soup.vertices, np.concatenate([soup.faces, extra])), speck)
-    mesh, report = clean_mesh(dirty, "dirty.stl")
-    area = trimesh.creation.icosphere(2, 0.03).area
-    assert report.area_dropped == pytest.approx(6e-6 / (6e-6 + area))
-    assert (report.faces_read, report.faces, report.watertight) == (320 + 4 + 12, 320, True)
-    assert (report.degenerate, report.repeated, report.pieces_dropped) == (1, 3, 1)
-    assert report.vertices_merged == 3 * 320 - len(good.vertices)
-    assert report.turned in (70, 71)  # 71 where the second repeat was the one turned round
-    assert whole(mesh).volume == pytest.approx(whole(good).volume, rel=1e-6)  # vertices merge within 1e-8 of 0.03 m
-    assert "dirty.stl: 320 of 336 faces" in str(report)
-    both, report = clean_mesh(dirty, largest=False)
-    assert (len(both.faces), report.pieces_dropped) == (332, 0)
-    assert whole(both).volume == pytest.approx(whole(good).volume + 1e-9, rel=1e-6)
-
-
-def test_cleaning_leaves_a_clean_mesh_and_turns_an_inverted_one():
-    star = make_object("star").mesh
-    mesh, report = clean_mesh(star, "star")
-    np.testing.assert_array_equal(mesh.faces, star.faces)
-    np.testing.assert_array_equal(mesh.vertices, star.vertices)
-    assert "nothing to clean" in str(report)
-    mesh, report = clean_mesh(Mesh(star.vertices, star.faces[:, ::-1]))
-    assert report.turned == len(star.faces)
-    assert whole(mesh).volume == pytest.approx(whole(star).volume)
-
-
-def test_holes_stay_fins_go_and_two_sided_sheets_keep_one_side():
-    thing = plain(box())
-    mesh, report = clean_mesh(Mesh(thing.vertices, thing.faces[1:]))
-    assert (len(mesh.faces), report.open_edges, report.watertight) == (11, 3, False)
-    assert "open at 3 edges" in str(report)
-    thing = plain(trimesh.creation.icosphere(2, 0.03))
-    a, b = thing.faces[0, :2]
-    tip = len(thing.vertices)
-    vertices = np.concatenate([thing.vertices, thing.vertices[[a]] * 1.01])
-    fin = np.array([[a, b, tip], [b, a, tip]], np.int32)
-    mesh, report = clean_mesh(Mesh(vertices, np.concatenate([thing.faces, fin])))
-    assert (len(mesh.faces), report.repeated, report.watertight) == (len(thing.faces), 2, True)
-    sheet = Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.0]]), np.array([[0, 1, 2], [2, 1, 0]], np.int32))
-    mesh, report = clean_mesh(sheet)
-    assert (len(mesh.faces), report.repeated) == (1, 1)
 
 
 @pytest.mark.parametrize("name", ["009_gelatin_box", "011_banana", "025_mug", "031_spoon", "048_hammer"])
@@ -161,12 +100,32 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_second_body_is_not_left_out_silently_but_a_stray_facet_is(tmp_path):
-    body, other = trimesh.creation.box((30, 30, 30)), trimesh.creation.box((30, 30, 29))
+def test_every_body_is_kept_and_a_stray_facet_is_not(tmp_path):
+    body, other = trimesh.creation.box((30, 30, 30)), trimesh.creation.box((5, 5, 5))
     facet = trimesh.Trimesh([[0, 0, 50], [0.1, 0, 50], [0, 0.1, 50]], [[0, 1, 2]])
     other.apply_translation((60, 0, 0))
-    trimesh.util.concatenate([body, facet]).export(tmp_path / "scan.stl")
-    trimesh.util.concatenate([body, other]).export(tmp_path / "two.stl")
-    assert load_object(tmp_path / "scan.stl", "mm").name == "scan"
-    with pytest.warns(UserWarning, match="only the largest piece is touched"):
-        load_object(tmp_path / "two.stl", "mm")
+    path = tmp_path / "scan.stl"
+    trimesh.util.concatenate([body, facet, other]).export(path)
+    both = load_object(path, "mm")
+    assert whole(both.mesh).area == pytest.approx(6e-6 * (30**2 + 5**2), rel=1e-6)
+    assert both.left_out is not None
+    assert len(both.left_out.faces) == 1
+    alone = load_object(path, "mm", largest_piece=True)
+    assert whole(alone.mesh).area == pytest.approx(6e-6 * 30**2, rel=1e-6)
+    assert alone.left_out is not None
+    assert len(alone.left_out.faces) == 13
+
+
+@pytest.mark.parametrize("up", ["z", "y"])
+@pytest.mark.parametrize("table", [True, False])
+def test_the_frame_of_the_file_is_given_back(tmp_path, up, table):
+    path = tmp_path / "part.ply"
+    part = trimesh.creation.icosphere(1, 20.0)
+    part.apply_translation([100, 200, 300])
+    part.export(path)
+    thing, _ = read_mesh(path, "mm", table=table, up=up)
+    T = thing.T_file_object
+    in_file = transform_mesh(thing.mesh, T)
+    np.testing.assert_allclose(np.sort(in_file.vertices, 0), np.sort(1e-3 * part.vertices, 0), atol=1e-7)
+    assert whole(in_file).volume == pytest.approx(1e-9 * part.volume, rel=1e-5)
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
