@@ -275,7 +275,7 @@ DAMAGE = [
     ("imagine2touch", IMAGE, cut, "no readable TIF"),
     ("imagine2touch", IMAGE, image((48, 48), np.float32), "crop of uint16"),
     ("imagine2touch", IMAGE, image((48, 40)), "should be square"),
-    ("imagine2touch", IMAGE, image((48, 48), value=0), "no measured pixel"),
+    ("imagine2touch", IMAGE, image((48, 48), value=0), "no pixel was measured"),
     ("imagine2touch", IMAGE.replace("_2.", "_13."), image((48, 48)), "one image more"),
     ("imagine2touch", TACTILE, cut, "damaged"),
     ("imagine2touch", TACTILE, edit(b"(12, 1, 4)", b"(13, 1, 4)"), "where its header says"),
