@@ -101,7 +101,7 @@ def patch_from_depth(
 
     Example:
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
-        reading, std = predictor.predict(seen.patch.depth, force=1.0)
+        reading, std = predictor.predict(seen, force=1.0)
     """
     if not validation.is_traced(depth, T_w_c, T_w_t):
         hint = "a (4, 4) transform"
@@ -141,8 +141,7 @@ def view_from_depth(
 
     Example:
         seen = view_from_depth(image, camera, T_w_c, T_w_t)
-        known = centre(seen.known_mask, PATCH_PIXELS)
-        reading, std = predictor.predict(seen.view.patch.depth, force=1.0, wide=seen.view.wide, valid=known)
+        reading, std = predictor.predict(seen, force=1.0)
     """
     seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=VIEW_DEPTH_M)
     known = seen.valid_mask | seen.inpainted_mask
