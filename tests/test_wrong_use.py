@@ -254,7 +254,7 @@ PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": FLAT, "force": 0.0}, "force is 0 N; a skin is pressed"),
     ({"patch": FLAT, "force": -1.0}, "force is -1 N; a skin is pressed"),
     ({"patch": FLAT, "force": np.nan}, "force is not finite"),
-    ({"patch": FLAT, "force": 60.0}, "give at most 50 N"),
+    ({"patch": FLAT, "force": 60.0}, "give at most 40 N"),
     ({"patch": FLAT, "nearest": -0.3}, "give metres"),
     ({"patch": FLAT, "nearest": 0.936}, "begins 936 mm in front of the skin"),
     ({"patch": Patch(FLAT, np.float32(0.936))}, "begins 936 mm in front of the skin"),
@@ -286,12 +286,12 @@ def test_a_force_far_beyond_training_is_warned_of(predictor):
         predictor.predict(FLAT, force=30.0)
 
 
-def test_a_force_beyond_the_largest_of_training_is_warned_of_and_five_times_that_refused(predictor):
+def test_a_force_beyond_the_largest_of_training_is_warned_of_and_four_times_that_refused(predictor):
     trained = replace(predictor, metadata={"force_range": [0.2, 2.0]})
     trained.predict(FLAT, force=2.0)
     with pytest.warns(UserWarning, match="at most 2 N: what it says .* no more than a guess"):
         trained.predict(FLAT, force=2.5)
-    with pytest.raises(ValueError, match="give at most 10 N, or train on harder presses"):
+    with pytest.raises(ValueError, match="give at most 8 N, or train on harder presses"):
         trained.predict(FLAT[None].repeat(2, 0), force=[1.0, 10.5])
     negative = replace(trained, default_force=-1.0, metadata={"force_range": [-2.0, -0.2]})
     negative.predict(FLAT, force=-2.0)

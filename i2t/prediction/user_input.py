@@ -19,13 +19,12 @@ from i2t import validation
 from i2t.depth.patches import DepthPatch, DepthView
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
-from i2t.prediction.touch_model import TouchBatch
 from i2t.types import Patch, Surface
 from i2t.views import WideView, centre, pixels_on_skin
 from i2t.windows import STANDOFF
 
 UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches, where their largest force is not known
-MAX_FORCE_RATIO = 5.0  # to the largest force of the training touches: beyond it a prediction says nothing
+MAX_FORCE_RATIO = 4.0  # to the largest force of the training touches: beyond it a prediction says nothing
 MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
 MAX_GAP_M = 10e-3  # m between the skin and the surface at a pose where they are said to touch
 MAX_CLOSE_GAP_M = 1e-3  # m likewise, by which a pose may be off without a word: how far cameras and arms err
@@ -107,9 +106,11 @@ def _parts(patch: Any) -> SeenTouches:
         return SeenTouches(depth, nearest, patch.view.wide, centre(np.asarray(patch.known_mask), depth.shape[-1]))
     if isinstance(patch, WideView):
         return SeenTouches(*patch.patch, wide=patch.wide)
-    if isinstance(patch, TouchBatch):
+    # By their fields: the modules of these two import this one.
+    names = set(getattr(patch, "_fields", ()))
+    if {"patch", "nearest", "view", "pitch"} <= names:  # a `TouchBatch`
         return SeenTouches(patch.patch, patch.nearest, patch.view)
-    if {"patch", "nearest", "wide", "visible_share"} <= set(getattr(patch, "_fields", ())):
+    if {"patch", "nearest", "wide", "visible_share"} <= names:  # a `SeenPatch`
         return SeenTouches(patch.patch, patch.nearest, patch.wide)
     return SeenTouches(patch)
 
