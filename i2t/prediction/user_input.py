@@ -297,13 +297,13 @@ def check_met(
     worst = int(met.argmax())
     if met[worst] > MAX_GAP_M:
         raise ValueError(
-            f"the surface begins {1e3 * met[worst]:.3g} mm in front of the skin at this pose{_which(met > MAX_GAP_M)}; "
+            f"the surface begins {_mm(float(met[worst]))} mm in front of the skin at this pose{_which(met > MAX_GAP_M)}; "
             f"{remedy}"
         )
     behind = nearest < -MAX_GAP_M
     if behind.any():
         raise ValueError(
-            f"the surface begins {-1e3 * np.nanmin(nearest):.3g} mm behind the skin at this pose{_which(behind)}: the "
+            f"the surface begins {_mm(float(-np.nanmin(nearest)))} mm behind the skin at this pose{_which(behind)}: the "
             f"object is in the way, as in a cup, or tool z, which points into the object, points away from it; {remedy}"
         )
     if warn and met[worst] > MAX_CLOSE_GAP_M:
@@ -340,7 +340,10 @@ def checked_valid(valid: Any, shape: tuple[int, ...]) -> Bool[np.ndarray, "n p p
         raise ValueError(f"valid is {mask.dtype} {np.shape(valid)}; give booleans, one for each pixel of the patch")
     share = mask.mean((1, 2))
     if not share.all():
-        raise ValueError(f"valid says that no pixel of the patch was seen{_which(share == 0)}; look again")
+        raise ValueError(
+            f"no pixel of the patch was seen{_which(share == 0)}: in a hole of the depth image, or outside it, or "
+            f"the surface is more than {1e3 * STANDOFF:g} mm behind the skin; look again, or correct pose and unit"
+        )
     if share.min() < MIN_SEEN_SHARE:
         raise ValueError(
             f"only {100 * share.min():.0f} % of the patch was seen{_which(share < MIN_SEEN_SHARE)}, too little to say "
@@ -478,6 +481,11 @@ def _many(name: str, values: Any, hint: str) -> np.ndarray:
     """Images or transforms of one touch or of many, touches on axis 0."""
     array = validation.numbers(name, values, hint).astype(np.float32)
     return array[None] if array.ndim == 2 else array
+
+
+def _mm(length: float) -> str:
+    """Millimetres of a length (m) to three digits, without an exponent."""
+    return f"{float(f'{1e3 * length:.3g}'):.10g}"
 
 
 def _which(touches: Bool[np.ndarray, " n"]) -> str:
