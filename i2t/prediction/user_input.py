@@ -297,14 +297,15 @@ def check_met(
     worst = int(met.argmax())
     if met[worst] > MAX_GAP_M:
         raise ValueError(
-            f"the surface begins {_mm(float(met[worst]))} mm in front of the skin at this pose{_which(met > MAX_GAP_M)}; "
-            f"{remedy}"
+            f"the surface begins {_mm(float(met[worst]))} mm in front of the skin at this pose"
+            f"{_which(met > MAX_GAP_M)}; {remedy}"
         )
     behind = nearest < -MAX_GAP_M
     if behind.any():
         raise ValueError(
-            f"the surface begins {_mm(float(-np.nanmin(nearest)))} mm behind the skin at this pose{_which(behind)}: the "
-            f"object is in the way, as in a cup, or tool z, which points into the object, points away from it; {remedy}"
+            f"the surface begins {_mm(float(-np.nanmin(nearest)))} mm behind the skin at this pose"
+            f"{_which(behind)}: the object is in the way, as in a cup, or tool z, which points into the object, points "
+            f"away from it; {remedy}"
         )
     if warn and met[worst] > MAX_CLOSE_GAP_M:
         warnings.warn(
