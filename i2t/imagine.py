@@ -69,7 +69,7 @@ def _imagine(asked: ImagineArgs) -> None:
     surface = prepare_surface(thing.mesh)
     sites = sample_touch_sites(surface, asked.sites, seed=asked.seed, name=thing.name)
     seen = predictor.render_touches(surface, sites.T_o_t)
-    readings = predictor.predict(seen.patch, force=asked.force, nearest=seen.nearest, wide=seen.view)
+    readings = predictor.predict(seen, force=asked.force)
     for number, (mean, std) in enumerate(zip(readings.mean, readings.std, strict=True), 1):
         chip, axis = divmod(int(abs(mean).argmax()), 3)
         strongest = f"{mean[3 * chip + axis]:.1f} +- {std[3 * chip + axis]:.1f} uT"

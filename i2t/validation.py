@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from i2t.windows import MAX_SKIN_FORCE_N
+
 REAL_KINDS = "iuf"  # of NumPy: integers and floats; no booleans, text or objects
 
 
@@ -69,6 +71,37 @@ def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, 
         raise ValueError(f"{name}: has the shape {array.shape}, and one number is meant; give {hint}")
     if not (math.isfinite(array) and array >= least and array > above):
         raise ValueError(f"{name}: is {array:g}; give {hint}")
+
+
+def forces(name: str, value: Any, *, measured: bool = False, reversed_sign: bool = False) -> np.ndarray:
+    """Forces (N) along tool z that press a skin.
+
+    Args:
+        name: Of the argument, for the message.
+        value: A number, or an array of them.
+        measured: Whether a sensor felt them, so that a press may be nothing or a little less than nothing.
+        reversed_sign: Whether a recording counts a pressing force negative.
+
+    Returns:
+        The array, as it was given.
+
+    Raises:
+        TypeError: It holds something else than real numbers.
+        ValueError: One is not finite, breaks a skin, or presses nothing where it is not measured.
+    """
+    array = numbers(name, value, "newtons along tool z")
+    if not np.isfinite(array).all():
+        wrong = array[~np.isfinite(array)].ravel()[0]
+        raise ValueError(f"{name} is {wrong:g}, which is not finite; give newtons, or leave this touch out")
+    pressing = -array if reversed_sign else array
+    sign = ", which this model's recording counts negative" if reversed_sign else ""
+    if not measured and pressing.size and pressing.min() <= 0:
+        least = array.ravel()[pressing.argmin()]
+        raise ValueError(f"{name} is {least:g} N; a skin is pressed{sign}, not pulled; give a pressing force")
+    largest = np.abs(pressing).max(initial=0.0)
+    if largest > MAX_SKIN_FORCE_N:
+        raise ValueError(f"{name} is {largest:g} N; a skin bears at most {MAX_SKIN_FORCE_N:g} N; give newtons")
+    return array
 
 
 def count(name: str, value: Any, *, least: int = 1) -> int:

@@ -32,7 +32,7 @@ class WideView(NamedTuple):
 
     Example:
         view = render_view(surface, T_o_t)
-        reading = predictor.predict(view.patch.depth, force=1.0, wide=view.wide)
+        reading = predictor.predict(view, force=1.0)
     """
 
     patch: Patch  # the central pixels

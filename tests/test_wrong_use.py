@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,12 +21,15 @@ import trimesh
 
 import i2t
 from i2t import geometry
+from i2t.collect.touch import SeenPatch
 from i2t.convert.commands import main as convert
+from i2t.depth.camera import Camera
+from i2t.depth.patches import DepthPatch, DepthView
 from i2t.prediction import user_input
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor, Reading
 from i2t.types import Patch, Surface
-from i2t.views import WideView
+from i2t.views import WideView, centre
 from i2t.windows import REACH, WIDE_PIXELS
 
 ROOT = Path(__file__).parents[1]
@@ -216,6 +220,7 @@ def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
 
 WIDE = np.zeros((72, 72), np.float32)
 FLAT = np.zeros((48, 48), np.float32)
+WHOLE = np.ones((48, 48), bool)
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +251,22 @@ PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": np.full((48, 48), np.nan)}, "NaN"),
     ({"patch": FLAT, "force": 1e6}, "bears at most"),
     ({"patch": FLAT, "force": [1.0, 2.0]}, "one for each of 1"),
+    ({"patch": FLAT, "force": 0.0}, "force is 0 N; a skin is pressed"),
+    ({"patch": FLAT, "force": -1.0}, "force is -1 N; a skin is pressed"),
+    ({"patch": FLAT, "force": np.nan}, "force is not finite"),
+    ({"patch": FLAT, "force": 60.0}, "give at most 40 N"),
     ({"patch": FLAT, "nearest": -0.3}, "give metres"),
+    ({"patch": FLAT, "nearest": 0.936}, "begins 936 mm in front of the skin"),
+    ({"patch": Patch(FLAT, np.float32(0.936))}, "begins 936 mm in front of the skin"),
+    ({"patch": Patch(FLAT, np.float32(-0.02))}, "begins 20 mm behind the skin"),
+    ({"patch": Patch(FLAT[None].repeat(3, 0), np.float32([0, 0.5, 0]))}, "skin at this pose (touch 1)"),
+    ({"patch": DepthPatch(Patch(FLAT, np.float32(0.2)), WHOLE, ~WHOLE)}, "begins 200 mm in front of the skin"),
+    ({"patch": WideView(Patch(FLAT, np.float32(0.2)), WIDE)}, "begins 200 mm in front of the skin"),
+    ({"patch": DepthView(WideView(Patch(FLAT, np.float32(0.2)), WIDE), WIDE == 0)}, "begins 200 mm in front"),
+    ({"patch": SeenPatch(FLAT, WIDE, 0.2, 1.0)}, "begins 200 mm in front of the skin"),
+    ({"patch": [Patch(FLAT, 0.0), SeenPatch(FLAT, WIDE, 0.0, 1.0)]}, "lists of one kind"),
+    ({"patch": DepthPatch(Patch(FLAT + REACH, np.float32(np.inf)), ~WHOLE, ~WHOLE)}, "no pixel of the patch was seen"),
+    ({"patch": DepthPatch(Patch(FLAT, np.float32(0)), WHOLE & (np.arange(48) < 3), ~WHOLE)}, "only 6 % of the patch"),
     ({"patch": FLAT, "wide": np.full((72, 72), np.nan)}, "NaN or infinite where the patch is"),
     ({"patch": FLAT, "wide": np.zeros((72, 71))}, "wide has shape"),
     ({"patch": FLAT, "wide": WIDE + 2e-3}, "another view"),
@@ -264,6 +284,59 @@ def test_a_patch_that_is_none_is_refused_in_one_sentence(predictor, given, said)
 def test_a_force_far_beyond_training_is_warned_of(predictor):
     with pytest.warns(UserWarning, match="no more than a guess"):
         predictor.predict(FLAT, force=30.0)
+
+
+def test_a_force_beyond_the_largest_of_training_is_warned_of_and_four_times_that_refused(predictor):
+    trained = replace(predictor, metadata={"force_range": [0.2, 2.0]})
+    trained.predict(FLAT, force=2.0)
+    with pytest.warns(UserWarning, match="at most 2 N: what it says .* no more than a guess"):
+        trained.predict(FLAT, force=2.5)
+    with pytest.raises(ValueError, match="give at most 8 N, or train on harder presses"):
+        trained.predict(FLAT[None].repeat(2, 0), force=[1.0, 10.5])
+    negative = replace(trained, default_force=-1.0, metadata={"force_range": [-2.0, -0.2]})
+    negative.predict(FLAT, force=-2.0)
+    with pytest.raises(ValueError, match=r"force is 1 N; a skin is pressed, which .* counts negative"):
+        negative.predict(FLAT, force=1.0)
+
+
+def test_the_whole_patch_says_as_much_as_its_parts(predictor):
+    """One, many, or a list of them; a distance that is unknown is none."""
+    depth = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
+    mask, wide = np.arange(48 * 48).reshape(48, 48) < 2000, WIDE.copy()
+    centre(wide, 48)[:] = depth
+    known = WIDE == 0
+    known[12:-12, 12:-12] = mask
+    patch, nearest = Patch(depth, np.float32(-2e-4)), -2e-4
+    for whole, parts in (
+        (patch, {"nearest": nearest}),
+        (Patch(depth, np.nan), {}),
+        (DepthPatch(patch, mask, ~mask), {"nearest": nearest, "valid": mask}),
+        (WideView(patch, wide), {"nearest": nearest, "wide": wide}),
+        (DepthView(WideView(patch, wide), known), {"nearest": nearest, "wide": wide, "valid": mask}),
+        (SeenPatch(depth, wide, nearest, 1.0), {"nearest": nearest, "wide": wide}),
+    ):
+        expected, one = predictor.predict(depth, force=1.0, **parts), predictor.predict(whole, force=1.0)
+        many = predictor.predict([whole, whole], force=[1.0, 1.0])
+        np.testing.assert_array_equal(one, expected)
+        assert one.mean.shape == (15,)
+        np.testing.assert_array_equal(many.mean, np.stack([one.mean] * 2))
+    with pytest.warns(UserWarning, match="begins 3 mm in front of the skin"):
+        predictor.predict(Patch(depth, 3e-3), force=1.0)
+    predictor.predict(Patch(depth, 3e-3), force=1.0, nearest=0.0)  # as a user says
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e-3])
+def test_a_depth_image_in_another_unit_is_no_touch(predictor, unit):
+    """The surface lies where the skin is; ten times as far, which the message says with the unit."""
+    camera, stored = Camera(424, 240, 215.0, 215.0, 211.5, 119.5), np.full((240, 424), 1040, np.uint16)
+    T_w_c, T_w_t = np.eye(4), np.eye(4)
+    T_w_t[2, 3] = 0.104
+    seen = i2t.patch_from_depth((stored * unit).astype(np.float32), camera, T_w_c, T_w_t)
+    if unit == 1e-4:
+        assert predictor.predict(seen, force=1.0).mean.shape == (15,)
+    else:
+        with pytest.raises(ValueError, match=r"begins 936 mm in front .* correct the unit of the depth image"):
+            predictor.predict(seen, force=1.0)
 
 
 def seen(height: float) -> WideView:

@@ -59,7 +59,7 @@ def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict
         if method is not None:
             predictor = evaluation.predictors[method]
             metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
-            metadata |= {name: x for name, x in (predictor.metadata or {}).items() if name == "epochs"}
+            metadata |= {name: x for name, x in (predictor.metadata or {}).items() if name in ("epochs", "force_range")}
             save(out / "checkpoint" / folder, replace(predictor, metadata=metadata))
     figures(out, prepared, evaluation, metrics)
     metrics["seconds"] = round(time.perf_counter() - started, 1)

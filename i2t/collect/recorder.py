@@ -29,7 +29,7 @@ from jaxtyping import Float
 from i2t import dataset
 from i2t.collect.touch import TOOL, Site, SkinTouch, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
-from i2t.depth.camera import Camera
+from i2t.depth.camera import Camera, to_units
 from i2t.errors import DataError, DeviceError
 from i2t.files import not_through_links, read_bytes, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
@@ -372,8 +372,7 @@ def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float
 
 
 def _images(view: View) -> dict[str, Image]:
-    depth = np.clip(np.nan_to_num(view.depth / DEPTH_SCALE_M, posinf=0.0), 0, 65535)
-    images = {"depth": Image(np.rint(depth).astype(np.uint16), DEPTH_SCALE_M, "m")}
+    images = {"depth": Image(to_units(view.depth, DEPTH_SCALE_M), DEPTH_SCALE_M, "m")}
     if view.colour is not None:
         images["colour"] = Image(view.colour)
     return images

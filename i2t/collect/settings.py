@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from i2t.cli import Limits, check_options
+from i2t.windows import MAX_SKIN_FORCE_N
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class TouchSettings:
     nonuniform_share: Annotated[float, Limits(0, 1)] = 0.5
     # samples; one alone is 25 uT off in two of a thousand
     averaged_samples: Annotated[int, Limits(1, 1000)] = 10
-    force: Annotated[float, Limits(0.2, 150)] = 8.0  # N; the paper's recognition has 7
+    force: Annotated[float, Limits(0.2, MAX_SKIN_FORCE_N)] = 8.0  # N; the paper's recognition has 7
     torque: Annotated[float, Limits(0.05, 50)] = 8.0  # Nm
     ambient: Annotated[int, Limits(1, 1000)] = 10  # samples
     contact: Annotated[int, Limits(1, 1000)] = 10  # samples

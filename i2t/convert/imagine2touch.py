@@ -7,7 +7,7 @@ samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quate
 `O/O_forces/experiment_E_*`, `O/meta_data/O_experiment_E.txt`. Only images and tactile files are required.
 
     reading = mean over samples in contact - mean over ambient samples, without temperatures
-    patch   = depth - depth of the nearest pixel, clipped to the reach; the value 0 is no measurement: no surface
+    patch   = depth - depth of the nearest pixel, clipped to the reach; 0 and 65535 are no measurement: no surface
     nearest = depth of the nearest pixel - distance from the camera to the tool - approach from the look to the contact
 
 Assumed, for the recordings do not say: the tool frame is the one of the recorded poses; image rows run along tool y and
@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from i2t.convert import CAMERA_OFFSET_M, npy, samples
 from i2t.convert.common import ConversionLog, Converted, data_error
 from i2t.dataset import Dataset, concatenate, missing_context
-from i2t.depth.camera import read_image
+from i2t.depth.camera import read_image, stored_mask
 from i2t.errors import DataError
 from i2t.types import Board, ReturnCode, Touches
 from i2t.unknowns import correction_of, find_force_sign, find_units, findings_to_meta
@@ -37,6 +37,7 @@ from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
 MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
+FAR_M = 10e-3  # m; the nearest pixel of a touch lies within this of the skin, unless a distance or a unit is wrong
 MIN_PUSHES = 8  # touches with a force, for their sign to be turned
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
 
@@ -133,15 +134,18 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
     tactile = folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin"
     reading, time = samples.readings(tactile, options.order, notes)
     n = len(reading)
-    T_w_t, approach = _poses(folder / f"{folder.name}_poses" / f"experiment_{run}", n, notes)
+    poses = folder / f"{folder.name}_poses" / f"experiment_{run}"
+    T_w_t, approach = _poses(poses, n, notes)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
     patch, closest = _patches(images, n, options, notes)
     axis = np.array([0.0, 0.0, 1.0]) if options.tool_forces else T_w_t[:, :3, 2]
+    nearest = closest - options.camera - approach
+    _note_distance(nearest, images, notes)
     force, code = _forces(folder / f"{folder.name}_forces" / f"experiment_{run}", axis, n, notes)
     touches = Touches(
         patch=patch,
         wide=missing_context(n),
-        nearest=closest - options.camera - approach,
+        nearest=nearest,
         reading=reading,
         force=force,
         depth=np.full(n, np.nan),
@@ -257,6 +261,16 @@ def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tup
     return patches, closest
 
 
+def _note_distance(nearest: np.ndarray, images: Path, notes: ConversionLog) -> None:
+    """Note where what the images show (n,) m lies far from the skin at the touches."""
+    middle = float(np.median(nearest[np.isfinite(nearest)])) if np.isfinite(nearest).any() else 0.0
+    if abs(middle) > FAR_M:
+        notes.info(
+            f"{images}: the surface begins {1e3 * abs(middle):.3g} mm {'behind' if middle < 0 else 'in front of'} the "
+            "skin at the touches, in the median: correct --camera, or the unit of the images, which are taken for mm"
+        )
+
+
 def _optional(
     stem: Path, name: str, shape: tuple[int, ...], notes: ConversionLog, *, unknown: float = math.nan
 ) -> np.ndarray:
@@ -299,6 +313,7 @@ def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:
         notes.info(f"resampled: crops of {rows} pixels, each of {PATCH_PIXELS} taking the one under its centre")
         under = ((np.arange(PATCH_PIXELS) + 0.5) * rows / PATCH_PIXELS).astype(int)
         image = image[np.ix_(under, under)]
-    if not image.any():
-        raise data_error(path, "holds no measured pixel")
-    return np.where(image == 0, np.inf, 1e-3 * image)
+    try:
+        return np.where(stored_mask(image, path), 1e-3 * image, np.inf)
+    except ValueError as error:
+        raise DataError(str(error)) from error

@@ -2,7 +2,8 @@
 
 Camera frame C: x right along the image's columns, y down along its rows, z forward; a pixel's centre has whole
 coordinates, (0, 0) in the upper left. Depth is z in metres, not the distance along a pixel's ray. What was not measured
-is a hole, NaN in an image from `read_depth`.
+is a hole, NaN in an image from `read_depth`. Cameras and programs mark holes by 0, a negative number, NaN, infinity,
+the largest value of 16 bits or a distance that no camera measures; `measured_mask` knows them all.
 """
 
 import io
@@ -27,6 +28,17 @@ MAX_PIXELS_IN_ALL = 2**25  # of an image: no depth camera has so many
 MAX_IMAGE_BYTES = 2**28  # of an image file
 NEAREST_M, FARTHEST_M = 0.02, 5.0  # m from which a camera sees what a tool touches
 FEW_SHARE = 0.05  # of an image's measured pixels
+MAX_DEPTH_M = 20.0  # m; what is said to be farther marks a hole or an empty background
+MAX_UINT16 = 2**16 - 1
+# m per unit of 16-bit images: millimetres, RealSense L515, TUM RGB-D, RealSense SR300 and D405
+COMMON_UNITS_M = (1e-3, 2.5e-4, 2e-4, 1.25e-4, 1e-4)
+FULL_SCALES = tuple(2**bits - 1 for bits in range(10, 16))  # largest values of 10 to 15 bits
+MAX_FULL_SCALE_SHARE = 0.01  # of an image's measured pixels, that are at the largest value by chance
+FULL_SCALE_GAP = 0.98  # of the largest value; scenes have depths between this and it, marked holes have none
+MIN_FOCAL_RATIO = 1 / 8  # of the image's edge: an angle of view of 152 degrees
+SCALED_LENS_RATIO = 1.2  # by which a principal point may lie off the middle, along both edges alike
+SCALED_LENS_AGREEMENT = 0.05  # by which these ratios of both edges differ where the lens is of another image size
+MODEL_PREFIXES = ("distortion.", "rs2_distortion_")  # of librealsense's names in Python and C
 
 
 class Distortion(StrEnum):
@@ -36,6 +48,16 @@ class Distortion(StrEnum):
     MODIFIED_BROWN_CONRADY = "modified_brown_conrady"
     INVERSE_BROWN_CONRADY = "inverse_brown_conrady"
     BROWN_CONRADY = "brown_conrady"
+
+
+# Names of the same models elsewhere: ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV.
+MODEL_NAMES = {
+    **dict.fromkeys(("", "pinhole", "perspective", "no_distortion"), Distortion.NONE),
+    **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential", "opencv", "brown", "rational_polynomial"),
+                    Distortion.BROWN_CONRADY),
+    **{str(model): model for model in Distortion},
+}  # fmt: skip
+FISHEYE_NAMES = ("equidistant", "fisheye", "opencv_fisheye", "kannala_brandt", "kannala_brandt4", "kb4", "ftheta")
 
 
 class Encoding(StrEnum):
@@ -49,7 +71,8 @@ class Encoding(StrEnum):
 class Camera:
     """A depth camera: its size and lens in pixels. It can be a static argument under `jit`.
 
-    `coefficients` are in librealsense's order: k1, k2, p1, p2, k3; what is left out is zero.
+    `coefficients` are in librealsense's and OpenCV's order: k1, k2, p1, p2, k3; what is left out is zero. `model` is a
+    `Distortion`, or the name of the same model elsewhere, such as ROS's plumb_bob for brown_conrady.
 
     Example:
         camera = i2t.Camera(640, 360, 322.4, 322.1, 319.5, 179.5, "brown_conrady", (0.08, -0.03))
@@ -76,17 +99,60 @@ class Camera:
             raise ValueError(f"camera: fx, fy, cx, cy and coefficients {lens} must all be finite; calibrate it again")
         if self.fx <= 0 or self.fy <= 0:
             raise ValueError(f"camera: focal lengths fx = {self.fx}, fy = {self.fy} must be positive; give pixels")
-        if self.model not in list(Distortion):
-            raise ValueError(f"camera: model {self.model!r} is not known; choose from {', '.join(Distortion)}")
-        if len(self.coefficients) > 5:
-            raise ValueError(
-                f"camera: {len(self.coefficients)} coefficients where librealsense's models have at most 5"
-            )
+        model, coefficients = _lens_model(self.model, tuple(float(value) for value in self.coefficients))
+        _check_lens_fits_image(self)
         # One camera is one hash and so one compilation, whatever numbers described it.
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, float(getattr(self, name)))
-        padded = (*(float(value) for value in self.coefficients), 0.0, 0.0, 0.0, 0.0, 0.0)
-        object.__setattr__(self, "coefficients", padded[:5])
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "coefficients", coefficients)
+
+
+def _lens_model(name: Any, coefficients: tuple[float, ...]) -> tuple[Distortion, tuple[float, ...]]:
+    """A lens model by anybody's name for it, and its five coefficients; refuses what is another model."""
+    plain = str(name).strip().lower().replace(" ", "_").replace("-", "_")
+    for prefix in MODEL_PREFIXES:
+        plain = plain.removeprefix(prefix)
+    if plain in FISHEYE_NAMES:
+        raise ValueError(f"camera: model {name!r} is a fisheye lens, which i2t lacks; undistort to a pinhole")
+    if plain not in MODEL_NAMES:
+        names = ", ".join(Distortion)
+        raise ValueError(f"camera: model {name!r} is not known; choose from {names} (ROS's plumb_bob is brown_conrady)")
+    model = MODEL_NAMES[plain]
+    if any(coefficients[5:]):
+        more = ", ".join(f"{value:g}" for value in coefficients[5:])
+        raise ValueError(
+            f"camera: {len(coefficients)} coefficients, of which those after the fifth ({more}) are not zero, as in "
+            "OpenCV's rational model, which i2t lacks; calibrate with five, or undistort the images"
+        )
+    if model == Distortion.NONE and any(coefficients):
+        raise ValueError(
+            "camera: coefficients are given without a model that has them; say which, such as 'brown_conrady' (ROS's "
+            "plumb_bob, OpenCV), or leave them out"
+        )
+    return model, (*coefficients, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
+
+
+def _check_lens_fits_image(camera: Camera) -> None:
+    """Refuse a lens that is of an image of another size, or not in pixels."""
+    sizes, focal, middle = (camera.width, camera.height), (camera.fx, camera.fy), (camera.cx, camera.cy)
+    size = f"{camera.width} x {camera.height} pixels"
+    if any(length < MIN_FOCAL_RATIO * edge for length, edge in zip(focal, sizes, strict=True)):
+        raise ValueError(
+            f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g} see more than 150 degrees on an image of "
+            f"{size}; give them in pixels, neither in millimetres nor as parts of the image"
+        )
+    x, y = ((2 * at + 1) / edge for at, edge in zip(middle, sizes, strict=True))
+    scale = (x + y) / 2
+    outside = not all(-0.5 <= at <= edge - 0.5 for at, edge in zip(middle, sizes, strict=True))
+    scaled = abs(x - y) < SCALED_LENS_AGREEMENT * scale and max(scale, 1 / scale) > SCALED_LENS_RATIO
+    if outside or scaled:
+        other = f"{round(scale * camera.width)} x {round(scale * camera.height)} pixels"
+        of = f"; it is the lens of an image of about {other}: scale fx, fy, cx and cy with the image" if scaled else ""
+        raise ValueError(
+            f"camera: the principal point cx = {camera.cx:g}, cy = {camera.cy:g} does not fit an image of {size}"
+            + (of or "; give the lens of this image: subtract from cx, cy what was cropped, and scale all with it")
+        )
 
 
 def brown_conrady(camera: Camera, x: Any, y: Any) -> tuple[Any, Any]:
@@ -114,8 +180,46 @@ def brown_conrady(camera: Camera, x: Any, y: Any) -> tuple[Any, Any]:
     )
 
 
+def measured_mask(depth: Any) -> Any:
+    """Pixels that were measured: the one rule for holes, for images of NumPy and of JAX alike.
+
+    Args:
+        depth: Depth (m) along the camera's axis, floats of any shape.
+
+    Returns:
+        Mask of the same shape: false for what is not positive and finite, for what is farther than `MAX_DEPTH_M`, and
+        for 65535 units, with which many programs mark holes in 16 bits, in any of `COMMON_UNITS_M`.
+    """
+    return (depth > 0) & (depth < MAX_DEPTH_M) & ~_is_full_scale(depth)
+
+
+def _is_full_scale(depth: Any) -> Any:
+    """Mask of pixels at 65535 units of a common size."""
+    mask = depth != depth
+    for unit in COMMON_UNITS_M:
+        marker = MAX_UINT16 * unit
+        mask = mask | (abs(depth - marker) < 1e-6 * marker)  # a division by 1000 in single precision rounds
+    return mask
+
+
+def to_units(depth: np.ndarray, unit: float) -> np.ndarray:
+    """Depth as 16-bit numbers, as files hold it: the inverse of `read_depth`.
+
+    Args:
+        depth: Depth (m), holes as `measured_mask` knows them.
+        unit: Metres per unit.
+
+    Returns:
+        uint16 of the same shape; 0 in holes and where 16 bits do not suffice.
+    """
+    units = np.rint(np.where(measured_mask(depth), depth, 0) / unit)
+    return np.where(units < MAX_UINT16, units, 0).astype(np.uint16)
+
+
 def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PLAIN) -> np.ndarray:
-    """Depth (h, w) float32 m of a 16-bit PNG or a TIF (uint16 or float), NaN where nothing was measured (0, NaN).
+    """Depth (h, w) float32 m of a 16-bit PNG or a TIF (integers or floats), NaN in holes.
+
+    Holes are 0, negative numbers, NaN, infinity and 65535, the largest value of 16 bits.
 
     Args:
         path: The file.
@@ -138,7 +242,7 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
     values = _pixels(path)
     if values.ndim != 2:
         raise ValueError(f"{path}: is an image of shape {values.shape}; give one with a single channel of depth")
-    if values.dtype != np.uint16 and values.dtype.kind != "f":
+    if values.dtype not in (np.uint16, np.int32) and values.dtype.kind != "f":
         raise ValueError(f"{path}: holds {values.dtype}; give depth as 16-bit unsigned integers, or as floats in a TIF")
     if min(values.shape) < 2 or max(values.shape) > MAX_IMAGE_PIXELS:
         raise ValueError(f"{path}: is {values.shape} pixels; an edge must have from 2 to {MAX_IMAGE_PIXELS}")
@@ -146,13 +250,45 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
         if values.dtype != np.uint16:
             raise ValueError(f"{path}: holds {values.dtype}, which cannot be turned; say encoding='plain'")
         values = (values >> 3) | (values << 13)
-    if np.isinf(values).any() or (values < 0).any():
-        raise ValueError(f"{path}: holds negative or infinite depth; write holes as 0 or NaN")
-    if not (values > 0).any():
-        raise ValueError(
-            f"{path}: no pixel was measured (all are 0 or NaN); record it again, within the camera's range"
+    measured = stored_mask(values, path)
+    return np.where(measured, values.astype(np.float64) * metres, np.nan).astype(np.float32)
+
+
+def stored_mask(values: np.ndarray, path: str | Path) -> np.ndarray:
+    """Pixels of a depth file that were measured, by the numbers that it stores.
+
+    Args:
+        values: (h, w) integers or floats, in the file's own unit.
+        path: Of the file, for messages.
+
+    Returns:
+        (h, w) mask; false for 0, negative numbers, NaN, infinity, 65535, and the largest value of the type.
+
+    Raises:
+        ValueError: No pixel was measured; or the largest value is that of 10 to 15 bits, on many pixels and far from
+            the others, so that it may mark holes or be no depth.
+    """
+    measured = np.isfinite(values) & (values > 0) & (values != MAX_UINT16)
+    if values.dtype.kind in "iu":
+        measured &= values != np.iinfo(values.dtype).max
+    if not measured.any():
+        held = (
+            "is negative or a hole; write depth along the camera's +z"
+            if (values < 0).any()
+            else (f"is 0, {MAX_UINT16}, infinite or NaN; record it again, within the camera's range")
         )
-    return np.where(values > 0, values.astype(np.float64) * metres, np.nan).astype(np.float32)
+        raise ValueError(f"{path}: no pixel was measured (each {held})")
+    kept = values[measured]
+    largest = kept.max()
+    at_largest = kept == largest
+    marked = largest in FULL_SCALES and at_largest.mean() > MAX_FULL_SCALE_SHARE and not at_largest.all()
+    if marked and kept[~at_largest].max() < FULL_SCALE_GAP * largest:
+        raise ValueError(
+            f"{path}: {100 * at_largest.mean():.0f} % of its pixels are {largest:g}, the largest value of "
+            f"{int(largest).bit_length()} bits and far from all others; write 0 where nothing was measured, and depth "
+            "rather than a Kinect's raw disparity"
+        )
+    return measured
 
 
 def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
@@ -185,23 +321,30 @@ def check_depth(depth: Any, camera: Camera) -> None:
     """
     check_image(depth, camera)
     values = np.asarray(depth)
-    if (values < 0).any():
-        raise ValueError("depth: holds negative depth; write holes as 0 or NaN, and depth along the camera's +z")
-    measured = values[np.isfinite(values) & (values > 0)]
+    measured = values[measured_mask(values)]
     if not measured.size:
-        raise ValueError("depth: no pixel was measured (none is above 0); record it again, within the camera's range")
+        beyond = values[np.isfinite(values) & (values >= MAX_DEPTH_M) & ~_is_full_scale(values)]
+        if beyond.size:
+            raise ValueError(_too_far(float(np.quantile(beyond, FEW_SHARE))))
+        kind = "negative; depth is along the camera's +z" if (values < 0).any() else "a hole; record it again"
+        raise ValueError(f"depth: no pixel was measured (each is {kind}, within the camera's range)")
     # Some pixels of an image may be flying ones, and a wall may be far behind what is touched.
     near, far = np.quantile(measured, (FEW_SHARE, 1 - FEW_SHARE))
     if near > FARTHEST_M:
-        raise ValueError(
-            f"depth: nearly all of it is farther than {near:.4g} m, and what is touched is seen from at most "
-            f"{FARTHEST_M:g} m; it is metres: divide millimetres by 1000 (i2t.depth.camera.read_depth does)"
-        )
+        raise ValueError(_too_far(near))
     if far < NEAREST_M:
         raise ValueError(
             f"depth: nearly all of it is nearer than {far:.2g} m, where no depth camera sees ({1e3 * NEAREST_M:g} mm); "
             "it is metres: check the scale of its units"
         )
+
+
+def _too_far(near: float) -> str:
+    """Message for an image nearly all of which is farther than a distance (m)."""
+    return (
+        f"depth: nearly all of it is farther than {near:.4g} m, and what is touched is seen from at most "
+        f"{FARTHEST_M:g} m; it is metres: divide millimetres by 1000 (i2t.depth.camera.read_depth does)"
+    )
 
 
 def check_pose(name: str, pose: Any) -> None:
@@ -237,14 +380,33 @@ def check_image(depth: Any, camera: Camera) -> None:
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: is a {type(camera).__name__}; give an i2t.Camera")
     if depth.shape != (camera.height, camera.width):
-        raise ValueError(
-            f"depth: has the shape {depth.shape} where the camera's image is {(camera.height, camera.width)}; "
-            "give this camera's own image, or the camera scaled to it"
-        )
+        raise ValueError(f"depth: {other_size(depth.shape, camera)}")
     if depth.dtype.kind != "f":
         raise ValueError(
             f"depth: holds {depth.dtype}; give metres as floats (read_depth, or numbers times their scale)"
         )
+
+
+def other_size(shape: tuple[int, ...], camera: Camera) -> str:
+    """Message for an image of another size than its camera's.
+
+    Args:
+        shape: Of the image.
+        camera: The camera.
+
+    Returns:
+        What is wrong and what to do, without a subject.
+    """
+    text = f"has the shape {tuple(shape)} where the camera's image is {(camera.height, camera.width)}; "
+    if len(shape) != 2 or not all(shape):
+        return text + "give one channel of depth"
+    if shape == (camera.width, camera.height):
+        return text + "rotate it back, or swap width and height, fx and fy, and turn cx and cy with it"
+    down, across = camera.height / shape[0], camera.width / shape[1]
+    if math.isclose(down, across, rel_tol=0.01):
+        how = f"divide width, height, fx, fy, cx and cy by {down:g}"
+        return text + f"give this camera's own image, or {how} where the image was resized"
+    return text + "give this camera's own image, or subtract what was cropped from cx and cy, and give its size"
 
 
 def read_image(

@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Num
 
 from i2t import validation
-from i2t.depth.camera import Camera, check_image, check_view
+from i2t.depth.camera import Camera, check_image, check_view, measured_mask
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
 from i2t.types import Patch, in_one_line
@@ -80,7 +80,7 @@ def patch_from_depth(
     behind it.
 
     Args:
-        depth: Depth (m) along the camera's axis; pixels that are not positive and finite are holes.
+        depth: Depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask` knows them.
         camera: The camera.
         T_w_c: Where it stood.
         T_w_t: Where the tool looks from.
@@ -101,7 +101,7 @@ def patch_from_depth(
 
     Example:
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
-        reading, std = predictor.predict(seen.patch.depth, force=1.0)
+        reading, std = predictor.predict(seen, force=1.0)
     """
     if not validation.is_traced(depth, T_w_c, T_w_t):
         hint = "a (4, 4) transform"
@@ -112,6 +112,7 @@ def patch_from_depth(
     validation.number("fill", fill, "a length (m), 0 for none", least=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
+    depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # 16 bits hold 0.1 m to 0.06 mm
     sizes = {"window": window, "reach": reach, "fill": fill}
     return _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
 
@@ -140,8 +141,7 @@ def view_from_depth(
 
     Example:
         seen = view_from_depth(image, camera, T_w_c, T_w_t)
-        known = centre(seen.known_mask, PATCH_PIXELS)
-        reading, std = predictor.predict(seen.view.patch.depth, force=1.0, wide=seen.view.wide, valid=known)
+        reading, std = predictor.predict(seen, force=1.0)
     """
     seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=VIEW_DEPTH_M)
     known = seen.valid_mask | seen.inpainted_mask
@@ -197,7 +197,7 @@ def _rays(depth: Array, camera: Camera, T_c_t: Array, *, window: float, pixels: 
     start = [row[0] * x + row[1] * y + row[3] for row in T_c_t[:3]]
     go = T_c_t[:3, 2]
     directions = pixel_rays(camera)
-    measured = jnp.isfinite(depth) & (depth > 0)
+    measured = measured_mask(depth)
     near = jnp.min(jnp.where(measured, depth, jnp.inf)) * (1 - 1e-3)
     far = jnp.max(jnp.where(measured, depth, 0)) * (1 + 1e-3)
     low, high = jnp.full_like(x, -STANDOFF), jnp.full_like(x, jnp.inf)
@@ -227,7 +227,7 @@ def _cells(depth: Array, camera: Camera) -> Float[Array, "cells 6"]:
     left, lower right), and whether the triangles of its upper left and its lower right corner are surface.
     """
     x, y = pixel_rays(camera)
-    measured = jnp.isfinite(depth) & (depth > 0) & jnp.isfinite(x) & jnp.isfinite(y)
+    measured = measured_mask(depth) & jnp.isfinite(x) & jnp.isfinite(y)
     z = jnp.where(measured, depth, 1)
     points = jnp.stack([jnp.where(measured, x, 0) * z, jnp.where(measured, y, 0) * z, z])
     inverse = jnp.where(measured, 1 / z, 0)

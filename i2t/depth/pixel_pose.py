@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t import validation
-from i2t.depth.camera import Camera, check_depth, check_pose
+from i2t.depth.camera import Camera, check_depth, check_pose, measured_mask
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import contact_frame
 from i2t.types import Array
@@ -42,7 +42,7 @@ def pose_at_pixel(
     straight down (z = -z of W, x = x of W) by the smallest rotation to the surface's normal.
 
     Args:
-        depth: (h, w) depth (m) along the camera's axis; pixels that are not positive and finite are holes.
+        depth: (h, w) depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask` knows them.
         camera: The camera.
         T_w_c: (4, 4), where it stood.
         pixel: (u, v), column and row; the upper left pixel's centre is (0, 0). The nearest pixel is taken.
@@ -97,7 +97,7 @@ def _pixel(pixel: Any, camera: Camera) -> tuple[int, int]:
 def _points(image: Float[np.ndarray, "height width"], camera: Camera) -> Float[np.ndarray, "height width 3"]:
     """Points that pixels show, in C (m); NaN where nothing was measured."""
     x, y = np.asarray(pixel_rays(camera), np.float64)
-    z = np.where(np.isfinite(image) & (image > 0), image, np.nan).astype(np.float64)
+    z = np.where(measured_mask(image), image, np.nan).astype(np.float64)
     return np.stack([x * z, y * z, z], -1)
 
 

@@ -1,8 +1,9 @@
 """Folders of a depth camera's views: how they are kept and read.
 
-DIR/camera.toml      the lens in pixels (keys of `i2t.depth.camera.Camera`), `scale` of the depth files (metres per
-                     unit, or "m" or "mm"), and `encoding`, where it is not "plain"
-DIR/depth/NAME.png   16 bits, or .tif; 0 or NaN where nothing was measured (see `i2t.depth.camera.read_depth`)
+DIR/camera.toml      the lens in pixels (keys of `i2t.depth.camera.Camera`, or of ROS's camera_info and OpenCV's
+                     calibrations), `scale` of the depth files (metres per unit, or "m" or "mm"), and `encoding`, where
+                     it is not "plain"
+DIR/depth/NAME.png   16 bits, or .tif; 0, 65535 or NaN where nothing was measured (see `i2t.depth.camera.read_depth`)
 DIR/colour/NAME.png  8 bits RGB of the same pixels; may be missing
 """
 
@@ -16,12 +17,23 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, check_image, read_depth, read_image
+from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, other_size, read_depth, read_image, to_units
 from i2t.files import read_toml
 from i2t.hardware.protocols import View
 
 DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
+# Names of ROS's camera_info, its calibration files and librealsense, beside those of `Camera`.
+OTHER_KEYS = {
+    "image_width": "width", "image_height": "height", "ppx": "cx", "ppy": "cy", "distortion_model": "model",
+    "D": "coefficients", "d": "coefficients", "coeffs": "coefficients", "distortion_coefficients": "coefficients",
+}  # fmt: skip
+MATRIX_KEYS = ("K", "k", "camera_matrix", "intrinsic_matrix")  # 3 x 3, in any of which fx, fy, cx and cy stand
+PROJECTION_KEYS = ("P", "p", "projection_matrix")  # 3 x 4, of the rectified image
+ROTATION_KEYS = ("R", "r", "rectification_matrix")  # 3 x 3, of the rectification
+PART_KEYS = ("roi", "binning_x", "binning_y")  # of ROS, of images that are a part of the sensor's, or reduced
+TEXT_KEYS = ("header", "camera_name", "frame_id")
+LENS_TOLERANCE = 1e-3  # by which focal lengths of two matrices of one lens may differ
 
 
 def read_view(path: str | Path) -> tuple[Camera, View]:
@@ -42,7 +54,8 @@ def read_view(path: str | Path) -> tuple[Camera, View]:
     if not files:
         raise ValueError(f"{Path(path) / 'depth'} holds no views; give a folder with depth/*.png or .tif")
     depth = read_depth(files[0], given["scale"], given["encoding"])
-    check_image(depth, camera)
+    if depth.shape != (camera.height, camera.width):
+        raise ValueError(f"{files[0]}: {other_size(depth.shape, camera)} ({Path(path) / DESCRIPTION})")
     colour = (Path(path) / "colour" / files[0].name).with_suffix(".png")
     shape = (camera.height, camera.width)
     pixels = read_image(colour, shape=shape, said_by="its depth", mode="RGB") if colour.parent.is_dir() else None
@@ -50,7 +63,7 @@ def read_view(path: str | Path) -> tuple[Camera, View]:
 
 
 def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[str, Any]]:
-    """Read the lens in `camera.toml` of a folder.
+    """Read the lens in `camera.toml` of a folder, by i2t's names for its numbers or by those of ROS and OpenCV.
 
     Args:
         path: The folder.
@@ -67,6 +80,10 @@ def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[st
         table = read_toml(file)
     except OSError as error:
         raise ValueError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
+    try:
+        table = _own_names(table)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{file}: {error}; see i2t.hardware.camera_folder") from error
     unknown = sorted(set(table) - known - set(others))
     needed = [*sorted(known - {"model", "coefficients"}), *(key for key, default in others.items() if default is None)]
     missing = [key for key in needed if key not in table]
@@ -79,6 +96,78 @@ def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[st
         return Camera(**lens), {key: table.get(key, default) for key, default in others.items()}
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{file}: {' '.join(str(error).split())}; see i2t.hardware.camera_folder") from error
+
+
+def _own_names(table: dict[str, Any]) -> dict[str, Any]:
+    """A lens with the keys of `Camera` in place of those of ROS and OpenCV."""
+    own: dict[str, Any] = {}
+    matrices = {"K": MATRIX_KEYS, "P": PROJECTION_KEYS, "R": ROTATION_KEYS}
+    kind_of = {key: kind for kind, keys in matrices.items() for key in keys}
+    given: dict[str, list[float]] = {}
+    parts: list[tuple[str, Any]] = []
+    for key, value in table.items():
+        if key in kind_of:
+            _add(given, kind_of[key], _numbers(key, value), key)
+        elif key in PART_KEYS:
+            parts.append((key, value))
+        elif key not in TEXT_KEYS:
+            name = OTHER_KEYS.get(key, key)
+            _add(own, name, _numbers(key, value) if name == "coefficients" else value, key)
+    if "K" in given:
+        for name, number in zip(("fx", "fy", "cx", "cy"), _pinhole("K", given["K"]), strict=True):
+            _add(own, name, number, "K")
+    _check_not_rectified(given)
+    for key, value in parts:
+        if _is_part(value, (0, 1, own.get("width"), own.get("height"))):
+            raise ValueError(f"{key} is {value}, of an image that is a part of the sensor's; give its own lens")
+    return own
+
+
+def _add(values: dict[str, Any], name: str, value: Any, key: str) -> None:
+    if name in values:
+        raise ValueError(f"{key} gives {name} a second time; leave one out")
+    values[name] = value
+
+
+def _numbers(key: str, value: Any) -> list[float]:
+    """Numbers of a list, of rows of them, or of the `data` of a matrix as OpenCV writes it."""
+    if isinstance(value, dict):
+        value = value.get("data", ())
+    try:
+        return np.asarray(value, np.float64).ravel().tolist()
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{key} is no list of numbers; write it as ROS does, row after row") from error
+
+
+def _pinhole(key: str, matrix: list[float]) -> tuple[float, float, float, float]:
+    """fx, fy, cx and cy of a camera matrix, by rows or by columns; refuses one with skew."""
+    columns = 4 if key == "P" else 3
+    if len(matrix) == 3 * columns:
+        rows = np.reshape(matrix, (3, columns))[:, :3]
+        rows = rows.T if key == "K" and rows[2, :2].any() and not rows[:2, 2].any() else rows
+        if rows[2].tolist() == [0, 0, 1] and rows[0, 1] == rows[1, 0] == 0:
+            return float(rows[0, 0]), float(rows[1, 1]), float(rows[0, 2]), float(rows[1, 2])
+    raise ValueError(f"{key} is {matrix}; give {3 * columns} numbers, fx 0 cx, 0 fy cy, 0 0 1, without skew")
+
+
+def _is_part(value: Any, whole: tuple[Any, ...]) -> bool:
+    """Test whether a region of interest or a binning leaves out or joins pixels, by the values that do not."""
+    if isinstance(value, dict):
+        return any(_is_part(part, whole) for part in value.values())
+    return value not in whole
+
+
+def _check_not_rectified(given: dict[str, list[float]]) -> None:
+    """Refuse a file whose lenses of the raw and of the rectified image differ: nothing says which the depth is."""
+    if "P" in given and any(given["P"]):
+        rectified = _pinhole("P", given["P"])
+        if "K" not in given or not np.allclose(_pinhole("K", given["K"]), rectified, rtol=LENS_TOLERANCE):
+            raise ValueError(
+                "K and P are of two lenses, of the raw and of the rectified image; for a raw image leave out P, for a "
+                "rectified one give the first three columns of P as K, and no D"
+            )
+    if "R" in given and any(given["R"]) and not np.allclose(given["R"], np.eye(3).ravel(), atol=LENS_TOLERANCE):
+        raise ValueError("R turns a rectified image; for a raw one leave out R and P")
 
 
 def lens_text(camera: Camera, **others: Any) -> str:
@@ -115,8 +204,7 @@ def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Itera
         sub.mkdir(parents=True)
     (path / DESCRIPTION).write_text(lens_text(camera, scale=DEPTH_UNIT_M), "utf-8")
     for number, view in enumerate(views):
-        units = np.nan_to_num(np.round(view.depth / DEPTH_UNIT_M), nan=0.0)
-        Image.fromarray(np.clip(units, 0, 65535).astype(np.uint16)).save(path / "depth" / f"{number:06d}.png")
+        Image.fromarray(to_units(view.depth, DEPTH_UNIT_M)).save(path / "depth" / f"{number:06d}.png")
         if view.colour is not None:
             (path / "colour").mkdir(exist_ok=True)
             Image.fromarray(view.colour).save(path / "colour" / f"{number:06d}.png")

@@ -30,7 +30,7 @@ import numpy as np
 import tyro
 
 from i2t.cli import Count, command, require_path
-from i2t.depth.camera import Camera
+from i2t.depth.camera import MAX_UINT16, Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware import camera_folder
@@ -192,7 +192,8 @@ class RealSense(CameraBase):
         frames = self._align.process(frames)
         depth, colour = frames.get_depth_frame(), frames.get_color_frame()
         values = np.asanyarray(depth.get_data())
-        metres = np.where(values > 0, values * np.float64(depth.get_units()), np.nan).astype(np.float32)
+        measured = (values > 0) & (values < MAX_UINT16)
+        metres = np.where(measured, values * np.float64(depth.get_units()), np.nan).astype(np.float32)
         return View(when, metres, np.array(colour.get_data()) if colour else None)
 
     def colour(self, timeout: float = 2.0) -> ColourImage:

@@ -132,7 +132,10 @@ class TrainingTouches:
             _median(pressed.force[split.train], ALIKE_FORCE_N),
             _median(pressed.depth[split.train], USUAL_DEPTH_M),
         )
-        return Predictor(model, self.dataset.window, self.dataset.reach, force, depth)
+        known = pressed.force[split.train]
+        known = known[np.isfinite(known)]
+        metadata = {"force_range": [float(known.min()), float(known.max())]} if len(known) else None
+        return Predictor(model, self.dataset.window, self.dataset.reach, force, depth, metadata=metadata)
 
 
 class Method(ABC):

@@ -125,7 +125,7 @@ class NetworkMethod(Method):
         _check_finite(state, how)
         norm = _with_residual(state.best_params, cfg, norm, validation)
         predictor = touches.predictor(made(state.best_params, cfg, norm), split)
-        return replace(predictor, metadata={"curve": history, "epochs": how.epochs})
+        return replace(predictor, metadata={**(predictor.metadata or {}), "curve": history, "epochs": how.epochs})
 
 
 class PaperDepth(NetworkMethod):

@@ -7,7 +7,8 @@ A predictor holds a model (`i2t.prediction.touch_model.TouchModel`), whichever m
 reading 3 n values, whichever board the model was trained on.
 
     predictor = i2t.load_predictor("runs/train")
-    reading, std = predictor.predict(patch, force=1.0)                          # (3n,) uT each
+    seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)                    # or i2t.render_patch of a mesh
+    reading, std = predictor.predict(seen, force=1.0)                           # (3n,) uT each
     reading, std = predictor.predict_touch("mug.stl", T_o_t, force=1.0, unit="m")
 """
 
@@ -59,7 +60,7 @@ class Predictor:
 
     Example:
         predictor = i2t.load_predictor("runs/train")
-        reading, std = predictor.predict(patch.depth, force=1.0)  # (c,) uT each
+        reading, std = predictor.predict(patch, force=1.0)  # (c,) uT each
     """
 
     model: TouchModel
@@ -77,6 +78,13 @@ class Predictor:
             f"Predictor({type(self.model).__name__}, {self.model.channels // 3} chips, "
             f"patch {self.window * 1e3:g} mm, default force {self.default_force:.2g} N, {source})"
         )
+
+    @property
+    def largest_force(self) -> float | None:
+        """Largest force (N) of the training touches, without its sign; None where it is not known."""
+        given = (self.metadata or {}).get("force_range")
+        forces = [abs(force) for force in given if isinstance(force, int | float)] if isinstance(given, list) else []
+        return max(forces, default=None)
 
     @property
     def pressure(self) -> PressureModelConfig | None:
@@ -99,7 +107,7 @@ class Predictor:
 
     def predict(
         self,
-        patch: Float[Array, "*batch n n"] | np.ndarray,
+        patch: Any,
         force: Values | None = None,
         nearest: Values | None = None,
         depth: Values | None = None,
@@ -109,41 +117,59 @@ class Predictor:
     ) -> Reading:
         """The reading of one touch, or of many on axis 0.
 
+        Give all that was seen: what `i2t.patch_from_depth`, `i2t.render_patch` or a wide view of either made. It says
+        how far the surface is from the skin, so that a patch of a surface elsewhere is refused, and which pixels were
+        seen. An array of depths says neither: it is taken for what the skin meets, seen as a whole.
+
         Args:
-            patch: (48, 48) or (n, 48, 48) m behind the nearest point, as in `i2t.types.Patch`.
+            patch: A `Patch`, `DepthPatch`, `WideView` or `DepthView`, of one touch or of n on axis 0, or a list of
+                them; or (48, 48) or (n, 48, 48) m behind the nearest point.
             force: N along tool z; left out, the median of the training touches is taken.
-            nearest: m, signed distance of the nearest point from the tool origin; only a model trained with it asks.
+            nearest: m, signed distance of the nearest point from the tool origin, in place of the patch's own. Beyond
+                10 mm nothing is touched, which is refused; beyond 1 mm in front there is a warning.
             depth: m, travel past first contact; left out, the median of the training touches is taken.
             wide: The same view with its surroundings, pixels of the same size, as `i2t.views` makes it: m
                 behind the patch's nearest point, negative where something stands out before it. It makes the
                 prediction better at the rim of the skin, and what stands out on the skin is met first. A model on
                 patches alone does not look at it.
-            valid: (48, 48) or (n, 48, 48), pixels that were seen (`valid_mask` of `i2t.patch_from_depth`). The others
-                are predicted as if nothing were there and as if the surface went on; the difference widens the
-                standard deviation.
+            valid: (48, 48) or (n, 48, 48), pixels that were seen, in place of the patch's own. The others are
+                predicted as if nothing were there and as if the surface went on; the difference widens the standard
+                deviation.
 
         Returns:
             Mean and standard deviation, (3 chips,) or (n, 3 chips) uT.
 
         Raises:
-            ValueError: Shapes or values do not fit, or are none of a touch: a patch that is not in metres or shows no
-                surface, a force that pulls or breaks the skin.
+            ValueError: Shapes or values do not fit, or are none of a touch: a patch that is not in metres, shows no
+                surface, was hardly seen or lies far from the skin; a force that presses nothing, breaks the skin or is
+                far beyond the training touches.
+
+        Example:
+            seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
+            reading, std = predictor.predict(seen, force=1.0)
         """
-        patches = user_input.checked_patches(patch, self.reach)
+        seen = user_input.seen_touches(patch, nearest=nearest, wide=wide, valid=valid)
+        mask = None if seen.valid is None else user_input.checked_valid(seen.valid, np.shape(seen.depth))
+        patches = user_input.checked_patches(seen.depth, self.reach)
+        n, pitch = len(patches), self.window / patches.shape[1]
         touches = TouchBatch(
             patches,
-            patches if wide is None else user_input.checked_wide(wide, patches, self.reach),
-            self.window / patches.shape[1],
-            force=user_input.checked_column("force", force, len(patches), self.default_force),
-            nearest=user_input.checked_column("nearest", nearest, len(patches), None),
-            depth=user_input.checked_column("depth", depth, len(patches), self.default_depth),
+            patches if seen.wide is None else user_input.checked_wide(seen.wide, patches, self.reach),
+            pitch,
+            force=user_input.checked_column("force", force, n, self.default_force),
+            nearest=user_input.checked_column("nearest", seen.nearest, n, None, unknown=nearest is None),
+            depth=user_input.checked_column("depth", depth, n, self.default_depth),
         )
-        user_input.check_press(touches.force, touches.nearest, touches.depth, usual_force=self.default_force)
-        if valid is None or np.asarray(valid).all():
-            reading = self._predict_classes(touches)
-        else:
-            reading = self._predict_unseen(touches, valid)
-        return _first(reading) if np.ndim(patch) == 2 else reading
+        user_input.check_press(
+            touches.force, touches.depth, usual_force=self.default_force, largest_force=self.largest_force
+        )
+        if np.isfinite(touches.nearest).any():
+            wide = None if seen.wide is None else touches.view
+            rendered = isinstance(patch, TouchBatch)  # `render_touches` has warned already
+            user_input.check_met(touches.nearest, wide, pitch, remedy=user_input.VIEW_REMEDY, warn=not rendered)
+        seen_whole = mask is None or mask.all()
+        reading = self._predict_classes(touches) if seen_whole else self._predict_unseen(touches, mask)
+        return _first(reading) if np.ndim(seen.depth) == 2 else reading
 
     def predict_touch(
         self,
@@ -176,7 +202,7 @@ class Predictor:
             reading, std = predictor.predict_touch(mesh, T_o_t, force=1.0)
         """
         seen = self.render_touches(mesh, T_o_t, unit)
-        reading = self.predict(seen.patch, force=force, nearest=seen.nearest, wide=seen.view)
+        reading = self.predict(seen, force=force)
         return _first(reading) if np.ndim(T_o_t) == 2 else reading
 
     def render_touches(
@@ -276,7 +302,7 @@ def load_predictor(directory: Path | str) -> Predictor:
 
     Example:
         predictor = i2t.load_predictor("nominal")
-        reading, std = predictor.predict(patch.depth, force=1.0)
+        reading, std = predictor.predict(patch, force=1.0)
     """
     directory = ready_path(directory, "predictor").absolute()
     nested = directory / "checkpoint" / "predictor"

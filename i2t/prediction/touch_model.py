@@ -46,7 +46,7 @@ class Reading(NamedTuple):
 
     Example:
         predictor = i2t.load_predictor("nominal")
-        mean, std = predictor.predict(patch.depth, force=1.0)  # (3 chips,) uT each
+        mean, std = predictor.predict(patch, force=1.0)  # (3 chips,) uT each
     """
 
     mean: np.ndarray  # (3 chips,) or (n, 3 chips) uT

@@ -8,27 +8,35 @@ if nothing were there and as if the surface went on, so that a prediction can sa
 import math
 import warnings
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from i2t import validation
+from i2t.depth.patches import DepthPatch, DepthView
 from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
-from i2t.types import Surface
+from i2t.types import Patch, Surface
 from i2t.views import WideView, centre, pixels_on_skin
-from i2t.windows import MAX_SKIN_FORCE_N, STANDOFF
+from i2t.windows import STANDOFF
 
-UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches: beyond it nothing is known
+UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches, where their largest force is not known
+MAX_FORCE_RATIO = 4.0  # to the largest force of the training touches: beyond it a prediction says nothing
 MAX_TRAVEL_M = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
-MAX_NEAREST_M = 0.1  # m, signed distance of a surface that a skin is about to meet
 MAX_GAP_M = 10e-3  # m between the skin and the surface at a pose where they are said to touch
 MAX_CLOSE_GAP_M = 1e-3  # m likewise, by which a pose may be off without a word: how far cameras and arms err
 MAX_LEAST_PIXEL_M = 1e-3  # m, nearest pixel of a patch, whose values count from that pixel
 MAX_CENTRE_STEP_M = 0.5e-3  # m, by which nine in ten pixels of a patch may differ from the middle of its wide view
 LEAST_SEEN_SHARE = 0.5  # of a patch's pixels; with fewer there is a warning
+MIN_SEEN_SHARE = 0.1  # likewise; with fewer there is no prediction
+POSE_REMEDY = "move T_o_t onto it (i2t.contact_pose)"
+VIEW_REMEDY = (
+    "move the tool onto it (i2t.pose_at_pixel), or correct the unit of the depth image: give metres, by its camera's "
+    "scale, such as 1e-4 where it stores tenths of a millimetre"
+)
 BESIDE_CENTRE = np.array([0.537, 0.471])  # pixels; a ray through a pixel's centre meets edges of symmetric meshes
 PIXEL_TOLERANCE_M = 1e-6  # m, of single precision
 CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
@@ -51,6 +59,60 @@ def size_classes(n: int) -> Iterator[np.ndarray]:
             size = CLASSES[-2]
         yield np.minimum(np.arange(start, start + size), n - 1)
         start += size
+
+
+class SeenTouches(NamedTuple):
+    """A depth patch or many, with what came with it; None where nothing did."""
+
+    depth: Any  # (p, p) or (n, p, p) m behind the nearest point
+    nearest: Any = None  # one or (n,) m, signed distance of that point; NaN where it is unknown
+    wide: Any = None  # (w, w) or (n, w, w) m, the surroundings too
+    valid: Any = None  # (p, p) or (n, p, p) bool, pixels that were seen
+
+
+def seen_touches(patch: Any, *, nearest: Any = None, wide: Any = None, valid: Any = None) -> SeenTouches:
+    """The parts of whatever holds depth patches.
+
+    Args:
+        patch: Depths, a `Patch`, a `WideView`, a `DepthPatch`, a `DepthView`, a `TouchBatch`, what a collection saw
+            (`i2t.collect.touch.SeenPatch`), or a list of them.
+        nearest: What a user gave in place of what came with the patch; None where nothing was given.
+        wide: The same.
+        valid: The same.
+
+    Returns:
+        Depths, and what came with them.
+
+    Raises:
+        ValueError: A list holds different kinds.
+    """
+    if isinstance(patch, list | tuple) and patch and all(hasattr(item, "_fields") for item in patch):
+        if len({type(item) for item in patch}) > 1:
+            raise ValueError("patch: is a list of different kinds of patches; give them in lists of one kind")
+        patch = jax.tree.map(lambda *items: np.stack(items), *patch)
+    seen = _parts(patch)
+    given = {"nearest": nearest, "wide": wide, "valid": valid}
+    return seen._replace(**{name: value for name, value in given.items() if value is not None})
+
+
+def _parts(patch: Any) -> SeenTouches:
+    """Depths, and what came with them."""
+    if isinstance(patch, Patch):
+        return SeenTouches(patch.depth, patch.nearest)
+    if isinstance(patch, DepthPatch):
+        return SeenTouches(*patch.patch, valid=np.asarray(patch.valid_mask))
+    if isinstance(patch, DepthView):
+        depth, nearest = patch.view.patch
+        return SeenTouches(depth, nearest, patch.view.wide, centre(np.asarray(patch.known_mask), depth.shape[-1]))
+    if isinstance(patch, WideView):
+        return SeenTouches(*patch.patch, wide=patch.wide)
+    # By their fields: the modules of these two import this one.
+    names = set(getattr(patch, "_fields", ()))
+    if {"patch", "nearest", "view", "pitch"} <= names:  # a `TouchBatch`
+        return SeenTouches(patch.patch, patch.nearest, patch.view)
+    if {"patch", "nearest", "wide", "visible_share"} <= names:  # a `SeenPatch`
+        return SeenTouches(patch.patch, patch.nearest, patch.wide)
+    return SeenTouches(patch)
 
 
 def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
@@ -136,7 +198,9 @@ def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -
     return views
 
 
-def checked_column(name: str, values: Any, n: int, default: float | None) -> Float[np.ndarray, " n"]:
+def checked_column(
+    name: str, values: Any, n: int, default: float | None, *, unknown: bool = False
+) -> Float[np.ndarray, " n"]:
     """A value for each of n touches.
 
     Args:
@@ -144,6 +208,7 @@ def checked_column(name: str, values: Any, n: int, default: float | None) -> Flo
         values: One for all, or one for each; None where it was left out.
         n: Number of touches.
         default: Taken where it was left out; None where there is none.
+        unknown: Whether a value may be NaN, where it is not known of a touch.
 
     Returns:
         The values; NaN where there is neither a value nor a default.
@@ -155,76 +220,157 @@ def checked_column(name: str, values: Any, n: int, default: float | None) -> Flo
         return np.full(n, np.nan if default is None else default, np.float32)
     numbers = validation.numbers(name, values, "one number for all touches or one for each").astype(np.float32)
     column = np.full(n, numbers) if numbers.ndim == 0 else numbers
-    if column.shape != (n,) or not np.isfinite(column).all():
-        raise ValueError(
-            f"{name} has the shape {numbers.shape} or is not finite; give one for all touches or one for each of {n}"
-        )
+    if column.shape != (n,):
+        raise ValueError(f"{name} has the shape {numbers.shape}; give one for all touches or one for each of {n}")
+    if not (np.isfinite(column) | (unknown & np.isnan(column))).all():
+        raise ValueError(f"{name} is not finite{_which(~np.isfinite(column))}; give numbers, or leave it out")
     return column
 
 
 def check_press(
     force: Float[np.ndarray, " n"],
-    nearest: Float[np.ndarray, " n"],
     depth: Float[np.ndarray, " n"],
     *,
     usual_force: float,
+    largest_force: float | None = None,
 ) -> None:
-    """Refuse presses that no skin makes, and warn of those beyond what a model was trained on.
+    """Refuse presses that no skin makes or of which a model knows nothing, and warn of those beyond its training.
 
     Args:
         force: N, along tool z.
-        nearest: m, signed distance of the nearest point; NaN where it was left out.
-        depth: m, past first contact.
+        depth: m, past first contact; NaN where it is unknown.
         usual_force: N, the median of the training touches; negative where the recording counts a pressing force so.
+        largest_force: N, of the training touches; None where it is not known.
 
     Raises:
-        ValueError: A force pulls or breaks a skin, or a length is none in metres.
+        ValueError: A force pulls, presses nothing, breaks a skin or is far beyond the training touches, or a length is
+            none in metres.
     """
-    pressing = -force if usual_force < 0 else force
-    if pressing.min() < 0:
-        sign = ", which this model's recording counts negative" if usual_force < 0 else ""
-        raise ValueError(f"force is {force[pressing.argmin()]:g} N; a skin is pressed{sign}, not pulled")
-    if pressing.max() > MAX_SKIN_FORCE_N:
-        raise ValueError(f"force is {pressing.max():g} N; a skin bears at most {MAX_SKIN_FORCE_N:g} N")
-    if usual_force and pressing.max() > UNUSUAL_FORCE_RATIO * abs(usual_force):
+    validation.forces("force", force, reversed_sign=usual_force < 0)
+    trained = largest_force or UNUSUAL_FORCE_RATIO * abs(usual_force)
+    about = f"presses of at most {trained:.2g} N" if largest_force else f"presses of about {abs(usual_force):.2g} N"
+    hardest = float(np.abs(force).max())
+    if trained and hardest > MAX_FORCE_RATIO * trained:
+        raise ValueError(
+            f"force is {hardest:g} N, and the model was trained on {about}: it knows nothing of so hard a press; "
+            f"give at most {MAX_FORCE_RATIO * trained:.2g} N, or train on harder presses"
+        )
+    if trained and hardest > trained:
         warnings.warn(
-            f"force is {pressing.max():g} N, and the model was trained at about {abs(usual_force):.2g} N: what it says "
-            "of so hard a press is no more than a guess",
+            f"force is {hardest:g} N, and the model was trained on {about}: what it says of so hard a press is no more "
+            "than a guess",
             stacklevel=3,
         )
-    for name, values, most in (("nearest", nearest, MAX_NEAREST_M), ("depth", depth, MAX_TRAVEL_M)):
-        largest = np.max(np.abs(values), initial=0.0, where=np.isfinite(values))
-        if largest > most:
-            raise ValueError(f"{name} is {largest:g} m, more than {most:g}; give metres")
+    longest = np.max(np.abs(depth), initial=0.0, where=np.isfinite(depth))
+    if longest > MAX_TRAVEL_M:
+        raise ValueError(f"depth is {longest:g} m, more than {MAX_TRAVEL_M:g}; give metres")
+
+
+def check_met(
+    nearest: Float[np.ndarray, " n"],
+    wide: Float[np.ndarray, "n w w"] | None,
+    pitch: float,
+    *,
+    remedy: str,
+    warn: bool = True,
+    stacklevel: int = 3,
+) -> None:
+    """Refuse touches in which the skin does not lie on the surface, and warn of those that meet nothing, or meet
+    something beside the patch first.
+
+    Args:
+        nearest: m, signed distance of the patch's nearest point from the tool origin; NaN where it is unknown.
+        wide: m, views with their surroundings; None where there are only patches.
+        pitch: m, edge of a pixel.
+        remedy: What to do, for the message.
+        warn: Whether to warn too.
+        stacklevel: Of the warnings.
+
+    Raises:
+        ValueError: The surface begins more than 10 mm in front of the skin, or behind it.
+    """
+    stands_out = np.zeros(len(nearest))
+    if wide is not None:
+        on_skin = centre(np.asarray(wide), min(pixels_on_skin(pitch), wide.shape[-1]))
+        stands_out = np.maximum(-np.nanmin(on_skin, axis=(1, 2)), 0.0)
+    met = np.nan_to_num(nearest - stands_out)
+    worst = int(met.argmax())
+    if met[worst] > MAX_GAP_M:
+        raise ValueError(
+            f"the surface begins {_mm(float(met[worst]))} mm in front of the skin at this pose"
+            f"{_which(met > MAX_GAP_M)}; {remedy}"
+        )
+    behind = nearest < -MAX_GAP_M
+    if behind.any():
+        raise ValueError(
+            f"the surface begins {_mm(float(-np.nanmin(nearest)))} mm behind the skin at this pose"
+            f"{_which(behind)}: the object is in the way, as in a cup, or tool z, which points into the object, points "
+            f"away from it; {remedy}"
+        )
+    if warn and met[worst] > MAX_CLOSE_GAP_M:
+        warnings.warn(
+            f"the surface begins {1e3 * met[worst]:.3g} mm in front of the skin at this pose"
+            f"{_which(met > MAX_CLOSE_GAP_M)}: a press that ends there meets nothing and reads zero; the prediction is "
+            "for a skin that is moved on until it presses",
+            stacklevel=stacklevel,
+        )
+    if warn and stands_out.max() > MAX_CLOSE_GAP_M:
+        warnings.warn(
+            f"the object stands out by {1e3 * stands_out.max():.3g} mm beside the patch and under the skin's rim at "
+            "this pose: it is met first, and what is predicted is the reading of a press on it",
+            stacklevel=stacklevel,
+        )
+
+
+def checked_valid(valid: Any, shape: tuple[int, ...]) -> Bool[np.ndarray, "n p p"]:
+    """The mask of seen pixels that a user gave.
+
+    Args:
+        valid: (p, p) or (n, p, p) bool.
+        shape: Of the patches, (p, p) or (n, p, p).
+
+    Returns:
+        The mask, touches on axis 0.
+
+    Raises:
+        ValueError: It does not fit the patches, or of a patch nearly nothing was seen.
+    """
+    mask, shape = np.asarray(valid), shape if len(shape) == 3 else (1, *shape)
+    mask = np.broadcast_to(mask, shape) if mask.ndim == 2 and mask.shape == shape[1:] else mask
+    if mask.dtype != np.bool_ or mask.shape != shape:
+        raise ValueError(f"valid is {mask.dtype} {np.shape(valid)}; give booleans, one for each pixel of the patch")
+    share = mask.mean((1, 2))
+    if not share.all():
+        raise ValueError(
+            f"no pixel of the patch was seen{_which(share == 0)}: in a hole of the depth image, or outside it, or "
+            f"the surface is more than {1e3 * STANDOFF:g} mm behind the skin; look again, or correct pose and unit"
+        )
+    if share.min() < MIN_SEEN_SHARE:
+        raise ValueError(
+            f"only {100 * share.min():.0f} % of the patch was seen{_which(share < MIN_SEEN_SHARE)}, too little to say "
+            "what the skin meets; look again, from another side"
+        )
+    if share.min() < LEAST_SEEN_SHARE:
+        warnings.warn(
+            f"only {100 * share.min():.0f} % of the patch was seen; what lies on the rest is a guess", stacklevel=3
+        )
+    return mask
 
 
 def fill_unseen(
-    patches: Float[np.ndarray, "n p p"], valid: Any, reach: float
+    patches: Float[np.ndarray, "n p p"], valid: Bool[np.ndarray, "*n p p"], reach: float
 ) -> tuple[Float[np.ndarray, "n p p"], Float[np.ndarray, "n p p"]]:
     """Patches with unseen pixels empty, and patches with unseen pixels as the nearest seen one.
 
     Args:
         patches: m.
-        valid: (p, p) or (n, p, p) bool, pixels that were seen.
+        valid: Pixels that were seen, some of each patch.
         reach: m, of a pixel without a surface.
 
     Returns:
         Both.
-
-    Raises:
-        ValueError: The mask does not fit the patches, or nothing was seen.
     """
-    mask = np.asarray(valid)
-    mask = np.broadcast_to(mask, patches.shape) if mask.ndim == 2 and mask.shape == patches.shape[1:] else mask
-    if mask.dtype != np.bool_ or mask.shape != patches.shape:
-        raise ValueError(f"valid is {mask.dtype} {np.shape(valid)}; give booleans, one for each pixel of the patch")
-    share = mask.mean((1, 2))
-    if not share.all():
-        raise ValueError(f"valid says that no pixel of the patch was seen{_which(share == 0)}; look again")
-    if share.min() < LEAST_SEEN_SHARE:
-        warnings.warn(
-            f"only {100 * share.min():.0f} % of the patch was seen; what lies on the rest is a guess", stacklevel=3
-        )
+    mask = np.broadcast_to(valid, patches.shape)
     nearest = [ndimage.distance_transform_edt(~one, return_distances=False, return_indices=True) for one in mask]
     continued = np.stack([patch[tuple(index)] for patch, index in zip(patches, nearest, strict=True)])
     return np.where(mask, patches, np.float32(reach)), continued
@@ -299,31 +445,8 @@ def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: Wide
     nearest = float(view.patch.nearest)
     if not math.isfinite(nearest):
         raise ValueError("nothing lies in front of the skin's middle at this pose; move T_o_t towards the surface")
-    on_skin = min(pixels_on_skin(window / len(view.patch.depth)), len(view.wide))
-    stands_out = max(-float(np.min(centre(np.asarray(view.wide), on_skin))), 0.0)
-    met = nearest - stands_out
-    if met > MAX_GAP_M:
-        raise ValueError(
-            f"the surface begins {1e3 * met:.3g} mm in front of the skin at this pose; move T_o_t onto it "
-            "(i2t.contact_pose)"
-        )
-    if met > MAX_CLOSE_GAP_M:
-        warnings.warn(
-            f"the surface begins {1e3 * met:.3g} mm in front of the skin at this pose: a press that ends there "
-            "meets nothing and reads zero; the prediction is for a skin that is moved on until it presses",
-            stacklevel=4,
-        )
-    if stands_out > MAX_CLOSE_GAP_M:
-        warnings.warn(
-            f"the object stands out by {1e3 * stands_out:.3g} mm beside the patch and under the skin's rim at "
-            "this pose: it is met first, and what is predicted is the reading of a press on it",
-            stacklevel=4,
-        )
-    if nearest < -MAX_GAP_M:
-        raise ValueError(
-            f"the surface begins {-1e3 * nearest:.3g} mm behind the skin at this pose: the object is in the way, as in "
-            "a cup, or tool z, which points into the object, points away from it (i2t.contact_pose)"
-        )
+    pitch = window / len(view.patch.depth)
+    check_met(np.array([nearest]), np.asarray(view.wide)[None], pitch, remedy=POSE_REMEDY, stacklevel=5)
     depth = np.asarray(view.patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
     x, y = ((np.array([column, row]) + BESIDE_CENTRE) / len(depth) - 0.5) * window
@@ -359,6 +482,11 @@ def _many(name: str, values: Any, hint: str) -> np.ndarray:
     """Images or transforms of one touch or of many, touches on axis 0."""
     array = validation.numbers(name, values, hint).astype(np.float32)
     return array[None] if array.ndim == 2 else array
+
+
+def _mm(length: float) -> str:
+    """Millimetres of a length (m) to three digits, without an exponent."""
+    return f"{float(f'{1e3 * length:.3g}'):.10g}"
 
 
 def _which(touches: Bool[np.ndarray, " n"]) -> str:

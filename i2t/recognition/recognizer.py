@@ -50,6 +50,7 @@ MAX_EMPTY_DRAWS = 10  # of candidates among which no site is allowed, after whic
 # (`experiments.studies open_set`).
 CALIBRATION_PRIOR_UNKNOWN = 0.5
 UNKNOWN_SCALING = calibrated.PlattScaling(0.40, 0.65, 0.18)
+MAX_OFF_SITE_M = 0.1  # m from a site to where a press of it ended; collections go no further past one
 POSE_STD_M, POSE_STD_RAD = 1e-3, float(np.radians(1.0))  # of an object's pose unless it is given
 
 
@@ -274,14 +275,31 @@ class ObjectRecognizer:
         Args:
             site: That was touched.
             reading: Of the skin in contact, ambient subtracted (uT), in the board's order.
-            force: Along the tool's z axis (N).
+            force: Along the tool's z axis (N), as it was measured.
             T_w_t: The tool's pose at the end of the press.
             contact: Whether anything was met.
 
         Returns:
             The observation.
+
+        Raises:
+            ValueError: The force is not finite or more than a skin bears, the pose is no rigid motion or its origin is
+                further than `MAX_OFF_SITE_M` from the site, or the reading has another number of values.
+            TypeError: One of them holds no real numbers.
         """
-        moved = np.asarray(T_w_t, float)[:3, 3] - site.T_w_t[:3, 3]
+        validation.number("force", validation.forces("force", force, measured=True), "newtons along tool z")
+        T = validation.numbers("T_w_t", T_w_t, "a (4, 4) transform").astype(np.float64)
+        if T.shape != (4, 4) or not is_rigid(T):
+            raise ValueError("T_w_t: is not a rigid motion; give the tool's pose at the end of the press")
+        values = validation.numbers("reading", reading, f"{self.channels} values (uT)")
+        if values.shape != (self.channels,):
+            raise ValueError(f"reading: has the shape {values.shape}; give the board's {self.channels} values (uT)")
+        moved = T[:3, 3] - site.T_w_t[:3, 3]
+        if np.linalg.norm(moved) > MAX_OFF_SITE_M:
+            raise ValueError(
+                f"T_w_t: is {1e3 * np.linalg.norm(moved):.3g} mm from the site that was asked for; give the tool's "
+                "pose at the end of the press, in metres and in W"
+            )
         advance = float(moved @ site.T_w_t[:3, 2])
         touch = TouchObservation(
             jnp.float32(reading), jnp.float32(max(force, 0.0)), jnp.float32(advance), jnp.asarray(bool(contact))

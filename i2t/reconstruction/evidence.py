@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.ndimage import minimum_filter
 
 from i2t.depth import distortion
-from i2t.depth.camera import Camera
+from i2t.depth.camera import Camera, measured_mask
 from i2t.geometry import is_rigid
 from i2t.reconstruction.local_shape import PatchPosterior
 from i2t.types import Array
@@ -228,7 +228,7 @@ def view_evidence(
     if T_o_c.shape != (4, 4) or not is_rigid(T_o_c):
         raise ValueError("T_o_c of a view must be a finite rigid 4x4 pose")
     rng = np.random.default_rng(0)
-    depth = np.where(depth > 0, depth, np.nan)
+    depth = np.where(measured_mask(depth) | np.isposinf(depth), depth, np.nan)  # infinite: nothing was there
     row, column = np.nonzero(np.isfinite(depth))
     pixels = jnp.stack([column, row], -1).astype(jnp.float32)
     points = _to_object(T_o_c, np.asarray(distortion.deproject(camera, pixels, jnp.asarray(depth[row, column]))))

@@ -34,6 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from i2t import validation
 from i2t.skin.contact import CONTACT_NEWTONS
 from i2t.windows import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW
 
@@ -121,11 +122,17 @@ def infer_patch(
     Returns:
         The posterior.
 
+    Raises:
+        ValueError: A force is more than a skin bears.
+
     Example:
         infer = jax.jit(infer_patch, static_argnames=("samples",))
         posterior = infer(touch.reading, touch.force, touch.depth, model=model, library=library)
         posterior.mean, posterior.mask_probability, jnp.quantile(posterior.patch, 0.9, axis=0)
     """
+    if not validation.is_traced(force):
+        known = np.asarray(force, float)
+        validation.forces("force", known[np.isfinite(known)], measured=True)
     reading = jnp.atleast_2d(jnp.asarray(reading))
     force = jnp.atleast_1d(jnp.asarray(force, reading.dtype))
     made = jnp.all(jnp.isfinite(reading), axis=1) & jnp.isfinite(force)

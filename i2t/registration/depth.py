@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.spatial import cKDTree
 
 from i2t import validation
-from i2t.depth.camera import Camera, check_depth, check_pose
+from i2t.depth.camera import Camera, check_depth, check_pose, measured_mask
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import apply, compose, from_twist, inverse, to_twist
 from i2t.objects.solids import Mesh
@@ -90,7 +90,7 @@ def register_by_depth(
     Args:
         mesh: The object, in its own frame (m).
         T_w_o: Where it is believed to be.
-        depth: Depth (m) along the camera's axis; holes are not positive or not finite.
+        depth: Depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask` knows them.
         camera: The camera.
         T_w_c: Where it stands.
         translation_std: Standard deviation (m) of the belief along each axis.
@@ -181,7 +181,7 @@ def _points(
 ) -> np.ndarray:
     """Points measured above the table, in W (n, 3)."""
     x, y = np.asarray(pixel_rays(camera), float)
-    points = np.stack([x, y, np.ones_like(x)], axis=-1) * np.where(depth > 0, depth, np.nan)[..., None]
+    points = np.stack([x, y, np.ones_like(x)], axis=-1) * np.where(measured_mask(depth), depth, np.nan)[..., None]
     points = apply(T_w_c, points[np.isfinite(points).all(axis=-1)])
     return points if table_height is None else points[points[:, 2] > table_height + config.table_clearance]
 

@@ -90,6 +90,22 @@ def test_images_turn_and_forces_change_axes_on_request(tmp_path):
     np.testing.assert_allclose(touches.force, -wrench[:, 2], atol=1e-6)
 
 
+def test_a_hole_of_65535_is_no_surface_and_images_in_another_unit_are_noted(tmp_path, capsys):
+    truth = write(tmp_path / "src", "star", "1", 2)
+    files = [tmp_path / f"src/star/star_images/depth/experiment_1_depth_{k}.tif" for k in (1, 2)]
+    for file, image in zip(files, truth.depth, strict=True):
+        image[:, 10] = 65535
+        tifffile.imwrite(file, image)
+    touches = converted("imagine2touch", tmp_path / "src", tmp_path / "right").touches
+    assert (touches.patch[:, :, 10] == np.float32(4e-3)).all()
+    assert "correct --camera" not in capsys.readouterr().out
+    for file, image in zip(files, truth.depth, strict=True):
+        tifffile.imwrite(file, np.where(image < 65535, 10 * image, image).astype(np.uint16))
+    tenths = converted("imagine2touch", tmp_path / "src", tmp_path / "tenths").touches
+    said = capsys.readouterr().out
+    assert f"begins {1e3 * np.median(tenths.nearest):.3g} mm in front of the skin at the touches" in said
+
+
 def test_what_was_not_recorded_is_unknown_and_said(tmp_path, capsys):
     truth = write(tmp_path / "src", "star", "1", 2)
     image = truth.depth[0].copy()
@@ -275,7 +291,7 @@ DAMAGE = [
     ("imagine2touch", IMAGE, cut, "no readable TIF"),
     ("imagine2touch", IMAGE, image((48, 48), np.float32), "crop of uint16"),
     ("imagine2touch", IMAGE, image((48, 40)), "should be square"),
-    ("imagine2touch", IMAGE, image((48, 48), value=0), "no measured pixel"),
+    ("imagine2touch", IMAGE, image((48, 48), value=0), "no pixel was measured"),
     ("imagine2touch", IMAGE.replace("_2.", "_13."), image((48, 48)), "one image more"),
     ("imagine2touch", TACTILE, cut, "damaged"),
     ("imagine2touch", TACTILE, edit(b"(12, 1, 4)", b"(13, 1, 4)"), "where its header says"),

@@ -1,5 +1,6 @@
 """Cameras, lenses and depth files: round trips, OpenCV and SciPy where they know the same lens, and hostile files."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -10,7 +11,16 @@ import tifffile
 from PIL import Image
 from scipy.optimize import fsolve
 
-from i2t.depth.camera import Camera, Distortion, check_view, read_depth
+from i2t.depth.camera import (
+    COMMON_UNITS_M,
+    MAX_DEPTH_M,
+    Camera,
+    Distortion,
+    check_view,
+    measured_mask,
+    read_depth,
+    to_units,
+)
 from i2t.depth.distortion import deproject, pixel_rays, project
 
 LENSES = {
@@ -88,12 +98,44 @@ def test_a_pinhole():
     [
         ({"fx": 0.0}, "focal"),
         ({"cx": float("nan")}, "finite"),
-        ({"coefficients": (0.0,) * 6}, "6 coefficients"),
+        ({"model": "plumb_bob", "coefficients": (0.1, 0.0, 0.0, 0.0, 0.0, 0.2)}, "6 coefficients, .* rational model"),
+        ({"coefficients": (0.1,)}, "coefficients are given without a model"),
+        ({"model": "kannala_brandt4"}, "fisheye"),
+        ({"model": "tangential"}, "not known; choose from none, modified_brown_conrady"),
+        ({"fx": 0.47, "fy": 0.83}, "neither in millimetres"),
+        ({"cx": 640.0}, "subtract from cx, cy what was cropped"),
+        # The lens of an image of 1280 x 720 pixels with one of 640 x 360, and of every second pixel, and of two thirds.
+        ({"fx": 600.0, "fy": 600.0, "cx": 641.0, "cy": 358.0}, "about 1279 x 719 pixels: scale fx"),
+        ({"fx": 150.0, "fy": 150.0, "cx": 161.0, "cy": 91.0}, "about 32[0-9] x 18[0-9] pixels: scale fx"),
+        ({"fx": 450.0, "fy": 450.0, "cx": 480.0, "cy": 270.0}, "about 96[0-9] x 54[0-9] pixels: scale fx"),
     ],
 )
 def test_impossible_cameras(change, words):
     with pytest.raises(ValueError, match=words):
         Camera(**{"width": 640, "height": 360, "fx": 300.0, "fy": 300.0, "cx": 320.0, "cy": 180.0, **change})
+
+
+BROWN = (-0.0565, 0.0682, 0.00037, 0.00069, -0.0218)
+
+
+@pytest.mark.parametrize(
+    ("name", "coefficients"),
+    [
+        *((name, BROWN) for name in ("brown_conrady", "plumb_bob", "Brown Conrady", "distortion.brown_conrady",
+                                     "RS2_DISTORTION_BROWN_CONRADY", "Plumb-Bob")),
+        *((name, BROWN + (0.0,) * more) for name in ("rational_polynomial", "plumb_bob") for more in (0, 3, 7, 9)),
+    ],
+)  # fmt: skip
+def test_one_lens_has_many_names_and_coefficients_of_zero(name, coefficients):
+    given = Camera(640, 360, 391.2, 390.8, 324.7, 183.1, name, coefficients)
+    assert given == Camera(640, 360, 391.2, 390.8, 324.7, 183.1, Distortion.BROWN_CONRADY, BROWN)
+    assert Camera(640, 360, 391.2, 390.8, 324.7, 183.1, "radtan", BROWN[:4]).coefficients == (*BROWN[:4], 0.0)
+
+
+@pytest.mark.parametrize("model", ["inverse_brown_conrady", "modified_brown_conrady", "none"])
+def test_names_of_librealsense_in_other_spellings_are_the_same_models(model):
+    for name in (f"distortion.{model}", model.replace("_", " ").title(), f"RS2_DISTORTION_{model.upper()}"):
+        assert Camera(640, 360, 391.2, 390.8, 324.7, 183.1, name).model == model
 
 
 def png(path, values):
@@ -108,7 +150,7 @@ def tif(path, values):
 
 def test_files(tmp_path):
     stored = np.array([[0, 1000, 65535], [5, 104, 7]], np.uint16)
-    expected = np.where(stored == 0, np.nan, stored * 1e-3).astype(np.float32)
+    expected = np.where((stored == 0) | (stored == 65535), np.nan, stored * 1e-3).astype(np.float32)
     for path in (png(tmp_path / "a.png", stored), tif(tmp_path / "a.tif", stored)):
         np.testing.assert_array_equal(read_depth(path, "mm"), expected)
         np.testing.assert_array_equal(read_depth(path, 1e-3), expected)
@@ -117,6 +159,56 @@ def test_files(tmp_path):
     turned = (stored << 3) | (stored >> 13)  # left by three bits
     path = png(tmp_path / "c.png", turned)
     np.testing.assert_array_equal(read_depth(path, 1e-3, "rotated"), expected)
+
+
+@pytest.mark.parametrize("hole", [0, 65535, np.nan, np.inf, -np.inf, -1.0, -0.3])
+def test_holes_of_files_are_nan_however_they_are_written(tmp_path, hole):
+    at = np.zeros((6, 8), bool)
+    at[2:5, 3:6] = True
+    files = {tif(tmp_path / "a.tif", np.where(at, hole, 300.0).astype(np.float32)): "mm"}
+    if hole in (0, 65535):
+        stored = np.where(at, hole, 300).astype(np.uint16)
+        files |= dict.fromkeys((png(tmp_path / "b.png", stored), tif(tmp_path / "c.tif", stored)), "mm")
+        files[tif(tmp_path / "d.tif", stored.astype(np.int32))] = "mm"
+    if hole == -1:
+        files[tif(tmp_path / "e.tif", np.where(at, hole, 300).astype(np.int16))] = "mm"
+    for path, unit in files.items():
+        np.testing.assert_array_equal(np.isnan(read_depth(path, unit)), at)
+        np.testing.assert_allclose(read_depth(path, unit)[~at], 0.3)
+
+
+@pytest.mark.parametrize("unit", COMMON_UNITS_M)
+def test_holes_of_arrays_are_holes_in_whatever_unit_they_were_stored(unit):
+    """Where a user divides by 1000 or multiplies by a unit, in single or in double precision."""
+    stored = np.array([[0, 65535], [3000, 65534]], np.uint16)
+    far = unit * 65534 < MAX_DEPTH_M
+    for depth in (stored * unit, stored.astype(np.float32) * np.float32(unit), stored.astype(np.float32) / (1 / unit)):
+        np.testing.assert_array_equal(measured_mask(depth), [[False, False], [True, far]])
+        np.testing.assert_array_equal(measured_mask(jnp.float32(depth)), [[False, False], [True, far]])
+    nothing = np.array([np.nan, np.inf, -np.inf, -1.0, 0.0, 1e10, 65504.0])
+    assert not measured_mask(nothing).any()
+    metres = np.array([[0.3, np.nan], [unit * 70000, 0.31]])
+    np.testing.assert_array_equal(to_units(metres, unit), [[round(0.3 / unit), 0], [0, round(0.31 / unit)]])
+
+
+@pytest.mark.parametrize("marker", [1023, 2047, 4095, 32767])
+def test_a_full_scale_of_fewer_bits_far_from_all_else_is_refused(tmp_path, marker):
+    stored = np.tile(np.uint16([300, 310, 640, 790]), (8, 1))
+    stored[:3, 0] = marker
+    with pytest.raises(ValueError, match=f"9 % of its pixels are {marker}, the largest value of .* raw disparity"):
+        read_depth(png(tmp_path / "a.png", stored), "mm")
+    stored[:3, 0] = marker - 1
+    assert np.nanmax(read_depth(png(tmp_path / "b.png", stored), "mm")) > 1
+    flat = np.full((8, 4), marker, np.uint16)  # a wall just there
+    assert read_depth(png(tmp_path / "c.png", flat), "mm").min() > 1
+
+
+def test_colour_and_palette_images_are_no_depth(tmp_path):
+    grey = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    for kind in ("P", "1", "RGB", "RGBA", "LA"):
+        Image.fromarray(grey).convert(kind).save(tmp_path / f"{kind}.png")
+        with pytest.raises(ValueError, match=r"single channel|16-bit"):
+            read_depth(tmp_path / f"{kind}.png", "mm")
 
 
 def test_hostile_files(tmp_path):
@@ -152,13 +244,21 @@ def test_views_are_checked():
     far = depth + np.where(np.arange(5) > 0, 8.7, 0).astype(np.float32)
     far[0, 0] = 1e-3  # neither a flying pixel nor a wall far behind is a wrong unit
     check_view(far, lens, eye, eye)
+    check_view(np.where(np.eye(4, 5) > 0, -1, depth).astype(np.float32), lens, eye, eye)  # holes
+    few = np.where(np.arange(20).reshape(4, 5) > 0, np.float32(65.535), depth)
+    check_view(few, lens, eye, eye)  # nearly all of it holes, which say nothing of the unit
     gone = np.eye(4)
     gone[0, 3] = np.nan
     for arguments, words in [
         ((depth.T, lens, eye, eye), "shape"),
         ((np.full((4, 5), np.nan, np.float32), lens, eye, eye), "no pixel"),
-        ((np.where(np.eye(4, 5) > 0, -depth, depth), lens, eye, eye), "negative"),
+        ((-depth, lens, eye, eye), "negative; depth is along"),
+        ((np.float32(65.535) + 0 * depth, lens, eye, eye), "no pixel"),
+        ((depth[::2, ::2], replace(lens, width=6), eye, eye), "divide width, height, fx, fy, cx and cy by 2 where"),
+        ((depth[1:], lens, eye, eye), "subtract what was cropped"),
+        ((depth.T, lens, eye, eye), "rotate it back"),
         ((1e3 * depth, lens, eye, eye), "divide millimetres by 1000"),
+        ((np.where(few > 1, 65535, 1e3 * depth), lens, eye, eye), "divide millimetres by 1000"),
         ((1e-3 * depth, lens, eye, eye), r"nearer than 0.0003 m, .* \(20 mm\)"),
         ((depth, lens, gone, eye), "T_w_c: holds NaN"),
         ((depth, lens, eye, np.zeros((4, 4))), "T_w_t: is not a rigid"),

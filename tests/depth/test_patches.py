@@ -13,6 +13,7 @@ import pytest
 import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
@@ -213,6 +214,25 @@ def test_holes():
     assert (wide & ~filled).sum() > 0.9 * wide.sum()  # but for its corners, which a diagonal cuts off
     np.testing.assert_allclose(patch[~wide], 0, atol=FLAT)
     np.testing.assert_array_equal(patch[~seen & ~filled], np.float32(REACH))
+
+
+IN_HOLE = slice(14, 34)  # pixels of the patch, in the middle
+
+
+@pytest.mark.parametrize("marker", [0, -1, -0.3, np.nan, np.inf, -np.inf, 65.535, 6.5535, 1e10])
+def test_a_hole_is_not_seen_however_it_is_marked(marker):
+    """Nor where an interpolation of the image made values between those of the hole and of the surface."""
+    eye, T_w_t = np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
+    rows, columns = np.indices((360, 640))
+    hole = np.hypot(rows - CAMERA.cy, columns - CAMERA.cx) < 16  # 5 mm at this distance
+    sharp = np.where(hole, np.float32(marker), plane())
+    smooth = np.asarray(Image.fromarray(sharp[::2, ::2]).resize((640, 360), Image.Resampling.BILINEAR))
+    for depth in (sharp, smooth):
+        real = patch_from_depth(depth, CAMERA, eye, T_w_t)
+        seen = np.asarray(real.valid_mask | real.inpainted_mask)
+        assert not seen[IN_HOLE, IN_HOLE].any()
+        assert seen[:5].all()
+        assert abs(float(real.patch.nearest)) < FLAT
 
 
 def test_what_is_hidden_is_not_made_up():

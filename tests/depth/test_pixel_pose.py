@@ -73,6 +73,7 @@ RAGGED = plane() + np.random.default_rng(0).uniform(-3e-3, 3e-3, (360, 640)).ast
     [
         ({"pixel": (640, 180)}, "pixel: column 640, row 180 is outside the image of 640 x 360 pixels"),
         ({"roll": np.inf}, "roll: is inf; give radians"),
+        ({"depth": np.where(only(180, 320) > 0, np.float32(65.535), plane())}, r"not measured \(it is 65.535\)"),
         ({"depth": only(0, 0)}, r"column 320, row 180 was not measured"),
         ({"depth": only(180, [320, 321])}, "only 2 measured pixels lie within 3 mm"),
         ({"depth": only(180, slice(None))}, "make no plane"),

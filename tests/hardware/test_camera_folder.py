@@ -58,3 +58,71 @@ def test_what_is_missing_or_damaged_is_named_in_one_sentence(views, tmp_path):
         with pytest.raises((OSError, ValueError), match=why) as error:
             read_view(views)
         assert "\n" not in str(error.value)
+
+
+PLAIN = "width = 640\nheight = 360\nfx = 391.2\nfy = 390.8\ncx = 324.7\ncy = 183.1\n"
+COEFFICIENTS = "[-0.0565, 0.0682, 0.00037, 0.00069, -0.0218]"
+MATRIX = "[391.2, 0.0, 324.7, 0.0, 390.8, 183.1, 0.0, 0.0, 1.0]"
+ROS = f'image_width = 640\nimage_height = 360\nK = {MATRIX}\nD = {COEFFICIENTS}\ndistortion_model = "plumb_bob"\n'
+PROJECTION = MATRIX.replace("324.7,", "324.7, 0.0,").replace("183.1,", "183.1, 0.0,").replace("1.0]", "1.0, 0.0]")
+
+
+def lens_of(folder, text):
+    folder.mkdir(exist_ok=True)
+    (folder / "camera.toml").write_text(text)
+    return camera_folder.read_lens(folder, {})[0]
+
+
+def test_a_lens_by_the_names_of_ros_opencv_and_librealsense_is_the_same(tmp_path):
+    expected = lens_of(tmp_path, f'{PLAIN}model = "brown_conrady"\ncoefficients = {COEFFICIENTS}\n')
+    by_columns = "[[391.2, 0.0, 0.0], [0.0, 390.8, 0.0], [324.7, 183.1, 1.0]]"  # as Open3D writes a matrix
+    whole = "{x_offset = 0, y_offset = 0, width = 640, height = 360, do_rectify = false}"
+    for text in (
+        ROS,
+        ROS.replace("K =", "k =").replace("D =", "d ="),
+        f"{ROS}P = {PROJECTION}\nR = [1, 0, 0, 0, 1, 0, 0, 0, 1]\nbinning_x = 0\nroi = {whole}\n",
+        ROS.replace(MATRIX, by_columns).replace("K =", "intrinsic_matrix ="),
+        f'image_width = 640\nimage_height = 360\ncamera_name = "a"\ndistortion_model = "plumb_bob"\n'
+        f"camera_matrix = {{rows = 3, cols = 3, data = {MATRIX}}}\n"
+        f"distortion_coefficients = {{rows = 1, cols = 5, data = {COEFFICIENTS}}}\n",
+        PLAIN.replace("cx", "ppx").replace("cy", "ppy")
+        + f'model = "distortion.brown_conrady"\ncoeffs = {COEFFICIENTS}\n',
+    ):
+        assert lens_of(tmp_path, text) == expected
+
+
+def test_a_lens_that_is_given_twice_or_is_of_another_image_is_refused(tmp_path):
+    for text, why in (
+        (f"{ROS}fx = 391.2\n", "K gives fx a second time"),
+        (f"{ROS}d = {COEFFICIENTS}\n", "d gives coefficients a second time"),
+        (ROS.replace("[391.2, 0.0,", "[391.2, 3.0,"), "K is .* without skew"),
+        (ROS.replace("0.0, 0.0, 1.0]", "0.0]"), "K is .* give 9 numbers"),
+        (ROS.replace(MATRIX, '"wide"'), "K is no list of numbers"),
+        (f"{ROS}P = {PROJECTION.replace('391.2', '350.0')}\n", "K and P are of two lenses"),
+        (f"{ROS}R = [0, -1, 0, 1, 0, 0, 0, 0, 1]\n", "R turns a rectified image"),
+        (f"{ROS}binning_x = 2\n", "binning_x is 2"),
+        (f"{ROS}roi = {{x_offset = 100}}\n", "roi is .*x_offset"),
+        (ROS.replace("plumb_bob", "equidistant"), "fisheye lens"),
+        (ROS.replace("-0.0218]", "-0.0218, 0.1, 0.0, 0.0]"), "8 coefficients"),
+        (ROS.replace("640", "320").replace("360", "180"), "is the lens of an image of about 6[0-9]+ x 3[0-9]+ pixels"),
+        (ROS.replace('distortion_model = "plumb_bob"\n', ""), "without a model"),
+    ):
+        with pytest.raises(ValueError, match=why) as error:
+            lens_of(tmp_path, text)
+        assert str(tmp_path / "camera.toml") in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_an_image_that_was_reduced_without_its_lens_is_named_with_the_factor(tmp_path):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "camera.toml").write_text(f'{PLAIN}scale = "mm"\n')
+    Image.fromarray(np.full((180, 320), 300, np.uint16)).save(tmp_path / "depth" / "a.png")
+    with pytest.raises(ValueError, match=r"depth/a.png: .*\(180, 320\).* divide width, .* by 2 .*camera.toml"):
+        read_view(tmp_path)
+
+
+def test_what_16_bits_do_not_hold_is_kept_as_a_hole(tmp_path):
+    deep = np.where(np.eye(4, 6) > 0, np.float32([7.0] * 6), DEPTH)
+    deep[0, 0] = np.inf
+    list(camera_folder.save_views(tmp_path / "deep", CAMERA, [View(0.0, deep, None)]))
+    np.testing.assert_array_equal(np.isnan(read_view(tmp_path / "deep")[1].depth), np.eye(4, 6) > 0)

@@ -81,7 +81,7 @@ TOOL, CAMERA = IDENTITY + "0.05]", IDENTITY + "-0.064]"
         ("mass = 0.5", "mass = true", r"tool.mass is True; give one number"),
         ("mass = 0.5", "mas = 0.5", r"'mas' is no key of \[tool\]; is it mass\?"),
         ("mass = 0.5\n", "", r"tool.mass is missing; add it to \[tool\]"),
-        ('model = "none"', 'model = "fisheye"', r"camera: model 'fisheye' is not known"),
+        ('model = "none"', 'model = "fisheye"', r"camera: model 'fisheye' is a fisheye lens"),
         ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [-1e-06", r"has a negative variance"),
         ("object_covariance = [\n  [1e-06, 0.0", "object_covariance = [\n  [1e-06, 1e-7", r"is not symmetric"),
         ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [1.0", r"says 1 m; give variances in m"),

@@ -198,6 +198,24 @@ def test_an_advance_is_how_far_the_tool_went_along_the_approach_of_its_site(lean
     np.testing.assert_array_equal(found.touch.reading, np.arange(CHANNELS))
 
 
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"force": np.nan}, "force is nan, which is not finite"),
+        ({"force": 250.0}, "force is 250 N; a skin bears at most 100 N"),
+        ({"T_w_t": np.full((4, 4), np.nan)}, "T_w_t: is not a rigid motion"),
+        ({"T_w_t": np.diag([1.0, 1, -1, 1])}, "T_w_t: is not a rigid motion"),
+        ({"T_w_t": np.eye(4) + np.array([[0, 0, 0, 400.0], *np.zeros((3, 4))])}, "from the site that was asked for"),
+        ({"reading": np.zeros(CHANNELS + 3)}, "reading: has the shape"),
+    ],
+)
+def test_a_measurement_that_is_none_is_refused_before_anything_is_learned(leaning, given, why):
+    site = ChosenSite(3, leaning.site_pose(3))
+    right = {"reading": np.zeros(CHANNELS), "force": 1.0, "T_w_t": site.T_w_t, "contact": True}
+    with pytest.raises(ValueError, match=why):
+        leaning.observe(site, **{**right, **given})
+
+
 @pytest.mark.full
 def test_a_prior_is_what_is_believed_at_first(recognizer):
     info = recognizer.info(recognizer.init(np.array([2.0, 1.0])))
