@@ -159,6 +159,7 @@ class RecordedArgs(ResumableOptions):
     label: str  # column of what was touched
     group: str | None = None  # column of the set-up within which rows are compared; each file is one unless given
     ignore: tuple[str, ...] = ()  # columns that are no part of the reading
+    touch: str | None = None  # column that numbers touches: rows in a row with one value are samples, of which the mean
     out: Path = Path("runs/recorded")  # folder for everything that is made
     train_share: Annotated[float, Limits(0.2, 0.9)] = 0.6  # of each label's rows, the first ones
     max_touches: Count = 10  # of an episode, drawn from a label's other rows
