@@ -10,7 +10,7 @@ from experiments.common.checks import finished_runs, require_dataset, require_ob
 from experiments.common.options import ResumableOptions, UnitName
 from i2t.cli import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
-from i2t.errors import require_extra
+from i2t.errors import did_you_mean, require_extra
 
 PresetName = Literal["short", "paper", "debug"]
 NOT_REAL = ("simulated", "emulated")
@@ -146,9 +146,10 @@ class LiveArgs:
         names = [path.stem for path in self.objects]
         if self.true_object not in (*NAMES, *names):
             known = ", ".join(names) or "the objects of the preset"
-            raise ValueError(
-                f"--true-object {self.true_object}: choose one of {known}, or another object of the catalogue"
+            remedy = did_you_mean(
+                self.true_object, (*names, *NAMES), f"choose one of {known}, or another object of the catalogue"
             )
+            raise ValueError(f"--true-object {self.true_object}: is no object that can be touched; {remedy}")
 
 
 @dataclass(frozen=True)

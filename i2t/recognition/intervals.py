@@ -5,8 +5,8 @@ object that was there.
 Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), each part by a bootstrap of clusters;
 few clusters are allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
 `rate_interval` is Jeffreys' (Brown, Cai and DasGupta, Statistical Science 16, 2001) for as many independent trials as
-would have that variance (Korn and Graubard, Survey Methodology 24, 1998). Near 0 and 1 few episodes show how alike those
-of a cluster are, so that the variance over clusters says too little; the number of trials is bounded there by the
+would have that variance (Korn and Graubard, Survey Methodology 24, 1998). Near 0 and 1 few episodes show how alike
+those of a cluster are, so that the variance over clusters says too little; the number of trials is bounded there by the
 number of clusters.
 NumPy, because nothing here is differentiated.
 """
