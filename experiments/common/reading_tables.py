@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from i2t.convert.tables import beginning_of, open_text_table
-from i2t.errors import DataError
+from i2t.errors import DataError, did_you_mean
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
 MAX_VALUE = 1e30  # of a reading: classifiers count in single precision
@@ -188,7 +188,8 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
     if len(set(header)) != len(header):
         raise DataError(f"{path}: column {_twice(header)} stands twice in the first line; rename one")
     if missing := [name for name in (label, group, touch, *ignore) if name is not None and name not in header]:
-        raise DataError(f"{path}: there is no column {missing[0]} ({beginning_of(header)}); name one of its columns")
+        remedy = did_you_mean(missing[0], header, "name one of its columns")
+        raise DataError(f"{path}: there is no column {missing[0]} ({beginning_of(header)}); {remedy}")
     kept = [i for i, name in enumerate(header) if name not in (label, group, touch, *ignore)]
     if not kept:
         raise DataError(f"{path}: no column is left for the reading; leave out fewer")
