@@ -9,6 +9,7 @@ from pathlib import Path
 
 from i2t._version import __version__
 from i2t.cli import WRONG_USE, exit_code_of
+from i2t.errors import did_you_mean
 
 COMMANDS = {
     "i2t.imagine": "draw what a skin would feel of an object",
@@ -66,7 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked = words in (["--help"], ["-h"])
     everything = words == ["--all"]
     if words and not asked and not everything:
-        print(f"error: {' '.join(words)} is no command; {USAGE}", file=sys.stderr)
+        remedy = did_you_mean(words[0], (*COMMANDS, *EXPERIMENTS), USAGE)
+        print(f"error: {' '.join(words)} is no command; {remedy}", file=sys.stderr)
         return WRONG_USE
     code = exit_code_of(lambda: _list(everything))
     if asked:

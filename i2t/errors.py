@@ -4,12 +4,17 @@ A command asks before it works whether the packages of extras that it needs are 
 waits for an answer that was known.
 """
 
+import difflib
+from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import NamedTuple
 
 from i2t.terminal import printable
 
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
+
+
+MIN_LIKENESS = 0.7  # of two names, as `difflib` has it, for one to be taken for a slip of the other
 
 
 class I2TError(Exception):
@@ -112,3 +117,35 @@ def require_extra(module: str, need: str) -> None:
     """
     if why := why_missing(module, need):
         raise MissingExtraError(why)
+
+
+def did_you_mean(name: str, names: Iterable[str], otherwise: str | None = None) -> str:
+    """The remedy for a name that is not known: the name that is most like it, whatever its capitals.
+
+    Args:
+        name: As given.
+        names: That are known.
+        otherwise: The remedy where none is like it; by default to choose one of them all.
+
+    Returns:
+        Half a sentence, such as "did you mean hammer?".
+    """
+    names = list(names)
+    if close := closest(name, names):
+        return f"did you mean {close}?"
+    return f"choose one of {', '.join(names)}" if otherwise is None else otherwise
+
+
+def closest(name: str, names: Iterable[str]) -> str | None:
+    """The name of which another one may be a slip.
+
+    Args:
+        name: As given.
+        names: That are known.
+
+    Returns:
+        The one that is most like it, whatever its capitals; None where none is.
+    """
+    known = {each.lower(): each for each in names}
+    close = difflib.get_close_matches(name.lower(), known, 1, MIN_LIKENESS)
+    return known[close[0]] if close else None

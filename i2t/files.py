@@ -100,7 +100,9 @@ def open_regular(path: str | Path) -> BufferedReader:
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise DataError(f"{path}: is no file of its own but a folder, a pipe or a device; name the file itself")
+        if Path(path).is_dir():
+            raise DataError(f"{path}: is no file of its own but a folder; name the file itself")
+        raise DataError(f"{path}: is no file of its own but a pipe or a device; name the file itself")
     return os.fdopen(descriptor, "rb")
 
 
@@ -198,6 +200,8 @@ def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
     try:
         return read_bytes(path, most).decode("utf-8")
     except UnicodeDecodeError as error:
+        if Path(path).suffix.lower() in MESH_SUFFIXES:
+            raise DataError(f"{path}: is the mesh of an object, and text is read here; name another file") from error
         raise DataError(f"{path}: is not text in UTF-8 (byte {error.start}); restore it from a copy") from error
 
 

@@ -6,12 +6,16 @@ Wrong types are a TypeError and wrong values a ValueError, in one sentence that 
 
 import math
 import operator
+import re
 from typing import Any
 
 import numpy as np
 
+from i2t.errors import did_you_mean
 from i2t.windows import MAX_SKIN_FORCE_N
 
+ROUND_TIPS = ("sphere", "cylinder")
+MIN_TIP_RADIUS_MM = 0.1  # of an indenter; smaller ones are meant in metres
 REAL_KINDS = "iuf"  # of NumPy: integers and floats; no booleans, text or objects
 
 
@@ -144,6 +148,40 @@ def random_key(name: str, value: Any) -> None:
     new, old = kind.startswith("key<"), kind == "uint32" and getattr(value, "shape", ())[-1:] == (2,)
     if not (new or old):
         raise TypeError(f"{name}: is {_short(value)}, and no random key; give jax.random.key(0)")
+
+
+def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
+    """Shape and radius of a round indenter from its name, such as `sphere:4`.
+
+    Args:
+        text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm; capitals do not matter.
+        largest_mm: The largest radius that makes sense, mm.
+
+    Returns:
+        "sphere" or "cylinder", and the radius in mm.
+
+    Raises:
+        ValueError: It is neither; the message is the end of a sentence whose subject is the text.
+    """
+    kind, _, size = (part.strip() for part in text.partition(":"))
+    shape = kind.lower()
+    if shape not in ROUND_TIPS:
+        raise ValueError(f"its shape {kind!r} is unknown; {did_you_mean(shape, ROUND_TIPS, '')}".removesuffix("; "))
+    if not size:
+        raise ValueError(f"its radius is missing; give it in mm, such as {shape}:4")
+    try:
+        radius = float(size)
+    except ValueError:
+        number = re.match(r"\d+(?:[.,]\d+)?", size)
+        example = f"{shape}:{number[0].replace(',', '.') if number else 4}"
+        raise ValueError(f"its radius {size!r} is no number; give it in mm without a unit, such as {example}") from None
+    if not radius > 0:
+        raise ValueError(f"its radius is {size}, and must be positive, in mm")
+    if radius < MIN_TIP_RADIUS_MM:
+        raise ValueError(f"its radius of {size} mm is smaller than {MIN_TIP_RADIUS_MM:g} mm; give it in mm, not in m")
+    if not radius <= largest_mm:
+        raise ValueError(f"its radius of {size} mm is larger than {largest_mm:g} mm; give it in mm")
+    return shape, radius
 
 
 def _short(value: Any) -> str:

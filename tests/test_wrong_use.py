@@ -38,6 +38,12 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 # text.txt, empty/ (a folder), one/ (presses of one shape).
 COMMANDS = [
     ("i2t nonsense", "is no command"),
+    ("i2t colect", "did you mean i2t.collect?"),
+    ("i2t.collect --object hamer", "did you mean hammer?"),
+    ("i2t.collect --rig mesh.stl", "is the mesh of an object, and text is read here"),
+    ("i2t.collect --arm emulatd", "--arm emulatd is not known; did you mean emulated?"),
+    ("i2t.convert presses table.csv DATA --indenter sphere:4 --board reskn", "did you mean reskin?"),
+    ("experiments.recognize --trained-run text.txt", "is a file and holds no finished run"),
     ("i2t.collect --touches -5", "--touches"),
     ("i2t.collect --settings.force 1000", "force"),
     ("i2t.collect --object nothing.stl", "neither a mesh file nor an object"),

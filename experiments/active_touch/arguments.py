@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.common.options import RunOptions
+from i2t.errors import did_you_mean
 
 PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 
@@ -41,9 +42,11 @@ class ActiveTouchArgs(RunOptions):
     def check(self) -> None:
         """Refuse objects that the catalogue has not, or too few."""
         from i2t.objects.catalogue import NAMES
+        from i2t.objects.named import CATALOGUE_HINT
 
         unknown = [name for name in self.objects if name not in NAMES]
         if unknown:
-            raise ValueError(f"--objects {unknown[0]}: the catalogue has {', '.join(NAMES)}")
+            remedy = did_you_mean(unknown[0], NAMES, CATALOGUE_HINT)
+            raise ValueError(f"--objects {unknown[0]}: is no object of the catalogue; {remedy}")
         if len(set(self.objects)) < max(2, len(self.objects)):
             raise ValueError("--objects needs at least two objects, each named once")

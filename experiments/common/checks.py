@@ -4,13 +4,15 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.common.runs import METRICS
+from experiments.common.runs import CONFIG, METRICS
 from i2t.cli import require_path
+from i2t.errors import closest
 from i2t.files import MESH_SUFFIXES, why_no_touches
 from i2t.models import READY_MODELS
 from i2t.objects.named import require_object
 
 DATASET_SUFFIX = ".h5"
+KIND_OF_TRAIN = "TrainArgs"  # as runs of experiments.train note it
 
 
 def finished_runs(folder: Path) -> list[Path]:
@@ -26,9 +28,28 @@ def finished_runs(folder: Path) -> list[Path]:
         ValueError: There is none.
     """
     folders = sorted(path.parent for path in folder.glob(f"pad-*-seed-*/{METRICS}")) or [folder]
-    if not (folders[0] / METRICS).exists():
-        raise ValueError(f"{folder} holds no finished run; make one: python -m experiments.train --out {folder}")
+    if why := _why_no_run(folder, folders[0]):
+        raise ValueError(f"{folder} {why}")
     return folders
+
+
+def _why_no_run(folder: Path, first: Path) -> str:
+    """End of a sentence on a folder without a finished run of `experiments.train`; "" where it has one."""
+    if folder.is_file():
+        return "is a file and holds no finished run; name the folder that experiments.train wrote"
+    if not folder.exists() or not any(folder.iterdir()):
+        return f"holds no finished run; make one: python -m experiments.train --out {folder}"
+    try:
+        kind = json.loads((folder / CONFIG).read_text()).get("kind")
+    except (OSError, ValueError, AttributeError):  # none, or another program's
+        kind = None
+    if kind not in (None, KIND_OF_TRAIN):
+        return f"holds a run of another command ({kind}); name a folder that experiments.train wrote"
+    if (first / METRICS).exists():
+        return ""
+    if kind == KIND_OF_TRAIN or (folder / CONFIG).exists():
+        return "holds no finished run but one that was interrupted; go on with it: the same command with --resume"
+    return "holds no finished run but other files; name a folder that experiments.train wrote"
 
 
 def pad_name(folder: Path) -> str:
@@ -92,6 +113,9 @@ def require_pad(path: Path | None) -> None:
         ValueError: Nothing is there.
     """
     if path is not None and "pad_model.npz" not in READY_MODELS.get(str(path), ()):
+        ready = [name for name, parts in READY_MODELS.items() if "pad_model.npz" in parts]
+        if not path.exists() and (name := closest(str(path), ready)):
+            raise ValueError(f"--pad {path}: there is no such file or folder; did you mean {name}?")
         require_path("--pad", path)
 
 

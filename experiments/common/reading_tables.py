@@ -1,6 +1,8 @@
 """Tables of labelled readings of any tactile sensor: one row a touch, in the order in which they were made.
 
-A column holds the label, others may be left out, and all that remain are the reading. Tables are split within groups,
+A column holds the label, others may be left out, and all that remain are the reading. Where a column numbers the
+touches, rows of one touch are samples of it and become their mean: samples of one contact share its errors, so that
+they are no independent touches. Tables are split within groups,
 in the order of the file or at random: touches that follow one another share errors, which a random split puts on both
 sides, so that it says more than a later session would (Roberts et al., Ecography 40, 2017).
 """
@@ -14,10 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from i2t.convert.tables import beginning_of, open_text_table
-from i2t.errors import DataError
+from i2t.errors import DataError, did_you_mean
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
 MAX_VALUE = 1e30  # of a reading: classifiers count in single precision
+CLOSE = 0.25  # distance of two rows, in those of a label's rows that do not follow each other, that is close
+MIN_CLOSE_SHARE = 0.1  # of rows that follow a close one: where more do than by chance, a warning says so
+LEAST_RISES = 12  # of a column that never falls, which is no reading then
+MIN_JUMP = 0.5  # distance, likewise, between what are touches of their own then; a drift has no jumps
 OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
 
 
@@ -30,6 +36,7 @@ class ReadingTable(NamedTuple):
     group: Int[np.ndarray, " n"]  # index of `groups`
     groups: tuple[str, ...]  # in the order of the files
     columns: tuple[str, ...]  # of the reading
+    samples: int = 0  # rows of the files, where several of them are one touch; 0 where each row is one
 
 
 class _Part(NamedTuple):
@@ -37,12 +44,18 @@ class _Part(NamedTuple):
 
     labels: list[str]
     groups: list[str]
+    touches: list[str]  # which touch a row is a sample of; empty texts where each row is one
     columns: tuple[str, ...]
     reading: np.ndarray
 
 
 def read_reading_table(
-    paths: Sequence[Path], *, label: str, group: str | None = None, ignore: Sequence[str] = ()
+    paths: Sequence[Path],
+    *,
+    label: str,
+    group: str | None = None,
+    ignore: Sequence[str] = (),
+    touch: str | None = None,
 ) -> ReadingTable:
     """Read tables of readings.
 
@@ -51,9 +64,11 @@ def read_reading_table(
         label: Column of the label: any text.
         group: Column of the group, if the rows of a file are of several.
         ignore: Columns that are no part of the reading.
+        touch: Column that numbers or names the touches: rows that follow each other with the same label, group and
+            value in it are samples of one touch.
 
     Returns:
-        All rows, in the order of the files.
+        All touches, in the order of the files; of several samples their mean.
 
     Raises:
         DataError: A file cannot be read, lacks a column, or holds what is no number or no label.
@@ -62,10 +77,10 @@ def read_reading_table(
     known = [path.resolve() for path in paths]
     if repeated := [path for i, path in enumerate(paths) if known[i] in known[:i]]:
         raise ValueError(f"{repeated[0]} is given twice; give each table once")
-    special = [label, *([] if group is None else [group]), *ignore]
+    special = [label, *(name for name in (group, touch) if name is not None), *ignore]
     if twice := sorted({name for name in special if special.count(name) > 1}):
-        raise ValueError(f"column {twice[0]} is named twice among label, group and ignored ones; name it once")
-    parts = [_read(path, label, group, ignore) for path in paths]
+        raise ValueError(f"column {twice[0]} is named twice among label, group, touch and ignored ones; name it once")
+    parts = [_read(path, label, group, ignore, touch) for path in paths]
     for path, part in zip(paths, parts, strict=True):
         if part.columns != parts[0].columns:
             other = sorted(set(part.columns) ^ set(parts[0].columns)) or ["in another order"]
@@ -93,7 +108,7 @@ def read_reading_table(
             "method that was taught one knows the other",
             stacklevel=2,
         )
-    return ReadingTable(
+    table = ReadingTable(
         reading=reading,
         label=label_of,
         labels=labels,
@@ -101,29 +116,97 @@ def read_reading_table(
         groups=groups,
         columns=parts[0].columns,
     )
+    if touch is None:
+        return table
+    return _merge_samples(table, [(i, text) for i, part in enumerate(parts) for text in part.touches])
 
 
-def _read(path: Path, label: str, group: str | None, ignore: Sequence[str]) -> _Part:
+def _merge_samples(table: ReadingTable, touches: Sequence[tuple[int, str]]) -> ReadingTable:
+    """The means of rows that follow each other with the same label and group in the same touch (file and name)."""
+    names = np.unique(touches, axis=0, return_inverse=True)[1].reshape(-1)
+    keys = np.column_stack([table.label, table.group, names])
+    starts = np.flatnonzero(np.r_[True, (keys[1:] != keys[:-1]).any(1)])
+    counts = np.diff(np.r_[starts, len(keys)])
+    means = np.add.reduceat(table.reading, starts, axis=0) / counts[:, None]
+    return table._replace(reading=means, label=table.label[starts], group=table.group[starts], samples=len(keys))
+
+
+def close_followers(table: ReadingTable) -> float:
+    """Share of rows that are much closer to the row before, of the same label and group, than rows of that label are to
+    each other otherwise, as several samples of one touch are.
+
+    Args:
+        table: With its rows in the order in which they were made.
+
+    Returns:
+        The share; 0 where no more rows than a tenth are, where rows that do not follow each other are as close, and
+        where rows drift without jumps.
+    """
+    spread = table.reading.std(0)
+    scaled = (table.reading - table.reading.mean(0)) / np.where(spread > 0, spread, 1)
+    following, others = [], []
+    for rows in rows_of_labels(table):
+        if len(rows) < 4:
+            continue
+        half = len(rows) // 2  # as far apart in time as all of them can be
+        apart = np.linalg.norm(scaled[rows[half:]] - scaled[rows[: len(rows) - half]], axis=1)
+        if typical := float(np.median(apart)):
+            following.append(np.linalg.norm(np.diff(scaled[rows], axis=0), axis=1) / typical)
+            others.append(apart / typical)
+    if not following:
+        return 0.0
+    near, far = np.concatenate(following), np.concatenate(others)
+    share, jumps = float(np.mean(near < CLOSE)), near[near >= CLOSE]
+    drifts = len(jumps) > 0 and np.median(jumps) < MIN_JUMP
+    return 0.0 if drifts or share < MIN_CLOSE_SHARE + 2 * np.mean(far < CLOSE) else share
+
+
+def refuse_counters(table: ReadingTable, path: Path, *, may_number_touches: bool = True) -> None:
+    """Refuse a reading with a column that never falls within any label: it counts rows, touches or time.
+
+    Args:
+        table: With its rows in the order of the files.
+        path: Of the file, or the first one, for messages.
+        may_number_touches: Whether the command has an option `--touch` for such a column.
+
+    Raises:
+        DataError: There is such a column.
+    """
+    steps = np.concatenate([np.diff(table.reading[rows], axis=0) for rows in rows_of_labels(table)])
+    counts = (steps >= 0).all(0) & ((steps > 0).sum(0) >= LEAST_RISES)
+    if counts.any():
+        name = table.columns[int(counts.argmax())]
+        other = f", or, if it numbers touches of several rows each, pass --touch {name}" if may_number_touches else ""
+        raise DataError(
+            f"{path}: column {name} never falls from one row of a label to the next, so that it counts rows, touches "
+            f"or time and is no reading; leave it out (--ignore {name}){other}"
+        )
+
+
+def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touch: str | None) -> _Part:
     header, rows, _ = open_text_table(path, as_named=True)
     if len(set(header)) != len(header):
         raise DataError(f"{path}: column {_twice(header)} stands twice in the first line; rename one")
-    if missing := [name for name in (label, group, *ignore) if name is not None and name not in header]:
-        raise DataError(f"{path}: there is no column {missing[0]} ({beginning_of(header)}); name one of its columns")
-    kept = [i for i, name in enumerate(header) if name not in (label, group, *ignore)]
+    if missing := [name for name in (label, group, touch, *ignore) if name is not None and name not in header]:
+        remedy = did_you_mean(missing[0], header, "name one of its columns")
+        raise DataError(f"{path}: there is no column {missing[0]} ({beginning_of(header)}); {remedy}")
+    kept = [i for i, name in enumerate(header) if name not in (label, group, touch, *ignore)]
     if not kept:
         raise DataError(f"{path}: no column is left for the reading; leave out fewer")
     labels: list[str] = []
     groups: list[str] = []
+    touches: list[str] = []
     readings: list[np.ndarray] = []
     for line, cells in rows:
         if len(cells) != len(header):
             raise DataError(f"{path}: line {line} has {len(cells)} fields for {len(header)} columns; correct it")
         labels.append(_name(path, line, label, cells[header.index(label)]))
         groups.append("" if group is None else _name(path, line, group, cells[header.index(group)]))
+        touches.append("" if touch is None else _name(path, line, touch, cells[header.index(touch)]))
         readings.append(_reading(path, line, [header[i] for i in kept], [cells[i] for i in kept]))
     if not labels:
         raise DataError(f"{path}: holds no row below the names of its columns; give one a touch")
-    return _Part(labels, groups, tuple(header[i] for i in kept), np.array(readings))
+    return _Part(labels, groups, touches, tuple(header[i] for i in kept), np.array(readings))
 
 
 def _name(path: Path, line: int, column: str, text: str) -> str:

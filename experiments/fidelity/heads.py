@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
@@ -27,7 +28,8 @@ PUBLISHED_FIGURES = {
 }
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
 MIN_HEAD_TEST = 5
-MIN_INSIDE_90 = 0.85  # of values in the 90 % range: where fewer are, a sentence says so
+MIN_INSIDE_90, MAX_INSIDE_90 = 0.85, 0.95  # share of values in the 90 % range, outside of which a sentence says so
+CHANCE = 0.05  # probability, at nine in ten, of as many values in the range as are called too many
 BEATEN = 0.98  # of the kept head's error, below which a baseline may be said to beat it
 SCORES = ["RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]
 
@@ -167,13 +169,23 @@ def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]
 
 
 def missed_ranges(target: str, scores: dict[str, HeadScore]) -> list[str]:
-    """A sentence for each way of holding out in which too few values lie in the stated range."""
-    return [
-        f"{target}, {name}: the 90 % range holds {100 * score.inside_90:.0f} % of {score.rows} rows; do not rely on "
-        "it there."
-        for name, score in scores.items()
-        if score.inside_90 < MIN_INSIDE_90
-    ]
+    """A sentence for each way of holding out in which too few values lie in the stated range, or more than chance
+    explains.
+    """
+    sentences = []
+    for name, score in scores.items():
+        range_holds = f"{target}, {name}: the 90 % range holds {100 * score.inside_90:.0f} % of {score.rows} rows; "
+        if score.inside_90 < MIN_INSIDE_90:
+            sentences.append(range_holds + "do not rely on it there.")
+        elif score.inside_90 > MAX_INSIDE_90 and _by_chance(score) < CHANCE:
+            sentences.append(range_holds + "it is too wide there, as the head errs less than it says.")
+    return sentences
+
+
+def _by_chance(score: HeadScore) -> float:
+    """Probability of as many rows in the range, or more, if it held nine in ten."""
+    inside = round(score.inside_90 * score.rows)
+    return float(stats.binomtest(inside, score.rows, 0.9, alternative="greater").pvalue)
 
 
 def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:

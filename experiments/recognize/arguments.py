@@ -10,7 +10,7 @@ from experiments.common.checks import finished_runs, require_dataset, require_ob
 from experiments.common.options import ResumableOptions, UnitName
 from i2t.cli import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
-from i2t.errors import require_extra
+from i2t.errors import did_you_mean, require_extra
 
 PresetName = Literal["short", "paper", "debug"]
 NOT_REAL = ("simulated", "emulated")
@@ -146,9 +146,10 @@ class LiveArgs:
         names = [path.stem for path in self.objects]
         if self.true_object not in (*NAMES, *names):
             known = ", ".join(names) or "the objects of the preset"
-            raise ValueError(
-                f"--true-object {self.true_object}: choose one of {known}, or another object of the catalogue"
+            remedy = did_you_mean(
+                self.true_object, (*names, *NAMES), f"choose one of {known}, or another object of the catalogue"
             )
+            raise ValueError(f"--true-object {self.true_object}: is no object that can be touched; {remedy}")
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,7 @@ class RecordedArgs(ResumableOptions):
     label: str  # column of what was touched
     group: str | None = None  # column of the set-up within which rows are compared; each file is one unless given
     ignore: tuple[str, ...] = ()  # columns that are no part of the reading
+    touch: str | None = None  # column that numbers touches: rows in a row with one value are samples, of which the mean
     out: Path = Path("runs/recorded")  # folder for everything that is made
     train_share: Annotated[float, Limits(0.2, 0.9)] = 0.6  # of each label's rows, the first ones
     max_touches: Count = 10  # of an episode, drawn from a label's other rows

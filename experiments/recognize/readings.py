@@ -24,8 +24,12 @@ from experiments.common.reading_tables import (
     IN_ORDER,
     SPLITS,
     ReadingTable,
+    close_followers,
+    count_for_training,
     read_reading_table,
+    refuse_counters,
     require_rows,
+    rows_of_labels,
     training_rows,
 )
 from experiments.common.runs import METRICS, Part, begin, load_part, save_part, write_json
@@ -78,12 +82,16 @@ class Episodes(NamedTuple):
 def run(args: RecordedArgs) -> dict[str, Any]:
     """Recognise in file order and at random, and unknown labels."""
     table = read_table(args)
+    refuse_counters(table, args.readings[0])
     require_rows(table, LEAST_ROWS, args.readings[0])
+    alike = close_followers(table)
     begin(args.out, args, FIXED, args.resume, args.overwrite)
     print(
         f"{len(table.label)} readings of {len(table.columns)} values, {len(table.labels)} labels in "
         f"{len(table.groups)} groups; the first {args.train_share:.0%} of each label's rows teach"
     )
+    for sentence in describe_touches(table, args.touch, alike):
+        print(sentence)
     paths = {
         (split, i): args.out / f"{split.replace(' ', '_')}-{i}.npz"
         for split in SPLITS
@@ -94,25 +102,69 @@ def run(args: RecordedArgs) -> dict[str, Any]:
     summary: dict[str, Any] = {
         "source": "recorded", "readings": [path.name for path in args.readings], "labels": table.labels,
         "groups": table.groups, "rows": len(table.label), "columns": len(table.columns), "intervals": "over labels",
-        "seed": args.seed, "splits": {},
+        "seed": args.seed, "samples": table.samples or None, "close_to_the_row_before": alike,
+        "touches_asked": args.max_touches, "splits": {},
     }  # fmt: skip
     for split in SPLITS:
         parts = [load_part(paths[split, i]) for i in range(len(table.groups))]
         choice = choose([Fold(**fold) for part in parts for fold in part["folds"].values()])
         found = recognise(parts, choice, len(table.labels))
         summary["splits"][split] = score(found, choice, table)
+        played = summary["splits"][split]["touches"]
         if split == IN_ORDER:
             figure = figures.accuracy(accuracies(found), f"Real readings, split {split}", simulated=False)
             viz.save_figure(figure, args.out / "accuracy.png")
             summary["unknown"] = score_unknown(parts, choice)
     write_json(args.out / METRICS, summary)
     print_tables(summary)
+    if shortfall := describe_shortfall(table, args.max_touches, played, args.train_share):
+        print(shortfall)
     return summary
 
 
 def read_table(args: RecordedArgs) -> ReadingTable:
     """The readings that the options name."""
-    return read_reading_table(args.readings, label=args.label, group=args.group, ignore=args.ignore)
+    return read_reading_table(
+        args.readings, label=args.label, group=args.group, ignore=args.ignore, touch=args.touch
+    )  # fmt: skip
+
+
+def describe_touches(table: ReadingTable, column: str | None, alike: float) -> list[str]:
+    """Sentences on what a touch is: how many samples were merged, and whether rows may be samples of one touch.
+
+    Args:
+        table: As it was read.
+        column: That numbers the touches; None where each row is one.
+        alike: Share of rows close to the row before, as `close_followers` gives it.
+
+    Returns:
+        One sentence for each.
+    """
+    sentences = []
+    if table.samples:
+        sentences.append(
+            f"{table.samples} rows are samples of {len(table.label)} touches, as column {column} says; each touch is "
+            "the mean of its samples"
+        )
+    if alike:
+        sentences.append(
+            f"warning: {alike:.0%} of the readings are far closer to the one before than readings of a label are "
+            "otherwise, as samples of one touch are, which are no independent touches; name the column that numbers "
+            "touches (--touch COLUMN), or keep one row of each, unless every row is a touch of its own"
+        )
+    return sentences
+
+
+def describe_shortfall(table: ReadingTable, asked: int, played: int, train_share: float) -> str:
+    """Sentence where episodes have fewer touches than asked; "" otherwise."""
+    if played >= asked:
+        return ""
+    rows = min(rows_of_labels(table), key=lambda rows: len(rows) - count_for_training(len(rows), train_share))
+    label, group = table.labels[table.label[rows[0]]], table.groups[table.group[rows[0]]]
+    return (
+        f"warning: episodes have {played} touches, and {asked} were asked for (--max-touches): label {label} in group "
+        f"{group} has {len(rows)} touches, of which {count_for_training(len(rows), train_share)} teach"
+    )
 
 
 def group_of(table: ReadingTable, split: str, i: int, args: RecordedArgs) -> Group:

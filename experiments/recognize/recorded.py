@@ -1,5 +1,6 @@
 """Recorded touches as episodes: each session is one, judged by a pad model of the skin that recorded it."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +14,9 @@ from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t import dataset as data
 from i2t.dataset import Dataset
+from i2t.dataset.sets import times_of
 from i2t.errors import DataError
+from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor
@@ -24,6 +27,7 @@ from i2t.recognition.pad_model_files import KnownPad, require_skin, save_pad_mod
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import prepare_surfaces
 
+SAME_PLACE_M, SAME_TURN, SAME_PRESS_S = 2e-4, 4e-3, 1.0  # m, rad and s within which touches are of one contact
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given
 
 
@@ -34,6 +38,7 @@ class Sessions(NamedTuple):
     touches: int  # of each, the first
     usable: tuple[int, ...]  # of each
     left_out: tuple[str, ...]  # with fewer
+    asked: int = 0  # touches of each that the options or the preset ask for
 
     def describe(self) -> str:
         """Describe the sessions in one line."""
@@ -41,6 +46,8 @@ class Sessions(NamedTuple):
         said = f"{len(self.names)} sessions of {fewest if fewest == most else f'{fewest} to {most}'} usable touches"
         if most > self.touches:
             said += f", the first {self.touches} of each count (--max-touches N for more from the longer ones)"
+        if self.touches < self.asked:
+            said += f", and not the {self.asked} that were asked for, which no session has"
         if self.left_out:
             said += f"; left out, with fewer: {', '.join(self.left_out)}"
         return said
@@ -49,7 +56,8 @@ class Sessions(NamedTuple):
 def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     """Recognise the objects of recorded sessions, and write down how often and how sure."""
     assert args.dataset is not None
-    recorded = data.load_dataset(args.dataset, skin=args.skin_name)
+    loaded = data.load_dataset(args.dataset, skin=args.skin_name)
+    recorded = merge_samples(loaded)
     meshes = candidate_meshes(args, recorded)
     sessions = choose_sessions(recorded, cfg.touches, args.max_touches)
     rig = None if args.rig is None else Rig.read(args.rig)
@@ -63,6 +71,11 @@ def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     known = source.make(jax.random.key(args.seed))
     print(pad_sources.describe(known))
     print(f"{args.dataset} ({recorded.source}): {sessions.describe()}")
+    if len(recorded) < len(loaded):
+        print(
+            f"{len(loaded)} recorded touches are samples of {len(recorded)}: those within {SAME_PRESS_S:g} s at one "
+            "place are of one contact, and count as one touch with their mean reading"
+        )
     save_pad_model(args.out / "pad_model.npz", known)
     particles = belief.sample_particles((rig or Rig()).object_covariance, cfg.num_particles, args.seed)
     results = recognise(
@@ -74,7 +87,7 @@ def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
         parts, args.out, recorded.source, "sessions",
         temperatures=metrics.to_json(temperatures), dataset=str(args.dataset),
         pad_model=pad_sources.to_json(known) | {"other_skin": warning}, touched_with=pads,
-        sessions=sessions._asdict(), objects_also_trained_on=trained_on,
+        sessions=sessions._asdict(), samples_merged=len(loaded) - len(recorded), objects_also_trained_on=trained_on,
     )  # fmt: skip
     found = parts[0]["recorded"]
     reporting.report_hardest_episode(found, list(meshes.values()), args.out / "story", recorded.source, recorded.board)
@@ -130,7 +143,39 @@ def choose_sessions(recorded: Dataset, enough: int, max_touches: int | None) -> 
         touches=max_touches or min(kept.values()),
         usable=tuple(kept.values()),
         left_out=tuple(f"{name} ({count})" for name, count in counts.items() if name not in kept),
+        asked=max_touches or enough,
     )
+
+
+def merge_samples(recorded: Dataset) -> Dataset:
+    """Make one touch of samples of one contact: usable touches of a session that follow each other within a second with
+    the tool where it was, which no arm lifts and presses again in. They share the contact's errors, so that they are no
+    independent touches.
+
+    Args:
+        recorded: Touches in order of time.
+
+    Returns:
+        The same touches, or fewer; readings, forces and depths of those that were merged are means.
+    """
+    made, time = recorded.touches, times_of(recorded)
+    usable = np.isin(np.arange(len(recorded)), np.concatenate(list(usable_touches(made).values())))
+    moved = inverse(made.T_w_t[:-1]) @ made.T_w_t[1:]
+    turned = np.arccos(np.clip((np.trace(moved[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
+    follows = (np.linalg.norm(moved[:, :3, 3], axis=1) < SAME_PLACE_M) & (turned < SAME_TURN)
+    follows &= usable[1:] & usable[:-1] & (made.session[1:] == made.session[:-1]) & (made.code[1:] == made.code[:-1])
+    with np.errstate(invalid="ignore"):
+        follows &= (np.diff(time) >= 0) & (np.diff(time) < SAME_PRESS_S)  # false where a time is unknown
+    starts = np.flatnonzero(np.r_[True, ~follows])
+    if len(starts) == len(recorded):
+        return recorded
+    merged, counts = recorded.select(starts), np.diff(np.r_[starts, len(recorded)])
+    means = {}
+    for name in ("reading", "force", "depth"):
+        values = np.asarray(getattr(made, name), np.float64)
+        sums = np.add.reduceat(values, starts, axis=0)
+        means[name] = (sums / counts.reshape(-1, *[1] * (values.ndim - 1))).astype(np.float32)
+    return replace(merged, touches=merged.touches._replace(**means))
 
 
 def recognise(

@@ -17,7 +17,7 @@ from experiments.reconstruct.report import shown_surface
 from experiments.reconstruct.world import MM_PER_M, split_objects
 from i2t import viz
 from i2t.dataset import Dataset, load_dataset
-from i2t.errors import DataError
+from i2t.errors import DataError, did_you_mean
 from i2t.files import replacing
 from i2t.geometry import inverse
 from i2t.objects.solids import Mesh, place_on_table
@@ -77,7 +77,8 @@ def choose_object(dataset: Dataset, wanted: str | None, path: Path) -> str:
         return dataset.objects[0]
     if wanted not in dataset.objects:
         problem = "holds several objects" if wanted is None else f"holds no touch of {wanted}"
-        raise DataError(f"{path}: {problem}; pass --object with one of {', '.join(sorted(dataset.objects))}")
+        remedy = f"pass --object with one of {', '.join(sorted(dataset.objects))}"
+        raise DataError(f"{path}: {problem}; {did_you_mean(wanted or '', dataset.objects, remedy)}")
     return wanted
 
 

@@ -26,6 +26,7 @@ from pathlib import Path
 from experiments.common.commands import command
 from experiments.reproduce.steps import STEPS, Step
 from experiments.reproduce.tables import TABLES, shortened, write_tables
+from i2t.errors import did_you_mean
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -54,7 +55,8 @@ def run(args: ReproduceArgs) -> None:
     """
     known = {step.name: step for step in STEPS}
     if unknown := [name for name in args.only if name not in known]:
-        raise ValueError(f"there is no step {unknown[0]}; there are {', '.join(known)}")
+        remedy = did_you_mean(unknown[0], known, "see their names with --list")
+        raise ValueError(f"there is no step {unknown[0]}; {remedy}")
     steps = [known[name] for name in known if not args.only or name in args.only]
     if args.list:
         print("\n".join(describe(step, args.out) for step in steps))

@@ -28,6 +28,7 @@ from experiments.common.reading_tables import (
     SPLITS,
     ReadingTable,
     read_reading_table,
+    refuse_counters,
     require_rows,
     training_rows,
     with_outliers,
@@ -82,6 +83,7 @@ def run(args: ShapesArgs, cfg: Methods) -> dict[str, Any]:
     assert args.readings is not None
     assert args.label is not None
     table = read_reading_table([args.readings], label=args.label, ignore=args.ignore)
+    refuse_counters(table, args.readings, may_number_touches=False)
     require_rows(table, MIN_ROWS, args.readings)
     data = as_strokes(table, args.samples, args.readings)
     begin(args.out, args, cfg, args.resume, args.overwrite)

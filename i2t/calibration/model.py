@@ -27,6 +27,7 @@ from i2t.calibration.checks import AXES_PER_CHIP
 from i2t.calibration.left_out import Conditioned
 from i2t.calibration.population_gp import PopulationGP, PressTable
 from i2t.calibration.structured_gp import StructuredGPHyperparameters, fit_structured
+from i2t.errors import did_you_mean
 from i2t.models import ready_path
 from i2t.types import Array, Board
 
@@ -264,7 +265,7 @@ def _checked(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Valid positions (n, 2), loads (n, kinds) and readings (n, c), or ValueError."""
     if load_kind not in LOAD_COLUMNS:
-        raise ValueError(f"{load_kind!r} is no load; choose one of {', '.join(LOAD_COLUMNS)}")
+        raise ValueError(f"{load_kind!r} is no load; {did_you_mean(load_kind, LOAD_COLUMNS)}")
     if positions is None and load_kind == "none":
         raise ValueError(
             "readings alone can be segmented into presses and checked, but say nothing about another press; give "

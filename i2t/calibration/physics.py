@@ -46,6 +46,7 @@ from i2t.skin.pad import (
     YOUNG_PA,
 )
 from i2t.types import Board, Pad, in_one_line
+from i2t.validation import round_tip
 
 MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
 DESIGN_BATCH = 8  # at a time, for the caches
@@ -134,16 +135,11 @@ def parse_tip(text: str) -> RoundTip:
     Raises:
         ValueError: It is neither.
     """
-    shape, _, radius = text.partition(":")
     try:
-        millimetres = float(radius)
-    except ValueError:
-        millimetres = float("nan")
-    if shape not in ("sphere", "cylinder") or not 0 < millimetres <= MAX_RADIUS_MM:
-        raise ValueError(
-            f'"{text}" is no tip that a pad can be fitted to; pass --tip sphere:RADIUS or --tip cylinder:RADIUS, the '
-            f"radius in mm, up to {MAX_RADIUS_MM:g}"
-        )
+        shape, millimetres = round_tip(text, MAX_RADIUS_MM)
+    except ValueError as error:
+        forms = f"--tip sphere:RADIUS or cylinder:RADIUS takes one in mm, up to {MAX_RADIUS_MM:g}"
+        raise ValueError(f'"{text}" is no tip that a pad can be fitted to ({forms}): {error}') from None
     return RoundTip("sphere" if shape == "sphere" else "cylinder", 1e-3 * millimetres)
 
 

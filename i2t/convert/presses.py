@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from i2t import validation
 from i2t.convert.common import ConversionLog, Converted
 from i2t.convert.press_table import (
     AXES_OF_CHIP,
@@ -38,6 +39,7 @@ from i2t.convert.tables import (
     sound_rows,
 )
 from i2t.errors import DataError
+from i2t.files import MESH_SUFFIXES
 from i2t.types import Board
 from i2t.unknowns import RecordedPresses
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -47,6 +49,7 @@ PRESS_SOURCES = ("real", "simulated")
 TURNED_SHARE = 0.9  # of the rows with a depth, for all to be turned
 MIN_TURNED = 5  # rows
 MM = 1e-3  # m
+MAX_RADIUS_MM = 1000.0  # of a round indenter
 
 
 def convert(
@@ -95,7 +98,11 @@ def convert(
         window=window,
         reach=reach,
         source=said,
-        meta={"converter": "presses", "file": source.name, "indenter": indenter}
+        meta={
+            "converter": "presses",
+            "file": source.name,
+            "indenter": indenter if indenter.lower().startswith("mesh:") else tip.name,
+        }
         | {key: text for check in checks for key, text in check.meta.items()},
     )
     return notes.close(dataset)
@@ -222,17 +229,21 @@ def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: Conversi
 
 def _tip(indenter: str, unit: str | None, notes: ConversionLog) -> Tip:
     kind, _, value = indenter.partition(":")
+    kind = kind.strip().lower()
     if kind == "mesh" and value:
         return _mesh_tip(Path(value), unit, notes)
+    if kind == "mesh" or (Path(indenter).suffix.lower() in MESH_SUFFIXES and kind not in validation.ROUND_TIPS):
+        raise DataError(
+            f"--indenter {indenter}: a mesh is named with its file, as mesh:{'FILE' if kind == 'mesh' else indenter}"
+        )
     try:
-        radius, profile = MM * float(value), {"sphere": sphere, "cylinder": cylinder}[kind]
-    except (ValueError, KeyError):
-        radius = math.nan
-    if not 0 < radius < 1:
-        raise DataError(f"--indenter {indenter}: is unknown; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE")
+        shape, radius = validation.round_tip(indenter, MAX_RADIUS_MM)
+    except ValueError as error:
+        kinds = "" if str(error).endswith("?") else "; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE"
+        raise DataError(f"--indenter {indenter}: {error}{kinds}") from None
     if unit is not None:
         raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
-    return round_tip(indenter, profile(radius))
+    return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](MM * radius))
 
 
 def _mesh_tip(file: Path, unit: str | None, notes: ConversionLog) -> Tip:

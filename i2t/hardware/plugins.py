@@ -22,7 +22,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from i2t.errors import DeviceError
+from i2t.errors import DeviceError, did_you_mean
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import Arm, ColourImage, DepthCamera, GuardedArm, Skin
@@ -84,10 +84,10 @@ def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> Devic
     given = f"{option or f'--{kind}'} {name}"
     found = _registered(kind, name)
     if not found and ":" not in name:
-        known = ", ".join(sorted({each.name for each in entry_points(group=GROUPS[kind])})) or "none: install i2t again"
-        raise ValueError(
-            f"{given} is not known; give a name that an installed package registers ({known}), or package.module:Class"
-        )
+        known = sorted({each.name for each in entry_points(group=GROUPS[kind])})
+        listed = ", ".join(known) or "none: install i2t again"
+        remedy = f"give a name that an installed package registers ({listed}), or package.module:Class"
+        raise ValueError(f"{given} is not known; {did_you_mean(name, known, remedy)}")
     if len(found) > 1:
         owners = ", ".join(each.value for each in found)
         raise ValueError(f"{given}: several packages register it ({owners}); give package.module:Class")

@@ -15,6 +15,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
+from i2t.errors import did_you_mean
 from i2t.files import read_json
 
 MAX_CARD_BYTES = 2**16
@@ -54,5 +55,5 @@ def model_card(name: str) -> dict[str, Any]:
         ValueError: There is no model of this name.
     """
     if name not in READY_MODELS:
-        raise ValueError(f"{name} is no ready model; there is {', '.join(READY_MODELS)}")
+        raise ValueError(f"{name} is no ready model; {did_you_mean(name, READY_MODELS)}")
     return read_json(Path(__file__).parent / name / "metrics.json", MAX_CARD_BYTES)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t.errors import require_extra
+from i2t.errors import did_you_mean, require_extra
 from i2t.objects.solids import Mesh, Object
 
 PRIMITIVES = (  # the paper's six first
@@ -40,7 +40,9 @@ def make_object(name: str) -> Object:
         mesh = i2t.make_object("hammer").mesh
     """
     if name not in NAMES:
-        raise ValueError(f"no object is called {name!r}; choose one of {', '.join(NAMES)}, or load a mesh file")
+        otherwise = "choose one of i2t.objects.NAMES, such as hexagon or hammer, or load a mesh file"
+        remedy = did_you_mean(name, NAMES, otherwise)
+        raise ValueError(f"no object is called {name!r}; {remedy}")
     with np.load(MESHES, allow_pickle=False) as arrays:
         mesh = Mesh(*(arrays[f"{name}/{part}"] for part in Mesh._fields))
     family = "primitive" if name in PRIMITIVES else "stamp" if name in STAMPS else "tool"

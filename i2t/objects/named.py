@@ -6,10 +6,13 @@ What builds and reads meshes is imported where it is needed: a command's help ne
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from i2t.errors import did_you_mean
+
 if TYPE_CHECKING:
     from i2t.objects.solids import Object
 
 SHOWN_SHIFT_MM = 0.005  # smallest shift that two decimals of a millimetre show
+CATALOGUE_HINT = 'see its names with: python -c "import i2t.objects; print(i2t.objects.NAMES)"'
 
 
 def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bool = True) -> None:
@@ -28,10 +31,14 @@ def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bo
 
     if catalogue and name in NAMES:
         return
-    said = f"{flag} {name}".strip()
-    if not Path(name).is_file():
-        other = f" nor an object of the catalogue, which has {', '.join(NAMES)}" if catalogue else ""
-        raise ValueError(f"{said}: is {'neither' if catalogue else 'not'} a mesh file{other}")
+    said, path = f"{flag} {name}".strip(), Path(name)
+    if not path.is_file():
+        what = "is neither a mesh file nor an object of the catalogue" if catalogue else "is not a mesh file"
+        if path.is_dir():
+            raise ValueError(f"{said}: {what} but a folder; name a file in it")
+        if path.suffix or len(path.parts) > 1:
+            raise ValueError(f"{said}: {what}, as there is no such file; check the name{_folder_hint(path)}")
+        raise ValueError(f"{said}: {what}" + (f"; {did_you_mean(name, NAMES, CATALOGUE_HINT)}" if catalogue else ""))
     if unit is None:
         raise ValueError(f"{said}: say in which unit the file is, for instance --unit mm")
 
@@ -76,3 +83,11 @@ def describe_placement(thing: "Object") -> str:
     if thing.left_out is not None:
         sentences.append(f"{len(thing.left_out.faces)} faces of other pieces are not touched, but kept clear of")
     return f"{thing.name}: {'; '.join(sentences)}" if sentences else ""
+
+
+def _folder_hint(path: Path) -> str:
+    """End of a sentence on a file that is not there: what is most like it in its folder, or that there is no folder."""
+    if not path.parent.is_dir():
+        return f", and there is no folder {path.parent}"
+    hint = did_you_mean(path.name, (other.name for other in path.parent.iterdir()), "")
+    return f"; {hint}" if hint else ""

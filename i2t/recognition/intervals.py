@@ -5,8 +5,9 @@ object that was there.
 Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), each part by a bootstrap of clusters;
 few clusters are allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
 `rate_interval` is Jeffreys' (Brown, Cai and DasGupta, Statistical Science 16, 2001) for as many independent trials as
-would have that variance (Korn and Graubard, Survey Methodology 24, 1998). They cover 95 % where episodes of a cluster
-are weakly alike; of a handful of clusters whose episodes are all right they say too much.
+would have that variance (Korn and Graubard, Survey Methodology 24, 1998). Near 0 and 1 few episodes show how alike
+those of a cluster are, so that the variance over clusters says too little; the number of trials is bounded there by the
+number of clusters.
 NumPy, because nothing here is differentiated.
 """
 
@@ -49,8 +50,10 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     """Mean of values between 0 and 1, with Jeffreys' limits at the effective number of trials.
 
     n_e = p (1 - p) / v [t(n - 1) / t(k)]^2, where v is the variance of the mean p over clusters, which is at least that
-    of independent episodes, k its degrees of freedom and t() the quantiles of Student's t. Where all values are alike,
-    n_e is n times the bracket. Limits lie between 0 and 1, also where all episodes were right.
+    of independent episodes, k its degrees of freedom and t() the quantiles of Student's t. Of c clusters with m
+    exceptions in all, which are the rarer outcome of each cluster, n_e is at most c (1 + m): c clusters that are all
+    right are c trials, however many episodes they have, and each exception shows that the episodes of a cluster differ.
+    Where all values are alike, n_e is n within that bound. Limits lie between 0 and 1.
 
     Args:
         values: (n, ...) in [0, 1]; fractions are those of shared ties, or means over touches.
@@ -65,20 +68,39 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
         return Estimate(*np.full((3, *shape), np.nan))
     flat = values.reshape(n, -1)
     mean, independent = np.clip(flat.mean(0), 0, 1), _independent(flat)
+    factors = _factors(clusters, n) if clusters else []
     if clusters:
-        variance, freedom = _spread(_means(flat), _factors(clusters, n))
+        variance, freedom = _spread(_means(flat), factors)
     else:
         variance, freedom = independent, np.full_like(mean, max(n - 1, 1))
     variance = np.maximum(variance, independent)
     variance = np.where(variance * n < ALIKE, 0.0, variance)
     with np.errstate(divide="ignore", invalid="ignore"):
-        trials = np.where(variance == 0, n, mean * (1 - mean) / variance)
-        trials = trials * (_t(np.float64(max(n - 1, 1))) / _t(freedom)) ** 2
+        trials = mean * (1 - mean) / variance * (_t(np.float64(max(n - 1, 1))) / _t(freedom)) ** 2
+        most = np.where(independent == 0, n, mean * (1 - mean) / independent)  # those of independent episodes
+        most = most * _share_of_trials(flat, factors)
+        trials = np.where(variance == 0, most, np.minimum(trials, most))
     right, wrong = mean * trials + 0.5, (1 - mean) * trials + 0.5
     low, high = (stats.beta.ppf((1 + sign * COVERAGE) / 2, right, wrong) for sign in (-1, 1))
     low, high = np.where(mean == 0, 0, np.minimum(low, mean)), np.where(mean == 1, 1, np.maximum(high, mean))
     low, high = (np.where(np.isfinite(trials), limit, np.nan) for limit in (low, high))
     return Estimate(*(part.reshape(shape) for part in (mean, low, high)))
+
+
+def _share_of_trials(
+    values: Float[np.ndarray, "n k"], factors: Sequence[Int[np.ndarray, " n"]]
+) -> Float[np.ndarray, " k"]:
+    """Largest share of n independent trials that clusters of each factor may count for: at most c (1 + m) of them, with
+    c clusters and m exceptions in all.
+    """
+    share = np.ones(values.shape[1])
+    for label in factors:
+        counts = np.bincount(label)
+        sums = np.zeros((len(counts), values.shape[1]))
+        np.add.at(sums, label, values)
+        exceptions = np.clip(np.minimum(sums, counts[:, None] - sums), 0, None).sum(0)
+        share = np.minimum(share, len(counts) * (1 + exceptions) / len(values))
+    return share
 
 
 def _independent(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from i2t.errors import did_you_mean
 from i2t.geometry import contact_frame
 from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import (
@@ -56,7 +57,7 @@ class ExplorationConfig:
 
     def __post_init__(self) -> None:
         if self.policy not in POLICY_NAMES:
-            raise ValueError(f"policy {self.policy!r}: is none of {', '.join(POLICY_NAMES)}")
+            raise ValueError(f"policy {self.policy!r}: is not known; {did_you_mean(self.policy, POLICY_NAMES)}")
         if not 0 <= self.overtravel <= MAX_OVERTRAVEL_M:
             raise ValueError(f"overtravel {self.overtravel!r} m: give 0 to {MAX_OVERTRAVEL_M:g} m")
 

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t import validation
+from i2t.errors import did_you_mean
 from i2t.files import read_toml
 from i2t.types import Board
 from i2t.windows import ORTHOGONALITY_TOLERANCE, PAD_WINDOW
@@ -144,11 +145,11 @@ def make_board(name: str) -> Board:
     grid = _GRID_NAME.fullmatch(name)
     rows, columns = (int(grid[1]), int(grid[2])) if grid else (0, 0)
     if not 0 < rows * columns <= MAX_CHIPS:
-        known = ", ".join(BOARDS)
-        raise ValueError(
-            f"Board {name!r} is not known; choose one of {known}, grid-RxC of {MAX_CHIPS} chips or less, or a file "
-            f"that ends in {BOARD_FILE_ENDING}."
-        )
+        remedy = f"choose one of {', '.join(BOARDS)}, grid-RxC of {MAX_CHIPS} chips or less, or a file that ends in "
+        remedy += f"{BOARD_FILE_ENDING}."
+        if not name.startswith("grid-"):
+            remedy = did_you_mean(name, BOARDS, remedy)
+        raise ValueError(f"Board {name!r} is not known; {remedy}")
     return grid_board(rows, columns)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
+from i2t.errors import did_you_mean
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import pressed_field, response, rest_field
@@ -304,7 +305,7 @@ def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, 
         "magnets": inside * (1 - 2 * ((half[:, None] + half[None, :]) % 2)),
     }
     if pattern not in maps:
-        raise ValueError(f"pattern: {pattern!r} is not known; choose one of {', '.join(maps)}")
+        raise ValueError(f"pattern: {pattern!r} is not known; {did_you_mean(pattern, maps)}")
     return jnp.asarray(maps[pattern][..., None] * np.array([0, 0, 1.0]))
 
 

@@ -109,7 +109,18 @@ def test_a_dipoles_field_is_the_textbooks_and_every_parameter_grows_with_its_coo
 
 def test_tips_are_told_by_their_shape_and_radius():
     assert parse_tip("sphere:4.0") == TIP
+    assert parse_tip("Sphere: 4.0") == TIP
     assert parse_tip("cylinder:2") == RoundTip("cylinder", 2e-3)
-    for wrong in ("tip", "sphere", "sphere:x", "sphere:-1", "sphere:80", "cone:2", "sphere:nan"):
+    for wrong in (
+        "tip",
+        "sphere",
+        "sphere:x",
+        "sphere:-1",
+        "sphere:80",
+        "cone:2",
+        "sphere:nan",
+        "sphere:4mm",
+        "sphere:0.004",
+    ):
         with pytest.raises(ValueError, match=f'"{wrong}" is no tip'):
             parse_tip(wrong)

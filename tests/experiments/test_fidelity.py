@@ -215,6 +215,25 @@ def test_a_range_that_holds_too_few_rows_is_said():
     assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
 
 
+@pytest.mark.parametrize(
+    ("inside", "rows", "too_wide"),
+    [
+        (20, 20, False),
+        (30, 30, True),
+        (29, 30, False),
+        (97, 100, True),
+        (95, 100, False),
+        (970, 1000, True),
+        (5, 5, False),
+    ],
+)
+def test_a_90_percent_range_is_called_too_wide_where_chance_does_not_explain_it(inside, rows, too_wide):
+    score = heads.HeadScore(rows, rmse=0.2, median=0.1, r2=0.9, inside_90=inside / rows, unfamiliar=0.0)
+    sentences = heads.missed_ranges("depth", {"random rows": score})
+    assert bool(sentences) == too_wide
+    assert all(f"holds {100 * inside / rows:.0f} % of {rows} rows; it is too wide" in said for said in sentences)
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])
 def test_the_unit_is_predicted_from_the_steps(factor, unit):
     steps = np.tile([0.300 * 4, 0.300 * 4, 0.484 * 4], 5)

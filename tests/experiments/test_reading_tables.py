@@ -10,7 +10,10 @@ import pytest
 from experiments.common.reading_tables import (
     AT_RANDOM,
     IN_ORDER,
+    ReadingTable,
+    close_followers,
     read_reading_table,
+    refuse_counters,
     require_rows,
     rows_of_labels,
     training_rows,
@@ -123,3 +126,50 @@ def test_the_real_grasps_are_read_whole():
     assert table.reading.shape == (4682, 72)
     assert (len(table.labels), len(table.groups)) == (41, 3)
     assert min(map(len, rows_of_labels(table))) == 25
+
+
+def clumps(samples: int, drift: float = 0.0) -> ReadingTable:
+    """Four labels of 40 rows of six values, `samples` of each touch, whose touches drift from row to row."""
+    rng = np.random.default_rng(1)
+    label = np.repeat(np.arange(4), 40)
+    own = rng.normal(size=(160, 6))[np.arange(160) // samples] if not drift else 0.0
+    reading = 2 * rng.normal(size=(4, 6))[label] + own + 0.05 * rng.normal(size=(160, 6))
+    reading = reading + drift * np.cumsum(rng.normal(size=(160, 6)), 0)
+    return ReadingTable(reading, label, tuple("abcd"), 0 * label, ("g",), tuple("uvwxyz"))
+
+
+@pytest.mark.parametrize("samples", [2, 4, 10])
+def test_samples_of_one_touch_are_told_from_touches_and_from_drift(samples):
+    assert close_followers(clumps(samples)) == pytest.approx(1 - 1 / samples, abs=0.1)
+    assert close_followers(clumps(1)) == 0
+    assert close_followers(clumps(1, drift=0.3)) == 0
+
+
+@pytest.mark.skipif(not GRASPS.is_dir(), reason="needs the real data set (I2T_DATA)")
+def test_real_grasps_that_were_held_are_told():
+    for path in sorted(GRASPS.glob("*.csv.gz")):
+        assert 0.1 < close_followers(read_reading_table([path], label="object", ignore=["slipped"])) < 0.6
+
+
+def test_rows_of_one_touch_become_their_mean(tmp_path):
+    rows = ["a,1,0", "a,1,2", "a,1,4", "a,2,5", "b,2,6", "b,3,7", "b,3,9", "a,1,10"]
+    path = written(tmp_path / "t.csv", "what,grasp,u\n" + "\n".join(rows))
+    table = read_reading_table([path], label="what", touch="grasp")
+    np.testing.assert_array_equal(table.reading[:, 0], [2, 5, 6, 8, 10])  # a label's change and a return begin a touch
+    assert [table.labels[i] for i in table.label] == ["a", "a", "b", "b", "a"]
+    assert (table.samples, table.columns) == (8, ("u",))
+    other = written(tmp_path / "s.csv", "what,grasp,u\na,1,20\na,1,22\n")  # a file begins anew
+    both = read_reading_table([tmp_path / "t.csv", other], label="what", touch="grasp")
+    np.testing.assert_array_equal(both.reading[-2:, 0], [10, 21])
+    with pytest.raises(DataError, match="there is no column stroke"):
+        read_reading_table([other], label="what", touch="stroke")
+
+
+def test_a_column_that_counts_is_no_reading():
+    table = clumps(1)
+    refuse_counters(table, Path("t.csv"))
+    for counter in (np.arange(160.0), np.arange(160) // 4, 1e9 + 0.01 * np.arange(160), np.arange(160) % 40):
+        counted = table._replace(reading=np.column_stack([table.reading, counter]), columns=(*table.columns, "grasp"))
+        with pytest.raises(DataError, match=r"t.csv: column grasp never falls .*--ignore grasp.*--touch grasp"):
+            refuse_counters(counted, Path("t.csv"))
+    refuse_counters(table._replace(reading=np.column_stack([table.reading, np.full(160, 7.0)])), Path("t.csv"))

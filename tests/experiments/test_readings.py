@@ -174,3 +174,29 @@ def test_a_label_of_few_rows_is_refused_and_nothing_is_made(tmp_path, capsys):
     assert main(words) == 2
     assert "label x has 4 of the 5 rows that are needed in group t" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_fewer_touches_than_asked_and_samples_of_one_touch_are_said_and_kept(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("experiments.recognize.reading_methods.FIXED", Fixed(trees=10))
+    rng = np.random.default_rng(0)
+    lines = [
+        f"{'xy'[c]},{grasp},{','.join(f'{v:.4f}' for v in 3 * c + own + 0.02 * rng.normal(size=4))}"
+        for c in (0, 1)
+        for grasp, own in enumerate(rng.normal(size=(10, 4)))
+        for _ in range(5)
+    ]
+    (tmp_path / "t.csv").write_text("\n".join(["what,grasp,a,b,c,d", *lines]) + "\n")
+    words = ["recorded", "--readings", str(tmp_path / "t.csv"), "--label", "what", "--episodes", "1"]
+    assert main([*words, "--ignore", "grasp", "--out", str(tmp_path / "rows")]) == 0
+    said = capsys.readouterr().out
+    assert "warning: 8" in said  # four in five rows follow a sample of the same grasp
+    assert "--touch COLUMN" in said
+    assert main([*words, "--touch", "grasp", "--out", str(tmp_path / "touches")]) == 0
+    said = capsys.readouterr().out
+    assert "100 rows are samples of 20 touches, as column grasp says" in said
+    assert "episodes have 4 touches, and 10 were asked for (--max-touches): label x in group t has 10 touches" in said
+    found = json.loads((tmp_path / "touches" / "metrics.json").read_text())
+    assert (found["samples"], found["rows"], found["touches_asked"]) == (100, 20, 10)
+    assert found["splits"]["in file order"]["touches"] == 4
+    assert main([*words, "--touch", "grasp", "--max-touches", "4", "--out", str(tmp_path / "as-asked")]) == 0
+    assert "asked for" not in capsys.readouterr().out

@@ -46,7 +46,31 @@ def test_every_long_enough_session_counts_and_the_limit_is_said():
     assert (chosen.names, chosen.touches) == (("run 0", "run 3"), 20)
     with pytest.raises(DataError, match="no session has 40 touches with a measured force; the longest has 36"):
         recorded.choose_sessions(dataset, 10, 40)
-    assert recorded.choose_sessions(sessions_of(3, 2), 10, None).names == ("run 0",)
+    chosen = recorded.choose_sessions(sessions_of(3, 2), 10, None)
+    assert chosen.names == ("run 0",)
+    assert "1 sessions of 3 usable touches, and not the 10 that were asked for" in chosen.describe()
+
+
+def test_samples_of_one_contact_are_one_touch_with_their_mean():
+    dataset = sessions_of(8, 6)
+    n = len(dataset)
+    time = 10.0 * np.arange(n)
+    T_w_t = np.array(dataset.touches.T_w_t)
+    rows, apart = np.arange(4, 7), 11  # three samples of a contact; two touches of a place, at another time
+    time[rows] = time[4] + [0.0, 0.1, 0.2]
+    T_w_t[rows] = T_w_t[4]
+    T_w_t[rows, 0, 3] += [0.0, 5e-5, -5e-5]
+    T_w_t[apart + 1] = T_w_t[apart]
+    held = replace(dataset, touches=dataset.touches._replace(time=time, T_w_t=T_w_t))
+    merged = recorded.merge_samples(held)
+    assert len(merged) == n - 2
+    np.testing.assert_allclose(merged.touches.reading[4], held.touches.reading[rows].mean(0), rtol=1e-6)
+    np.testing.assert_array_equal(merged.touches.reading[5:], held.touches.reading[7:])
+    np.testing.assert_array_equal(merged.touches.session, np.delete(held.touches.session, rows[1:]))
+    assert len(recorded.merge_samples(replace(held, touches=held.touches._replace(time=None)))) == n
+    moved = T_w_t.copy()
+    moved[5, 0, 3] += 2e-3  # a touch between them elsewhere
+    assert len(recorded.merge_samples(replace(held, touches=held.touches._replace(T_w_t=moved)))) == n
 
 
 @pytest.mark.parametrize("episodes", [1, 2, 8])

@@ -5,9 +5,12 @@ import errno
 import os
 import re
 import socket
+import subprocess
+import sys
 import time
 import tty
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -17,6 +20,7 @@ from helpers.waiting import PATIENCE, eventually
 
 from i2t.emulators.reskin_board import Readings, started
 from i2t.errors import DeviceError
+from i2t.hardware import serial_port
 from i2t.hardware.contract import refuse
 from i2t.hardware.reskin import driver
 from i2t.hardware.reskin.driver import BoardInfo, ReSkin
@@ -94,7 +98,7 @@ def test_what_cannot_be_opened_says_why(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with started() as (port, _), ReSkin(port):
         calls = [
-            (ReSkin(port).connect, (), "in use by another program"),
+            (ReSkin(port).connect, (), "open already in this very program"),
             (ReSkin(str(tmp_path / "nowhere")).connect, (), r"there is no port .*nowhere"),
             (ReSkin(str(tmp_path / "file")).connect, (), "is it a serial port"),
         ]
@@ -105,6 +109,95 @@ def test_what_cannot_be_opened_says_why(tmp_path):
         (OSError(errno.EACCES, "Permission denied"), "may not be opened"),
     ):
         assert why in ReSkin(port)._why_closed(port, error)
+
+
+@contextlib.contextmanager
+def reader_of(port: str, lock: bool = False):
+    """Another program that reads a port, with or without a lock; what is yielded is its process id."""
+    code = f"""import fcntl, os
+line = os.open({port!r}, os.O_RDONLY | os.O_NOCTTY)
+fcntl.flock(line, fcntl.LOCK_EX) if {lock} else None
+print(flush=True)
+while True:
+    os.read(line, 1)"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
+        try:
+            process.stdout.readline()
+            yield process.pid
+        finally:
+            process.kill()
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for other programs in /proc")
+def test_a_port_that_another_program_reads_is_not_said_to_be_unplugged(tmp_path):
+    link = tmp_path / "skin"  # of another name, as udev gives
+    with started("--link", str(link)) as (port, _):
+        for lock, said in (False, r"is read by \S+ \(process %d\) too"), (True, r"in use by \S+ \(process %d\)"):
+            with reader_of(port, lock) as other, pytest.raises(DeviceError, match=said % other):
+                ReSkin(str(link)).connect()
+        with ReSkin(port) as skin:
+            skin.read(5, PATIENCE)
+            with reader_of(port) as other:
+                said = failure(skin, f"(process {other})")
+            assert "close that program" in said
+            assert "plug" not in said
+            assert "cable" not in said
+        with ReSkin(port) as skin:
+            skin.read(5, PATIENCE)
+            refuse(DeviceError, [(ReSkin(port).connect, (), "open already in this very program")])
+
+
+def test_a_second_reader_that_the_system_does_not_show_is_named_as_a_cause(tmp_path):
+    port = tmp_path / "port"
+    shared = OSError("device reports readiness to read but returned no data (device disconnected or multiple access?)")
+    assert "is gone" in str(ReSkin(str(port))._lost(shared))
+    port.touch()  # it is still there
+    said = str(ReSkin(str(port))._lost(shared))
+    assert "unplugged for a moment, or another program reads the port too" in said
+    assert "is gone" in str(ReSkin(str(port))._lost(OSError(errno.EIO, "Input/output error")))
+
+
+def test_a_real_port_is_kept_from_programs_that_open_it_later(monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+    if sys.platform != "linux":
+        pytest.skip("only Linux tells whether a terminal is exclusive")
+    get_exclusive = 0x80045440  # TIOCGEXCL of Linux
+
+    def exclusive() -> int:
+        with open(port, "rb", buffering=0, opener=lambda path, flags: os.open(path, flags | os.O_NOCTTY)) as line:
+            return int.from_bytes(fcntl.ioctl(line, get_exclusive, bytes(4)), sys.byteorder)
+
+    master, slave = os.openpty()
+    port = os.ttyname(slave)
+    os.set_blocking(master, False)
+    try:
+        skin = ReSkin(port)
+        monkeypatch.setattr(driver, "other_users", lambda port: "")
+        monkeypatch.setattr(driver, "_source", lambda port: "real")
+        line = skin._open_port(port, 115200)
+        kept = int.from_bytes(fcntl.ioctl(line.fileno(), get_exclusive, bytes(4)), sys.byteorder)
+        skin.close_link(line)
+        assert (kept, exclusive()) == (1, 0)
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+@pytest.mark.parametrize(
+    ("groups", "members", "words"),
+    [
+        ([], [], "add yourself to its group and log in again: sudo usermod -aG dialout"),
+        ([], ["ada"], "you joined its group, dialout, after you logged in"),
+        ([20], ["ada"], "in which you are; allow it: sudo chmod g+rw"),
+    ],
+)
+def test_a_forbidden_port_names_its_group_and_what_is_missing(monkeypatch, groups, members, words):
+    monkeypatch.setenv("USER", "ada")
+    monkeypatch.setattr(serial_port.os, "getgroups", lambda: groups)
+    monkeypatch.setattr(serial_port.os, "getegid", lambda: 1000)
+    monkeypatch.setattr(serial_port.os, "stat", lambda path: SimpleNamespace(st_gid=20))
+    monkeypatch.setattr(serial_port.grp, "getgrgid", lambda number: ("dialout", "x", number, members))
+    assert words in serial_port.why_forbidden("/dev/ttyACM0")
 
 
 def test_the_queue_lets_go_of_the_oldest():

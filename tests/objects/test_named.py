@@ -2,6 +2,7 @@
 
 import pytest
 
+from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.named import read_object, require_object
 
 TETRAHEDRON = "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -18,6 +19,23 @@ def test_names_of_the_catalogue_and_files_with_a_unit_are_objects_and_nothing_el
         ("cup.stl", "mm", True, "^--object cup.stl: is neither a mesh file nor an object of the catalogue"),
         (str(mesh), None, True, "say in which unit the file is"),
         ("star", "mm", False, "star: is not a mesh file$"),
+        ("hamer", None, True, r"^--object hamer: is neither a mesh file nor .* catalogue; did you mean hammer\?$"),
+        ("Hammer", None, True, r"did you mean hammer\?$"),
+        ("teapot", None, True, r"catalogue; see its names with: python -c"),
+        ("cup.stl", "mm", True, r"as there is no such file; check the name"),
+        ("models/cup", "mm", True, r"as there is no such file; check the name, and there is no folder models$"),
+        (str(tmp_path / "mugg.obj"), "mm", True, r"as there is no such file; check the name; did you mean mug.obj\?$"),
+        (str(tmp_path), "mm", True, "but a folder; name a file in it"),
     ):
         with pytest.raises(ValueError, match=problem):
             require_object(name, unit, flag="--object", catalogue=catalogue)
+
+
+def test_no_answer_to_a_wrong_name_lists_the_catalogue():
+    for name in ("hamer", "teapot", "cup.stl", "models/cup"):
+        for ask in (lambda name: require_object(name, None), make_object):
+            with pytest.raises(ValueError, match=name) as caught:
+                ask(name)
+            assert sum(f" {known}" in str(caught.value) for known in NAMES) <= 2
+    with pytest.raises(ValueError, match=r"no object is called 'hamer'; did you mean hammer\?"):
+        make_object("hamer")

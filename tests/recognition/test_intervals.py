@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from i2t.recognition.intervals import (
     bootstrap_clusters,
@@ -95,14 +95,81 @@ def test_it_covers_crossed_pads_and_objects():
 def test_clusters_that_are_alike_one_cluster_and_labels_that_do_not_fit():
     label = np.repeat(np.arange(10), 30)
     right, same = rate_interval(np.ones(300), [label]), mean_interval(np.zeros(300), [label])
-    trials = 300 * (stats.t.ppf(0.975, 299) / stats.t.ppf(0.975, 9)) ** 2  # ten clusters know less than 300 episodes
-    low = stats.beta.ppf(0.025, trials + 0.5, 0.5)
+    low = stats.beta.ppf(0.025, 10 + 0.5, 0.5)  # ten clusters that are all right are ten trials
     assert (float(right.low), float(right.high)) == pytest.approx((low, 1.0))
     assert (float(same.low), float(same.mean), float(same.high)) == (0.0, 0.0, 0.0)
     one = cluster_interval(np.array([0.0, 1.0]), [np.zeros(2, int)])
     np.testing.assert_array_equal([one.mean, one.low, one.high], [0.5, np.nan, np.nan])
     with pytest.raises(ValueError, match=r"3.* labels for 2"):
         bootstrap_clusters(np.sum, [np.zeros(3, int)], 2)
+
+
+def trials_of(interval) -> float:
+    """Number of trials whose Jeffreys interval has the same lower limit, or the same upper one where that is 0."""
+    mean, low, high = map(float, interval)
+
+    def excess(count: float) -> float:
+        right, wrong = mean * count + 0.5, (1 - mean) * count + 0.5
+        return stats.beta.ppf(0.025, right, wrong) - low if low > 0 else stats.beta.ppf(0.975, right, wrong) - high
+
+    return optimize.brentq(excess, 1e-3, 1e6)
+
+
+@pytest.mark.parametrize("labels", [3, 10, 60])
+@pytest.mark.parametrize("repeats", [1, 2, 40])
+def test_labels_that_are_all_right_or_all_wrong_are_at_most_one_trial_for_each(labels, repeats):
+    label = np.repeat(np.arange(labels), repeats)
+    for right in range(0, labels + 1, max(labels // 5, 1)):
+        assert trials_of(rate_interval((label < right).astype(float), [label])) <= labels * (1 + 1e-6)
+    thing = np.tile(np.arange(repeats), labels)  # crossed: the factor with the fewest clusters bounds it
+    several = [count for count in (labels, repeats) if count >= 3]
+    crossed = rate_interval(np.ones(len(label)), [label, thing])
+    assert trials_of(crossed) == pytest.approx(min(several))
+
+
+def test_ten_labels_whose_episodes_are_one_and_the_same_set_are_ten_trials():
+    found = rate_interval(np.ones(1200), [np.repeat(np.arange(10), 120)])
+    assert (float(found.mean), round(float(found.low), 2), float(found.high)) == (1.0, 0.78, 1.0)
+    assert found == rate_interval(np.ones(10))
+    mirrored = rate_interval(np.zeros(1200), [np.repeat(np.arange(10), 120)])
+    assert (float(mirrored.low), float(mirrored.high)) == pytest.approx((0.0, 1 - float(found.low)))
+
+
+def test_an_interval_widens_gradually_towards_certainty():
+    """One exception more never makes it jump, and rates away from certainty are as many trials as before."""
+    label = np.repeat(np.arange(10), 100)
+    counts = []
+    for wrong in range(100):  # spread evenly over the labels
+        values = np.ones(1000)
+        values[(np.arange(wrong) % 10) * 100 + np.arange(wrong) // 10] = 0
+        counts.append(trials_of(rate_interval(values, [label])))
+    few, bracket = np.arange(20), (stats.t.ppf(0.975, 999) / stats.t.ppf(0.975, 9)) ** 2
+    np.testing.assert_allclose(np.array(counts)[few], 10 * (1 + few), rtol=1e-3)
+    assert counts[-1] == pytest.approx(1000 * bracket, rel=0.05)
+
+
+def coverage(rate: float, alike: float, labels: int, repeats: int, draws: int) -> float:
+    """Share of intervals that cover the rate of clusters whose own rates are beta distributed."""
+    rng, label = np.random.default_rng(0), np.repeat(np.arange(labels), repeats)
+    spread = (1 - alike) / alike
+    own = rng.beta(rate * spread, (1 - rate) * spread, (labels, draws))
+    hit = (rng.random((labels * repeats, draws)) < own[label]).astype(float)
+    found = rate_interval(hit, [label])
+    return float(np.mean((found.low <= rate) & (rate <= found.high)))
+
+
+def test_it_covers_rates_near_certainty_of_a_few_labels():
+    assert coverage(0.97, 0.6, 10, 30, 500) > 0.93  # 0.51 of intervals that trust the spread of such labels
+    assert coverage(0.99, 0.6, 20, 30, 500) > 0.93  # 0.38
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("labels", [10, 20])
+@pytest.mark.parametrize("repeats", [5, 30])
+@pytest.mark.parametrize("alike", [0.02, 0.2, 0.6])
+@pytest.mark.parametrize("rate", [0.97, 0.99, 0.998])
+def test_it_covers_rates_near_certainty(labels, repeats, alike, rate):
+    assert coverage(rate, alike, labels, repeats, 3000) > 0.94
 
 
 def test_clusters_that_are_alike_by_chance_are_no_certainty():

@@ -22,6 +22,7 @@ from i2t.hardware.protocols import SkinCounters
 from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.frames import Decoder, Frame
 from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
+from i2t.hardware.serial_port import OFTEN_READ_PORTS, keep_others_out, other_users, users_of, why_forbidden
 from i2t.hardware.skin_stream import QUEUE_SAMPLES, Measurement, StreamedSkin
 
 RATE_HZ = 400.0  # published
@@ -32,6 +33,7 @@ HEARD_BYTES = 4000  # of the last that came, by which a board without frames is 
 FIRST_BYTE_S = 3.0  # that a board may need to start after its port is opened
 FIRST_FRAME_S = 1.5  # from its first byte to its first frame
 START_UP_S = 6.0  # that a board may send rubbish after it was reset, which opening its port may do
+CLOSE_IT = "close that program and connect again"
 DECODER_COUNTS = ("samples", "lost", "gaps", "skipped", "empty", "missing", "bytes")
 
 
@@ -133,6 +135,7 @@ class ReSkin(StreamedSkin):
 
     def close_link(self, link: Any) -> None:
         """Give the port back, as in `StreamedSkin.close_link`."""
+        keep_others_out(link, False)
         link.close()
 
     def _total(self) -> SkinCounters:
@@ -142,6 +145,8 @@ class ReSkin(StreamedSkin):
     def _silence(self, age: float) -> str:
         if time.monotonic() - self._listened > age / 2:  # most of that time, so the board cannot be blamed
             return f"this computer was too busy to listen to {self._name} for {age:.2g} s; end other programs"
+        if others := other_users(self._port):
+            return f"{self._name} has sent no frame for {age:.2g} s that {others} did not take away; {CLOSE_IT}"
         if self._decoder.empty > self._decoder.samples:
             return (
                 f"{self._name} has sent no value for {age:.2g} s, only frames without any chip; check the cable "
@@ -165,14 +170,14 @@ class ReSkin(StreamedSkin):
         try:
             baud, decoder, found, heard = self._listen(line, rates)
         except BaseException:
-            line.close()
+            self.close_link(line)
             raise
         if found:
             self._features = self._features._replace(source=_source(port))
             known = {board.port: board for board in self.ports()}
             info = known.get(os.path.realpath(port), BoardInfo(port, None, decoder.layout.form))
             return line, decoder, found, info._replace(port=port, baud=baud, form=decoder.layout.form)
-        line.close()
+        self.close_link(line)
         kind = DeviceError if heard else DeviceTimeoutError
         raise kind(f"no skin on {port}: {diagnose(heard, self._chips, self._baud)}")
 
@@ -241,11 +246,16 @@ class ReSkin(StreamedSkin):
         try:
             line = self._serial(port, baud, timeout=READ_TIMEOUT_S, exclusive=True if os.name == "posix" else None)
             line.reset_input_buffer()  # what was sent to nobody is old
-            return line
         except ValueError as error:
             raise DeviceError(f"{port} cannot be set to {baud} baud; give another rate") from error
         except OSError as error:
             raise DeviceError(self._why_closed(port, error)) from error
+        if others := other_users(port):
+            line.close()
+            raise DeviceError(f"{port} is read by {others} too, and each byte reaches one program only; {CLOSE_IT}")
+        if _source(port) == "real":  # a pseudo-terminal would stay closed if this process were killed
+            keep_others_out(line)
+        return line
 
     def _why_closed(self, port: str, error: OSError) -> str:
         """Sentence on a port that cannot be opened."""
@@ -254,14 +264,31 @@ class ReSkin(StreamedSkin):
             names = ", ".join(board.port for board in self.ports()) or "none"
             return f"there is no port {port} (USB serial ports here: {names}); plug the skin in or name its port"
         if code == errno.EACCES or "PermissionError" in said:
-            return f"{port} may not be opened; add yourself to its group (often dialout) and log in again"
+            return why_forbidden(port)
         if "exclusively lock" in said or code in (errno.EBUSY, errno.EAGAIN):
-            return f"{port} is in use by another program; close that one"
-        return f"{port} cannot be opened ({error}); is it a serial port?"
+            if os.getpid() in users_of(port):
+                return f"{port} is open already in this very program; name each skin's own port"
+            others = other_users(port) or f"another program, such as {OFTEN_READ_PORTS}"
+            return f"{port} is in use by {others}; {CLOSE_IT}"
+        return f"{port} cannot be opened ({error}); is it a serial port with a device on it?"
+
+    @property
+    def _port(self) -> str:
+        """The port that is or was open, or was asked for."""
+        return self._info.port if self._info else str(self._asked_port)
 
     def _lost(self, error: BaseException) -> DeviceError:
-        port = self._info.port if self._info else self._asked_port
-        lost = DeviceError(f"the skin on {port} is gone ({error}); plug it in and connect again")
+        port, others = self._port, other_users(self._port)
+        if others:
+            said = f"the skin on {port} lost bytes to {others}, which reads the port too; {CLOSE_IT}"
+        elif "multiple access" in str(error) and os.path.exists(port):
+            said = (
+                f"the skin on {port} broke off: it was unplugged for a moment, or another program reads the port too, "
+                f"such as {OFTEN_READ_PORTS}; check its cable, close such programs and connect again"
+            )
+        else:
+            said = f"the skin on {port} is gone ({error}); plug it in and connect again"
+        lost = DeviceError(said)
         lost.__cause__ = error
         return lost
 

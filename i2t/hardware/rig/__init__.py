@@ -9,7 +9,6 @@ pose as the four rows of its matrix; what is missing, unknown, not rigid or out 
 Further skins that the tool carries are tables `[skins.NAME]` (`i2t.hardware.carried_skins`).
 """
 
-import difflib
 import json
 import math
 from collections.abc import Sequence
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from i2t.depth.camera import Camera
+from i2t.errors import closest
 from i2t.files import read_toml, replacing
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.carried_skins import TEXT_KEYS, TOOL_SKIN, CarriedSkin, require_distinct
@@ -274,8 +274,8 @@ def _text(key: str, value: Any) -> str:
 def _known(what: str, given: dict[str, Any], known: Sequence[str] | dict[str, Any]) -> None:
     for key in given:
         if key not in known:
-            close = difflib.get_close_matches(key, known, 1, 0.5)
-            remedy = f"is it {close[0]}?" if close else f"known are {', '.join(known)}"
+            close = closest(key, known)
+            remedy = f"is it {close}?" if close else f"known are {', '.join(known)}"
             raise ValueError(f"{key!r} is no {what}; {remedy}")
 
 

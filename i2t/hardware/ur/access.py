@@ -15,12 +15,11 @@ from typing import IO
 
 from i2t.errors import DeviceError
 from i2t.hardware.poses import pose_from_vector
-from i2t.hardware.ur.rtde_worker import RTDE_PORT
+from i2t.hardware.ur.ports import DASHBOARD_PORT, RTDE, SCRIPT, Answer, Port, probe, why_no_answer
 from i2t.types import Array
 
-DASHBOARD_PORT = 29999
 NO_LIBRARY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
-PROTOCOL_REQUEST = b"\x00\x05V\x00\x02"  # asks an RTDE server for version 2 of its protocol
+SAFE = ("NORMAL", "REDUCED")  # safety status in which an arm may be moved
 
 
 def ask_dashboard(host: str, line: str, timeout: float = 1.0) -> str:
@@ -89,19 +88,19 @@ def take_lock(host: str) -> IO[str]:
     return lock
 
 
-def check_reachable(host: str) -> None:
-    """Ask a controller whether it speaks RTDE.
+def check_reachable(host: str, port: Port = RTDE) -> None:
+    """Ask a controller whether a port of it answers, by default that of RTDE.
 
     Args:
         host: Its address.
+        port: Of `i2t.hardware.ur.ports`.
 
     Raises:
-        DeviceError: It does not answer.
+        DeviceError: It does not; the message says which ports do, and what to change.
     """
-    with _no_answer(host), socket.create_connection((host, RTDE_PORT), 1.0) as connection:
-        connection.sendall(PROTOCOL_REQUEST)
-        if not connection.recv(4):
-            raise OSError(f"port {RTDE_PORT} was closed")
+    with _no_answer(host):
+        if (answer := probe(host, port)) is not Answer.ANSWERS:
+            raise OSError(f"it {answer.value} on port {port}")
 
 
 def check_controller(host: str) -> None:
@@ -111,18 +110,27 @@ def check_controller(host: str) -> None:
         host: Its address.
 
     Raises:
-        DeviceError: It is in local mode or a protective stop, has another client, or does not answer.
+        DeviceError: It is in local mode or stopped for safety, has another client, or does not answer.
     """
     check_reachable(host)
     with _no_answer(host):
         if ask_dashboard(host, "is in remote control") == "false":
-            raise DeviceError(f"The robot at {host} is in local mode: choose remote control on its pendant.")
-        if "PROTECTIVE" in ask_dashboard(host, "safetystatus"):
+            raise DeviceError(
+                f"The robot at {host} is in local mode: choose remote control on its pendant, which offers it once it "
+                "is enabled under Settings > System > Remote Control."
+            )
+        safety = ask_dashboard(host, "safetystatus").removeprefix("Safetystatus: ")
+        if "PROTECTIVE" in safety:
             raise DeviceError(
                 f"The robot at {host} is in a protective stop: clear its cause, and release it on the pendant."
             )
+        if (
+            safety.isupper() and safety not in SAFE
+        ):  # words in small letters: an old dashboard does not know the question
+            raise DeviceError(f"The robot at {host} is stopped for safety ({safety}): release it on the pendant.")
         if ask_dashboard(host, "running") == "Program running: true":
             raise DeviceError(f"A program runs on the controller at {host}, perhaps for another client: end it first.")
+    check_reachable(host, SCRIPT)
 
 
 def controller_serial(host: str) -> str:
@@ -143,11 +151,12 @@ def controller_serial(host: str) -> str:
 
 @contextlib.contextmanager
 def _no_answer(host: str) -> Iterator[None]:
-    """Turn a failed connection into an error of one sentence."""
+    """Turn a failed connection into an error of one sentence, which says which ports answer."""
     try:
         yield
     except OSError as error:
-        raise DeviceError(f"The UR controller at {host} does not answer: {error}.") from error
+        why = why_no_answer(host) or f"The UR controller at {host} does not answer: {error}; connect again."
+        raise DeviceError(why) from error
 
 
 def tool_pose(host: str) -> Array:
