@@ -16,7 +16,6 @@ import numpy as np
 
 from i2t.convert.common import ConversionLog, Converted
 from i2t.convert.press_table import (
-    AXES_OF_CHIP,
     PressTable,
     SessionCheck,
     Tip,
@@ -30,6 +29,7 @@ from i2t.convert.press_table import (
 from i2t.convert.tables import (
     HEIGHT_COLUMNS,
     NAME_COLUMNS,
+    SOURCE_COLUMN,
     TIME,
     TextTable,
     field_columns,
@@ -38,6 +38,7 @@ from i2t.convert.tables import (
     sound_rows,
 )
 from i2t.errors import DataError
+from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
 from i2t.unknowns import RecordedPresses
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -137,13 +138,15 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
         first, end = len(places), len(places) + len(values)
         wanted = np.ones_like(empty)
         answered = ~np.all(empty[:, first:end].reshape(len(empty), chips, AXES_OF_CHIP), axis=2)
-        answered |= ~np.any(answered, axis=1, keepdims=True)  # where no chip did, all are missed
         for start in (first, end)[: 2 if ambient else 1]:
             wanted[:, start : start + len(values)] = np.repeat(answered, AXES_OF_CHIP, axis=1)
         wanted[:, end + len(ambient) :] = False
         return wanted
 
     rows, numbers = sound_rows(source, header, table.rows, columns, needed, notes)
+    heard = notes.keep_heard(_silent(numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes))
+    notes.require_heard(source, "check the board's cable and record again, or empty the fields of a chip that is missing")
+    rows, numbers = [row for row, kept in zip(rows, heard, strict=True) if kept], numbers[heard]
     column = dict(zip(columns, numbers.T, strict=True))
     unknown = np.full(len(rows), np.nan)
     depth = column.get("depth_mm", unknown)
@@ -167,6 +170,23 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
     return presses, _sources(source, header, [row for row, keep in zip(rows, kept, strict=True) if keep])
 
 
+def _silent(fields: np.ndarray, chips: int, notes: ConversionLog) -> np.ndarray:
+    """Where (n, chips) a press is to be left out: a chip sent zeros, or no chip has a value.
+
+    A chip whose fields are empty is missing, and its press is kept. Ambient columns that are zero in every row subtract
+    nothing, and are no silence.
+    """
+    readings, ambient = fields[:, : AXES_OF_CHIP * chips], fields[:, AXES_OF_CHIP * chips :]
+    subtracts = bool(ambient.any())
+    if ambient.size and not subtracts:
+        notes.info("ambient is zero in every row: nothing is subtracted")
+    silent = silent_chips(readings, differences=not subtracts)
+    if subtracts:
+        silent |= silent_chips(ambient)
+    missing = np.isnan(readings).reshape(len(fields), chips, AXES_OF_CHIP).all(2)
+    return silent | (silent | missing).all(1, keepdims=True)
+
+
 def _time(header: list[str], cells: list[str]) -> float:
     """When a press was, NaN where nobody can tell."""
     try:
@@ -177,9 +197,9 @@ def _time(header: list[str], cells: list[str]) -> float:
 
 def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str:
     """Whether rows are real, simulated or mixed."""
-    if "source" not in header:
+    if SOURCE_COLUMN not in header:
         return "real"
-    said = {cells[header.index("source")].strip().lower() or "real": line for line, cells in reversed(rows)}
+    said = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
     for word, line in said.items():
         if word not in PRESS_SOURCES:
             raise DataError(f"{source}: line {line} has the source {word!r}; write {' or '.join(PRESS_SOURCES)}")
@@ -198,7 +218,7 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: Conversio
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *values, "force_N", TIME, "source", *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    known = {*PLACES, *values, "force_N", TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
     if unknown := [name for name in header if name not in known]:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
     return values, ambient if has_ambient else []
