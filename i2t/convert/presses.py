@@ -61,6 +61,7 @@ def convert(
     as_stated: bool = False,
     skip_bad: bool = False,
     table: TextTable | None = None,
+    stated_source: str | None = None,
 ) -> Converted:
     """Convert a table of presses.
 
@@ -74,6 +75,7 @@ def convert(
         as_stated: look for no mistake and correct none.
         skip_bad: leave out damaged rows, and note them.
         table: what `source` holds, where it was read already.
+        stated_source: "real" or "simulated", of a table that does not say it.
 
     Returns:
         The data set and what was assumed and left out.
@@ -95,7 +97,7 @@ def convert(
         whose=source,
         window=window,
         reach=reach,
-        source=said,
+        source=stated_source or said,
         meta={"converter": "presses", "file": source.name, "indenter": indenter}
         | {key: text for check in checks for key, text in check.meta.items()},
     )
@@ -145,7 +147,9 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
 
     rows, numbers = sound_rows(source, header, table.rows, columns, needed, notes)
     heard = notes.keep_heard(_silent(numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes))
-    notes.require_heard(source, "check the board's cable and record again, or empty the fields of a chip that is missing")
+    notes.require_heard(
+        source, "check the board's cable and record again, or empty the fields of a chip that is missing"
+    )
     rows, numbers = [row for row, kept in zip(rows, heard, strict=True) if kept], numbers[heard]
     column = dict(zip(columns, numbers.T, strict=True))
     unknown = np.full(len(rows), np.nan)

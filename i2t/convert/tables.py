@@ -396,7 +396,8 @@ def _notes_on(encoding: str, begins: _Beginning, *, comma: bool) -> list[str]:
     notes = []
     if encoding != UTF_8:
         named = ENCODING_NAMES.get(encoding, encoding.upper())
-        notes.append(f"the text is in {named} and not in UTF-8; letters beyond ASCII in names may be wrong")
+        doubt = ": letters beyond ASCII in names may be wrong" if encoding == WINDOWS_1252 else ""
+        notes.append(f"the text is not in UTF-8 and was read as {named}{doubt}")
     if begins.comments:
         notes.append(f"left out: {begins.comments} lines of comments before the names of the columns")
     if begins.delimiter != "," or comma:
@@ -429,9 +430,7 @@ def _our_columns(stated: list[str], first: list[str], notes: list[str]) -> _Colu
         notes.append("assumed: dates and times without a zone are in UTC")
     units = [name for name, own, factor in zip(stated, ours, factors, strict=True) if factor != 1 and own[1] != 1]
     if units:
-        notes.append(
-            f"columns {', '.join(units)} are in other units than mm, uT, N and s, and were turned into these"
-        )
+        notes.append(f"columns {', '.join(units)} are in other units than mm, uT, N and s, and were turned into these")
     return _Columns(header, factors, stamps)
 
 
