@@ -29,6 +29,7 @@ class ConversionLog:
     lines: list[str] = field(default_factory=list)
     damaged_rows: int = 0
     first_damage: str = ""
+    unit: str = "rows"  # what a reading stands for
     heard_rows: int = 0  # in which every chip answered
     silent_rows: int = 0  # left out, as a chip did not answer
     silent_chips: Counter[int] = field(default_factory=Counter)  # in how many of these rows each chip did not
@@ -93,15 +94,15 @@ class ConversionLog:
             DataError: No row is left, and chips that did not answer are why.
         """
         if self.silent_rows and not self.heard_rows:
-            rows = f"in all of its {self.silent_rows} rows"
+            rows = f"in any of its {self.silent_rows} {self.unit}"
             never = [chip for chip, count in self.silent_chips.items() if count == self.silent_rows]
             if len(never) == len(self.silent_chips):
-                said = f"no chip answers {rows}, which hold zeros or nothing"
+                problem = f"no chip answers {rows}, which hold zeros or nothing"
             elif never:
-                said = f"chip {', '.join(map(str, never))} does not answer {rows}, and sends zeros or nothing"
+                problem = f"chip {', '.join(map(str, never))} does not answer {rows}, but sends zeros or nothing"
             else:
-                said = f"{rows} a chip does not answer ({self._chips()})"
-            raise DataError(f"{source}: {said}; {remedy}")
+                problem = f"a chip does not answer in each of its {self.silent_rows} {self.unit} ({self._chips()})"
+            raise DataError(f"{source}: {problem}; {remedy}")
 
     def _chips(self) -> str:
         """In how many rows each chip did not answer."""
@@ -118,7 +119,7 @@ class ConversionLog:
         """
         counted = {
             f"left out: {self.damaged_rows} damaged rows; the first: {self.first_damage}": self.damaged_rows,
-            f"left out: {self.silent_rows} rows in which a chip did not answer": self.silent_rows,
+            f"left out: {self.silent_rows} {self.unit} in which a chip did not answer": self.silent_rows,
             f"did not answer, but sent zeros or nothing: {self._chips()}": self.silent_rows,
         }
         return [*self.lines, *(sentence for sentence, count in counted.items() if count)]

@@ -79,7 +79,7 @@ def convert(
     Raises:
         DataError: The folder cannot be read as such a recording.
     """
-    notes = ConversionLog(skip_bad)
+    notes = ConversionLog(skip_bad, unit="touches")
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
     notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
@@ -95,6 +95,7 @@ def convert(
                 parts.append(_convert_run(folder, run, options, notes))
             except DataError as error:
                 notes.skip(error)
+    notes.require_heard(source)
     if not sum(map(len, parts)):
         raise data_error(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
     dataset = concatenate(parts)

@@ -83,7 +83,7 @@ def convert(
     Raises:
         DataError: the table or the indenter cannot be used.
     """
-    notes = ConversionLog(skip_bad)
+    notes = ConversionLog(skip_bad, unit="presses")
     tip = _tip(indenter, unit, notes)
     presses, said = _read(source, table or read_text_table(source), board.num_chips, notes)
     checks: list[SessionCheck] = []

@@ -472,13 +472,13 @@ def _say_clock(clock: RowClock, time: np.ndarray, notes: ConversionLog) -> None:
     if clock.assumed:
         seen = f"in steps of {clock.resolution:g} s" if clock.resolution else "always the same"
         notes.info(
-            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} (Unix time in float32 has steps of 128 s) "
-            "and does not tell; give --rate-hz where it is known; the times of presses are unknown"
+            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} and does not tell (Unix time in float32 "
+            "has steps of 128 s); give --rate-hz where it is known; the times of presses are unknown"
         )
     elif clock.by_rows and clock.resolution:
         notes.info(
-            f"time has steps of {clock.resolution:g} s: rows are evenly spaced at {1 / clock.step:.4g} Hz, and the times "
-            "of presses are unknown"
+            f"time has steps of {clock.resolution:g} s: rows are evenly spaced at {1 / clock.step:.4g} Hz, and the "
+            "times of presses are unknown"
         )
     elif shared:
         notes.info(
