@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from i2t.errors import NAMED_WRONGLY, DataError, FullDiskError
 
@@ -310,7 +310,7 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
         most = may_grow_to(size) if zipped else math.inf
         # Bytes that are no text are kept as surrogates, so that the line is named that holds them.
         errors = "surrogateescape" if encoding == UTF_8 else "strict"
-        text = io.TextIOWrapper(_unzipped(raw), encoding, errors)
+        text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzipped(raw), encoding, errors)
         number, total = 0, 0
         try:
             while line := text.readline(MAX_LINE_BYTES):
@@ -334,7 +334,7 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
                 text.detach()  # or it would close the file a second time
 
 
-def _unzipped(raw: BufferedReader) -> IO[bytes]:
+def _unzipped(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:
     """What a file holds, unpacked where it begins as gzip archives do."""
     return gzip.GzipFile(fileobj=raw) if raw.peek(2).startswith(GZIP_MARK) else raw
 

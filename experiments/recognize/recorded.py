@@ -12,7 +12,7 @@ from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t import dataset as data
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, source_words
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh, catalogue
@@ -62,7 +62,7 @@ def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     begin(args.out, args, cfg, args.resume, args.overwrite)
     known = source.make(jax.random.key(args.seed))
     print(pad_sources.describe(known))
-    print(f"{args.dataset} ({recorded.source}): {sessions.describe()}")
+    print(f"{args.dataset} ({source_words(recorded.source)}): {sessions.describe()}")
     save_pad_model(args.out / "pad_model.npz", known)
     particles = belief.sample_particles((rig or Rig()).object_covariance, cfg.num_particles, args.seed)
     results = recognise(

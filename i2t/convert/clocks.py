@@ -6,6 +6,7 @@ itself has begun again: a full counter is counted on, and a clock that was set o
 new part. Where several rows share a stamp, the clock is coarser than the rows, which then follow each other evenly.
 """
 
+import re
 from datetime import UTC, datetime
 from datetime import time as TimeOfDay
 from typing import NamedTuple
@@ -47,6 +48,18 @@ class RowClock(NamedTuple):
     by_rows: bool  # the stamps say nothing: rows are evenly spaced
     resolution: float  # s, of the stamps, where several rows share one; else 0
     assumed: bool  # nothing states the step
+
+
+def states_zone(stamp: str) -> bool:
+    """Test whether a time stamp is no date and time, or one with its zone.
+
+    Args:
+        stamp: As it stands in the table.
+
+    Returns:
+        False for a date and time without a zone.
+    """
+    return ":" not in stamp or re.search(r"(Z|[+-]\d\d:?\d\d)$", stamp.strip()) is not None
 
 
 def stamp_in_seconds(text: str) -> str:
@@ -124,8 +137,8 @@ def _require_rate(step: float, rows: int, name: str) -> None:
         return
     pace = "slower than a press" if step >= STEPS_S[1] else "faster than any board"
     raise DataError(
-        f"{name}: rows are {step:.3g} s apart by it, {pace}; name the column in the unit that it counts (time_s, "
-        "time_ms, time_us), or state the rate with --rate-hz"
+        f"{name} says that rows are {step:.3g} s apart, {pace}; name its column by the unit that it counts (time_s, "
+        "time_ms, time_us), or give --rate-hz"
     )
 
 
@@ -141,7 +154,7 @@ def require_order(time: Float[np.ndarray, " n"], name: str) -> None:
     """
     back = int(np.sum(np.diff(time) < 0))
     if back > max(MAX_BACK_SHARE * len(time), 3):
-        raise DataError(f"{name}: time goes back at {back} of {len(time)} rows, so they are in no order; sort them")
+        raise DataError(f"{name} goes back at {back} of {len(time)} rows, so they are in no order; sort them by it")
 
 
 def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bool = True) -> ClockVerdict:
@@ -159,7 +172,8 @@ def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
     Returns:
         The verdict on these rows.
     """
-    damaged, restarts = np.zeros(len(time), bool), []
+    damaged = np.zeros(len(time), bool)
+    restarts: list[int] = []
     decided = len(time) if last else max(len(time) - MAX_BAD_STAMPS, 0)
     while True:
         rows = np.flatnonzero(~damaged)

@@ -78,7 +78,7 @@ class ConversionLog:
         Returns:
             The rows in which all chips answered.
         """
-        heard = ~silent.any(1)
+        heard = np.asarray(~silent.any(1))
         self.heard_rows, self.silent_rows = self.heard_rows + int(heard.sum()), self.silent_rows + int((~heard).sum())
         self.silent_chips.update(dict(enumerate(silent.sum(0).tolist())))
         return heard

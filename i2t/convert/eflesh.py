@@ -56,6 +56,7 @@ def convert(
     reach: float = REACH,
     zero: float | None = None,
     pad: str | None = None,
+    stated_source: str | None = None,
     as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
@@ -70,6 +71,7 @@ def convert(
             session's highest z, so that no depth is negative; where all presses go to one height, none: depths are
             unknown.
         pad: one name for all pads; by default each board of each session is a pad of its own.
+        stated_source: "real" (by default) or "simulated".
         as_stated: look for no mistake and correct none; depth counts from the session's highest z.
         skip_bad: leave out damaged rows and sessions, and note them.
 
@@ -104,7 +106,7 @@ def convert(
         )
     dataset = presses_dataset(
         join_tables(parts), round_tip("probe", sphere(radius)), _common_board(checks, notes), notes, whose=source,
-        window=window, reach=reach,
+        window=window, reach=reach, source=stated_source or "real",
         meta={"converter": "eflesh", "tip_radius_m": f"{radius:g}"} | {k: v for c in checks for k, v in c.meta.items()},
     )  # fmt: skip
     return notes.close(dataset)
@@ -333,7 +335,7 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionL
         row = np.flatnonzero(~finite)[0] + 1
         notes.skip(data_error(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
     table = table[finite]
-    require_order(table[:, 0], f"{path}: its first column, time,")
+    require_order(table[:, 0], f"{path}: time, its first column,")
     verdict = judge_stamps(table[:, 0])
     back = np.flatnonzero(np.diff(table[:, 0]) < 0) + 2
     if verdict.damaged.any():

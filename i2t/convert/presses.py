@@ -85,7 +85,7 @@ def convert(
     """
     notes = ConversionLog(skip_bad, unit="presses")
     tip = _tip(indenter, unit, notes)
-    presses, said = _read(source, table or read_text_table(source), board.num_chips, notes)
+    presses, column = _read(source, table or read_text_table(source), board.num_chips, notes)
     checks: list[SessionCheck] = []
     if not as_stated:
         presses, checks = _corrected(presses, board, notes)
@@ -97,7 +97,7 @@ def convert(
         whose=source,
         window=window,
         reach=reach,
-        source=stated_source or said,
+        source=_one_source(source, column, stated_source),
         meta={"converter": "presses", "file": source.name, "indenter": indenter}
         | {key: text for check in checks for key, text in check.meta.items()},
     )
@@ -123,7 +123,7 @@ def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[P
     return join_tables(kept), checks
 
 
-def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> tuple[PressTable, str]:
+def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> tuple[PressTable, str | None]:
     """The presses of a table, and whether they are real, simulated or mixed; damaged rows are refused or left out as
     `notes` has it.
     """
@@ -199,10 +199,17 @@ def _time(header: list[str], cells: list[str]) -> float:
         return math.nan
 
 
-def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str:
-    """Whether rows are real, simulated or mixed."""
+def _one_source(file: Path, column: str | None, option: str | None) -> str:
+    """Source of a table by its column and the option; a table is real where neither says it."""
+    if column is not None and option not in (None, column):
+        raise DataError(f"--source {option}: the column source of {file} says {column}; leave out the option")
+    return option or column or "real"
+
+
+def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str | None:
+    """Whether rows are real, simulated or mixed; None where no column says it."""
     if SOURCE_COLUMN not in header:
-        return "real"
+        return None
     said = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
     for word, line in said.items():
         if word not in PRESS_SOURCES:

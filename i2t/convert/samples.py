@@ -124,7 +124,7 @@ def _time(item: Any) -> float:
 def _mean(samples: list[list[float]], order: str) -> np.ndarray:
     """Mean field (15,) of the samples in which a chip answered, chip by chip."""
     fields = without_silent_chips(np.array([_field(sample, order) for sample in samples]))
-    if not (np.abs(fields[~np.isnan(fields)]) < MAX_SAMPLE_VALUE).all():
+    if np.any(np.abs(fields) >= MAX_SAMPLE_VALUE):
         return np.full(AUTHORS_READINGS, np.inf)
     return mean_known(fields, axis=0)
 
@@ -143,7 +143,8 @@ def _detected(path: Path, samples: np.ndarray) -> str:
     spread = {}
     for order, column in (("binary", 0), ("ascii", 3)):
         values = samples.reshape(-1, CHIPS, 4)[..., column]
-        answered = samples.reshape(-1, CHIPS, 4).any(2).all(1)  # a chip that fails sends a temperature of zero, too
+        # A chip that fails sends a temperature of zero, too.
+        answered = (samples.reshape(-1, CHIPS, 4) != 0).any(2).all(1)
         values = values[(np.abs(values) < MAX_SAMPLE_VALUE).all(1) & answered]
         plausible = (
             values.size

@@ -255,15 +255,19 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     notes = ConversionLog(skip_bad, [*table.notes, *columns.notes])
     found: list[tuple[tuple[str, ...], FoundPress]] = []
     rows = parts = 0
-    for search in _searches(_rows(source, table, columns, notes), f"{source}: {TIME}", notes, rate):
+    for search in _searches(_rows(source, table, columns, notes), f"{source}: its time", notes, rate):
         found += [(search.names, press) for press in search.presses()]
         rows, parts = rows + search.rows, parts + 1
     for note in table.notes:  # the last of which came with the last row
         notes.info(note)
     notes.require_heard(source)
+    if notes.damaged_rows and not rows:
+        raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
     if not found:
         raise DataError(f"{source}: nothing presses in its {rows} rows; give a log that begins at rest and has presses")
-    pieces = f" of {parts} parts, between which it paused or another session began" if parts > 1 else ""
+    pieces = (
+        f" of {parts} parts, between which it paused, its clock was set, or another session began" if parts > 1 else ""
+    )
     notes.info(f"found: {len(found)} presses in {rows} rows{pieces}")
     height = next((name for name in columns.labels if name in HEIGHT_COLUMNS), None)
     if height is not None:
@@ -389,7 +393,7 @@ def _on_one_clock(pieces: Iterator[_Rows], name: str, notes: ConversionLog, rate
         for line, stamp in held.labels[: verdict.settled][verdict.damaged, :2]:
             notes.skip_row(
                 DataError(
-                    f"{name} of {stamp:.6f} s at line {line:.0f} contradicts the rows before and after it; correct it"
+                    f"{name} at line {line:.0f}, {stamp:.6f} s, contradicts the rows before and after it; correct it"
                 )
             )
         if verdict.settled:
@@ -460,9 +464,7 @@ class _Stamps:
             notes.info(f"time goes back by {back:.3g} s at line {line}: it was taken as running on")
             return False
         self.offset = 0.0
-        notes.info(
-            f"time goes back by {back:.6g} s at line {line}, where the clock was set or begins again: a new part"
-        )
+        notes.info(f"time goes back by {back:.6g} s at line {line}, where the clock was set or began again")
         return True
 
 
@@ -480,7 +482,7 @@ def _say_clock(clock: RowClock, time: np.ndarray, notes: ConversionLog) -> None:
             f"time has steps of {clock.resolution:g} s: rows are evenly spaced at {1 / clock.step:.4g} Hz, and the "
             "times of presses are unknown"
         )
-    elif shared:
+    elif shared and not clock.by_rows:
         notes.info(
             f"{shared} of the first {len(time)} rows have the time of the row before, as the clock has steps of "
             f"{clock.resolution:.3g} s: such rows are evenly spaced at {1 / clock.step:.4g} Hz"

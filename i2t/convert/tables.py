@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.convert.clocks import stamp_in_seconds, unix_unit
+from i2t.convert.clocks import stamp_in_seconds, states_zone, unix_unit
 from i2t.convert.common import ConversionLog, data_error
 from i2t.errors import DataError
 from i2t.files import UTF_8, WINDOWS_1252, encoding_of_file, read_lines
@@ -183,6 +183,8 @@ def sound_rows(
     for k in np.flatnonzero(wrong.any(1)):
         (line, cells), j = complete[k], int(np.flatnonzero(wrong[k])[0])
         cell, problem = cells[at[j]], "which is no such number; correct it"
+        if columns[j] == TIME and re.search("[0-9]:[0-9]", cell):
+            problem = "which is no time in ISO 8601; write it as 2025-10-20 12:00:00.010, or in seconds"
         if cell.endswith(MAYBE_GROUPED):
             cell = cell.removesuffix(MAYBE_GROUPED)
             problem = "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
@@ -306,6 +308,7 @@ def _undone(
     numbers = columns.where(lambda name, _: name not in TEXT_COLUMNS and not (columns.stamps and name == TIME))
     others = columns.where(lambda _, factor: factor != 1)
     stamps = columns.where(lambda name, _: columns.stamps and name == TIME)
+    with_point = partial(_with_point, comma=comma, quoted=begins.delimiter == ",")
     comments = repeats = 0
     for line, cells in rows:
         if cells[0].lstrip().startswith(COMMENT_MARK):
@@ -318,10 +321,9 @@ def _undone(
             cells.pop()
         if not all_named:
             cells = [cells[i] for i in kept if i < len(cells)] + cells[width:]
-        changes = [(numbers, partial(_with_point, comma=comma, quoted=begins.delimiter == ","))]
-        if begins.delimiter == "," and not any("," in cell for cell in cells):
-            changes = []
-        changes += [(stamps, stamp_in_seconds)]
+        changes: list[tuple[list[int], Callable[[str], str]]] = [(stamps, stamp_in_seconds)]
+        if begins.delimiter != "," or any("," in cell for cell in cells):
+            changes.append((numbers, with_point))
         for which, change in changes:
             for i in which:
                 if i < len(cells):
@@ -427,7 +429,8 @@ def _our_columns(stated: list[str], first: list[str], notes: list[str]) -> _Colu
         stamps = False
     if stamps:
         factors[header.index(TIME)] = 1.0
-        notes.append("assumed: dates and times without a zone are in UTC")
+        if not states_zone(first[header.index(TIME)]):
+            notes.append("assumed: times without a zone are in UTC, and times without a date are of one day")
     units = [name for name, own, factor in zip(stated, ours, factors, strict=True) if factor != 1 and own[1] != 1]
     if units:
         notes.append(f"columns {', '.join(units)} are in other units than mm, uT, N and s, and were turned into these")
