@@ -45,7 +45,7 @@ SOURCE_COLUMN = "source"
 TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
 STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
 SAMPLE_ROWS = 64  # by which decimals, times and units are told
-COMMENT_MARK = "#"
+COMMENT_MARK, SPREADSHEET_ERROR = "#", re.compile("#(N/A|[A-Z0-9/]+[!?])")
 SEPARATOR_LINE = re.compile("sep=(.)", re.IGNORECASE)  # with which spreadsheets name the delimiter
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
 DECIMAL = {sign: re.compile(rf"[-+]?[0-9]*[{sign}][0-9]+([eE][-+]?[0-9]+)?") for sign in ".,"}
@@ -311,7 +311,7 @@ def _undone(
     with_point = partial(_with_point, comma=comma, quoted=begins.delimiter == ",")
     comments = repeats = 0
     for line, cells in rows:
-        if cells[0].lstrip().startswith(COMMENT_MARK):
+        if cells[0].lstrip().startswith(COMMENT_MARK) and not SPREADSHEET_ERROR.fullmatch(cells[0].strip()):
             comments += 1
             continue
         if [cell.strip().removeprefix("\ufeff") for cell in cells[:width]] == begins.names:
