@@ -182,13 +182,12 @@ def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
         if not len(back):
             break
         at, first = int(back[0]), int(np.searchsorted(rows, restarts[-1])) if restarts else 0
-        before, after = _late_rows(time[rows], at, first, begun or bool(restarts)), _early_rows(time[rows], at, last)
-        if rolls_over(time[rows[at - 1]], time[rows[at]]) or not (before or after):
+        both = (_late_rows(time[rows], at, first, begun), _early_rows(time[rows], at, last))
+        runs = sorted(filter(None, both), key=lambda run: (not run.closed, run.end - run.start))
+        if rolls_over(time[rows[at - 1]], time[rows[at]]) or not runs:
             restarts.append(int(rows[at]))
-        elif after and (not before or after < before):
-            damaged[rows[at : at + after]] = True
         else:
-            damaged[rows[at - before : at]] = True
+            damaged[rows[runs[0].start : runs[0].end]] = True
     settled = len(time) if last else max(len(time) - 2 * MAX_BAD_STAMPS, 0)
     return ClockVerdict(damaged[:settled], np.array([row for row in restarts if row < settled], int), settled)
 
@@ -227,25 +226,31 @@ def even_times(time: Float[np.ndarray, " n"], clock: RowClock, shared: int = 0) 
     return np.maximum.accumulate(time + clock.step * within)
 
 
-def _late_rows(time: np.ndarray, at: int, first: int, begun: bool) -> int:
-    """Number of rows before `at` that are later than it and stand out from those before; 0 where they do not."""
+class _Run(NamedTuple):
+    """Rows whose stamps stand out."""
+
+    start: int
+    end: int
+    closed: bool  # from the rows before and from those after; else a side has no rows
+
+
+def _late_rows(time: np.ndarray, at: int, first: int, begun: bool) -> _Run | None:
+    """Rows before `at` that are later than it and stand out from those before, of which the part begins at `first`."""
     window = time[max(at - MAX_BAD_STAMPS - 1, first) : at][::-1] > time[at]
-    count = len(window) if window.all() else int(np.argmin(window))
-    if count > MAX_BAD_STAMPS:
-        return 0
-    if at - count <= first and not (begun and first == 0):
-        return count if count < MIN_PART_ROWS and first == 0 else 0
-    if at - count <= first:
-        return 0
-    return count if time[at - count] - time[at - count - 1] >= (time[at - 1] - time[at]) / 2 else 0
+    start = at - (len(window) if window.all() else int(np.argmin(window)))
+    if at - start > MAX_BAD_STAMPS:
+        return None
+    if start == first:
+        return None if first or begun or at - start >= MIN_PART_ROWS else _Run(start, at, closed=False)
+    return _Run(start, at, closed=True) if 2 * (time[start] - time[start - 1]) >= time[at - 1] - time[at] else None
 
 
-def _early_rows(time: np.ndarray, at: int, last: bool) -> int:
-    """Number of rows from `at` that are earlier than the row before and stand out from those after; 0 if not."""
+def _early_rows(time: np.ndarray, at: int, last: bool) -> _Run | None:
+    """Rows from `at` that are earlier than the row before and stand out from those after."""
     window = time[at : at + MAX_BAD_STAMPS + 1] < time[at - 1]
-    count = len(window) if window.all() else int(np.argmin(window))
-    if count > MAX_BAD_STAMPS:
-        return 0
-    if at + count == len(time):
-        return count if last and count < MIN_PART_ROWS else 0
-    return count if time[at + count] - time[at + count - 1] >= (time[at - 1] - time[at]) / 2 else 0
+    end = at + (len(window) if window.all() else int(np.argmin(window)))
+    if end - at > MAX_BAD_STAMPS:
+        return None
+    if end == len(time):
+        return _Run(at, end, closed=False) if last and end - at < MIN_PART_ROWS else None
+    return _Run(at, end, closed=True) if 2 * (time[end] - time[end - 1]) >= time[at - 1] - time[at] else None
