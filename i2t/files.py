@@ -68,6 +68,7 @@ FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"<!doctype html", "a web page (HTML)", "download the file itself"),
     (b"<html", "a web page (HTML)", "download the file itself"),
     (b"<?xml", "an XML document", EXPORT),
+    *((mark, "a JSON document", EXPORT) for mark in (b"{", b"[{", b"[[")),
     *((b"\x80" + bytes([protocol]), "a Python pickle", EXPORT) for protocol in range(2, 6)),
 )
 ZIP_NAMES: tuple[tuple[bytes, str, str], ...] = (  # of entries in a zip archive that is a document

@@ -282,7 +282,7 @@ def _table(path: Path, as_named: bool = False) -> TableRows:
     comma = _decimal_sign(parts, begins.delimiter) == ","
     notes = _notes_on(encoding, begins, comma=comma)
     kept = [i for i, name in enumerate(begins.names) if name]
-    stated = [_with_unit(begins.names[i], *units[i : i + 1]) for i in kept]
+    stated = [_with_unit(path, begins.names[i], *units[i : i + 1]) for i in kept]
     columns = _Columns(stated, [1.0] * len(stated), False)
     if not as_named:
         shown = [_with_point(first[i], comma=comma, quoted=False) if i < len(first) else "" for i in kept]
@@ -443,10 +443,18 @@ def _are_units(cells: list[str]) -> bool:
     return any(words) and all(word in UNIT_WORDS or not word for word in words) and not any(map(_is_number, words))
 
 
-def _with_unit(name: str, unit: str = "") -> str:
-    """A column's name with the unit that stands below it, where it makes the name one that is understood."""
-    both = f"{name}_{UNIT_BRACKETS.sub('', unit)}"
-    return both if _is_ours(both) and not _is_ours(name) else name
+def _with_unit(path: Path, name: str, unit: str = "") -> str:
+    """A column's name with the unit that stands below it, where it makes the name one that is understood; DataError
+    where the name has another unit.
+    """
+    plain = UNIT_BRACKETS.sub("", unit)
+    if _is_ours(name):
+        stem, _, own = _plain_name(name).rpartition("_")
+        if plain and _in_our_words(f"{stem}_{plain}") != _in_our_words(name):
+            raise DataError(f"{path}: column {name} has the unit {own} by its name and {plain} below it; correct one")
+        return name
+    both = f"{name}_{plain}"
+    return both if _is_ours(both) else name
 
 
 def _is_ours(name: str) -> bool:
@@ -472,10 +480,15 @@ def _parsed(
         raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
 
 
+def _plain_name(name: str) -> str:
+    """A column's name in small letters, with its unit after a line: x_mm for X [mm]."""
+    plain = re.sub(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]$", r"_\1", name)
+    return plain.replace("\u00b5", "u").replace("\u03bc", "u").replace(" ", "_").lower()
+
+
 def _in_our_words(name: str) -> tuple[str, float]:
     """A column's name here, and the factor by which its numbers grow."""
-    plain = re.sub(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]$", r"_\1", name)
-    plain = plain.replace("\u00b5", "u").replace("\u03bc", "u").replace(" ", "_").lower()
+    plain = _plain_name(name)
     if plain in WORDS:
         return WORDS[plain], 1.0
     stem, _, unit = plain.rpartition("_")

@@ -115,6 +115,7 @@ def as_npy(array):
         (b"#ROSBAG V2.0\n" + bytes(40), "is a ROS bag"),
         (b"SQLite format 3\0" + bytes(40), "is an SQLite database"),
         (b"\x89HDF\r\n\x1a\n" + bytes(40), "is an HDF5 file"),
+        (b'{"x_mm": [1, 2]}', "is a JSON document"),
         (pickle.dumps([1.0]), "is a Python pickle"),
         (b"\n<!DOCTYPE html><html>", "is a web page (HTML); download the file itself"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a Git LFS pointer"),
@@ -162,6 +163,14 @@ def test_three_decimals_and_names_with_a_point_group_nothing(tmp_path):
     np.testing.assert_array_equal(dataset.touches.reading, other.touches.reading)
     np.testing.assert_allclose(dataset.touches.reading, SKIN.readings, atol=1e-3)
     assert dataset.sessions == other.sessions == ("1.234",)
+
+
+def test_a_unit_below_a_name_that_has_another_is_refused(tmp_path, capsys):
+    units = "\nm,mm,mm" + 15 * ",uT" + "\n"
+    path = write_table(tmp_path / "a.csv", NAMES, VALUES, lambda text: text.replace("\n", units, 1))
+    assert "column x_mm has the unit mm by its name and m below it" in refused(
+        capsys, "presses", path, tmp_path / "out", *OPTIONS
+    )
 
 
 def test_decimal_commas_between_commas_are_named_as_such(tmp_path, capsys):
