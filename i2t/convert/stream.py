@@ -345,8 +345,8 @@ def _parts(names: tuple[str, ...], pieces: "Iterator[_Timed]") -> Iterator[_Sear
     last_heard = np.nan  # s
     for piece in pieces:
         rows, heard = piece.rows, piece.rows.heard
-        known = np.fmax.accumulate(np.concatenate([[last_heard], np.where(heard, rows.time, np.nan)]))
-        silences = np.flatnonzero(heard & (rows.time - known[:-1] > SILENCE_S))
+        heard_at = np.fmax.accumulate(np.concatenate([[last_heard], np.where(heard, rows.time, np.nan)]))
+        silences = np.flatnonzero(heard & (rows.time - heard_at[:-1] > SILENCE_S))
         begins = {*np.flatnonzero(piece.begins).tolist(), *silences.tolist()}
         for start, end in pairwise(sorted({0, *begins, len(rows.time)})):
             part = rows.pick(slice(start, end))
@@ -358,8 +358,7 @@ def _parts(names: tuple[str, ...], pieces: "Iterator[_Timed]") -> Iterator[_Sear
                     search = None
             search = search or _Search(names, origin=float(part.time[0]))
             search.take(part, piece.step)
-        last_heard = float(known[-1])
-        last_heard = float(np.fmax(last_heard, rows.time[heard][-1])) if heard.any() else last_heard
+        last_heard = float(heard_at[-1])
     if search is not None:
         yield search
 

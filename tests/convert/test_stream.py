@@ -160,10 +160,10 @@ IN_A_PRESS = int(np.flatnonzero(LOG[:, 3] < 0)[300])  # in the second half of it
 
 
 @pytest.mark.parametrize(
-    "how", [{}, {"chips": slice(6, 9)}, {"share": 0.6}, {"gap": (IN_A_PRESS, IN_A_PRESS + 40)}], ids=str
+    "silence", [{}, {"chips": slice(6, 9)}, {"share": 0.6}, {"gap": (IN_A_PRESS, IN_A_PRESS + 40)}], ids=str
 )
-def test_rows_of_a_silent_board_make_no_press_and_end_none(tmp_path, how):
-    rows, silent = silent_log(**how)
+def test_rows_of_a_silent_board_make_no_press_and_end_none(tmp_path, silence):
+    rows, silent = silent_log(**silence)
     table = presses_of(tmp_path, rows=rows)
     assert f"left out: {silent} rows in which a chip did not answer" in table.notes
     np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
