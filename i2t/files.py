@@ -7,6 +7,7 @@ own OSError.
 """
 
 import codecs
+import contextlib
 import gzip
 import io
 import json
@@ -36,6 +37,57 @@ MAX_LINE_BYTES = 2**16  # of a text that is read line by line: a row of 25 chips
 MAX_MESH_BYTES = 2**28  # of a file of a mesh, and of the files that it names
 MARK_OF_TOUCHES = b"i2t-touches "  # with which a file of touches begins (`i2t.dataset.files`)
 TABLE_SUFFIXES, MESH_SUFFIXES = (".csv", ".tsv", ".txt"), (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
+GZIP_MARK = b"\x1f\x8b"
+HEAD_BYTES = 2**16  # of a file, by which its kind and its encoding are told
+# What begins with these bytes, by the specification of each format, and how its numbers become a table.
+EXPORT, UNPACK = "export what you need of it as CSV in UTF-8", "unpack it first"
+FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
+    (b"\x93NUMPY", "a NumPy array (.npy)", "write its columns with numpy.savetxt, with their names as the header"),
+    (b"PK\x03\x04", "a zip archive", UNPACK),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an old Excel workbook (.xls)", "save it as CSV in UTF-8"),
+    (b"PAR1", "an Apache Parquet file", "write it with pandas: read_parquet(...).to_csv(..., index=False)"),
+    (b"ARROW1", "an Apache Arrow (Feather) file", "write it with pandas: read_feather(...).to_csv(..., index=False)"),
+    (b"\x89MCAP0\r\n", "an MCAP recording", EXPORT),
+    (b"#ROSBAG V", "a ROS bag", EXPORT),
+    (b"SQLite format 3\0", "an SQLite database, as ROS 2 bags (.db3) are", EXPORT),
+    (MARK_OF_TOUCHES, "a data set of i2t, and converted already", "use it as it is"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file", EXPORT),
+    (b"MATLAB 5.0 MAT-file", "a MATLAB file (.mat)", "write it in MATLAB with writetable"),
+    (b"MATLAB 7.3 MAT-file", "a MATLAB file (.mat)", "write it in MATLAB with writetable"),
+    (b"TDSm", "a LabVIEW recording (TDMS)", EXPORT),
+    (b"BZh", "a bzip2 archive", UNPACK),
+    (b"\xfd7zXZ\0", "an xz archive", UNPACK),
+    (b"\x28\xb5\x2f\xfd", "a Zstandard archive", UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", UNPACK),
+    (b"Rar!\x1a\x07", "a RAR archive", UNPACK),
+    (b"%PDF-", "a PDF document", EXPORT),
+    (b"\x89PNG\r\n\x1a\n", "an image (PNG)", "name a table"),
+    (b"\xff\xd8\xff", "an image (JPEG)", "name a table"),
+    (b"II*\0", "an image (TIFF)", "name a table"),
+    (b"MM\0*", "an image (TIFF)", "name a table"),
+    (b"version https://git-lfs", "a Git LFS pointer and not the file itself", "fetch it with git lfs pull"),
+    (b"<!doctype html", "a web page (HTML)", "download the file itself"),
+    (b"<html", "a web page (HTML)", "download the file itself"),
+    (b"<?xml", "an XML document", EXPORT),
+    *((mark, "a JSON document", EXPORT) for mark in (b"{", b"[{", b"[[")),
+    *((b"\x80" + bytes([protocol]), "a Python pickle", EXPORT) for protocol in range(2, 6)),
+)
+ZIP_NAMES: tuple[tuple[bytes, str, str], ...] = (  # of entries in a zip archive that is a document
+    (b"xl/", "an Excel workbook (.xlsx)", "save it as CSV in UTF-8"),
+    (b"[Content_Types].xml", "an Excel workbook or another Office document", "save it as CSV in UTF-8"),
+    (b"opendocument.spreadsheet", "an OpenDocument spreadsheet (.ods)", "save it as CSV in UTF-8"),
+    (b".npy", "a NumPy archive (.npz)", "write its columns with numpy.savetxt, with their names as the header"),
+)
+UNICODE_MARKS = (  # those of UTF-32 first, which begin with those of UTF-16
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+UNDECODED = re.compile("[\udc80-\udcff]")  # bytes that are no UTF-8, as `surrogateescape` keeps them
+UTF_8, WINDOWS_1252 = "utf-8-sig", "cp1252"
+NO_TEXT_BYTES = frozenset(range(32)) - set(b"\t\n\v\f\r\x1a\x1b")  # control characters that no text has
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -146,25 +198,124 @@ def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:
         return file.read(most)
 
 
-def read_lines(path: str | Path) -> Iterator[str]:
-    """The lines of a text file of any size, one after the other, unzipped where its name ends in .gz.
+def kind_of(head: bytes) -> tuple[str, str]:
+    """What a file is that is no table, by its first bytes.
+
+    Args:
+        head: The first bytes, as many as `HEAD_BYTES`.
+
+    Returns:
+        The kind of file, with its article, and how its numbers can be read; two empty texts for anything else.
+    """
+    if head.startswith(b"PK\x03\x04"):
+        for name, kind, remedy in ZIP_NAMES:
+            if name in head:
+                return kind, remedy
+    markup = head.removeprefix(codecs.BOM_UTF8).lstrip().lower()
+    for mark, kind, remedy in FILE_MARKS:
+        if (markup if mark.startswith(b"<") else head).startswith(mark):
+            return kind, remedy
+    return "", ""
+
+
+def encoding_of(path: str | Path, head: bytes, *, whole: bool) -> str:
+    """Encoding of a text.
+
+    UTF-8, UTF-16 and UTF-32 by their marks, UTF-16 of plain characters without one, UTF-8 where the bytes are that, and
+    otherwise Windows-1252, as spreadsheets write it, where the bytes are that.
+
+    Args:
+        path: Of the file, for messages.
+        head: Its first bytes, as many as `HEAD_BYTES`.
+        whole: Whether these are all.
+
+    Returns:
+        A name that Python knows; UTF-8 is "utf-8-sig".
+
+    Raises:
+        DataError: The file is of another kind, or no text.
+    """
+    kind, remedy = kind_of(head)
+    if kind:
+        raise DataError(f"{path}: is {kind}; {remedy}")
+    for mark, encoding in UNICODE_MARKS:
+        if head.startswith(mark):
+            return encoding
+    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):  # zeros stand after, or before, each character
+        if len(head) > 3 and not any(head[first::2]) and all(head[1 - first : -1 : 2]):
+            return encoding
+    if NO_TEXT_BYTES & set(head.rstrip(b"\0")):  # a power cut leaves zeros at the end of a log
+        raise DataError(f"{path}: is no text but binary data; save it as CSV in UTF-8")
+    for encoding in (UTF_8, WINDOWS_1252):
+        try:
+            codecs.getincrementaldecoder(encoding)().decode(head, final=whole)
+        except UnicodeDecodeError:
+            continue
+        return encoding
+    raise DataError(f"{path}: is no text in UTF-8 or Windows-1252; save it as CSV in UTF-8")
+
+
+def encoding_of_file(path: str | Path) -> str:
+    """Encoding of a text file, plain or gzip-ed, by its first bytes, as `encoding_of` tells it.
 
     Args:
         path: Of the file.
+
+    Returns:
+        A name that Python knows.
+
+    Raises:
+        DataError: It is no regular file, of another kind, no text, or damaged.
+        OSError: It is missing, or cannot be read.
+    """
+    with open_regular(path) as raw, _unpacking(path):
+        head = _unzipped(raw).read(HEAD_BYTES)
+    return encoding_of(path, head, whole=len(head) < HEAD_BYTES)
+
+
+def decoded(path: str | Path, data: bytes) -> str:
+    """The text of a file in the encoding that `encoding_of` tells.
+
+    Args:
+        path: Of the file, for messages.
+        data: Its bytes.
+
+    Returns:
+        The text, without a byte order mark.
+
+    Raises:
+        DataError: The file is of another kind, or no text.
+    """
+    encoding = encoding_of(path, data[:HEAD_BYTES], whole=len(data) <= HEAD_BYTES)
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        name = encoding.removesuffix("-sig").upper()
+        raise DataError(f"{path}: is no text in {name} (byte {error.start}); save it as CSV in UTF-8") from error
+
+
+def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
+    """The lines of a text file of any size, plain or gzip-ed, one after the other.
+
+    Args:
+        path: Of the file.
+        encoding: Of its text, as of `encoding_of_file`.
 
     Yields:
         Each line, without its end.
 
     Raises:
-        DataError: It is no regular file, no text in UTF-8, damaged, has a line of more than `MAX_LINE_BYTES`, or
-            unpacks to more than numbers ever do.
+        DataError: It is no regular file, no text in this encoding, damaged, has a line of more than `MAX_LINE_BYTES`
+            characters, or unpacks to more than numbers ever do.
         OSError: It is missing, or cannot be read.
     """
-    with open_regular(path) as raw:
-        zipped = Path(path).suffix == ".gz"
-        most = may_grow_to(os.fstat(raw.fileno()).st_size) if zipped else math.inf
-        text = gzip.GzipFile(fileobj=raw) if zipped else raw
-        number, total, mark = 0, 0, codecs.BOM_UTF8
+    with open_regular(path) as raw, _unpacking(path):
+        size, zipped = os.fstat(raw.fileno()).st_size, raw.peek(2).startswith(GZIP_MARK)
+        most = may_grow_to(size) if zipped else math.inf
+        # Bytes that are no text are kept as surrogates, so that the line is named that holds them.
+        errors = "surrogateescape" if encoding == UTF_8 else "strict"
+        text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzipped(raw), encoding, errors)
+        number, total = 0, 0
         try:
             while line := text.readline(MAX_LINE_BYTES):
                 number, total = number + 1, total + len(line)
@@ -173,14 +324,32 @@ def read_lines(path: str | Path) -> Iterator[str]:
                         f"{path}: unpacks to more than {_size(int(most))}, as no recording does; restore it from the "
                         "source"
                     )
-                if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
+                if len(line) == MAX_LINE_BYTES and not line.endswith("\n"):
                     raise DataError(f"{path}: line {number} has more than {MAX_LINE_BYTES} bytes; it is no table")
-                yield line.removeprefix(mark).decode().rstrip("\r\n")
-                mark = b""
+                if not line.isascii() and UNDECODED.search(line):
+                    raise DataError(f"{path}: line {number} is no text in UTF-8; save the file as CSV in UTF-8")
+                yield line.removesuffix("\n")
         except UnicodeDecodeError as error:
-            raise DataError(f"{path}: line {number} is no text in UTF-8; restore it from the source") from error
-        except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-            raise DataError(f"{path}: cannot be unpacked ({error}); restore it from the source") from error
+            raise DataError(
+                f"{path}: is no text in {encoding.upper()} after line {number}; save it as CSV in UTF-8"
+            ) from error
+        finally:
+            with contextlib.suppress(ValueError, OSError, EOFError, zlib.error):
+                text.detach()  # or it would close the file a second time
+
+
+def _unzipped(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:
+    """What a file holds, unpacked where it begins as gzip archives do."""
+    return gzip.GzipFile(fileobj=raw) if raw.peek(2).startswith(GZIP_MARK) else raw
+
+
+@contextmanager
+def _unpacking(path: str | Path) -> Iterator[None]:
+    """Name a gzip archive that is damaged."""
+    try:
+        yield
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise DataError(f"{path}: cannot be unpacked ({error}); restore it from the source") from error
 
 
 def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
@@ -191,18 +360,24 @@ def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
         most: Bytes that it may have.
 
     Returns:
-        The text.
+        The text, without a byte order mark.
 
     Raises:
         DataError: It is no regular file, larger, or no text in UTF-8.
         OSError: It is missing, or cannot be read.
     """
+    data = read_bytes(path, most)
     try:
-        return read_bytes(path, most).decode("utf-8")
+        return data.decode(UTF_8)
     except UnicodeDecodeError as error:
         if Path(path).suffix.lower() in MESH_SUFFIXES:
             raise DataError(f"{path}: is the mesh of an object, and text is read here; name another file") from error
-        raise DataError(f"{path}: is not text in UTF-8 (byte {error.start}); restore it from a copy") from error
+        kind, _ = kind_of(data[:HEAD_BYTES])
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return decoded(path, data)
+        raise DataError(
+            f"{path}: is {kind or f'not text in UTF-8 (byte {error.start})'}; save it in UTF-8, or restore a copy"
+        ) from error
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:

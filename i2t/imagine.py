@@ -55,6 +55,7 @@ def _imagine(asked: ImagineArgs) -> None:
     _check(asked)
     thing = _object(asked)
     from i2t import viz
+    from i2t.dataset import holds_simulated
     from i2t.prediction.predictor import load_predictor
     from i2t.rendering.render import prepare_surface
     from i2t.simulation.sites import sample_touch_sites
@@ -74,7 +75,7 @@ def _imagine(asked: ImagineArgs) -> None:
         chip, axis = divmod(int(abs(mean).argmax()), 3)
         strongest = f"{mean[3 * chip + axis]:.1f} +- {std[3 * chip + axis]:.1f} uT"
         print(f"touch {number}: chip {chip} {'xyz'[axis]} changes most, by {strongest}")
-    simulated = asked.model in READY_MODELS or (predictor.metadata or {}).get("source") != "real"
+    simulated = asked.model in READY_MODELS or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
     figure = viz.plot_predicted_touches(
         seen.patch, {"imagined": readings.mean}, [f"touch {i + 1}" for i in range(asked.sites)], board,
         title=f"{thing.name}, pressed with {asked.force:g} N", simulated=simulated,

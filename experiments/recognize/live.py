@@ -37,7 +37,7 @@ from i2t.collect.beginning import begin
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
-from i2t.dataset import read_touch
+from i2t.dataset import holds_simulated, read_touch
 from i2t.emulators.world import read_pad
 from i2t.errors import DeviceError
 from i2t.geometry import inverse
@@ -219,7 +219,7 @@ def conclude(
         board=known.board,
         p=p,
         truth=names.index(shown) if shown in names else -1,
-        simulated=source != "real",
+        simulated=holds_simulated(source),
     )
     write_episode_report(record, args.out / "story")
     stood = "" if true_object is None else f"; it was the {true_object} (simulated)"

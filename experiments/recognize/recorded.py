@@ -13,7 +13,7 @@ from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import Recognition
 from experiments.recognize.trained_run import load_meshes, meshes_by_name
 from i2t import dataset as data
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, source_words
 from i2t.dataset.sets import times_of
 from i2t.errors import DataError
 from i2t.geometry import inverse
@@ -70,7 +70,7 @@ def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     begin(args.out, args, cfg, args.resume, args.overwrite)
     known = source.make(jax.random.key(args.seed))
     print(pad_sources.describe(known))
-    print(f"{args.dataset} ({recorded.source}): {sessions.describe()}")
+    print(f"{args.dataset} ({source_words(recorded.source)}): {sessions.describe()}")
     if len(recorded) < len(loaded):
         print(
             f"{len(loaded)} recorded touches are samples of {len(recorded)}: those within {SAME_PRESS_S:g} s at one "

@@ -12,6 +12,7 @@ from experiments.common.runs import Part, write_json
 from experiments.common.tables import text_table
 from experiments.recognize import figures
 from i2t import viz
+from i2t.dataset import holds_simulated
 from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TouchObservation
@@ -192,7 +193,7 @@ def summarise(
     summary = {"source": source, **pads_of(parts, pools), **about, "sets": scores}
     write_json(out / "metrics.json", summary)
     for name, episodes in sets.items():
-        write_figures(name, episodes, out, source != "real")
+        write_figures(name, episodes, out, holds_simulated(source))
     return summary
 
 
@@ -379,7 +380,7 @@ def report_hardest_episode(
     one = int(np.argmin(np.where(right, first, 1 + first)))
     record = viz.EpisodeRecord(
         meshes, results.names, results.episodes.T_w_t[one], np.asarray(results.episodes.observations.reading)[one],
-        board, p[one], int(results.truth[one]), source != "real",
+        board, p[one], int(results.truth[one]), holds_simulated(source),
     )  # fmt: skip
     viz.write_episode_report(record, out)
 

@@ -8,6 +8,7 @@ import numpy as np
 from experiments.common.intervals import with_interval
 from experiments.shapes.methods import METHODS
 from i2t import viz
+from i2t.dataset import holds_simulated, source_words
 from i2t.recognition.intervals import Estimate, rate_interval, student_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
@@ -65,7 +66,7 @@ def _plain(estimate: Estimate) -> list[float]:
 
 def report(result: dict[str, Any]) -> None:
     """The tables a person reads."""
-    kind = "" if result["source"] == "real" else f" ({result['source']})"
+    kind = "" if result["source"] == "real" else f" ({source_words(result['source'])})"
     over = f"{len(result['pads'])} pads" if len(result["pads"]) > 1 else "one pad"
     names = result["shapes"]
     published = all(name in PUBLISHED_RATES for name in names)
@@ -92,7 +93,7 @@ def _interval(value: list[float]) -> str:
 
 def figures(out: Path, result: dict[str, Any]) -> None:
     """Confusion matrices of the random split, and rates of all splits."""
-    simulated = result["source"] != "real"
+    simulated = holds_simulated(result["source"])
     matrices = {name: np.array(scored["confusion"]) for name, scored in result["splits"]["random"].items()}
     figure = viz.plot_confusions(matrices, result["shapes"], "Which stamp was it? A random fifth held out", simulated)
     viz.save_figure(figure, out / "confusion.png")

@@ -42,7 +42,7 @@ from experiments.shapes.methods import (
 )
 from experiments.shapes.world import StampPressConfig, press_stamps
 from i2t import dataset as data
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, source_words
 from i2t.errors import DataError
 from i2t.paper.classifier import Classifier
 from i2t.progress import progress
@@ -100,7 +100,8 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     presses = prepare(args, cfg)
     dataset, names = presses.dataset, presses.names
     print(
-        f"{len(dataset)} presses ({dataset.source}) of {', '.join(map(printable, names))} on {len(presses.pads)} pads"
+        f"{len(dataset)} presses ({source_words(dataset.source)}) of {', '.join(map(printable, names))} on "
+        f"{len(presses.pads)} pads"
     )
     tasks = []
     for pad in range(len(presses.pads)):

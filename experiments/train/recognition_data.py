@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments.common.runs import write_json
 from i2t import dataset as data
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, source_words
 from i2t.dataset.sets import missing_context
 from i2t.errors import DataError
 from i2t.geometry import inverse
@@ -119,8 +119,8 @@ def keep(out: Path, dataset: Dataset, rows: np.ndarray, files: Mapping[str, Mesh
     }
     write_json(out / RECOGNITION_ABOUT, about)
     return (
-        f"recognition: {about['touches']} training touches of {', '.join(known.meshes)} ({dataset.source}) make a pad "
-        f'model of "{about["pad"]}"'
+        f"recognition: {about['touches']} training touches of {', '.join(known.meshes)} "
+        f'({source_words(dataset.source)}) make a pad model of "{about["pad"]}"'
     )
 
 

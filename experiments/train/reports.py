@@ -14,7 +14,7 @@ from experiments.common.tables import text_table
 from experiments.train.evaluation import Evaluation
 from experiments.train.prepare import Prepared
 from i2t import viz
-from i2t.dataset import Dataset, Split
+from i2t.dataset import Dataset, Split, holds_simulated, source_words
 from i2t.files import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 from i2t.prediction.predictor import Predictor, coverage, save
@@ -110,7 +110,7 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
 def figures(out: Path, prepared: Prepared, evaluation: Evaluation, metrics: dict[str, Any]) -> None:
     """All pictures of one run, in the folder `out`."""
     dataset, split = prepared.touches.dataset, prepared.split
-    simulated = dataset.source != "real"
+    simulated = holds_simulated(dataset.source)
     _touches(out, dataset, split, evaluation.predicted[evaluation.choice.best])
     if curves := curves_of(evaluation.predictors):
         figure = viz.plot_training_curves(curves, "Training", "squared error (standardised)", simulated)
@@ -137,7 +137,7 @@ def _touches(out: Path, dataset: Dataset, split: Split, predicted: np.ndarray) -
         labels = [f"{dataset.objects[kinds[i]]}\nerror {100 * error[i]:.0f} %" for i in rows]
         figure = viz.plot_predicted_touches(
             patches[rows], {"measured": truth[rows], "predicted": predicted[rows]}, labels, dataset.board,
-            f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", dataset.source != "real",
+            f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", holds_simulated(dataset.source),
             window=dataset.window, reach=dataset.reach,
         )  # fmt: skip
         viz.save_figure(figure, out / f"touches_{title.split()[0]}.png")
@@ -168,7 +168,7 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
         {name: tuple(row["r2"]) for name, row in over.items()},
         f"Explained variance, {which}",
         f"R² (95 % interval over {unit})",
-        parts[0]["source"] != "real",
+        holds_simulated(parts[0]["source"]),
     )
     viz.save_figure(figure, out / "scores.png")
     return summary
@@ -184,7 +184,7 @@ def _estimates(tables: Sequence[Mapping[str, Any]], columns: Sequence[str] | Non
 
 def print_table(result: dict[str, Any]) -> None:
     """The table a person reads."""
-    kind = "" if result["source"] == "real" else f" ({result['source']})"
+    kind = "" if result["source"] == "real" else f" ({source_words(result['source'])})"
     if "pads" in result:
         for pad, methods in result["pads"].items() if "over_pads" not in result else ():
             _print_methods(f"pad {pad}{kind}: mean over seeds {result['seeds']} with 95 % interval", methods)

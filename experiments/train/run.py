@@ -46,7 +46,7 @@ from experiments.train.recognition_data import MeshFile
 from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling, simulated_dataset
 from i2t import dataset as data
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, source_words
 from i2t.prediction.methods import find_methods
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.terminal import printable
@@ -122,7 +122,7 @@ def summary_of(prepared: Prepared) -> str:
     """Touches of each part of the split, and what is odd about them."""
     dataset, split = prepared.touches.dataset, prepared.split
     counts = f"{split.train.sum()} train, {split.validation.sum()} validate, {split.test.sum()} test"
-    said = f"{len(dataset)} touches ({dataset.source}), split by {split.how}: {counts}"
+    said = f"{len(dataset)} touches ({source_words(dataset.source)}), split by {split.how}: {counts}"
     return "\n".join([said, *(printable(f"note: {note}") for note in prepared.notes)])
 
 

@@ -25,7 +25,7 @@ from experiments.train.simulate import simulated_dataset
 from experiments.tsne.arguments import TsneArgs
 from i2t import dataset as data
 from i2t import viz
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, holds_simulated, source_words
 from i2t.errors import DataError
 from i2t.recognition.metrics import to_json
 from i2t.types import ReturnCode
@@ -116,13 +116,13 @@ def figure(dataset: Dataset, touch_map: TouchMap, kind: str) -> Any:
         [dataset.objects[i] for i in touches.object],
         dataset.board,
         title=f"{len(touch_map.at)} touches sorted by what was seen",
-        simulated=dataset.source != "real",
+        simulated=holds_simulated(dataset.source),
     )
 
 
 def report(result: dict[str, Any]) -> None:
     """The numbers a person reads."""
-    kind = "" if result["source"] == "real" else f" ({result['source']})"
+    kind = "" if result["source"] == "real" else f" ({source_words(result['source'])})"
     index, kept = result["rand_index"], result["map_neighbours_kept"]
     print(f"\n{result['touches']} touches{kind}: map and clusters in {result['seconds']:.1f} s")
     print(f"clusters of {', '.join(map(str, result['cluster_sizes']))} touches")

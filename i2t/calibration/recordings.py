@@ -25,13 +25,23 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from i2t.convert.common import read_text
-from i2t.convert.eflesh import EFLESH_READINGS, SAME_ROW, load_of_states, rows_together, stroke_numbers, table_path
+from i2t.convert.eflesh import (
+    EFLESH_READINGS,
+    SAME_ROW,
+    baselines,
+    load_of_states,
+    rows_together,
+    silent_chips_of,
+    stroke_numbers,
+    table_path,
+)
 from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.dataset import Dataset, load_dataset
 from i2t.dataset.sets import times_of
 from i2t.errors import DataError
 from i2t.files import TABLE_SUFFIXES
 from i2t.geometry import inverse
+from i2t.skin.boards import without_silent_chips
 from i2t.types import Board, ReturnCode
 from i2t.unknowns import Finding, correction_of, lag_rows, turn_board
 
@@ -317,10 +327,10 @@ def read_tables(path: Path) -> list[SkinRecording]:
     names, notes = _reading_columns(table, path), list(table.text.notes)
     ambient = ["a" + name[1:] for name in names]
     readings = table.some(names)
-    if all(name in table.columns for name in ambient):
-        readings = readings - table.some(ambient)
+    if all(name in table.columns for name in ambient) and (table.some(ambient) != 0).any():
+        readings = without_silent_chips(readings) - without_silent_chips(table.some(ambient))
     else:
-        ambient = []
+        readings, ambient = without_silent_chips(readings, differences=True), []
     targets = {
         target: np.column_stack([scale * table.column(name) for name, scale in kinds if name in table.columns])
         for target, kinds in TABLE_COLUMNS.items()
@@ -427,7 +437,8 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
         [f"left out: {len(values) - len(rows)} rows without a state at their time"] if len(rows) < len(values) else []
     )
     states, values = states[partner], values[rows]
-    readings, place = values[:, 1:], 1e-3 * states[:, 1:4]
+    silent = np.repeat(silent_chips_of(folder, values), VALUES_PER_CHIP, axis=1)
+    readings, place = np.where(silent, np.nan, values[:, 1:]), 1e-3 * states[:, 1:4]
     sheared = readings.shape[1] > EFLESH_READINGS
     middle = (np.nanmin(place, 0) + np.nanmax(place, 0)) / 2
     load = load_of_states(states)
@@ -441,7 +452,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
         targets |= {"depth": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
     session = stroke_numbers(states[:, 0], place[:, 2]) if states.shape[1] > 4 else np.zeros(len(states), int)
     recording = SkinRecording(
-        folder.name, readings, targets, session, states[:, 0], notes=tuple(notes), baseline=_baseline(folder, values)
+        folder.name, readings, targets, session, states[:, 0], notes=tuple(notes), baseline=baselines(folder, values)
     )
     return _finite(_cleaned(recording), folder)
 
@@ -511,15 +522,3 @@ def _loose_table(folder: Path, name: str) -> np.ndarray:
     if not len(table):
         raise DataError(f"{path}: holds no row that begins with a time; restore it from the source")
     return table[np.argsort(table[:, 0], kind="stable")]
-
-
-def _baseline(folder: Path, values: np.ndarray) -> np.ndarray | None:
-    """Values subtracted from each row, from the raw values in the same folder; None without."""
-    try:
-        raw = _loose_table(folder, "sensor")
-    except DataError:
-        return None
-    rows, partner = rows_together(raw[:, 0], values[:, 0])
-    if len(rows) != len(values) or raw.shape[1] != values.shape[1]:
-        return None
-    return raw[partner, 1:] - values[:, 1:]

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 PACKED = "touches.h5"
 LENGTHS = ("window_mm", "reach_mm", "camera_mm", "tip_radius_mm")  # options that are no length where they are negative
+MIN_RATE_HZ, MAX_RATE_HZ = 1.0, 1e4  # of a log
 INTERRUPTED_MESSAGE = "interrupted; nothing was written"
 
 
@@ -122,6 +123,7 @@ class Recording(Writing):
 
     window_mm: float = 1e3 * PATCH_WINDOW  # edge of the square that a patch shows; presses outside it are left out
     reach_mm: float = 1e3 * REACH  # patches are clipped to this depth behind the nearest point
+    stated_source: Annotated[Literal["real", "simulated"] | None, tyro.conf.arg(name="source")] = None  # of the touches
     as_stated: bool = False  # look for no mistake (units, signs, axes, lag, height zero, chips) and correct none
 
     def _shared(self) -> dict[str, Any]:
@@ -131,7 +133,8 @@ class Recording(Writing):
             if not 0 <= length < math.inf or (length == 0 and name != "camera_mm"):
                 raise DataError(f"--{name.replace('_', '-')} is {length:g}; give millimetres, more than 0")
         sizes = {"window": 1e-3 * self.window_mm, "reach": 1e-3 * self.reach_mm}
-        return {**sizes, "as_stated": self.as_stated, "skip_bad": self.skip_bad}
+        stated = {"stated_source": self.stated_source, "as_stated": self.as_stated}
+        return {**sizes, **stated, "skip_bad": self.skip_bad}
 
 
 @dataclass(kw_only=True)
@@ -230,8 +233,12 @@ class FromStream(_FromTable):
     for a data set, x_mm, y_mm and depth_mm or z_mm; convert them, or write them as a table where DST ends in .csv.
     """
 
+    rate_hz: float | None = None  # of the rows, in a log whose time stamps do not tell it or that has none
+
     def run(self) -> None:
         """Convert, or write the table."""
+        if self.rate_hz is not None and not MIN_RATE_HZ <= self.rate_hz <= MAX_RATE_HZ:
+            raise DataError(f"--rate-hz is {self.rate_hz:g}; give {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} rows in a second")
         if self.target.suffix == ".csv":
             self._write_table()
             return
@@ -239,7 +246,7 @@ class FromStream(_FromTable):
         options = self._of_indenter(", or end DST in .csv for a table of presses")
         from i2t.convert import stream
 
-        self._write(stream.convert(self.source, **options))
+        self._write(stream.convert(self.source, rate=self.rate_hz, **options))
 
     def _write_table(self) -> None:
         if self.indenter is not None:
@@ -247,7 +254,8 @@ class FromStream(_FromTable):
         self._require_free_file()
         from i2t.convert import stream
 
-        table = stream.table_of_presses(self.source, board=_board(self.board), skip_bad=self.skip_bad)
+        options: dict[str, Any] = {"skip_bad": self.skip_bad, "rate": self.rate_hz}
+        table = stream.table_of_presses(self.source, board=_board(self.board), **options)
         print(*map(printable, table.notes), sep="\n")
         print(f"wrote {len(table.rows)} presses to {stream.write_presses(self.target, table)}")
 
@@ -333,7 +341,9 @@ def _board(name: str) -> "Board":
 
 def _page(source: Path, found: dict[str, Any]) -> str:
     """A summary for a person."""
-    lines = [f"{printable(source)}: {found['touches']} touches, {found['source']}"]
+    from i2t.dataset import source_words
+
+    lines = [f"{printable(source)}: {found['touches']} touches, {source_words(found['source'])}"]
     for kind in ("objects", "pads", "sessions"):
         lines += ["", f"{kind:<40} touches"]
         lines += [f"  {printable(name):<38} {count:7d}" for name, count in found[kind].items()]

@@ -1,11 +1,13 @@
 """Parts that all converters share: their result, how damage is treated, and reading text and tables of numbers."""
 
 import io
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from i2t import files
 from i2t.dataset import Dataset
@@ -27,7 +29,10 @@ class ConversionLog:
     lines: list[str] = field(default_factory=list)
     damaged_rows: int = 0
     first_damage: str = ""
+    unit: str = "rows"  # what a reading stands for
+    heard_rows: int = 0  # in which every chip answered
     silent_rows: int = 0  # left out, as a chip did not answer
+    silent_chips: Counter[int] = field(default_factory=Counter)  # in how many of these rows each chip did not
 
     def info(self, line: str) -> None:
         """Note a sentence, once.
@@ -64,17 +69,60 @@ class ConversionLog:
             raise error
         self.damaged_rows, self.first_damage = self.damaged_rows + 1, self.first_damage or str(error)
 
+    def keep_heard(self, silent: Bool[np.ndarray, "n chips"]) -> Bool[np.ndarray, " n"]:
+        """Leave out rows in which a chip did not answer, and count them.
+
+        Args:
+            silent: Where a chip did not answer.
+
+        Returns:
+            The rows in which all chips answered.
+        """
+        heard = np.asarray(~silent.any(1))
+        self.heard_rows, self.silent_rows = self.heard_rows + int(heard.sum()), self.silent_rows + int((~heard).sum())
+        self.silent_chips.update(dict(enumerate(silent.sum(0).tolist())))
+        return heard
+
+    def require_heard(self, source: object, remedy: str = "check the board's cable, and record again") -> None:
+        """Refuse a source in which a chip was silent in every row.
+
+        Args:
+            source: Names it.
+            remedy: What to do.
+
+        Raises:
+            DataError: No row is left, and chips that did not answer are why.
+        """
+        if self.silent_rows and not self.heard_rows:
+            rows = f"in any of its {self.silent_rows} {self.unit}"
+            never = [chip for chip, count in self.silent_chips.items() if count == self.silent_rows]
+            if len(never) == len(self.silent_chips):
+                problem = f"no chip answers {rows}, which hold zeros or nothing"
+            elif never:
+                problem = f"chip {', '.join(map(str, never))} does not answer {rows}, but sends zeros or nothing"
+            else:
+                problem = f"a chip does not answer in each of its {self.silent_rows} {self.unit} ({self._chips()})"
+            raise DataError(f"{source}: {problem}; {remedy}")
+
+    def _chips(self) -> str:
+        """In how many rows each chip did not answer."""
+        counts = {chip: count for chip, count in self.silent_chips.items() if count}
+        if len(counts) == len(self.silent_chips) and set(counts.values()) == {self.silent_rows}:
+            return "every chip in all of them"
+        return ", ".join(f"chip {chip} in {count}" for chip, count in counts.items())
+
     def sentences(self) -> list[str]:
-        """All notes, with the number of damaged rows.
+        """All notes, with the numbers of damaged rows and of those in which a chip did not answer.
 
         Returns:
             The sentences.
         """
         counted = {
             f"left out: {self.damaged_rows} damaged rows; the first: {self.first_damage}": self.damaged_rows,
-            f"left out: {self.silent_rows} rows in which a chip did not answer": self.silent_rows,
+            f"left out: {self.silent_rows} {self.unit} in which a chip did not answer": self.silent_rows,
+            f"did not answer, but sent zeros or nothing: {self._chips()}": self.silent_rows,
         }
-        return [*self.lines, *(said for said, count in counted.items() if count)]
+        return [*self.lines, *(sentence for sentence, count in counted.items() if count)]
 
     def close(self, dataset: Dataset) -> Converted:
         """Put the notes into the data set's provenance.
@@ -104,7 +152,7 @@ def data_error(path: Path, problem: str) -> DataError:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The contents of a file, unzipped where its name ends in .gz.
+    """The contents of a file, unzipped where it is a gzip archive.
 
     Args:
         path: Of the file.
@@ -119,7 +167,7 @@ def read_bytes(path: Path) -> bytes:
         raw = files.read_bytes(path)
     except OSError as error:
         raise data_error(path, f"cannot be read ({error.strerror or error})") from error
-    return files.unpacked(path, raw) if path.suffix == ".gz" else raw
+    return files.unpacked(path, raw) if raw.startswith(files.GZIP_MARK) else raw
 
 
 def read_text(path: Path) -> str:
@@ -132,12 +180,9 @@ def read_text(path: Path) -> str:
         The text.
 
     Raises:
-        DataError: It cannot be read, or is no text.
+        DataError: It cannot be read, is a file of another kind, or no text.
     """
-    try:
-        return read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise data_error(path, f"is no text (byte {error.start} is not UTF-8)") from error
+    return files.decoded(path, read_bytes(path))
 
 
 def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:

@@ -16,9 +16,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from i2t.convert import EFLESH_WINDOW_M, TIP_RADIUS_M
+from i2t.convert.clocks import judge_stamps, require_order
 from i2t.convert.common import ConversionLog, Converted, data_error, read_numbers
 from i2t.convert.press_table import (
     PressTable,
@@ -31,12 +32,14 @@ from i2t.convert.press_table import (
 )
 from i2t.errors import DataError
 from i2t.skin import boards
+from i2t.skin.boards import silent_chips
 from i2t.types import Board
 from i2t.unknowns import RecordedPresses, find_units, findings_to_meta, turn_board
 from i2t.windows import REACH
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
 NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram
+RAW_DECIMALS = 6  # of raw values, which are sums here
 SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
 BOARD_FROM_STAGE = ((0.0, -1.0), (1.0, 0.0))  # by what the five chips read together in the `spatial` session
 REFERENCE = "reference of "  # of the data set's meta: where a session's positions and heights count from
@@ -53,6 +56,7 @@ def convert(
     reach: float = REACH,
     zero: float | None = None,
     pad: str | None = None,
+    stated_source: str | None = None,
     as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
@@ -67,6 +71,7 @@ def convert(
             session's highest z, so that no depth is negative; where all presses go to one height, none: depths are
             unknown.
         pad: one name for all pads; by default each board of each session is a pad of its own.
+        stated_source: "real" (by default) or "simulated".
         as_stated: look for no mistake and correct none; depth counts from the session's highest z.
         skip_bad: leave out damaged rows and sessions, and note them.
 
@@ -101,7 +106,7 @@ def convert(
         )
     dataset = presses_dataset(
         join_tables(parts), round_tip("probe", sphere(radius)), _common_board(checks, notes), notes, whose=source,
-        window=window, reach=reach,
+        window=window, reach=reach, source=stated_source or "real",
         meta={"converter": "eflesh", "tip_radius_m": f"{radius:g}"} | {k: v for c in checks for k, v in c.meta.items()},
     )  # fmt: skip
     return notes.close(dataset)
@@ -128,6 +133,9 @@ def _session(
     states = _table(folder, "states", (4, 5), notes)
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
     states, values = _matched(folder, states, values, notes)
+    heard = notes.keep_heard(silent_chips_of(folder, values))
+    notes.require_heard(source=folder)
+    states, values = states[heard], values[heard]
     n, name, position = len(states), folder.name, 1e-3 * states[:, 1:4]
     table = PressTable(
         position[:, :2], position[:, 2], load_of_states(states), values[:, 1:], states[:, 0],
@@ -232,6 +240,44 @@ def rows_together(
     return rows, nearest[rows]
 
 
+def baselines(folder: Path, values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n c"] | None:
+    """What was subtracted from each row, by the raw values (`sensor.csv`) in the same folder.
+
+    Args:
+        folder: Of the session.
+        values: As recorded: time (s), and differences (uT).
+
+    Returns:
+        uT; None where the raw values are missing, damaged or of other rows.
+    """
+    try:
+        raw = read_numbers(table_path(folder, "sensor"), (values.shape[1],))
+    except DataError:
+        return None
+    raw = raw[np.isfinite(raw[:, 0])]
+    raw = raw[np.argsort(raw[:, 0], kind="stable")]
+    if not len(raw):
+        return None
+    rows, partner = rows_together(raw[:, 0], values[:, 0])
+    return raw[partner, 1:] - values[:, 1:] if len(rows) == len(values) else None
+
+
+def silent_chips_of(folder: Path, values: Float[np.ndarray, "n columns"]) -> Bool[np.ndarray, "n chips"]:
+    """Chips that did not answer, by the raw values where these are in the folder, else by the differences.
+
+    Args:
+        folder: Of the session.
+        values: As recorded: time (s), and differences (uT).
+
+    Returns:
+        Where a chip did not answer.
+    """
+    subtracted = baselines(folder, values)
+    if subtracted is None:
+        return silent_chips(values[:, 1:], differences=True)
+    return silent_chips(np.round(values[:, 1:] + subtracted, RAW_DECIMALS))
+
+
 def stroke_numbers(time: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """The stroke, down and up, that each row belongs to: strokes begin at the top, after a pause.
 
@@ -289,10 +335,18 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionL
         row = np.flatnonzero(~finite)[0] + 1
         notes.skip(data_error(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
     table = table[finite]
-    if (np.diff(table[:, 0]) <= 0).any():
-        row = np.flatnonzero(np.diff(table[:, 0]) <= 0)[0] + 2
-        raise data_error(path, f"time does not increase at row {row}")
-    return table
+    require_order(table[:, 0], f"{path}: time, its first column,")
+    verdict = judge_stamps(table[:, 0])
+    back = np.flatnonzero(np.diff(table[:, 0]) < 0) + 2
+    if verdict.damaged.any():
+        rows = np.flatnonzero(verdict.damaged) + 1
+        others = f" and {len(rows) - 1} more" if len(rows) > 1 else ""
+        wrong = f"the time in row {rows[0]}{others} contradicts the rows around"
+        notes.skip(data_error(path, f"time does not increase at row {back[0]}, as {wrong}"))
+    if len(verdict.restarts):
+        row = verdict.restarts[0] + 1
+        raise DataError(f"{path}: time goes back at row {row} and goes on from there; make a session of each part")
+    return table[~verdict.damaged]
 
 
 def _matched(

@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 from i2t.convert import CAMERA_OFFSET_M, npy, samples
 from i2t.convert.common import ConversionLog, Converted, data_error
 from i2t.dataset import Dataset, concatenate, missing_context
+from i2t.dataset.sets import NOT_STATED
 from i2t.depth.camera import read_image, stored_mask
 from i2t.errors import DataError
 from i2t.types import Board, ReturnCode, Touches
@@ -56,6 +57,7 @@ def convert(
     quarter_turns: int = 0,
     tool_forces: bool = False,
     pad: str = "reskin",
+    stated_source: str | None = None,
     as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
@@ -71,6 +73,7 @@ def convert(
         quarter_turns: By which images are turned counter-clockwise.
         tool_forces: Whether forces are in the tool's axes.
         pad: Name of the skin.
+        stated_source: "real" or "simulated", which the layout does not say.
         as_stated: Look for no mistake and correct none.
         skip_bad: Leave out what cannot be read instead of ending.
 
@@ -80,14 +83,16 @@ def convert(
     Raises:
         DataError: The folder cannot be read as such a recording.
     """
-    notes = ConversionLog(skip_bad)
+    notes = ConversionLog(skip_bad, unit="touches")
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
     notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
+    if stated_source is None:
+        notes.info("not stated: whether the touches are real or simulated; say it with --source")
     folders = _objects(source)
     options = _Options(
         board, order, window=window, reach=reach, camera=camera, quarter_turns=quarter_turns, tool_forces=tool_forces,
-        pad=pad,
+        pad=pad, source=stated_source or NOT_STATED,
     )  # fmt: skip
     parts: list[Dataset] = []
     for folder in folders:
@@ -96,8 +101,11 @@ def convert(
                 parts.append(_convert_run(folder, run, options, notes))
             except DataError as error:
                 notes.skip(error)
+    notes.require_heard(source)
     if not sum(map(len, parts)):
-        raise data_error(source, f"no touch is left to convert ({' | '.join(notes.lines[3:])})")
+        raise data_error(
+            source, f"no touch is left to convert ({' | '.join(notes.lines[3 + (stated_source is None) :])})"
+        )
     dataset = concatenate(parts)
     return notes.close(dataset if as_stated else _corrected(dataset, notes))
 
@@ -127,6 +135,7 @@ class _Options(NamedTuple):
     quarter_turns: int
     tool_forces: bool
     pad: str
+    source: str
 
 
 def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> Dataset:
@@ -163,7 +172,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
         pads=(options.pad,),
         sessions=(f"{folder.name}/experiment_{run}",),
         board=options.board,
-        source="real",
+        source=options.source,
         window=options.window,
         reach=options.reach,
         meta={"converter": "imagine2touch", **_remarks(folder, run)},

@@ -21,6 +21,7 @@ import numpy as np
 
 from i2t.convert.common import data_error, read_bytes
 from i2t.errors import DataError
+from i2t.files import HEAD_BYTES, kind_of
 
 MAX_LIST_LEVELS = 16  # nested lists: real files have five levels
 OPCODES = re.compile(
@@ -74,6 +75,9 @@ def read(path: Path) -> np.ndarray | list[Any]:
             ]
             shape, fortran, dtype = read_header(stream)
     except Exception as error:  # a damaged header can make its parser fail in any way
+        kind, remedy = kind_of(stream.getvalue()[:HEAD_BYTES])
+        if kind and not kind.startswith("a NumPy array"):
+            raise DataError(f"{path}: is {kind} and no output of np.save; {remedy}") from error
         raise data_error(path, "is no output of np.save") from error
     payload = stream.read()
     if dtype.hasobject:

@@ -33,7 +33,6 @@ from i2t.unknowns.chip_field import turn_board
 from i2t.unknowns.heights import HEIGHT_ZERO
 from i2t.windows import PATCH_PIXELS
 
-AXES_OF_CHIP = 3
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
 
 # A tip is a body of revolution whose axis stands on the skin: the height (m) of its surface above its lowest point at a

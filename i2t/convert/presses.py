@@ -17,7 +17,6 @@ import numpy as np
 from i2t import validation
 from i2t.convert.common import ConversionLog, Converted
 from i2t.convert.press_table import (
-    AXES_OF_CHIP,
     PressTable,
     SessionCheck,
     Tip,
@@ -31,6 +30,7 @@ from i2t.convert.press_table import (
 from i2t.convert.tables import (
     HEIGHT_COLUMNS,
     NAME_COLUMNS,
+    SOURCE_COLUMN,
     TIME,
     TextTable,
     field_columns,
@@ -40,6 +40,7 @@ from i2t.convert.tables import (
 )
 from i2t.errors import DataError
 from i2t.files import MESH_SUFFIXES
+from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
 from i2t.unknowns import RecordedPresses
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -63,6 +64,7 @@ def convert(
     as_stated: bool = False,
     skip_bad: bool = False,
     table: TextTable | None = None,
+    stated_source: str | None = None,
 ) -> Converted:
     """Convert a table of presses.
 
@@ -76,6 +78,7 @@ def convert(
         as_stated: look for no mistake and correct none.
         skip_bad: leave out damaged rows, and note them.
         table: what `source` holds, where it was read already.
+        stated_source: "real" or "simulated", of a table that does not say it.
 
     Returns:
         The data set and what was assumed and left out.
@@ -83,9 +86,9 @@ def convert(
     Raises:
         DataError: the table or the indenter cannot be used.
     """
-    notes = ConversionLog(skip_bad)
+    notes = ConversionLog(skip_bad, unit="presses")
     tip = _tip(indenter, unit, notes)
-    presses, said = _read(source, table or read_text_table(source), board.num_chips, notes)
+    presses, column = _read(source, table or read_text_table(source), board.num_chips, notes)
     checks: list[SessionCheck] = []
     if not as_stated:
         presses, checks = _corrected(presses, board, notes)
@@ -97,7 +100,7 @@ def convert(
         whose=source,
         window=window,
         reach=reach,
-        source=said,
+        source=_one_source(source, column, stated_source),
         meta={
             "converter": "presses",
             "file": source.name,
@@ -127,7 +130,7 @@ def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[P
     return join_tables(kept), checks
 
 
-def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> tuple[PressTable, str]:
+def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> tuple[PressTable, str | None]:
     """The presses of a table, and whether they are real, simulated or mixed; damaged rows are refused or left out as
     `notes` has it.
     """
@@ -144,13 +147,17 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
         first, end = len(places), len(places) + len(values)
         wanted = np.ones_like(empty)
         answered = ~np.all(empty[:, first:end].reshape(len(empty), chips, AXES_OF_CHIP), axis=2)
-        answered |= ~np.any(answered, axis=1, keepdims=True)  # where no chip did, all are missed
         for start in (first, end)[: 2 if ambient else 1]:
             wanted[:, start : start + len(values)] = np.repeat(answered, AXES_OF_CHIP, axis=1)
         wanted[:, end + len(ambient) :] = False
         return wanted
 
     rows, numbers = sound_rows(source, header, table.rows, columns, needed, notes)
+    heard = notes.keep_heard(_silent(numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes))
+    notes.require_heard(
+        source, "check the board's cable and record again, or empty the fields of a chip that is missing"
+    )
+    rows, numbers = [row for row, kept in zip(rows, heard, strict=True) if kept], numbers[heard]
     column = dict(zip(columns, numbers.T, strict=True))
     unknown = np.full(len(rows), np.nan)
     depth = column.get("depth_mm", unknown)
@@ -174,6 +181,23 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
     return presses, _sources(source, header, [row for row, keep in zip(rows, kept, strict=True) if keep])
 
 
+def _silent(fields: np.ndarray, chips: int, notes: ConversionLog) -> np.ndarray:
+    """Where (n, chips) a press is to be left out: a chip sent zeros, or no chip has a value.
+
+    A chip whose fields are empty is missing, and its press is kept. Ambient columns that are zero in every row subtract
+    nothing, and are no silence.
+    """
+    readings, ambient = fields[:, : AXES_OF_CHIP * chips], fields[:, AXES_OF_CHIP * chips :]
+    subtracts = bool(ambient.any())
+    if ambient.size and not subtracts:
+        notes.info("ambient is zero in every row: nothing is subtracted")
+    silent = silent_chips(readings, differences=not subtracts)
+    if subtracts:
+        silent |= silent_chips(ambient)
+    missing = np.isnan(readings).reshape(len(fields), chips, AXES_OF_CHIP).all(2)
+    return silent | (silent | missing).all(1, keepdims=True)
+
+
 def _time(header: list[str], cells: list[str]) -> float:
     """When a press was, NaN where nobody can tell."""
     try:
@@ -182,11 +206,18 @@ def _time(header: list[str], cells: list[str]) -> float:
         return math.nan
 
 
-def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str:
-    """Whether rows are real, simulated or mixed."""
-    if "source" not in header:
-        return "real"
-    said = {cells[header.index("source")].strip().lower() or "real": line for line, cells in reversed(rows)}
+def _one_source(file: Path, column: str | None, option: str | None) -> str:
+    """Source of a table by its column and the option; a table is real where neither says it."""
+    if column is not None and option not in (None, column):
+        raise DataError(f"--source {option}: the column source of {file} says {column}; leave out the option")
+    return option or column or "real"
+
+
+def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str | None:
+    """Whether rows are real, simulated or mixed; None where no column says it."""
+    if SOURCE_COLUMN not in header:
+        return None
+    said = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
     for word, line in said.items():
         if word not in PRESS_SOURCES:
             raise DataError(f"{source}: line {line} has the source {word!r}; write {' or '.join(PRESS_SOURCES)}")
@@ -205,7 +236,7 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: Conversio
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *values, "force_N", TIME, "source", *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    known = {*PLACES, *values, "force_N", TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
     if unknown := [name for name in header if name not in known]:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
     return values, ambient if has_ambient else []

@@ -14,9 +14,10 @@ import numpy as np
 from i2t.convert import npy
 from i2t.convert.common import ConversionLog, data_error
 from i2t.errors import DataError
+from i2t.skin.boards import AXES_OF_CHIP, mean_known, without_silent_chips
 
 CHIPS = 5  # of the boards that this layout is of
-AUTHORS_READINGS = 3 * CHIPS
+AUTHORS_READINGS = AXES_OF_CHIP * CHIPS
 TEMPERATURES = (-40.0, 85.0)  # C, the range of the chips
 ROOM_TEMPERATURES = (5.0, 60.0)  # C, their mean: small numbers about zero are a field in millitesla
 SPREAD = 10.0  # K, standard deviation of temperature over chips and touches; chips differ by 1 to 2.5 K
@@ -25,7 +26,7 @@ STEADINESS_RATIO = 3.0  # times: how much steadier one column must be to be the 
 
 
 def readings(tactile: Path, order: str, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
-    """Readings of one run: mean in contact minus mean ambient.
+    """Readings of one run: mean in contact minus mean ambient, over the samples in which all chips answered.
 
     Args:
         tactile: File of the samples in contact, with or without `.npy`; the ambient file is next to it.
@@ -34,8 +35,8 @@ def readings(tactile: Path, order: str, notes: ConversionLog) -> tuple[np.ndarra
         notes: That hears what was found and what is left out.
 
     Returns:
-        (n, 15) uT, NaN in a touch that is damaged; and (n,) s, when the last sample of each touch was read, NaN where
-        samples are bare values.
+        (n, 15) uT, NaN in a damaged touch and of a chip that did not answer; and (n,) s, when the last sample of each
+        touch was read, NaN where samples are bare values.
 
     Raises:
         DataError: A file is missing or damaged.
@@ -57,7 +58,13 @@ def readings(tactile: Path, order: str, notes: ConversionLog) -> tuple[np.ndarra
     if len(groups) not in (n, math.ceil(n / 10)):
         raise data_error(path, f"holds {len(groups)} groups for {n} touches, neither one a touch nor one for every 10")
     ambient = _means(path, groups, order, notes)
-    return means - (ambient if len(groups) == n else ambient[np.arange(n) // 10]), np.array([_time(t) for t in items])
+    ambient = ambient if len(groups) == n else ambient[np.arange(n) // 10]
+    sound = ~(np.isinf(means) | np.isinf(ambient)).any(1)
+    silent = np.isnan(means[sound]) | np.isnan(ambient[sound])
+    notes.keep_heard(silent.reshape(-1, CHIPS, AXES_OF_CHIP).any(2))
+    difference = np.full(means.shape, np.nan)
+    difference[sound] = means[sound] - ambient[sound]
+    return difference, np.array([_time(t) for t in items])
 
 
 def _existing(path: Path) -> Path:
@@ -76,9 +83,11 @@ def _list(path: Path) -> list[Any]:
 
 
 def _means(path: Path, touches: list[list[list[float]]], order: str, notes: ConversionLog) -> np.ndarray:
-    """Mean fields (n, 15); NaN, and noted as damage, where a value is no plausible field."""
+    """Mean fields (n, 15): infinite, and noted as damage, where a value is no plausible field; NaN where a chip did not
+    answer in any sample.
+    """
     means = np.array([_mean(touch, order) for touch in touches])
-    for k in np.flatnonzero(np.isnan(means).any(1)):
+    for k in np.flatnonzero(np.isinf(means).any(1)):
         notes.skip(
             data_error(
                 path, f"item {k + 1} holds a value that is no field (not finite, or above {MAX_SAMPLE_VALUE:g} uT)"
@@ -113,12 +122,18 @@ def _time(item: Any) -> float:
 
 
 def _mean(samples: list[list[float]], order: str) -> np.ndarray:
-    fields = []
-    for sample in samples:
-        values = np.array(sample, np.float64).reshape(CHIPS, -1)
-        field = values if values.shape[1] == 3 else values[:, 1:] if order == "binary" else values[:, :3]
-        fields.append(np.where(np.abs(field) < MAX_SAMPLE_VALUE, field, np.nan))
-    return np.mean(fields, axis=0).ravel()
+    """Mean field (15,) of the samples in which a chip answered, chip by chip."""
+    fields = without_silent_chips(np.array([_field(sample, order) for sample in samples]))
+    if np.any(np.abs(fields) >= MAX_SAMPLE_VALUE):
+        return np.full(AUTHORS_READINGS, np.inf)
+    return mean_known(fields, axis=0)
+
+
+def _field(sample: list[float], order: str) -> np.ndarray:
+    """The field (15,) of one sample, infinite where a value is no number."""
+    values = np.array(sample, np.float64).reshape(CHIPS, -1)
+    field = values if values.shape[1] == 3 else values[:, 1:] if order == "binary" else values[:, :3]
+    return np.where(np.isfinite(field), field, np.inf).ravel()
 
 
 def _detected(path: Path, samples: np.ndarray) -> str:
@@ -128,7 +143,9 @@ def _detected(path: Path, samples: np.ndarray) -> str:
     spread = {}
     for order, column in (("binary", 0), ("ascii", 3)):
         values = samples.reshape(-1, CHIPS, 4)[..., column]
-        values = values[(np.abs(values) < MAX_SAMPLE_VALUE).all(1)]
+        # A chip that fails sends a temperature of zero, too.
+        answered = (samples.reshape(-1, CHIPS, 4) != 0).any(2).all(1)
+        values = values[(np.abs(values) < MAX_SAMPLE_VALUE).all(1) & answered]
         plausible = (
             values.size
             and TEMPERATURES[0] <= values.min()

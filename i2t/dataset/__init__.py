@@ -5,7 +5,7 @@ importing it imports no JAX.
 reads, `splits` holds touches out. The schema is described in docs/data.md.
 """
 
-from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
+from i2t.dataset.sets import Dataset, concatenate, holds_simulated, missing_context, source_words, validate
 from i2t.dataset.splits import (
     Split,
     by_group,
@@ -44,10 +44,12 @@ __all__ = [
     "holdout_blocks",
     "holdout_last",
     "holdout_names",
+    "holds_simulated",
     "load_dataset",
     "missing_context",
     "read_touch",
     "save_dataset",
+    "source_words",
     "spatial_blocks",
     "square_blocks",
     "validate",

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from i2t import files
-from i2t.dataset.sets import Dataset
+from i2t.dataset.sets import NOT_STATED, Dataset, source_words
 from i2t.terminal import printable
 
 CARD = "README.md"
@@ -43,8 +43,8 @@ def card_of(dataset: Dataset, *, board_name: str = "") -> str:
         "measured": _counted({"readings": n, **known}),
     }
     blocks = [
-        f"# {n} touches, {dataset.source}",
-        f"Written by i2t; `i2t.load_dataset` reads the folder. All of it is **{dataset.source}**.",
+        f"# {n} touches, {source_words(dataset.source)}",
+        f"Written by i2t; `i2t.load_dataset` reads the folder. {_source_sentence(dataset.source)}",
         _table(contents),
     ]
     notes = [f"- {_plain(note)}" for note in dataset.meta.get(NOTES_KEY, "").split(NOTES_BETWEEN) if note]
@@ -76,6 +76,12 @@ def write_card(folder: Path | str, dataset: Dataset, *, board_name: str = "") ->
     with files.replacing(path) as temporary:
         temporary.write_text(card_of(dataset, board_name=board_name), encoding="utf-8")
     return path
+
+
+def _source_sentence(source: str) -> str:
+    if source == NOT_STATED:
+        return "Whether it is real or simulated is **not stated**."
+    return f"All of it is **{source}**."
 
 
 def _counted(counts: Mapping[str, int]) -> str:

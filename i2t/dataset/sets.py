@@ -14,7 +14,9 @@ from i2t.errors import DataError
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 from i2t.windows import PATCH_WINDOW, REACH, WIDE_PIXELS
 
-SOURCES = ("simulated", "real", "mixed")
+NOT_STATED = "not stated"  # of recordings in a layout that does not say whether they are real
+SIMULATED_SOURCES = ("simulated", "mixed")
+SOURCES = (*SIMULATED_SOURCES, "real", NOT_STATED)
 INDICES = ("object", "pad", "session", "code")
 OPTIONAL = ("truth", "time")  # fields of touches that are None where there is none
 MEASURED = tuple(name for name in Touches._fields if name not in OPTIONAL)
@@ -40,7 +42,7 @@ class Dataset:
     pads: tuple[str, ...]
     sessions: tuple[str, ...]  # a session: a recording with one placement of an object
     board: Board
-    source: str  # "simulated", "real" or "mixed"
+    source: str  # "simulated", "real", "mixed" (some of it simulated) or "not stated"
     window: float = PATCH_WINDOW  # m, edge of the square that a patch covers
     reach: float = REACH  # m, a patch is clipped to it
     meta: Mapping[str, str] = field(default_factory=dict)  # provenance, in words
@@ -143,6 +145,37 @@ class Dataset:
         }
 
 
+def holds_simulated(source: str) -> bool:
+    """Test whether any of a data set is known to be simulated.
+
+    Args:
+        source: Of the data set.
+
+    Returns:
+        False where it is real, and where nobody stated it.
+    """
+    return source in SIMULATED_SOURCES
+
+
+def source_words(source: str) -> str:
+    """The source of a data set for a person.
+
+    Args:
+        source: Of the data set.
+
+    Returns:
+        "simulated", "real", "mixed" or "source not stated".
+    """
+    return f"source {source}" if source == NOT_STATED else source
+
+
+def _common_source(sources: set[str]) -> str:
+    """The source of a data set whose parts have these."""
+    if len(sources) == 1:
+        return next(iter(sources))
+    return "mixed" if any(map(holds_simulated, sources)) else NOT_STATED
+
+
 def missing_context(touches: int, pixels: int = WIDE_PIXELS) -> np.ndarray:
     """The `wide` of touches whose surroundings were not recorded.
 
@@ -194,7 +227,7 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
         first,
         touches=Touches(**columns),
         **names,
-        source=sources.pop() if len(sources) == 1 else "mixed",
+        source=_common_source(sources),
         meta={key: _merged([d.meta[key] for d in datasets if key in d.meta]) for d in datasets for key in d.meta},
     )
 

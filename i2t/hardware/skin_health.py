@@ -24,7 +24,7 @@ from jaxtyping import Float
 
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import Samples, Skin
-from i2t.skin.boards import mean_known
+from i2t.skin.boards import mean_known, silent_chips
 from i2t.types import Array
 
 HEALTH_REST_S, HEALTH_SAMPLES = 0.5, 200  # whichever of both comes first, after the least number
@@ -102,7 +102,7 @@ def check_skin(samples: Samples) -> SkinHealth:
     by_chip = reading.reshape(len(reading), -1, 3)
     missing = tuple(int(chip) for chip in np.flatnonzero(~np.isfinite(by_chip).all(2).any(0)))
     temperature = mean_known(np.asarray(samples.temperature, float), axis=0)
-    dead = np.tile((by_chip == 0).all(2).mean(0) > 0.5, (3, 1)).T  # no field is zero along three axes at once
+    dead = np.tile(silent_chips(reading).mean(0) > 0.5, (3, 1)).T
     saturated = _saturated(by_chip) & ~dead
     frozen = _frozen(by_chip) & ~dead & ~saturated
     noise = _white_noise(by_chip)

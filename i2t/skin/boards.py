@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from i2t import validation
 from i2t.errors import did_you_mean
@@ -25,6 +25,7 @@ from i2t.windows import ORTHOGONALITY_TOLERANCE, PAD_WINDOW
 
 CHIP_PITCH_M = 7e-3  # from the centre chip to each of the others
 CHIP_DEPTH_M = 3.5e-3  # of the chips below the skin's surface: 2 mm of elastomer and 1.5 mm of package and cover
+AXES_OF_CHIP = 3
 MAX_CHIPS = 25  # of a board by name or in a file
 MAX_CHIP_M, MIN_APART_M = 0.1, 1e-4  # of a chip in a file from the skin's centre; from one to the next
 BOARD_FILE_ENDING = ".toml"
@@ -282,6 +283,46 @@ def _array(path: Path, table: Mapping[str, Any], key: str, dimensions: int) -> n
 
 def _said(array: np.ndarray) -> str:
     return " x ".join(map(str, array.shape)) + " numbers" if array.dtype.kind in "iuf" and array.ndim else "no numbers"
+
+
+def silent_chips(readings: Float[np.ndarray, "n c"], *, differences: bool = False) -> Bool[np.ndarray, "n chips"]:
+    """Chips that did not answer: a chip that fails sends exactly zero along all three axes, as no field is.
+
+    The difference of two readings can be rounded to zero, though. Where the other chips of a row answered, three zeros
+    of a chip are taken for such a difference if one of them is a rounded negative number (-0.0), or if the chip's other
+    rows are zero along two axes at least as often.
+
+    Args:
+        readings: (n, 3 chips) as a board sent them, or differences of such readings, in any unit.
+        differences: Something was subtracted.
+
+    Returns:
+        Where a chip did not answer; not where it is missing (NaN) already.
+    """
+    rows = np.asarray(readings)
+    by_chip = rows.reshape(len(rows), rows.shape[1] // AXES_OF_CHIP, AXES_OF_CHIP)
+    zero_axes = np.sum(by_chip == 0, axis=2)
+    silent = zero_axes == AXES_OF_CHIP
+    if not differences:
+        return silent
+    whole = silent.all(1, keepdims=True)
+    rounded = np.signbit(by_chip).any(2)
+    coarse = np.sum(zero_axes == AXES_OF_CHIP - 1, axis=0) >= np.sum(silent & ~whole, axis=0)
+    return silent & (whole | ~(rounded | coarse))
+
+
+def without_silent_chips(readings: Float[np.ndarray, "n c"], *, differences: bool = False) -> Float[np.ndarray, "n c"]:
+    """Readings in which chips that did not answer are missing, as by `silent_chips`.
+
+    Args:
+        readings: (n, 3 chips) as a board sent them, or differences of such readings, in any unit.
+        differences: Something was subtracted.
+
+    Returns:
+        The readings, NaN where a chip did not answer.
+    """
+    silent = silent_chips(readings, differences=differences)
+    return np.where(np.repeat(silent, AXES_OF_CHIP, axis=1), np.nan, readings)
 
 
 def mean_known(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, "*m"]:

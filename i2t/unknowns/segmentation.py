@@ -237,7 +237,7 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
     found: list[FoundPress] = []
     while at < count and (last or at + rules.rest <= count):
         if baseline is None:
-            baseline = np.median(blocks[: rules.rest], axis=0)
+            baseline = np.median(blocks[: max(rules.rest // 4, 1)], axis=0)  # a press may come within a second
         distance = _distance(blocks[at : at + rules.rest] - baseline, unit)
         over = np.flatnonzero(distance > BEGIN_AT)
         if not len(over):

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from i2t.dataset import Dataset, Record, Series, load_dataset, read_touch
+from i2t.dataset import Dataset, Record, Series, holds_simulated, load_dataset, read_touch
 from i2t.depth.camera import Camera
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.named import read_object
@@ -82,7 +82,7 @@ class Contents:
     @property
     def simulated(self) -> bool:
         """Tell whether any of it was simulated."""
-        return self.dataset.source != "real"
+        return holds_simulated(self.dataset.source)
 
     def records(self) -> Iterator[Record]:
         """The touches one after the other; without images and series where these were not recorded."""

@@ -16,7 +16,7 @@ import trimesh
 from helpers import authors_layout
 from helpers.authors_layout import ReSkinData, write
 from helpers.random_touches import make
-from helpers.recordings import READING_NAMES, converted, refused, run, write_columns, write_session
+from helpers.recordings import READING_NAMES, converted, refused, run, write_columns, write_session, write_table
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -48,7 +48,7 @@ def test_the_authors_layout_comes_out_as_written(tmp_path, n, order, ambient, si
     dataset = converted("imagine2touch", tmp_path / "src", tmp_path / "dst")
     touches = dataset.touches
     assert len(dataset) == n
-    assert (dataset.source, dataset.objects, dataset.sessions) == ("real", ("star",), ("star/experiment_1",))
+    assert (dataset.objects, dataset.sessions) == (("star",), ("star/experiment_1",))
     np.testing.assert_allclose(touches.reading, truth.reading, atol=UT)
     np.testing.assert_array_equal(touches.code, truth.code)
     # Each pixel takes the crop's pixel under its centre: (k + 1/2) / 48 of the way, counted in halves of pixels.
@@ -63,6 +63,39 @@ def test_the_authors_layout_comes_out_as_written(tmp_path, n, order, ambient, si
     for unknown in (touches.T_w_o, touches.depth, touches.wide):
         assert np.isnan(unknown).all()
     assert dataset.meta["remarks on star 1"] == "skin 3, warm day"
+
+
+def test_a_layout_that_does_not_say_whether_it_is_real_is_not_called_real(tmp_path, capsys):
+    write(tmp_path / "src", "star", "1", 2, size=8)
+    words = ("imagine2touch", tmp_path / "src")
+    assert converted(*words, tmp_path / "unsaid").source == "not stated"
+    assert "say it with --source" in capsys.readouterr().out
+    assert run("summary", tmp_path / "unsaid") == 0
+    assert "2 touches, source not stated" in capsys.readouterr().out
+    assert "is **not stated**" in (tmp_path / "unsaid" / "README.md").read_text()
+    for source in ("real", "simulated"):
+        assert converted(*words, tmp_path / source, "--source", source).source == source
+
+
+def test_a_chip_that_sends_zeros_costs_its_samples_and_no_more(tmp_path, capsys):
+    """Ten samples a touch: in one of them every chip is silent, in another touch one chip is in all of them."""
+    write(tmp_path / "src", "star", "1", 8, size=8)
+    field = np.random.default_rng(0).normal(0, 400, (8, 10, 5, 3))
+    field[2, 3] = 0
+    field[5, :, 4] = 0
+    warm = np.where((field == 0).all(-1, keepdims=True), 0.0, 27.0)
+    nested = np.concatenate([warm, field], -1).reshape(8, 10, 1, 20)
+    tactile = tmp_path / "src/star/star_tactile/experiment_1_reskin"
+    authors_layout.save(tactile, nested)
+    authors_layout.save(tactile.with_name(tactile.name + "_ambient"), np.ones((8, 15)))
+    touches = converted("imagine2touch", tmp_path / "src", tmp_path / "dst", "--as-stated").touches
+    heard = np.delete(np.arange(10), 3)
+    mean = field.mean(1)
+    mean[2] = field[2, heard].mean(0)
+    np.testing.assert_allclose(touches.reading, mean.reshape(8, 15)[np.arange(8) != 5] - 1, atol=UT)
+    said = capsys.readouterr().out
+    assert "left out: 1 touches in which a chip did not answer" in said
+    assert "chip 4 in 1" in said
 
 
 def test_objects_and_runs_keep_their_names_and_the_order_of_counting(tmp_path):
@@ -382,7 +415,14 @@ def test_each_damage_is_one_sentence_that_names_the_file_and_can_be_skipped(
 
 def test_each_wrong_number_is_one_sentence_and_its_row_can_be_skipped(tmp_path, capsys):
     words = ("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4")
-    for name, value in (("b0x_uT", "nan"), ("b0x_uT", ""), ("force_N", "inf"), ("x_mm", "1e300")):
+    for name, value in (
+        ("b0x_uT", "nan"),
+        ("b0x_uT", ""),
+        ("b0x_uT", "NA"),
+        ("x_mm", "#N/A"),
+        ("force_N", "inf"),
+        ("x_mm", "1e300"),
+    ):
         presses_table(tmp_path / TABLE, **{name: [value] + [0.0] * 5})
         assert f"line 2 has {value!r} in column {name}" in refused(capsys, *words)
     assert len(converted(*words, "--skip-bad")) == 5
@@ -484,6 +524,23 @@ def test_real_shear_recordings_are_two_pads(shared_data, tmp_path, capsys):
     assert "shear force" in capsys.readouterr().out
 
 
+def test_a_row_of_which_a_chip_sent_zeros_is_no_press_and_a_difference_of_zero_is_one(tmp_path, capsys):
+    place, values = made_up_session(tmp_path / "src" / "a")
+    values[4] = 0  # every chip of the differences
+    raw = values + np.linspace(20, 40, 15)
+    raw[7, 3:6] = 0
+    write_session(tmp_path / "src" / "a", place, values)
+    words = ("eflesh", tmp_path / "src")
+    assert len(converted(*words, tmp_path / "alone")) == 19
+    time = 1.7e9 + 4.25 * np.arange(20)
+    write_table(tmp_path / "src/a/sensor.csv", (), np.column_stack([time, raw]))
+    values[7, 3:6] = 0 - np.linspace(20, 40, 15)[3:6]
+    write_session(tmp_path / "src" / "a", place, values)
+    touches = converted(*words, tmp_path / "raw", "--as-stated").touches
+    np.testing.assert_allclose(touches.reading, np.delete(values, 7, 0), rtol=1e-6)
+    assert "chip 1 in 1" in capsys.readouterr().out
+
+
 # --- tables of presses ---------------------------------------------------------------------------------------------
 
 
@@ -502,6 +559,53 @@ def test_a_table_of_presses_comes_out_as_written(tmp_path):
     assert [dataset.sessions[i] for i in touches.session] == more["run"]
     assert [dataset.pads[i] for i in touches.pad] == more["pad"]
     assert (dataset.objects, dataset.source) == (("sphere:4.0",), "real")
+
+
+def test_presses_of_a_silent_board_are_left_out_and_counted(tmp_path, capsys):
+    words = (tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4", "--overwrite", "--as-stated")
+    for zero in (0.0, "", "0.00"):
+        columns = presses_table(tmp_path / TABLE, n=60)
+        silent = np.arange(60) % 6 == 2
+        quiet = {name: np.where(silent, str(zero), columns[name].astype(str)) for name in READING_NAMES}
+        write_columns(tmp_path / TABLE, columns | quiet)
+        touches = converted("presses", *words).touches
+        kept = np.column_stack([columns[name][~silent] for name in READING_NAMES])
+        np.testing.assert_allclose(touches.reading, kept, atol=UT)
+        assert "left out: 10 presses in which a chip did not answer" in capsys.readouterr().out
+    write_columns(tmp_path / TABLE, columns | {name: np.zeros(60) for name in READING_NAMES[3:6]})
+    assert "chip 1 does not answer in any of its 60 presses" in refused(capsys, "presses", *words)
+    write_columns(tmp_path / TABLE, columns | dict.fromkeys(READING_NAMES, np.zeros(60)))
+    assert "no chip answers in any of its 60 presses" in refused(capsys, "presses", *words)
+
+
+def test_a_small_difference_that_was_rounded_to_zero_is_a_press(tmp_path):
+    """Rounded negative numbers are -0.0, which no chip sends; and coarse steps make two zeros oftener than three."""
+    columns = presses_table(tmp_path / TABLE, n=60)
+    columns |= {name: np.where(np.arange(60) == 3, -0.0, columns[name]) for name in READING_NAMES[:3]}
+    steps = np.random.default_rng(0).integers(-1, 2, (60, 3))
+    write_columns(tmp_path / TABLE, columns | dict(zip(READING_NAMES[3:6], steps.T, strict=True)))
+    assert (steps == 0).all(1).any()
+    assert len(converted("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4", "--as-stated")) == 60
+
+
+def test_ambient_of_a_silent_board_is_none_and_ambient_of_zero_subtracts_nothing(tmp_path):
+    columns = presses_table(tmp_path / TABLE, n=20, ambient=True)
+    words = (tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4", "--overwrite")
+    ambient = ["a" + name[1:] for name in READING_NAMES]
+    write_columns(tmp_path / TABLE, columns | {n: np.where(np.arange(20) == 3, 0.0, columns[n]) for n in ambient})
+    assert len(converted("presses", *words)) == 19
+    write_columns(tmp_path / TABLE, columns | dict.fromkeys(ambient, np.zeros(20)))
+    raw = np.column_stack([columns[name] for name in READING_NAMES])
+    np.testing.assert_allclose(converted("presses", *words, "--as-stated").touches.reading, raw, atol=UT)
+
+
+def test_what_a_column_says_of_the_source_no_option_denies(tmp_path, capsys):
+    presses_table(tmp_path / TABLE, source=["simulated"] * 6)
+    words = ("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4")
+    assert "--source real: the column source" in refused(capsys, *words, "--source", "real")
+    assert converted(*words).source == "simulated"
+    presses_table(tmp_path / TABLE)
+    assert converted(*words, "--source", "simulated", "--overwrite").source == "simulated"
 
 
 def test_the_same_presses_come_out_the_same_from_two_layouts(tmp_path):

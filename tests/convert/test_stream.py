@@ -1,6 +1,7 @@
 """Logs of a skin, a row for every sample: their presses are found in bounded memory and become touches."""
 
 import tracemalloc
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path):
     ("old", "new", "sentence"),
     [
         ("time_s", "date", "column time_s is missing"),
-        ("\n0.5,", "\n0.4975,", "at line 202 time does not increase"),
+        ("\n0.5,", "\n3600.5,", "its time at line 202, 3600.500000 s, contradicts the rows before and after it"),
         ("\n0.5,", "\nnoon,", "line 202 has 'noon' in column time_s"),
         ("", "", "nothing presses in its"),
     ],
@@ -133,6 +134,158 @@ def test_a_log_without_places_becomes_a_table_to_complete(tmp_path, capsys):
     table.write_text("\n".join(f"{place},{line}" for place, line in lines))
     reading = converted("presses", table, data, *indenter, "--as-stated").touches.reading
     np.testing.assert_allclose(reading, told[:, 4:], atol=1.5)
+
+
+LOG, TOLD = log(6)
+
+
+def presses_of(path, time=LOG[:, 0], rows=LOG, name="time_s", **options):
+    """The table of presses of a log with other stamps or readings."""
+    stamps = [stamp if isinstance(stamp, str) else repr(float(stamp)) for stamp in time]
+    cells = [[stamp, *row] for stamp, row in zip(stamps, rows[:, 1:], strict=True)]
+    return table_of_presses(write_table(path / "log.csv", [name, *NAMES[1:]], cells), board=BOARD, **options)
+
+
+def silent_log(share=0.06, gap=None, chips=slice(None)):
+    """The log with rows of exact zeros: a share of all, or those of a gap."""
+    rows = LOG.copy()
+    gone = np.random.default_rng(0).uniform(size=len(rows)) < share
+    if gap is not None:
+        gone = np.isin(np.arange(len(rows)), np.arange(*gap))
+    rows[np.ix_(gone, np.arange(5, 20)[chips])] = 0
+    return rows, int(gone.sum())
+
+
+IN_A_PRESS = int(np.flatnonzero(LOG[:, 3] < 0)[300])  # in the second half of its rest in the skin
+
+
+@pytest.mark.parametrize(
+    "silence", [{}, {"chips": slice(6, 9)}, {"share": 0.6}, {"gap": (IN_A_PRESS, IN_A_PRESS + 40)}], ids=str
+)
+def test_rows_of_a_silent_board_make_no_press_and_end_none(tmp_path, silence):
+    rows, silent = silent_log(**silence)
+    table = presses_of(tmp_path, rows=rows)
+    assert f"left out: {silent} rows in which a chip did not answer" in table.notes
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+
+
+def test_a_board_that_never_answers_is_named(tmp_path):
+    for chips, sentence in ((slice(6, 9), "chip 2 does not answer"), (slice(None), "no chip answers")):
+        rows, _ = silent_log(1.1, chips=chips)
+        with pytest.raises(DataError, match=sentence):
+            presses_of(tmp_path, rows=rows)
+
+
+def changed(which, value):
+    stamps = 1.76e9 + LOG[:, 0]
+    stamps[which] = value(stamps[which])
+    return stamps
+
+
+REST = int(np.flatnonzero(np.diff(LOG[:, 3]) > 0)[-1]) + 50  # in the log's last rest
+BAD_STAMPS = {
+    "an hour late": (400, lambda t: t + 3600),
+    "an hour early": (400, lambda t: t - 3600),
+    "zero": (400, lambda t: 0 * t),
+    "of several rows late": (slice(400, 430), lambda t: t + 3600),
+    "of several rows zero": (slice(IN_A_PRESS, IN_A_PRESS + 30), lambda t: 0 * t),
+    "of the first row": (0, lambda t: t + 3600),
+    "of the last row": (-1, lambda t: t - 3600),
+    "none": (400, lambda t: np.nan),
+}
+
+
+@pytest.mark.parametrize("bad", BAD_STAMPS)
+def test_a_bad_stamp_costs_its_row_and_is_named(tmp_path, bad):
+    which, value = BAD_STAMPS[bad]
+    stamps = changed(which, value)
+    lines = np.arange(len(LOG))[which].ravel() + 2
+    with pytest.raises(DataError, match=f"line {lines[0]}[ ,]"):
+        presses_of(tmp_path, stamps)
+    table = presses_of(tmp_path, stamps, skip_bad=True)
+    assert any(f"left out: {len(lines)} damaged rows" in note for note in table.notes)
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+
+
+def full_after(unit, bits, signed=False):
+    """Stamps of a counter that is full in the middle of the log."""
+    counts = np.round(LOG[:, 0] / unit).astype(np.int64)
+    counts += 2**bits // (1 + signed) - counts[len(counts) // 2]
+    return (counts + signed * 2 ** (bits - 1)) % 2**bits - signed * 2 ** (bits - 1)
+
+
+def texts(form, start=1.76e9):
+    return [datetime.fromtimestamp(start + t, UTC).strftime(form) for t in LOG[:, 0]]
+
+
+CLOCKS = {
+    "Windows": ("time_s", np.floor(LOG[:, 0] / 0.015625) * 0.015625 + 1.76e9),
+    "whole seconds": ("time_s", np.floor(LOG[:, 0] + 0.3)),
+    "milliseconds since 1970": ("timestamp", np.round(1e3 * (1.76e9 + LOG[:, 0]))),
+    "nanoseconds since 1970": ("%time", np.round(1e9 * (1.76e9 + LOG[:, 0]))),
+    "micros()": ("time_us", full_after(1e-6, 32)),
+    "signed micros()": ("time_us", full_after(1e-6, 32, signed=True)),
+    "millis()": ("time_ms", full_after(1e-3, 32)),
+    "16 bits of milliseconds": ("time_ms", full_after(1e-3, 16)),
+    "ISO 8601": ("timestamp", texts("%Y-%m-%d %H:%M:%S.%f")),
+    "ISO 8601 with a zone": ("time_s", texts("%Y-%m-%dT%H:%M:%S.%fZ")),
+    "a day that ends": ("Time", texts("%H:%M:%S.%f", 1.76e9 // 86400 * 86400 - 3)),
+    "set back an hour in a press": ("time_s", changed(slice(IN_A_PRESS, None), lambda t: t - 3600)),
+    "set forward an hour in a press": ("time_s", changed(slice(IN_A_PRESS, None), lambda t: t + 3600)),
+    "set back a little": ("time_s", changed(slice(IN_A_PRESS, None), lambda t: t - 0.3)),
+    "started anew": ("time_s", np.where(np.arange(len(LOG)) < REST, LOG[:, 0], LOG[:, 0] - LOG[REST, 0])),
+    "unset at first": ("time_s", changed(slice(0, 100), lambda t: 0 * t)),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_presses_are_the_same_by_any_clock(tmp_path, clock):
+    name, stamps = CLOCKS[clock]
+    table = presses_of(tmp_path, stamps, name=name)
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+    assert not any("damaged" in note for note in table.notes)
+
+
+def test_a_full_counter_is_counted_on(tmp_path):
+    table = presses_of(tmp_path, full_after(1e-6, 32), name="time_us")
+    time = [float(cells[0]) for _, cells in table.rows]
+    even = [float(cells[0]) for _, cells in presses_of(tmp_path).rows]
+    np.testing.assert_allclose(np.diff(time), np.diff(even), atol=0.05)
+    assert any("a 32-bit counter of microseconds is full" in note for note in table.notes)
+
+
+def test_stamps_that_say_nothing_are_said_and_a_rate_can_be_stated(tmp_path):
+    for stamps in (np.float32(1.76e9 + LOG[:, 0]), np.zeros(len(LOG))):
+        table = presses_of(tmp_path, stamps)
+        assert any("100 rows in a second" in note and "--rate-hz" in note for note in table.notes)
+        assert all(cells[0] == "" for _, cells in table.rows)
+        stated = presses_of(tmp_path, stamps, rate=RATE)
+        for either in (table, stated, presses_of(tmp_path, [""] * len(LOG), name="note", rate=RATE)):
+            np.testing.assert_allclose(numbers(either), TOLD[:, 4:], atol=2.0)
+        assert not any("assumed: 100" in note for note in stated.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "stamps", "sentence"),
+    [
+        ("time_s", 1e6 * LOG[:, 0], "rows are 2.5e.03 s apart, slower than a press; name its column by the unit"),
+        ("time_ms", LOG[:, 0], "rows are 2.5e-06 s apart, faster than any board"),
+        ("time_s", np.random.default_rng(0).permutation(LOG[:, 0]), "they are in no order; sort them"),
+        ("time_s", LOG[::-1, 0], "they are in no order; sort them"),
+        ("time", LOG[:, 0], "name the column of time by its unit"),
+        ("time_s", texts("%d.%m.%Y %H:%M:%S"), "which is no time in ISO 8601"),
+    ],
+    ids=["unit", "other unit", "shuffled", "descending", "no unit", "other dates"],
+)
+def test_a_time_that_cannot_be_is_refused_with_its_remedy(tmp_path, name, stamps, sentence):
+    with pytest.raises(DataError, match=sentence):
+        presses_of(tmp_path, stamps, name=name)
+
+
+def test_a_simulated_log_says_so(tmp_path):
+    rows = [[*row, "simulated"] for row in LOG]
+    path = write_table(tmp_path / "log.csv", [*NAMES, "source"], rows)
+    assert converted("stream", path, tmp_path / "dst", "--indenter", "sphere:4", "--as-stated").source == "simulated"
 
 
 @pytest.mark.full

@@ -1,5 +1,10 @@
 """Tables as programs and people write them come out as one and the same table, with a sentence on what was undone."""
 
+import gzip
+import io
+import pickle
+import zipfile
+
 import numpy as np
 import pytest
 from helpers.recordings import READING_NAMES, converted, refused, write_table
@@ -34,6 +39,146 @@ WAYS = {
     "metres": (renamed("_mm", "_m"), VALUES * np.r_[np.full(3, 1e-3), np.ones(15)], lambda text: text),
     "gauss": (renamed("_uT", "_G"), VALUES * np.r_[np.ones(3), np.full(15, 1e-2)], lambda text: text),
 }
+
+
+BARE = [name.rpartition("_")[0] for name in NAMES]
+
+
+def commas(text, between=";"):
+    return text.replace(",", between).replace(".", ",")
+
+
+def quoted(text):
+    """Decimal commas between commas."""
+    return "\n".join(",".join(f'"{cell}"' for cell in line.split(";")) for line in commas(text).splitlines())
+
+
+def repeated(text):
+    lines = text.splitlines()
+    return "\n".join([*lines[:20], lines[0], "# the second file", *lines[20:], ""])
+
+
+WAYS |= {
+    "an Excel line that names the separator": (NAMES, VALUES, lambda text: "sep=;\n" + commas(text)),
+    "quoted decimal commas": (NAMES, VALUES, quoted),
+    "tabs and decimal commas": (NAMES, VALUES, lambda text: commas(text, "\t")),
+    "spaces": (NAMES, VALUES, lambda text: text.replace(",", "   ")),
+    "names in a comment": (NAMES, VALUES, lambda text: "# " + text),
+    "names in a comment, between spaces": (NAMES, VALUES, lambda text: "# " + text.replace(",", " ")),
+    "units below the names": (BARE, VALUES, lambda text: text.replace("\n", "\nmm,mm,mm" + 15 * ",[uT]" + "\n", 1)),
+    "units below names that have them": (NAMES, VALUES, lambda t: t.replace("\n", "\nmm,mm,mm" + 15 * ",uT" + "\n", 1)),
+    "two files one after the other": (NAMES, VALUES, repeated),
+    "a comma after each row but the first": (
+        NAMES,
+        VALUES,
+        lambda text: text.replace("\n", ",\n").replace(",\n", "\n", 1),
+    ),
+    "old Mac lines": (NAMES, VALUES, lambda text: text.replace("\n", "\r")),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-32", "cp1252"])
+def test_a_table_is_the_same_in_any_encoding(tmp_path, encoding):
+    path = write_table(tmp_path / "mine.csv", renamed("uT", "\u00b5T"), VALUES)
+    path.write_bytes(path.read_text(encoding="utf-8").encode(encoding))
+    (recording,) = read_recordings(path)
+    np.testing.assert_allclose(recording.readings, SKIN.readings, rtol=1e-9)
+    zipped = tmp_path / "zipped.csv"  # whatever its name
+    zipped.write_bytes(gzip.compress(path.read_bytes()))
+    np.testing.assert_array_equal(read_recordings(zipped)[0].readings, recording.readings)
+    assert any("not in UTF-8" in note for note in recording.notes) == (encoding != "utf-8-sig")
+
+
+def as_zip(name):
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr(name, "contents")
+    return file.getvalue()
+
+
+def as_npy(array):
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "kind"),
+    [
+        (as_zip("xl/workbook.xml"), "is an Excel workbook (.xlsx); save it as CSV in UTF-8"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(512), "is an old Excel workbook (.xls); save it as CSV"),
+        (as_zip("a.npy"), "is a NumPy archive (.npz)"),
+        (as_zip("log.csv"), "is a zip archive; unpack it"),
+        (as_npy(np.eye(3)), "is a NumPy array (.npy); write its columns with numpy.savetxt"),
+        (b"PAR1" + bytes(40), "is an Apache Parquet file"),
+        (b"\x89MCAP0\r\n" + bytes(40), "is an MCAP recording"),
+        (b"#ROSBAG V2.0\n" + bytes(40), "is a ROS bag"),
+        (b"SQLite format 3\0" + bytes(40), "is an SQLite database"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(40), "is an HDF5 file"),
+        (b'{"x_mm": [1, 2]}', "is a JSON document"),
+        (pickle.dumps([1.0]), "is a Python pickle"),
+        (b"\n<!DOCTYPE html><html>", "is a web page (HTML); download the file itself"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "is a Git LFS pointer"),
+        (b"x_mm,y_mm\n\x01\x02\x00\x03", "is no text but binary data"),
+        ("x_mm,\u529b\n1,2\n".encode("gbk") + b"\x81\n", "is no text in UTF-8 or Windows-1252"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_file_that_is_no_table_is_named_by_what_it_is(tmp_path, capsys, data, kind):
+    path = tmp_path / "log.csv"
+    path.write_bytes(data)
+    for words in (("presses", path, tmp_path / "out", *OPTIONS), ("stream", path, tmp_path / "out.csv")):
+        assert f"{path}: {kind}" in refused(capsys, *words)
+
+
+@pytest.mark.parametrize(
+    ("text", "change"),
+    [
+        ("1.234", commas),
+        ("1.234,5", commas),
+        ("1,234", lambda text: text),
+        ("1,234.5", lambda text: text),
+        ("-12,345", lambda text: text.replace(",", "\t")),
+    ],
+)
+def test_a_sign_that_may_group_thousands_is_refused_by_row_and_field(tmp_path, capsys, text, change):
+    path = write_table(tmp_path / "a.csv", NAMES, VALUES, change)
+    lines = path.read_text().splitlines()
+    between = next(sign for sign in ";\t," if sign in lines[0])
+    cells = lines[6].split(between)
+    lines[6] = between.join([*cells[:3], f'"{text}"', *cells[4:]])
+    path.write_text("\n".join(lines) + "\n")
+    words = ("presses", path, tmp_path / "out", *OPTIONS)
+    sentence = refused(capsys, *words)
+    assert f"line 7 has {text!r} in column b0x_uT, which may be decimal or grouped thousands" in sentence
+    assert len(converted(*words, "--skip-bad").touches.reading) == 39
+
+
+def test_three_decimals_and_names_with_a_point_group_nothing(tmp_path):
+    rows = [[*(f"{value:.3f}" for value in row), "1.234"] for row in VALUES]
+    path = write_table(tmp_path / "a.csv", [*NAMES, "session"], rows)
+    dataset = converted("presses", path, tmp_path / "points", *OPTIONS)
+    path.write_text(commas(path.read_text()).replace(";1,234\n", ";1.234\n"))
+    other = converted("presses", path, tmp_path / "commas", *OPTIONS)
+    np.testing.assert_array_equal(dataset.touches.reading, other.touches.reading)
+    np.testing.assert_allclose(dataset.touches.reading, SKIN.readings, atol=1e-3)
+    assert dataset.sessions == other.sessions == ("1.234",)
+
+
+def test_a_unit_below_a_name_that_has_another_is_refused(tmp_path, capsys):
+    units = "\nm,mm,mm" + 15 * ",uT" + "\n"
+    path = write_table(tmp_path / "a.csv", NAMES, VALUES, lambda text: text.replace("\n", units, 1))
+    assert "column x_mm has the unit mm by its name and m below it" in refused(
+        capsys, "presses", path, tmp_path / "out", *OPTIONS
+    )
+
+
+def test_decimal_commas_between_commas_are_named_as_such(tmp_path, capsys):
+    path = write_table(tmp_path / "a.csv", NAMES, VALUES)
+    names, *lines = path.read_text().splitlines()
+    path.write_text("\n".join([names, *(line.replace(".", ",") for line in lines)]))
+    sentence = refused(capsys, "presses", path, tmp_path / "out", *OPTIONS)
+    assert "line 2 has not 18 fields but 36; if its numbers have decimal commas" in sentence
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -259,6 +259,8 @@ def test_concatenation_merges_names_and_refuses_what_does_not_fit():
     assert [both.objects[i] for i in both.touches.object] == [d.objects[i] for d in (a, b) for i in d.touches.object]
     assert concatenate([a, make(2)]).touches.truth is None
     assert concatenate([a, replace(b, source="real")]).source == "mixed"
+    assert concatenate([a, replace(b, source="not stated")]).source == "mixed"
+    assert concatenate([replace(a, source="real"), replace(b, source="not stated")]).source == "not stated"
     assert_equal(both.select(np.arange(11) < 6), replace(a, objects=both.objects, meta=both.meta))
     np.testing.assert_array_equal(both.touches.truth.force[6:], b.touches.truth.force)
     for other in (replace(b, window=0.04), make(2, pixels=16), make(2, board="grid-2x2")):

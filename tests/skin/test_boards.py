@@ -9,7 +9,16 @@ import pytest
 
 from i2t.collect.stopping import nonuniform_field
 from i2t.skin import faults
-from i2t.skin.boards import BOARDS, board_note, eflesh_board, grid_board, make_board, name_of_board
+from i2t.skin.boards import (
+    BOARDS,
+    board_note,
+    eflesh_board,
+    grid_board,
+    make_board,
+    name_of_board,
+    silent_chips,
+    without_silent_chips,
+)
 from i2t.skin.faults import Faults
 from i2t.skin.files import load_pad, save_pad
 from i2t.skin.noise import Noise, add_sensor_noise, drift
@@ -141,3 +150,23 @@ def test_an_unknown_board_is_refused():
             make_board(name)
     with pytest.raises(ValueError, match=r"nowhere.toml: cannot be read \(No such file"):
         make_board("nowhere.toml")
+
+
+def test_three_exact_zeros_of_a_chip_are_no_reading():
+    readings = np.random.default_rng(0).normal(size=(8, 15))
+    silent = np.zeros((8, 5), bool)
+    silent[1], silent[3, 2], silent[4, 0] = True, True, True
+    readings[np.repeat(silent, 3, axis=1)] = 0.0
+    for differences in (False, True):
+        np.testing.assert_array_equal(silent_chips(readings, differences=differences), silent)
+        missing = np.isnan(without_silent_chips(readings, differences=differences))
+        np.testing.assert_array_equal(missing, np.repeat(silent, 3, axis=1))
+
+
+def test_a_difference_rounded_to_zero_is_a_reading():
+    readings = np.random.default_rng(0).normal(size=(8, 15))
+    readings[2, 3:6] = 0.0, -0.0, 0.0
+    readings[4, 6:9] = 0.0
+    readings[5, 7:9] = 0.0
+    assert silent_chips(readings).sum() == 2
+    assert not silent_chips(readings, differences=True).any()

@@ -219,7 +219,7 @@ def _values(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
     if said is None or not _plausible(said.table):
         return None
     table = said.table
-    table[~table[:, 1:].any(1), 1:] = np.nan
+    table[:, 1:] = boards.without_silent_chips(table[:, 1:].reshape(1, -1)).reshape(-1, boards.AXES_OF_CHIP)
     if not layout.warm:
         table[:, 0] = np.nan
     return said
