@@ -178,25 +178,37 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
     soft, _, pressure, gap, level = at
     d_soft, d_offset, *_ = change
     touching = pressure > 0
-    count = jnp.maximum(jnp.sum(touching), 1)
+
+    def inside(values: Array) -> Array:
+        return jnp.where(touching, values, 0)
+
+    def total(values: Array) -> Array:
+        return jnp.sum(inside(values))
 
     def mean(values: Array) -> Array:
-        return jnp.sum(jnp.where(touching, values, 0)) / count
-
-    def allowed(values: Array) -> Array:
-        """The nearest change of pressure that leaves the cells in contact, and the force where it is given."""
-        return jnp.where(touching, values - mean(values) if forced else values, 0)
+        return total(values) / jnp.maximum(jnp.sum(touching), 1)
 
     def deflect(values: Array) -> Array:
         return _deflect(soft, values, grid)
 
+    def pressing(displacement: Array) -> Array:
+        """The change of pressure on the cells in contact that deflects them by `displacement`."""
+        return jax.lax.custom_linear_solve(
+            lambda values: inside(deflect(inside(values))),
+            inside(displacement),
+            conjugate_gradients,
+            symmetric=True,
+        )
+
     opened = _deflect(d_soft, pressure, grid) + d_offset
-    d_pressure = jax.lax.custom_linear_solve(
-        lambda values: allowed(deflect(allowed(values))),
-        -opened,
-        lambda operator, values: conjugate_gradients(operator, allowed(values)),
-        symmetric=True,
-    )
+    if forced:
+        # The object rises by what keeps the force. Under a small contact that is nearly all of `opened`, and the mean
+        # is taken off first, so that roundings are those of what is left.
+        rigid = pressing(jnp.ones_like(pressure))
+        own = pressing(mean(opened) - opened)
+        d_pressure = own - total(own) / positive(total(rigid)) * rigid
+    else:
+        d_pressure = pressing(-opened)
     d_gap = deflect(d_pressure) + opened
     return (pressure, gap, level), (d_pressure, d_gap, mean(d_gap) if forced else jnp.zeros_like(level))
 
@@ -204,13 +216,19 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
 def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
     """Solve operator(x) = b.
 
+    Rounding must not lead out of the subspace on which the operator is positive: what is outside never becomes smaller,
+    and the steps grow without bound once it is all that is left. A mask of cells and a projection onto a direction keep
+    to their subspace; taking off a mean does not.
+
     Args:
         operator: Symmetric, and positive on a subspace with `b` in it.
-        b: Right side.
+        b: Right side, of any size.
 
     Returns:
-        x, in that subspace.
+        x, in that subspace; not finite where `b` is not.
     """
+    size = jnp.max(jnp.abs(b))  # squares of b itself may be too small or too large for a number
+    b = b / positive(size)
     tolerance = (20 * float(jnp.finfo(b.dtype).eps)) ** 2 * jnp.sum(b * b)
 
     def step(now: tuple) -> tuple:
@@ -225,7 +243,7 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
         return (now[3] > tolerance) & (now[4] < LINEAR_STEPS)
 
     first = (jnp.zeros_like(b), b, b, jnp.sum(b * b), jnp.asarray(0))
-    return jax.lax.while_loop(unfinished, step, first)[0]
+    return size * jax.lax.while_loop(unfinished, step, first)[0]
 
 
 class ContactState(NamedTuple):
