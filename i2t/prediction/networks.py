@@ -1,5 +1,6 @@
 """The paper's network and others as methods: fitted to patches, or to predicted contact pressure."""
 
+import warnings
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -123,6 +124,12 @@ class NetworkMethod(Method):
                 if len(history) % EPOCHS_BETWEEN_CHECKS == 0:
                     _check_finite(state, how)
         _check_finite(state, how)
+        if lost := int(np.sum(~np.isfinite(history).all(1))):
+            warnings.warn(
+                f"the loss of {self.title} was not finite in {lost} of {len(history)} epochs; the best epoch of the others "
+                f"is kept; lower the learning rate ({how.learning_rate:g}, of TrainConfig)",
+                stacklevel=2,
+            )
         norm = _with_residual(state.best_params, cfg, norm, validation)
         predictor = touches.predictor(made(state.best_params, cfg, norm), split)
         return replace(predictor, metadata={"curve": history, "epochs": how.epochs})
