@@ -215,7 +215,9 @@ def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> Pla
 
 def _least(loss: Callable[[np.ndarray], float], starts: Sequence[np.ndarray], bounds: Sequence[tuple]) -> np.ndarray:
     """Where a loss is least, from the best of some starts; raises ValueError where it is not finite there."""
-    if not all(np.isfinite(loss(start)) for start in starts):
+    with np.errstate(invalid="ignore"):
+        finite = all(np.isfinite(loss(start)) for start in starts)
+    if not finite:
         raise ValueError("the log loss of these beliefs is not finite; look for probabilities that are not")
     found: np.ndarray = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds).x
     return found

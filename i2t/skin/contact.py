@@ -13,9 +13,10 @@ step where the conjugate gradients of Polonsky and Keer (Wear 231, 1999) take tw
 conditioned: max G / min G is about 6 at the default cells.
 
 Derivatives are those of the conditions, not of the steps that met them (implicit differentiation): while the cells in
-contact stay the same, K dp + dK p + dheight - dindentation = 0 on them and dp = 0 elsewhere, one symmetric linear
-system, solved by conjugate gradients only where a derivative is asked for, forwards or backwards. Where a cell is just
-gaining or losing contact, it is the derivative of one side.
+contact stay the same, K dp + dK p + dheight - dindentation = 0 on them and dp = 0 elsewhere, one symmetric and positive
+linear system, solved by conjugate gradients only where a derivative is asked for, forwards or backwards. Where the force
+is given, dindentation is what keeps the sum of p, and the system is solved for the same motion of all cells as well (the
+Schur complement of the constraint). Where a cell is just gaining or losing contact, it is the derivative of one side.
 
 Arrays over the pad have row i along tool y and column j along tool x, at cell centres. Metres, pascals, newtons.
 """
