@@ -14,8 +14,8 @@ conditioned: max G / min G is about 6 at the default cells.
 
 Derivatives are those of the conditions, not of the steps that met them (implicit differentiation): while the cells in
 contact stay the same, K dp + dK p + dheight - dindentation = 0 on them and dp = 0 elsewhere, one symmetric and positive
-linear system, solved by conjugate gradients only where a derivative is asked for, forwards or backwards. Where the force
-is given, dindentation is what keeps the sum of p, and the system is solved for the same motion of all cells as well (the
+linear system, solved by conjugate gradients only where a derivative is asked for, forwards or backwards. Where the
+force is given, dindentation keeps the sum of p, and the system is solved for the same motion of all cells as well (the
 Schur complement of the constraint). Where a cell is just gaining or losing contact, it is the derivative of one side.
 
 Arrays over the pad have row i along tool y and column j along tool x, at cell centres. Metres, pascals, newtons.
@@ -196,8 +196,8 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
         """The change of pressure on the cells in contact that deflects them by `displacement`."""
         return jax.lax.custom_linear_solve(
             lambda values: inside(deflect(inside(values))),
-            inside(displacement),
-            conjugate_gradients,
+            displacement,
+            lambda operator, values: conjugate_gradients(operator, inside(values)),
             symmetric=True,
         )
 

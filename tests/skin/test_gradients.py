@@ -154,6 +154,16 @@ def test_single_precision_is_enough_at_symmetric_places(forced):
         assert np.all(np.abs(found - difference).max((2, 3)) <= ASKED * np.abs(difference).max((2, 3)))
 
 
+@pytest.mark.parametrize(("solve", "control"), [(contact.solve, 0.4e-3), (contact.solve_force, 0.7)])
+def test_backwards_is_forwards_transposed_in_single_precision(solve, control):
+    rng, height = np.random.default_rng(7), jnp.asarray(TIP - TIP.min(), jnp.float32)
+    way, weights = (jnp.asarray(rng.normal(size=TIP.shape), jnp.float32) for _ in range(2))
+    run = jax.jit(lambda height: solve(PAD, height, control, SMALL).pressure)
+    forwards = jnp.sum(weights * jax.jvp(run, (height,), (way,))[1])
+    backwards = jnp.sum(way * jax.vjp(run, height)[1](weights)[0])
+    np.testing.assert_allclose(backwards, forwards, rtol=1e-3)
+
+
 def test_a_derivative_by_what_is_not_finite_is_not_finite():
     """A wrong number is passed on; it is no derivative of zero."""
     height = jnp.asarray(TIP - TIP.min(), jnp.float32)
