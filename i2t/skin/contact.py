@@ -229,7 +229,7 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
         x, in that subspace; not finite where `b` is not.
     """
     size = jnp.max(jnp.abs(b))  # squares of b itself may be too small or too large for a number
-    b = b / positive(size)
+    b = b / jnp.where(size > 0, size, 1)
     tolerance = (20 * float(jnp.finfo(b.dtype).eps)) ** 2 * jnp.sum(b * b)
 
     def step(now: tuple) -> tuple:

@@ -111,7 +111,12 @@ def shear(
     fixed_kernels, fixed_limit = jax.lax.stop_gradient((kernels, limit))
 
     def onto_discs(q: Array) -> Array:
-        return q * jnp.minimum(1, fixed_limit / positive(_size(q)))
+        # Nothing is divided by a size of zero, however small a number stands for it: the limit is a quotient, and a
+        # compiler that divides by the product of both divisors takes that product for zero.
+        size = _size(q)
+        outside = (size > fixed_limit) & (fixed_limit > 0)
+        shrunk = jnp.where(outside, fixed_limit / jnp.where(outside, size, 1), 1)
+        return jnp.where(fixed_limit > 0, q * shrunk, 0)
 
     state = descend(
         partial(_yielding, fixed_kernels, grid=grid),
