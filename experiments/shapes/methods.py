@@ -240,7 +240,12 @@ def classify(
     known = TrainingSet(jnp.float32(rows), jnp.asarray(labels), jnp.int32(n))
     keys = [jax.random.fold_in(jax.random.key(seed), i) for i in range(cfg.members)]
     log_p = [_log_probability(_train(key, known, cfg, classes), jnp.float32((at - mean) / std)) for key in keys]
-    return np.asarray(jax.nn.logsumexp(jnp.stack(log_p), axis=0) - np.log(cfg.members))
+    mean_p = np.asarray(jax.nn.logsumexp(jnp.stack(log_p), axis=0) - np.log(cfg.members))
+    if not np.isfinite(mean_p).all():
+        raise ValueError(
+            "the classifier's training gave no finite probabilities; look for readings that are not finite"
+        )
+    return mean_p
 
 
 @partial(jax.jit, static_argnames=("cfg", "classes"))

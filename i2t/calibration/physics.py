@@ -18,6 +18,7 @@ Metres, newtons, pascals, microtesla. `c` is the number of channels, three for e
 of cosines along an edge, `k` the number of weights.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -60,7 +61,8 @@ DESIGN_PARAMETERS = ("thickness", "gap", "young", "contact_offset", "mount_compl
 NORMAL_PARAMETERS = ("contact_offset", "tip_offset")
 LBFGS_STEPS = 25  # in each linearization
 MAX_MOVE_STDS = 0.7  # how far each coordinate goes in one of them, in standard deviations of the prior
-FAILED_OBJECTIVE = 1e9  # what is minimised, where it cannot be computed
+FAILED_OBJECTIVE = 1e9  # by which a point where the objective cannot be computed is worse than the start
+NO_PAD = "no pad explains these presses; are tip, unit of the loads and board what they are said to be?"
 
 MAX_LAYER_PRESSES = 48  # that the layer's parameters are fitted to; they need no more, and the map takes all
 LINEARIZATIONS = 3  # of the design matrices
@@ -464,8 +466,13 @@ def fit_pad(
         linearizations: Of the design matrices; with 0 the layer stays at the median of its prior.
 
     Returns:
-        The pad, the layer's parameters, and each press as predicted from all others.
+        The pad, the layer's parameters, and each press as predicted from all others. Presses whose derivatives are not
+        finite are left out of the layer's fit with a warning.
+
+    Raises:
+        ValueError: A press is not finite, or what is fitted is not.
     """
+    _check_finite(presses, readings)
     first = min(max_layer_presses, len(presses.load))
     some, known = jax.tree.map(lambda part: part[:first], presses), readings[:first]
     pressed = _LayerPresses(some, known, tip=tip, board=board, by_force=by_force, grid=grid)
@@ -473,7 +480,20 @@ def fit_pad(
     designs = design_matrices(layer, board, tip, presses, by_force=by_force, grid=grid)
     features = weight_features(layer, designs, grid.window)
     gains, solved, pad = _map_and_gains(layer, features, readings, board, grid.window)
-    return PadFit(pad._replace(gains=gains), layer, solved.leave_one_out)
+    fitted = PadFit(pad._replace(gains=gains), layer, solved.leave_one_out)
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(fitted)):
+        raise ValueError(NO_PAD)
+    return fitted
+
+
+def _check_finite(presses: Presses, readings: Array) -> None:
+    """Refuse presses whose place, load or reading is not finite."""
+    for name, values in (("positions", presses.position), ("loads", presses.load), ("readings", readings)):
+        wrong = ~np.isfinite(np.asarray(values)).reshape(len(values), -1).all(1)
+        if wrong.any():
+            raise ValueError(
+                f"{wrong.sum()} presses have {name} that are not finite, the first in row {np.argmax(wrong)}; drop them"
+            )
 
 
 @partial(jax.jit, static_argnames=("window",))
@@ -515,37 +535,83 @@ class _Linearization(NamedTuple):
     changes: Array  # (d, n, c, 3, m, m), along each coordinate of DESIGN_PARAMETERS
 
 
+Objective = Callable[[np.ndarray], tuple[float, np.ndarray]]  # coordinates -> value and gradient
+
+
 def _fit_layer(pressed: _LayerPresses, prior: LayerPrior, linearizations: int) -> LayerParameters:
-    """The most likely parameters of a layer."""
+    """The most likely parameters of a layer; raises ValueError where the objective is not finite from the start."""
     flat, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, prior.median))
     at, options = np.zeros(len(flat)), {"maxiter": LBFGS_STEPS}
-    for _ in range(linearizations):
+    for done in range(linearizations):
         objective = _linearized(at, pressed, prior, unravel)
+        if not _is_finite(objective(at)):
+            if done == 0:
+                raise ValueError(NO_PAD)
+            warnings.warn(
+                f"the fit of the layer stopped after {done} of {linearizations} linearizations, because the objective "
+                "is not finite at the parameters reached",
+                stacklevel=3,
+            )
+            break
         bounds = [(x - MAX_MOVE_STDS, x + MAX_MOVE_STDS) for x in at]
-        at = optimize.minimize(objective, at, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+        bounded = _finite_everywhere(objective, start=at)
+        at = optimize.minimize(bounded, at, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+    if linearizations and not at.any():
+        warnings.warn("the fit of the layer did not leave the medians of its prior", stacklevel=3)
     return parameters_at(unravel(jnp.asarray(at, jnp.float32)), prior)
+
+
+def _is_finite(evaluated: tuple[float, np.ndarray]) -> bool:
+    value, gradient = evaluated
+    return bool(np.isfinite(value) and np.isfinite(gradient).all())
+
+
+def _finite_everywhere(objective: Objective, *, start: np.ndarray) -> Objective:
+    """The objective, and much more than at the start where single precision cannot factor its matrices."""
+    failed = FAILED_OBJECTIVE + abs(objective(start)[0])
+
+    def bounded(x: np.ndarray) -> tuple[float, np.ndarray]:
+        evaluated = objective(x)
+        return evaluated if _is_finite(evaluated) else (failed, np.zeros(len(x)))
+
+    return bounded
 
 
 def _linearized(
     at: np.ndarray, pressed: _LayerPresses, prior: LayerPrior, unravel: Callable[[Any], LayerParameters]
-) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
-    """Value and gradient of the negative log posterior, with design matrices that are linear about `at`."""
+) -> Objective:
+    """Value and gradient of the negative log posterior, with design matrices that are linear about `at`; of the presses
+    whose designs are finite.
+    """
     coordinates = unravel(jnp.asarray(at, jnp.float32))
     presses, readings, tip, board, by_force, grid = pressed
     value, changes = _design_derivatives(
         coordinates, prior, board, tip=tip, presses=presses, by_force=by_force, grid=grid
     )
-    linearization = _Linearization(coordinates, value, changes)
+    usable = _with_finite_designs(value, changes)
+    linearization, readings = _Linearization(coordinates, value[usable], changes[:, usable]), readings[usable]
 
     def objective(x: np.ndarray) -> tuple[float, np.ndarray]:
         here = unravel(jnp.asarray(x, jnp.float32))
         value, gradient = _value_and_gradient(here, linearization, readings, prior, window=grid.window)
-        gradient = np.asarray(ravel_pytree(gradient)[0], np.float64)
-        if not np.isfinite(value) or not np.isfinite(gradient).all():  # beyond what single precision can factor
-            return FAILED_OBJECTIVE, np.zeros(len(x))
-        return float(value), gradient
+        return float(value), np.asarray(ravel_pytree(gradient)[0], np.float64)
 
     return objective
+
+
+def _with_finite_designs(value: Array, changes: Array) -> np.ndarray:
+    """Rows of the presses whose design matrices and their derivatives are finite; a warning counts the others."""
+    finite = np.isfinite(np.asarray(value)).all((1, 2, 3, 4)) & np.isfinite(np.asarray(changes)).all((0, 2, 3, 4, 5))
+    if not finite.any():
+        raise ValueError(NO_PAD)
+    if not finite.all():
+        lost = np.flatnonzero(~finite)
+        warnings.warn(
+            f"{len(lost)} of {len(finite)} presses are left out of the fit of the layer, because the derivatives of "
+            f"their readings are not finite (the first is in row {lost[0]})",
+            stacklevel=5,
+        )
+    return np.flatnonzero(finite)
 
 
 def _design_coordinates(coordinates: LayerParameters) -> tuple[Array, ...]:

@@ -24,6 +24,7 @@ PRIOR_NOISE = 0.01  # of a channel's variance
 STARTS = ((0.0, 0.0, 0.0), (-0.7, 0.0, 1.5))  # in logarithms, from the priors' medians
 BOUNDS = ((-4.0, 4.0), (-4.0, 4.0), (-7.0, 5.0))  # likewise
 LEAST_NOISE = 1e-6
+FAILED_LOSS = 1e30  # where the covariance cannot be factored
 SPREAD_FLOOR = 1e-9  # m, N
 
 
@@ -45,6 +46,9 @@ def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> 
 
     Returns:
         Lengths and noise.
+
+    Raises:
+        ValueError: A press is not finite, or no covariance of the presses can be factored.
     """
     some = slice(MAX_FITTED_PRESSES)
     position, load, readings = position[some], load[some], readings[some]
@@ -60,6 +64,11 @@ def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> 
         for at in map(np.array, STARTS)
     ]
     best = min(start, key=lambda found: float(found.fun) if np.isfinite(found.fun) else np.inf)
+    if not best.fun < FAILED_LOSS:
+        raise ValueError(
+            f"no plain Gaussian process fits these {len(load)} presses; look for positions, loads or readings that are "
+            "not finite or far too large"
+        )
     length, width, noise = medians * np.exp(best.x)
     return PlainScales(float(length), float(width), max(float(noise), LEAST_NOISE))
 
@@ -103,7 +112,7 @@ def _loss(
     try:
         factor = cho_factor(near + (noise + LEAST_NOISE) * np.eye(n), lower=True)
     except np.linalg.LinAlgError:
-        return 1e30, np.zeros(3)
+        return FAILED_LOSS, np.zeros(3)
     inverse = cho_solve(factor, np.eye(n))
     weights = inverse @ centred
     scale = np.maximum((centred * weights).sum(0) / n, 1e-12)  # of each channel, at its best

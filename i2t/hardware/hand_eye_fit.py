@@ -26,6 +26,7 @@ from i2t.types import Array
 MIN_VIEWS, MIN_CORNERS = 6, 6  # views, and corners of each
 MIN_TILT_RAD = math.radians(5)  # root mean square turn about a second axis, under which the problem is nearly singular
 INVERSION_STEPS = 50  # of a lens, each closer by the distortion's slope, some hundredths
+MAX_FIT_STEPS = 100  # evaluations of the refinement; about ten are enough
 LOSS_SCALE_PX = 1.0  # from where on a corner counts less than its square
 
 
@@ -94,6 +95,9 @@ def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:
     """
     if len(views) < MIN_VIEWS:
         raise ValueError(f"the board was found in {len(views)} views; take at least {MIN_VIEWS}, better 15")
+    for number, view in enumerate(views, 1):
+        if not all(np.isfinite(part).all() for part in view):
+            raise ValueError(f"view {number} has a pose or corners that are not finite; leave it out")
     T_c_o = np.stack([board_pose(view) for view in views])
     tools = np.stack([view.T_b_t for view in views])
     X = _closed_form(tools, T_c_o)
@@ -159,8 +163,14 @@ def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tup
     def miss(change: Array) -> Array:
         return (focal * _misses(views, X @ _motion(change[:6]), Y @ _motion(change[6:]))).ravel()
 
-    found = least_squares(miss, np.zeros(12), loss="soft_l1", f_scale=LOSS_SCALE_PX, x_scale="jac", max_nfev=100).x
-    return X @ _motion(found[:6]), Y @ _motion(found[6:])
+    found = least_squares(
+        miss, np.zeros(12), loss="soft_l1", f_scale=LOSS_SCALE_PX, x_scale="jac", max_nfev=MAX_FIT_STEPS
+    )
+    if not found.success:
+        raise ValueError(
+            f"the camera's pose does not settle within {MAX_FIT_STEPS} steps; take more views, tilted about two axes"
+        )
+    return X @ _motion(found.x[:6]), Y @ _motion(found.x[6:])
 
 
 def _misses(views: Sequence[BoardView], X: Array, Y: Array) -> Array:

@@ -87,9 +87,11 @@ def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> fl
         m, where first contact was.
 
     Raises:
-        ValueError: The force did not rise.
+        ValueError: The force did not rise, or a look is not finite.
     """
     distance, force = np.asarray(distance, float), np.asarray(force, float)
+    if lost := int(np.sum(~np.isfinite(distance + force))):
+        raise ValueError(f"{lost} of {len(force)} looks have no finite distance and force; touch again")
     felt = force > CONTACT_FORCE_SHARE * max(force.max(), 0.0)
     if felt.sum() < MIN_LOOKS or np.ptp(distance[felt]) <= 0:
         raise ValueError(f"the force did not rise in at least {MIN_LOOKS} looks; lower the skin more slowly")

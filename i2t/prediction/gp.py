@@ -17,6 +17,7 @@ on held-out groups of touches (section 5.3, cross-validation), never the evidenc
 wrong in detail.
 """
 
+import warnings
 from functools import partial
 from typing import NamedTuple
 
@@ -232,7 +233,7 @@ def choose_hyperparameters(
         seed: Of the folds and of the sample.
 
     Returns:
-        The hyperparameters, and R2 on held-out groups at each step.
+        The hyperparameters, and R2 on held-out groups at each step. A warning counts steps without a finite score.
 
     Raises:
         ValueError: There are fewer than two groups, or no step has a score (touches or readings that are not finite,
@@ -249,7 +250,13 @@ def choose_hyperparameters(
             f"cross-validation of the Gaussian process has no finite score on {len(standard)} touches; "
             "look for contact pressures or readings that are not finite, or zero throughout"
         )
-    best = jnp.nanargmin(errors)
+    if lost := int(jnp.sum(~jnp.isfinite(errors))):
+        warnings.warn(
+            f"the score of the Gaussian process is not finite in {lost} of {steps} steps on {len(standard)} touches; "
+            "its hyperparameters are the best of the others",
+            stacklevel=2,
+        )
+    best = jnp.nanargmin(jnp.where(jnp.isfinite(errors), errors, jnp.nan))
     return _hyperparameters(jax.tree.map(lambda values: values[best], path)), 1 - errors
 
 

@@ -1,5 +1,6 @@
 """The paper's network and others as methods: fitted to patches, or to predicted contact pressure."""
 
+import warnings
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -123,6 +124,7 @@ class NetworkMethod(Method):
                 if len(history) % EPOCHS_BETWEEN_CHECKS == 0:
                     _check_finite(state, how)
         _check_finite(state, how)
+        _warn_of_lost_epochs(history, self.title, how)
         norm = _with_residual(state.best_params, cfg, norm, validation)
         predictor = touches.predictor(made(state.best_params, cfg, norm), split)
         return replace(predictor, metadata={**(predictor.metadata or {}), "curve": history, "epochs": how.epochs})
@@ -198,6 +200,16 @@ def _check_finite(state: training.TrainState, how: TrainConfig) -> None:
         raise ValueError(
             f"the loss on the validation touches was not finite in any of the first {int(state.epoch.max())} epochs; "
             f"lower the learning rate ({how.learning_rate:g}, of TrainConfig), or look for extreme readings or images"
+        )
+
+
+def _warn_of_lost_epochs(history: list[list[float]], title: str, how: TrainConfig) -> None:
+    """Warn of epochs without a finite loss, after which a network was kept from another."""
+    if lost := int(np.sum(~np.isfinite(history).all(1))):
+        warnings.warn(
+            f"{title}: the loss was not finite in {lost} of {len(history)} epochs, and the best of the others is kept; "
+            f"lower the learning rate ({how.learning_rate:g}, of TrainConfig)",
+            stacklevel=3,
         )
 
 

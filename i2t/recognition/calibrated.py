@@ -9,7 +9,7 @@ Sources: temperature scaling, Guo et al. (ICML 2017); logit calibration, Platt (
 come: `with_unknown_prior` moves a belief from one prior to another.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,8 @@ from scipy.special import expit, logit, logsumexp, softmax
 from i2t.recognition.belief import MIN_PROBABILITY
 from i2t.recognition.metrics import PROBABILITY_FLOOR
 from i2t.types import Array
+
+NO_EPISODES = "there is no episode to calibrate beliefs on; give validation episodes"
 
 # --- temperature scaling of the objects ---
 
@@ -70,6 +72,9 @@ def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, smooth
 
     Returns:
         The temperature as a function of the number of touches.
+
+    Raises:
+        ValueError: There is no episode, or a belief is not finite.
     """
     return fit_temperature_to_sets([(p, truth)], smoothing=smoothing)
 
@@ -86,9 +91,15 @@ def fit_temperature_to_sets(
 
     Returns:
         The one temperature with the least mean log loss over all episodes and touches.
+
+    Raises:
+        ValueError: There is no episode, or a belief is not finite.
     """
     ready = [(_logs(p), np.asarray(truth)[:, None, None]) for p, truth in sets]
     count = sum(logs.shape[0] * logs.shape[1] for logs, _ in ready)
+
+    if count == 0:
+        raise ValueError(NO_EPISODES)
 
     def loss(x: np.ndarray) -> float:
         scaling, total = TemperatureScaling(np.exp(x[0]), np.exp(x[1])), 0.0
@@ -101,8 +112,8 @@ def fit_temperature_to_sets(
     bounds = ((-4.0, 4.0), (-12.0, 1.0))
     # Touches that share few errors, and most of them.
     starts = [np.array([0.0, np.log(growth)]) for growth in (0.05, 0.5)]
-    found = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds)
-    return TemperatureScaling(float(np.exp(found.x[0])), float(np.exp(found.x[1])))
+    initial, growth = np.exp(_least(loss, starts, bounds))
+    return TemperatureScaling(float(initial), float(growth))
 
 
 def calibrated_beliefs(
@@ -186,7 +197,12 @@ def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> Pla
 
     Returns:
         Its parameters.
+
+    Raises:
+        ValueError: There is no episode, or a probability is not finite.
     """
+    if np.size(p_unknown) == 0:
+        raise ValueError(NO_EPISODES)
     log_odds, touches = _log_odds(p_unknown), np.arange(1, np.shape(p_unknown)[1] + 1)
     sign = np.where(np.asarray(unknown, bool), 1.0, -1.0)[:, None]
 
@@ -194,8 +210,17 @@ def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> Pla
         return float(np.mean(np.logaddexp(0, -sign * (x[0] + x[1] / (1 + x[2] * (touches - 1)) * log_odds))))
 
     bounds = (-20.0, 20.0), (0.01, 10.0), (0.0, 10.0)
-    found = optimize.minimize(loss, (0.0, 1.0, 0.0), method="Nelder-Mead", bounds=bounds)
-    return PlattScaling(*(float(x) for x in found.x))
+    return PlattScaling(*_least(loss, [np.array([0.0, 1.0, 0.0])], bounds).tolist())
+
+
+def _least(loss: Callable[[np.ndarray], float], starts: Sequence[np.ndarray], bounds: Sequence[tuple]) -> np.ndarray:
+    """Where a loss is least, from the best of some starts; raises ValueError where it is not finite there."""
+    with np.errstate(invalid="ignore"):
+        finite = all(np.isfinite(loss(start)) for start in starts)
+    if not finite:
+        raise ValueError("the log loss of these beliefs is not finite; look for probabilities that are not")
+    found: np.ndarray = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds).x
+    return found
 
 
 def apply_platt(

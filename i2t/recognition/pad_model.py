@@ -96,6 +96,9 @@ def fit_pad_model(
 
     Returns:
         The pad model; its r2 and errors are those of left-out touches.
+
+    Raises:
+        ValueError: The touches say nothing finite of how soft the pad is.
     """
     touches = dataset.touches
     seen = []
@@ -110,6 +113,11 @@ def fit_pad_model(
     used, nominal, pressed = _pressed_touches(sessions, touches, layer)
     load = np.asarray(pressed.pressure.load)
     depth = touches.depth[used] - load / limits.stiffness
+    if not (np.isfinite(nominal * depth).all() and nominal.any()):
+        raise ValueError(
+            "the softness of the pad is not known from these touches; leave out those whose depth or force is not "
+            "finite, and give some that press a known object"
+        )
     softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
     left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits)
     folds = a_few_at_a_time(left_out, product(sessions, range(POSITION_FOLDS)))
@@ -137,7 +145,12 @@ def fit_position_errors(
 
     Returns:
         The mixture; standard deviations that no error asks for keep a small share.
+
+    Raises:
+        ValueError: An error or its variance is not finite.
     """
+    if lost := int(np.sum(~np.isfinite(np.asarray(errors, float) + np.asarray(variance, float)))):
+        raise ValueError(f"{lost} of {len(errors)} errors of position are not finite; leave these touches out")
     std = np.asarray(stds, float)
     total = std[None] ** 2 + np.asarray(variance, float)[:, None]
     density = np.exp(-0.5 * np.asarray(errors, float)[:, None] ** 2 / total) / np.sqrt(2 * np.pi * total)

@@ -123,7 +123,8 @@ def register_by_touch(
         The estimate; its residuals, weights and cost are those of the most probable pose.
 
     Raises:
-        ValueError: There is no touch, not one weight for each, or a standard deviation that is none.
+        ValueError: There is no touch, not one weight for each, a pose or weight that counts and is not finite, or a
+            standard deviation that is none.
         TypeError: The key is none, or a standard deviation is no number.
 
     Example:
@@ -137,7 +138,7 @@ def register_by_touch(
         validation.number(name, std, "a standard deviation, 0 where it is known", least=0)
     validation.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
-    _check_contacts(T_w_contact, weight)
+    _check_contacts(T_w_o, T_w_contact, weight)
     stds = (jnp.asarray(std, jnp.float32) for std in (translation_std, rotation_std, contact_std))
     return _register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
 
@@ -173,13 +174,23 @@ def _register(
     )
 
 
-def _check_contacts(T_w_contact: Array, weight: Array) -> None:
-    """Check for a list of poses with a weight for each."""
+def _check_contacts(T_w_o: Array, T_w_contact: Array, weight: Array) -> None:
+    """Check for a list of poses with a weight for each, and for finite numbers; traced ones pass."""
     n = len(T_w_contact) if T_w_contact.ndim else 0
     if n == 0 or T_w_contact.shape != (n, 4, 4) or weight.shape != (n,):
         raise ValueError(
             f"T_w_contact has the shape {T_w_contact.shape} and weight {weight.shape}; give n poses (n, 4, 4) and as "
             "many weights (n,), of one touch or more"
+        )
+    if validation.is_traced(T_w_o, T_w_contact, weight):
+        return
+    if not np.isfinite(T_w_o).all():
+        raise ValueError("T_w_o has numbers that are not finite; give the pose where the object is believed to be")
+    wrong = ~np.isfinite(weight) | ((weight > 0) & ~np.isfinite(T_w_contact).all((1, 2)))
+    if wrong.any():
+        raise ValueError(
+            f"{wrong.sum()} touches have a pose or a weight that is not finite, the first in row {np.argmax(wrong)}; "
+            "give them the weight 0"
         )
 
 

@@ -13,9 +13,10 @@ step where the conjugate gradients of Polonsky and Keer (Wear 231, 1999) take tw
 conditioned: max G / min G is about 6 at the default cells.
 
 Derivatives are those of the conditions, not of the steps that met them (implicit differentiation): while the cells in
-contact stay the same, K dp + dK p + dheight - dindentation = 0 on them and dp = 0 elsewhere, one symmetric linear
-system, solved by conjugate gradients only where a derivative is asked for, forwards or backwards. Where a cell is just
-gaining or losing contact, it is the derivative of one side.
+contact stay the same, K dp + dK p + dheight - dindentation = 0 on them and dp = 0 elsewhere, one symmetric and positive
+linear system, solved by conjugate gradients only where a derivative is asked for, forwards or backwards. Where the
+force is given, dindentation keeps the sum of p, and the system is solved for the same motion of all cells as well (the
+Schur complement of the constraint). Where a cell is just gaining or losing contact, it is the derivative of one side.
 
 Arrays over the pad have row i along tool y and column j along tool x, at cell centres. Metres, pascals, newtons.
 """
@@ -178,25 +179,37 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
     soft, _, pressure, gap, level = at
     d_soft, d_offset, *_ = change
     touching = pressure > 0
-    count = jnp.maximum(jnp.sum(touching), 1)
+
+    def inside(values: Array) -> Array:
+        return jnp.where(touching, values, 0)
+
+    def total(values: Array) -> Array:
+        return jnp.sum(inside(values))
 
     def mean(values: Array) -> Array:
-        return jnp.sum(jnp.where(touching, values, 0)) / count
-
-    def allowed(values: Array) -> Array:
-        """The nearest change of pressure that leaves the cells in contact, and the force where it is given."""
-        return jnp.where(touching, values - mean(values) if forced else values, 0)
+        return total(values) / jnp.maximum(jnp.sum(touching), 1)
 
     def deflect(values: Array) -> Array:
         return _deflect(soft, values, grid)
 
+    def pressing(displacement: Array) -> Array:
+        """The change of pressure on the cells in contact that deflects them by `displacement`."""
+        return jax.lax.custom_linear_solve(
+            lambda values: inside(deflect(inside(values))),
+            displacement,
+            lambda operator, values: conjugate_gradients(operator, inside(values)),
+            symmetric=True,
+        )
+
     opened = _deflect(d_soft, pressure, grid) + d_offset
-    d_pressure = jax.lax.custom_linear_solve(
-        lambda values: allowed(deflect(allowed(values))),
-        -opened,
-        lambda operator, values: conjugate_gradients(operator, allowed(values)),
-        symmetric=True,
-    )
+    if forced:
+        # The object rises by what keeps the force. Under a small contact that is nearly all of `opened`, and the mean
+        # is taken off first, so that roundings are those of what is left.
+        rigid = pressing(jnp.ones_like(pressure))
+        own = pressing(mean(opened) - opened)
+        d_pressure = own - total(own) / positive(total(rigid)) * rigid
+    else:
+        d_pressure = pressing(-opened)
     d_gap = deflect(d_pressure) + opened
     return (pressure, gap, level), (d_pressure, d_gap, mean(d_gap) if forced else jnp.zeros_like(level))
 
@@ -204,13 +217,19 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
 def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
     """Solve operator(x) = b.
 
+    Rounding must not lead out of the subspace on which the operator is positive: what is outside never becomes smaller,
+    and the steps grow without bound once it is all that is left. A mask of cells and a projection onto a direction keep
+    to their subspace; taking off a mean does not.
+
     Args:
         operator: Symmetric, and positive on a subspace with `b` in it.
-        b: Right side.
+        b: Right side, of any size.
 
     Returns:
-        x, in that subspace.
+        x, in that subspace; not finite where `b` is not.
     """
+    size = jnp.max(jnp.abs(b))  # squares of b itself may be too small or too large for a number
+    b = b / jnp.where(size > 0, size, 1)
     tolerance = (20 * float(jnp.finfo(b.dtype).eps)) ** 2 * jnp.sum(b * b)
 
     def step(now: tuple) -> tuple:
@@ -225,7 +244,7 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
         return (now[3] > tolerance) & (now[4] < LINEAR_STEPS)
 
     first = (jnp.zeros_like(b), b, b, jnp.sum(b * b), jnp.asarray(0))
-    return jax.lax.while_loop(unfinished, step, first)[0]
+    return size * jax.lax.while_loop(unfinished, step, first)[0]
 
 
 class ContactState(NamedTuple):

@@ -111,7 +111,12 @@ def shear(
     fixed_kernels, fixed_limit = jax.lax.stop_gradient((kernels, limit))
 
     def onto_discs(q: Array) -> Array:
-        return q * jnp.minimum(1, fixed_limit / positive(_size(q)))
+        # Nothing is divided by a size of zero, however small a number stands for it: the limit is a quotient, and a
+        # compiler that divides by the product of both divisors takes that product for zero.
+        size = _size(q)
+        outside = (size > fixed_limit) & (fixed_limit > 0)
+        shrunk = jnp.where(outside, fixed_limit / jnp.where(outside, size, 1), 1)
+        return jnp.where(fixed_limit > 0, q * shrunk, 0)
 
     state = descend(
         partial(_yielding, fixed_kernels, grid=grid),
@@ -163,12 +168,14 @@ def _track(grid: Grid, at: tuple, change: tuple) -> tuple[tuple, tuple]:
     slipping = _slipping(traction, limit)
     sticking = (limit > 0) & ~slipping
     towards = traction / positive(_size(traction))  # against the slip
+    across = jnp.stack([-towards[1], towards[0]])
     # The further a cell has slipped, the less a small motion turns its traction.
     stiff = jnp.where(slipping, jnp.maximum(-jnp.sum(slip * towards, axis=0, keepdims=True), 0) / positive(limit), 0)
 
     def allowed(q: Array) -> Array:
         """The nearest change of traction that leaves the size of a slipping cell's, and none where nothing touches."""
-        return jnp.where(sticking, q, jnp.where(slipping, q - towards * jnp.sum(towards * q, axis=0, keepdims=True), 0))
+        # Written as a multiple of `across`, it has no more of `towards` than its own rounding, however little is left.
+        return jnp.where(sticking, q, jnp.where(slipping, across * jnp.sum(across * q, axis=0, keepdims=True), 0))
 
     def operator(q: Array) -> Array:
         q = allowed(q)
@@ -176,8 +183,7 @@ def _track(grid: Grid, at: tuple, change: tuple) -> tuple[tuple, tuple]:
 
     grown = jnp.where(slipping, d_limit, 0) * towards
     moved = _yielding(kernels, grown, grid) + _yielding(d_kernels, traction, grid) - d_wanted
-    # Twice: where all cells slip nearly nothing is left of `moved`, and what rounding leaves beside it has no solution.
     turned = jax.lax.custom_linear_solve(
-        operator, -moved, lambda operator, q: conjugate_gradients(operator, allowed(allowed(q))), symmetric=True
+        operator, -moved, lambda operator, q: conjugate_gradients(operator, allowed(q)), symmetric=True
     )
     return (traction, slip), (grown + turned, moved + _yielding(kernels, turned, grid))

@@ -50,3 +50,13 @@ def test_predictions_and_the_gradient_of_the_loss_are_those_of_other_programs():
     free = np.array([0.2, -0.1, 1.0])
     numeric = approx_fprime(free, lambda free: plain_gp._loss(free, *fixed)[0], 1e-6)
     np.testing.assert_allclose(plain_gp._loss(free, *fixed)[1], numeric, rtol=1e-4)
+
+
+def test_presses_that_no_process_fits_are_refused(monkeypatch):
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError("not positive definite")
+
+    monkeypatch.setattr(plain_gp, "cho_factor", fails)
+    rng = np.random.default_rng(6)
+    with pytest.raises(ValueError, match="no plain Gaussian process fits these 12 presses"):
+        plain_gp.fit_scales(rng.normal(size=(12, 2)), np.ones(12), rng.normal(size=(12, 3)))

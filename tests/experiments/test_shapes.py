@@ -179,3 +179,11 @@ def test_one_shape_and_unknown_stamps_are_refused():
         methods.shapes_of(replace(pressed(), objects=("T",)))
     with pytest.raises(ValueError, match="no stamp is called"):
         world.stamps(["banana"])
+
+
+def test_a_classifier_without_finite_probabilities_is_refused(monkeypatch):
+    monkeypatch.setattr(methods, "_train", lambda *_: None)
+    monkeypatch.setattr(methods, "_log_probability", lambda _, x: jnp.full((len(x), 2), jnp.nan))
+    x, y = np.random.default_rng(0).normal(size=(6, 3)), np.arange(6) % 2
+    with pytest.raises(ValueError, match="no finite probabilities"):
+        methods.classify(methods.Classifier(), x, y, x, classes=2, seed=0)

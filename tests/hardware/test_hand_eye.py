@@ -17,7 +17,7 @@ from i2t.depth.camera import Camera
 from i2t.depth.distortion import deproject
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
-from i2t.hardware import hand_eye
+from i2t.hardware import hand_eye, hand_eye_fit
 from i2t.hardware.contract import refuse
 from i2t.hardware.hand_eye import CharucoBoard
 from i2t.hardware.hand_eye_fit import BoardView, board_pose, fit, pixel_rays
@@ -94,7 +94,7 @@ def test_the_error_it_states_is_the_error_it_makes():
     assert (made < [1e-3, math.radians(0.5)]).all()
 
 
-def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused():
+def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused(monkeypatch):
     rng = np.random.default_rng(1)
     board_views = [board_view(T, rng, 0.1) for T in tools(10, rng)]
     clean = apart(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0]
@@ -103,12 +103,16 @@ def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refuse
     assert apart(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0] < max(3 * clean, 0.1e-3)
     upright = [board_view(T, rng, 0.1, reported(T, rng)) for T in tools(8, rng, tilt=0.0)]
     one = BoardView(upright[0].T_b_t, upright[0].corners[:5], upright[0].rays[:5])
+    lost = [*board_views[:8], board_views[8]._replace(T_b_t=np.full((4, 4), np.nan))]
     calls = [
+        (fit, (lost, CAMERA.fx), "view 9 has a pose or corners that are not finite"),
         (fit, (board_views[:5], CAMERA.fx), "found in 5 views; take at least 6"),
         (fit, (upright, CAMERA.fx), "tilt it by 15 degrees or more about two"),
         (board_pose, (one,), "shows 5 corners"),
     ]
     refuse(ValueError, calls)
+    monkeypatch.setattr(hand_eye_fit, "MAX_FIT_STEPS", 1)
+    refuse(ValueError, [(fit, (board_views, CAMERA.fx), "does not settle within 1 steps")])
 
 
 def test_lines_of_sight_are_those_of_the_core():

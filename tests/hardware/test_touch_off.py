@@ -97,7 +97,9 @@ def test_an_arm_finds_its_skin(z, rx, ry):
 
 def test_what_is_no_press_and_no_flat_is_said():
     few, falling = (np.array([0, 1e-3]), np.array([0, 1.0])), (np.arange(6.0), 6 - np.arange(6.0))
-    refuse(ValueError, [(contact_onset, few, "in at least 5 looks"), (contact_onset, falling, "did not rise with")])
+    lost = np.arange(8.0), np.where(np.arange(8) == 5, np.nan, np.arange(8.0))
+    calls = [(contact_onset, few, "in at least 5 looks"), (contact_onset, falling, "did not rise with")]
+    refuse(ValueError, [*calls, (contact_onset, lost, "1 of 8 looks have no finite distance and force")])
     with arm_with(skin(0, 0, 0), HEIGHT - 0.02) as arm, pytest.raises(DeviceError, match="met no flat within 11 mm"):
         touch_off(arm, LIMITS, AT, HEIGHT, str)
     for at, height in (((0.7, 0.1), HEIGHT), (AT, 0.0)):

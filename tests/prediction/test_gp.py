@@ -121,3 +121,16 @@ def test_what_cannot_be_chosen_from_is_refused():
     readings[3, 2] = np.nan
     with pytest.raises(ValueError, match="no finite score on 24 touches"):
         gp.choose_hyperparameters(touches, jnp.asarray(readings), np.repeat([7, 3, 9, 1], 6), steps=8)
+
+
+def test_steps_without_a_finite_score_are_counted(monkeypatch):
+    touches, readings = spots(np.random.default_rng(8), 24), np.ones((24, CHANNELS), np.float32)
+    descend = gp._descend
+
+    def breaks_down(*args, **options):
+        path, errors = descend(*args, **options)
+        return path, errors.at[3:].set(jnp.nan)
+
+    monkeypatch.setattr(gp, "_descend", breaks_down)
+    with pytest.warns(UserWarning, match="not finite in 5 of 8 steps on 24 touches"):
+        gp.choose_hyperparameters(touches, jnp.asarray(readings), np.repeat([7, 3, 9, 1], 6), steps=8)

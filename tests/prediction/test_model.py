@@ -23,7 +23,8 @@ from i2t.prediction.model import (
     predict,
     prepare,
 )
-from i2t.training import Batch, Standard
+from i2t.prediction.networks import _warn_of_lost_epochs
+from i2t.training import Batch, Standard, TrainConfig
 
 SMALL = ModelConfig(pixels=12, encoder_width=16, decoder_width=24, auxiliary_width=20)
 EPS = float(np.finfo(np.float32).eps)
@@ -153,3 +154,9 @@ def test_impossible_networks_are_refused(field: str, value: object, words: str) 
     object.__setattr__(cfg, field, value)  # the run-time type checks of the tests would refuse some of these earlier
     with pytest.raises(ValueError, match=words):
         cfg.__post_init__()
+
+
+def test_epochs_without_a_finite_loss_are_counted():
+    _warn_of_lost_epochs([[1.0, 2.0], [0.5, 1.0]], "network", TrainConfig())
+    with pytest.warns(UserWarning, match="not finite in 2 of 3 epochs"):
+        _warn_of_lost_epochs([[1.0, 2.0], [math.nan, math.nan], [0.5, math.inf]], "network", TrainConfig())

@@ -55,3 +55,16 @@ def test_another_prior_of_the_unknown_class_is_bayes_rule():
     np.testing.assert_array_equal(np.append(closed, nothing), [0.5, 0.5, 0])
     with pytest.raises(ValueError, match="with_unknown_prior: priors"):
         calibrated.with_unknown_prior(p, np.array([[0.5]]), 0.0, 0.5)
+
+
+def test_beliefs_that_are_not_finite_and_no_beliefs_are_refused():
+    p, truth = np.full((5, 3, 4), 0.25), np.zeros(5, int)
+    wrong = np.where(np.arange(5)[:, None, None] == 3, np.nan, p)
+    with pytest.raises(ValueError, match="log loss of these beliefs is not finite"):
+        calibrated.fit_temperature(wrong, truth)
+    with pytest.raises(ValueError, match="log loss of these beliefs is not finite"):
+        calibrated.fit_platt(wrong[..., 0], truth > 0)
+    with pytest.raises(ValueError, match="there is no episode"):
+        calibrated.fit_temperature(p[:0], truth[:0])
+    with pytest.raises(ValueError, match="there is no episode"):
+        calibrated.fit_platt(p[:0, :, 0], truth[:0] > 0)

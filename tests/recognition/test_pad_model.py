@@ -39,6 +39,11 @@ def test_a_mixture_is_found_again_without_the_variance_that_is_known():
     assert tail(pad_model.fit_position_errors(errors, 0 * variance), 0.1e-3) > tail(truth, 0.1e-3) + 0.05
 
 
+def test_errors_that_are_not_finite_are_refused():
+    with pytest.raises(ValueError, match="1 of 3 errors of position are not finite"):
+        pad_model.fit_position_errors(np.array([1e-4, np.nan, 0.0]), np.zeros(3))
+
+
 def test_few_touches_leave_a_tail_and_many_normal_ones_hardly_any():
     rng = np.random.default_rng(1)
     few, many = (

@@ -308,6 +308,12 @@ def test_what_cannot_be_registered_is_refused():
             register_by_depth(*given)
     with pytest.raises(ValueError, match="give n poses"):
         register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), jnp.zeros((0, 4, 4)), jnp.zeros(0), **prior)
+    poses, unknown = np.tile(np.eye(4), (3, 1, 1)), np.full((4, 4), np.nan)
+    poses[1] = np.nan
+    with pytest.raises(ValueError, match="1 touches have a pose or a weight that is not finite, the first in row 1"):
+        register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), poses, np.ones(3), **prior)
+    with pytest.raises(ValueError, match="T_w_o has numbers that are not finite"):
+        register_by_touch(jax.random.key(0), SURFACES[0], unknown, poses, np.array([1.0, 0.0, 1.0]), **prior)
 
 
 @pytest.mark.full

@@ -114,6 +114,23 @@ def test_where_all_slips_traction_is_friction_times_pressure_and_its_derivative_
     np.testing.assert_allclose(slope, along, atol=0.01 * along.max())
 
 
+def test_derivatives_are_finite_where_all_sticks_in_the_program_that_presses():
+    """The pressure is a variable there, so that the compiler rearranges the quotient of friction and stiffness."""
+    grid = Grid(20, 32)
+    y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+    height = jnp.asarray((x**2 + y**2) / (2 * 3.6e-3), jnp.float32)
+
+    def traction(friction, force):
+        pressure = contact.solve_force(PAD, height, force, grid).pressure
+        return shear(PAD._replace(friction=friction), pressure, jnp.asarray([1e-5, 0.0]), grid).traction
+
+    run = jax.jit(lambda force: jax.jvp(lambda log: traction(0.6 * jnp.exp(log), force), (0.0,), (1.0,)))
+    found, slope = run(jnp.float32(0.5))
+    assert np.all(np.isfinite(found))
+    assert np.abs(found).max() > 0
+    np.testing.assert_allclose(slope, 0, atol=1e-6 * np.abs(found).max())  # what sticks does not ask for more friction
+
+
 @pytest.mark.full
 def test_derivatives_against_differences():
     small = Grid(20, 32)

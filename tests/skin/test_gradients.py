@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from i2t.calibration.physics import RoundTip
 from i2t.skin import contact
 from i2t.skin.dipoles import response
-from i2t.skin.elasticity import Grid
+from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press, sample_pad
 
 SMALL = Grid(20, 32)
@@ -110,3 +111,64 @@ def test_second_derivatives_exist(double):
 
     value, change = jax.jit(jax.value_and_grad(slope))(pad.young)
     np.testing.assert_allclose(change, value / pad.young, rtol=1e-8)
+
+
+PLACES_MM = ((0, 0), (1, 1), (0.3, -2.1))  # two where cells come into contact four at a time, and one anywhere
+RADII_MM = (1.35, 3.6)
+LOADS = {True: (0.15, 0.25, 0.7, 1.5), False: (0.05e-3, 0.2e-3, 0.4e-3, 0.6e-3)}  # N, m
+
+
+def _along(dtype, forced, tolerance):
+    """Pressures of places x tips x loads, as a function of steps along the logarithms of PARTS."""
+    pad = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype), PAD)._replace(
+        mount_compliance=jnp.asarray(6e-5, dtype)
+    )
+    tips = [RoundTip("sphere", 1e-3 * r) for r in RADII_MM]
+    heights = jnp.stack([tip.height(1e-3 * np.array(at), GRID) for tip in tips for at in PLACES_MM]).astype(dtype)
+    solve = contact.solve_force if forced else contact.solve
+
+    def run(steps):
+        moved = pad._replace(**{n: getattr(pad, n) * jnp.exp(s) for n, s in zip(PARTS, steps, strict=True)})
+
+        def one(height, load):
+            return solve(moved, height, load, GRID, tolerance=tolerance, max_steps=2000).pressure
+
+        return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(heights, jnp.asarray(LOADS[forced], dtype))
+
+    return run
+
+
+@pytest.mark.parametrize("forced", [True, False])
+def test_single_precision_is_enough_at_symmetric_places(forced):
+    """The mount sinks a small contact nearly as a whole: nearly nothing of it is left where the force is given."""
+    run, none = _along(jnp.float32, forced, contact.CONTACT_TOLERANCE), jnp.zeros(len(PARTS), jnp.float32)
+    slope = jax.jit(lambda way: jax.jvp(run, (none,), (way,)))
+    slopes = [slope(way) for way in jnp.eye(len(PARTS), dtype=jnp.float32)]
+    with jax.enable_x64(True):
+        exact, step = jax.jit(_along(jnp.float64, forced, EXACT)), 1e-5
+        ends = [[np.asarray(exact(sign * step * way)) for sign in (1, -1)] for way in np.eye(len(PARTS))]
+    for (pressure, found), (ahead, behind) in zip(slopes, ends, strict=True):
+        assert np.all((ahead > 0) == (pressure > 0))  # the contact set is fixed, and that of single precision
+        assert np.all((behind > 0) == (pressure > 0))
+        difference = (ahead - behind) / (2 * step)
+        assert np.all(np.abs(found - difference).max((2, 3)) <= ASKED * np.abs(difference).max((2, 3)))
+
+
+@pytest.mark.parametrize(("solve", "control"), [(contact.solve, 0.4e-3), (contact.solve_force, 0.7)])
+def test_backwards_is_forwards_transposed_in_single_precision(solve, control):
+    rng, height = np.random.default_rng(7), jnp.asarray(TIP - TIP.min(), jnp.float32)
+    way, weights = (jnp.asarray(rng.normal(size=TIP.shape), jnp.float32) for _ in range(2))
+    run = jax.jit(lambda height: solve(PAD, height, control, SMALL).pressure)
+    forwards = jnp.sum(weights * jax.jvp(run, (height,), (way,))[1])
+    backwards = jnp.sum(way * jax.vjp(run, height)[1](weights)[0])
+    np.testing.assert_allclose(backwards, forwards, rtol=1e-3)
+
+
+def test_a_derivative_by_what_is_not_finite_is_not_finite():
+    """A wrong number is passed on; it is no derivative of zero."""
+    height = jnp.asarray(TIP - TIP.min(), jnp.float32)
+    for solve, control in ((contact.solve, 0.4e-3), (contact.solve_force, 0.7)):
+        way = jnp.zeros_like(height).at[10, 10].set(jnp.nan)
+        run = jax.jit(lambda height, solve=solve, control=control: solve(PAD, height, control, SMALL).pressure)
+        found = jax.jvp(run, (height,), (way,))[1]
+        assert not np.isfinite(found).all()
