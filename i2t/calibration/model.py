@@ -12,13 +12,15 @@ model is the Gaussian process of `i2t.calibration.population_gp`, whose hyperpar
 population of skins; with `hyperparameters` given it is the one kernel of `i2t.calibration.structured_gp`.
 """
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import ThreadpoolController
 
 from i2t import serialization, validation
 from i2t.calibration import population_gp
@@ -35,6 +37,7 @@ MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
 NO_BOARD_NAME, GIVEN_BOARD = "none", "the given board"
+ONE_THREAD_PRESSES = 400  # up to which BLAS is given one thread
 LINEAR_TERMS = "linear_terms"  # in the metadata of files of an earlier version, which are refused
 
 LoadKind: TypeAlias = Literal["depth", "force", "both", "none"]
@@ -61,7 +64,7 @@ class Calibration:
         load_kind: Whether loads are depths (m), forces (N), both or unknown.
         metadata: Whatever the caller wants to remember, as JSON can hold it.
         previous: An earlier session of the same skin, whose predictions are the mean of some of the mixture.
-        boards: Names of the boards that were candidates, in the order of the mixture's.
+        boards: Name of the board that takes part, or nothing.
     """
 
     gp: PopulationGP
@@ -80,7 +83,7 @@ class Calibration:
 
     @property
     def board_shares(self) -> dict[str, float]:
-        """Weight of each candidate board, and of none, by presses left out; they sum to 1."""
+        """Weight of the board that takes part, and of none, by presses left out; they sum to 1."""
         return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population_gp.board_shares(self.gp)), strict=True))
 
     @property
@@ -115,7 +118,8 @@ class Calibration:
         _check_rows(positions, loads, self.load_kind)
         previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
         table = PressTable(positions, loads, previous)
-        mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
+        with _threads_for(len(self.gp.readings)):
+            mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
 
@@ -165,8 +169,8 @@ def calibrate(
 ) -> Calibration:
     """Calibrate one skin from n presses with one tip.
 
-    Which board the skin lies on, or none, is weighed by presses left out (`Calibration.board_shares`): the board that
-    is given, or else the named boards of as many chips that fit best to where each chip reads most.
+    What the skin's board tells is weighed by presses left out (`Calibration.board_shares`): the board that is given, or
+    else the likeliest of the named boards of as many chips that fit best to where each chip reads most.
 
     Args:
         positions: (n, 2) positions of the tip in the tool frame (m); None where they are not known.
@@ -205,10 +209,12 @@ def calibrate(
             raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
     chips = np.stack(list(boards.values())) if boards else None
-    gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
-    return Calibration(
-        gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, previous_session, tuple(boards)
-    )
+    with _threads_for(len(readings)):
+        gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
+        scaling = population_gp.interval_scaling(gp)
+    kept = () if gp.chip_positions is None else gp.chip_positions
+    named = tuple(name for at in kept for name, chips in boards.items() if np.array_equal(at, chips))
+    return Calibration(gp, scaling, load_kind, metadata or {}, previous_session, named)
 
 
 def load_calibration(path: Path | str) -> Calibration:
@@ -253,6 +259,16 @@ def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, A
     if record.previous is not None:
         previous = Calibration(record.previous, np.ones(1), load_kind, boards=tuple(about.get("previous_boards") or ()))
     return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous, boards=boards)
+
+
+def _threads_for(presses: int) -> AbstractContextManager[Any]:
+    """One thread of BLAS for matrices of few presses, which cost more to share than to compute."""
+    return _blas().limit(limits=1 if presses <= ONE_THREAD_PRESSES else None, user_api="blas")
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def _chips(board: Board) -> np.ndarray:

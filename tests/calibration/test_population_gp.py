@@ -188,7 +188,9 @@ def test_given_variances_are_relative_to_map_and_bend_and_given_loads_to_the_uni
         assert getattr(found, name) == pytest.approx(value), name
 
 
-def test_weights_go_to_the_kernel_that_the_presses_are_of():
+def test_weights_go_to_the_kernel_that_the_presses_are_of(monkeypatch):
+    """Before the mixture is stacked with the plain process, which may predict the presses as well as their own."""
+    monkeypatch.setattr(mixture, "_stacked_on_plain", lambda gp, _: gp)
     rng = np.random.default_rng(9)
     both = KernelPrior(KINDS._replace(far_amplitude=np.ones(2)), np.log(np.full((2, 2), 0.5)))
     x, d = drawn(10, 80)
