@@ -9,8 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M, PressRecording, PressSplit
+from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M, PressRecording
 from experiments.calibrate.evaluate import INTERVAL, ErrorCurves, learning_curves, summarise
+from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED
 from experiments.calibrate.report import figure
 from experiments.common.intervals import with_interval
@@ -47,7 +48,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
     splits = {name: (pool, test) for name, (pool, test) in splits.items() if len(pool) >= counts[0]}
     known, r2 = pushing_presses(presses, recording.board), {}
     for name, (pool, test) in splits.items():
-        scores = learning_curves(known, PressSplit({name: test}, pool), counts=counts, draws=preset.draws, seed=seed)
+        scores = learning_curves(known, [PressSplit({name: test}, pool)], counts=counts, draws=preset.draws, seed=seed)
         r2[name] = summarise(scores.r2[name])
         section.tables[f"held out: {name} ({len(test)} presses)"] = [
             ["R2, mean of the draws [95 %]", *map(str, counts)],

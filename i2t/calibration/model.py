@@ -197,9 +197,9 @@ def calibrate(
     if hyperparameters is not None:
         if load_kind not in MAX_LOAD or previous_session is not None:
             raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
-        on, named = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
+        on, given = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
         gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
-        return Calibration(gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, boards=named)
+        return Calibration(gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, boards=given)
     boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     table = PressTable(positions, loads)
     if previous_session is not None:
