@@ -44,7 +44,10 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
     most = max(len(pool) for pool, _ in splits.values())
     counts = [n for n in preset.counts if n <= most]
     if not counts:
-        raise CannotTellError(f"{len(presses.load)} presses leave fewer than {min(preset.counts)} to calibrate with.")
+        raise CannotTellError(
+            f"{len(presses.load)} presses leave {most} to calibrate with when others are held out; "
+            f"{min(preset.counts)} are needed."
+        )
     splits = {name: (pool, test) for name, (pool, test) in splits.items() if len(pool) >= counts[0]}
     known, r2 = pushing_presses(presses, recording.board), {}
     for name, (pool, test) in splits.items():
@@ -78,7 +81,10 @@ def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> Sp
         if len(test) >= MIN_TEST_ROWS and len(pool) >= MIN_POOL_ROWS
     }
     if not usable:
-        raise CannotTellError(f"{n} presses are too few to calibrate with some and to test on others.")
+        raise CannotTellError(
+            f"{n} presses are too few to calibrate with some and to test on others; "
+            f"{MIN_POOL_ROWS + 2 * MIN_TEST_ROWS} are enough."
+        )
     return usable
 
 
@@ -135,7 +141,10 @@ def _across(
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]
     if len(test) < MIN_TEST_ROWS:
-        raise CannotTellError(f"{other.name} has too few presses to test {known.name} on.")
+        raise CannotTellError(
+            f"{other.name} has {len(now.load)} presses, too few to test {known.name} on; "
+            f"{OWN_PRESSES + MIN_TEST_ROWS} are enough."
+        )
     both = now._replace(
         position=np.concatenate([before.position, now.position]),
         load=np.concatenate([before.load, now.load]),

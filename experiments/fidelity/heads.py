@@ -100,7 +100,9 @@ def test_heads(
             head.method, int(head.record.history), kept, baselines, head.validation, beaten_by=tuple(better)
         )
     if not tests:
-        raise ValueError("; ".join(problems) or f"{recording.name} has too few rows to hold some out")
+        enough = int(np.ceil(MIN_HEAD_TEST / share))
+        few = f"{recording.name} has {len(rows)} rows, too few to hold some out; {enough} are enough"
+        raise ValueError("; ".join(problems) or few)
     return tests
 
 
