@@ -61,7 +61,8 @@ NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left ou
 BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
 BOARD_KERNELS = 32  # by which one of several boards is chosen
 # Stacking with the plain process, chosen on simulated skins and on presses of one real skin.
-FAR_PLAIN_PRESSES = 2.0  # presses' worth of belief that the population adds nothing far from the presses
+FAR_PLAIN_PRESSES = 4.0  # presses' worth of belief that the population adds nothing far from the presses
+STACKING_PARTS = (PARTS, 3)  # ways to cut the presses: large parts are as far from the others as edges of a skin
 STACKED_CHANNELS = 4.0  # mean channels' worth of belief that all channels are stacked alike
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
 PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
@@ -470,10 +471,11 @@ def _weights(
     return near, far
 
 
-def _left_out_all(gp: PopulationGP) -> LeftOutPresses:
+def _left_out_all(gp: PopulationGP, part: np.ndarray | None = None) -> LeftOutPresses:
+    """Errors of all members, by default with the parts of `_parts`."""
     (n, c), components = gp.readings.shape, gp.components
     k = len(components.log_share)
-    part = _parts(gp)
+    part = _parts(gp) if part is None else part
     each = [np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c))]
     each += each[:2] if part is None else [np.empty((k, n, c)), np.empty((k, n, c))]
     found = LeftOutPresses(*each)
@@ -484,12 +486,12 @@ def _left_out_all(gp: PopulationGP) -> LeftOutPresses:
     return found
 
 
-def _parts(gp: PopulationGP) -> np.ndarray | None:
+def _parts(gp: PopulationGP, parts: int = PARTS) -> np.ndarray | None:
     """Presses that are left out together, because they lie together; None where they are few or all at one place."""
     position = gp.presses.position
     if len(position) < MIN_PART_PRESSES or not np.ptp(position, axis=0).any():
         return None
-    return parts_that_lie_together(position, PARTS)
+    return parts_that_lie_together(position, parts)
 
 
 def _alike(gp: PopulationGP) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
@@ -653,14 +655,15 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
     """The mixture with the best plain process as a last member, whose weight is by what the others add to it on parts
     that are left out; the mixture itself where the presses are too few for parts.
     """
-    part = _parts(gp)
-    if part is None:
+    cuts = [part for part in (_parts(gp, parts) for parts in STACKING_PARTS) if part is not None]
+    if not cuts:
         return gp
-    near, far = _errors_by_other_parts(gp, part)
-    alone = _left_out_all(gp._replace(components=plain))
-    best = int(np.argmin((_trust(gp) * alone.part_error**2).sum((1, 2))))
-    near_share = _stacking_share(gp, near, alone.error[best], 0.0)
-    far_share = _stacking_share(gp, far, alone.part_error[best], FAR_PLAIN_PRESSES)
+    near, far = zip(*(_errors_by_other_parts(gp, part) for part in cuts), strict=True)
+    alone = [_left_out_all(gp._replace(components=plain), part) for part in cuts]
+    best = int(np.argmin(sum((_trust(gp) * found.part_error**2).sum((1, 2)) for found in alone)))
+    near_share = _stacking_share(gp, np.stack(near), np.stack([found.error[best] for found in alone]), 0.0)
+    plain_far = np.stack([found.part_error[best] for found in alone])
+    far_share = _stacking_share(gp, np.stack(far), plain_far, FAR_PLAIN_PRESSES)
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     return gp._replace(
         components=_joined(gp.components, _taken(plain, np.array([best]))),
@@ -671,7 +674,7 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
 
 def _errors_by_other_parts(gp: PopulationGP, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n, c) of the mixture on presses left out alone, and with their part, by the weights of other parts."""
-    found = _left_out_all(gp)
+    found = _left_out_all(gp, part)
     alone, together = np.empty_like(gp.readings), np.empty_like(gp.readings)
     for i in range(part.max() + 1):
         rows = part == i
@@ -686,16 +689,16 @@ def _stacking_share(gp: PopulationGP, error: np.ndarray, plain_error: np.ndarray
 
     Args:
         gp: The mixture.
-        error: Its errors (n, c) (uT).
-        plain_error: Those of the plain process (n, c) (uT).
+        error: Its errors (cuts, n, c) (uT), for each way to cut the presses into parts.
+        plain_error: Those of the plain process, likewise.
         plain_presses: Presses' worth of belief that the mixture adds nothing: the share is at most n / (n + this).
 
     Returns:
         A share between 0 and 1 for each channel, drawn to that of all channels.
     """
     apart, trust = plain_error - error, _trust(gp)
-    gained, spread = (trust * plain_error * apart).sum(0), (trust * apart**2).sum(0)
-    spread = np.maximum(spread * (1 + plain_presses / len(error)), 1e-12)
+    gained, spread = (trust * plain_error * apart).sum((0, 1)), (trust * apart**2).sum((0, 1))
+    spread = np.maximum(spread * (1 + plain_presses / len(gp.readings)), 1e-12)
     shared = np.clip(gained.sum() / spread.sum(), 0, 1)
     belief = STACKED_CHANNELS * spread.mean()
     return np.clip((gained + belief * shared) / (spread + belief), 0, 1)
