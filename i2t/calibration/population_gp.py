@@ -698,10 +698,11 @@ def _stacking_share(gp: PopulationGP, error: np.ndarray, plain_error: np.ndarray
     """
     apart, trust = plain_error - error, _trust(gp)
     gained, spread = (trust * plain_error * apart).sum((0, 1)), (trust * apart**2).sum((0, 1))
-    spread = np.maximum(spread * (1 + plain_presses / len(gp.readings)), 1e-12)
-    shared = np.clip(gained.sum() / spread.sum(), 0, 1)
+    most = len(gp.readings) / (len(gp.readings) + plain_presses)
+    spread = np.maximum(spread / most, 1e-12)
+    shared = np.clip(gained.sum() / spread.sum(), 0, most)
     belief = STACKED_CHANNELS * spread.mean()
-    return np.clip((gained + belief * shared) / (spread + belief), 0, 1)
+    return np.clip((gained + belief * shared) / (spread + belief), 0, most)
 
 
 # --- prediction ---
