@@ -12,21 +12,19 @@ model is the Gaussian process of `i2t.calibration.population_gp`, whose hyperpar
 population of skins; with `hyperparameters` given it is the one kernel of `i2t.calibration.structured_gp`.
 """
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import ThreadpoolController
 
 from i2t import serialization, validation
 from i2t.calibration import population_gp
 from i2t.calibration.candidates import board_candidates
 from i2t.calibration.checks import AXES_PER_CHIP
-from i2t.calibration.left_out import Conditioned
+from i2t.calibration.left_out import Conditioned, one_thread_for_few
 from i2t.calibration.population_gp import PopulationGP, PressTable
 from i2t.calibration.structured_gp import StructuredGPHyperparameters, fit_structured
 from i2t.models import ready_path
@@ -37,7 +35,6 @@ MAX_POSITION_M = 1.0
 MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
 LOAD_UNITS = {"depth": "m", "force": "N"}
 NO_BOARD_NAME, GIVEN_BOARD = "none", "the given board"
-ONE_THREAD_PRESSES = 400  # up to which BLAS is given one thread
 LINEAR_TERMS = "linear_terms"  # in the metadata of files of an earlier version, which are refused
 
 LoadKind: TypeAlias = Literal["depth", "force", "both", "none"]
@@ -118,7 +115,7 @@ class Calibration:
         _check_rows(positions, loads, self.load_kind)
         previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
         table = PressTable(positions, loads, previous)
-        with _threads_for(len(self.gp.readings)):
+        with one_thread_for_few(len(self.gp.readings)):
             mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
@@ -198,8 +195,10 @@ def calibrate(
         if load_kind not in MAX_LOAD or previous_session is not None:
             raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
         on, given = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
-        gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
-        return Calibration(gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, boards=given)
+        with one_thread_for_few(len(readings)):
+            gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
+            scaling = population_gp.interval_scaling(gp)
+        return Calibration(gp, scaling, load_kind, metadata or {}, boards=given)
     boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     table = PressTable(positions, loads)
     if previous_session is not None:
@@ -209,7 +208,7 @@ def calibrate(
             raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
     chips = np.stack(list(boards.values())) if boards else None
-    with _threads_for(len(readings)):
+    with one_thread_for_few(len(readings)):
         gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
         scaling = population_gp.interval_scaling(gp)
     kept = () if gp.chip_positions is None else gp.chip_positions
@@ -259,16 +258,6 @@ def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, A
     if record.previous is not None:
         previous = Calibration(record.previous, np.ones(1), load_kind, boards=tuple(about.get("previous_boards") or ()))
     return Calibration(gp, record.interval_scaling, load_kind, about["about"], previous, boards=boards)
-
-
-def _threads_for(presses: int) -> AbstractContextManager[Any]:
-    """One thread of BLAS for matrices of few presses, which cost more to share than to compute."""
-    return _blas().limit(limits=1 if presses <= ONE_THREAD_PRESSES else None, user_api="blas")
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def _chips(board: Board) -> np.ndarray:
