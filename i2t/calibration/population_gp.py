@@ -61,7 +61,7 @@ NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left ou
 BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
 BOARD_KERNELS = 32  # by which one of several boards is chosen
 # Stacking with the plain process, chosen on simulated skins and on presses of one real skin.
-FAR_PLAIN_PRESSES = 4.0  # presses' worth of belief that the population adds nothing far from the presses
+FAR_PLAIN_PRESSES = 2.0  # presses' worth of belief that the population adds nothing far from the presses
 STACKING_PARTS = (PARTS, 3)  # ways to cut the presses: large parts are as far from the others as edges of a skin
 STACKED_CHANNELS = 4.0  # mean channels' worth of belief that all channels are stacked alike
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
