@@ -2,6 +2,7 @@
 what one session says of another.
 """
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import permutations
@@ -44,9 +45,10 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
     most = max(len(pool) for pool, _ in splits.values())
     counts = [n for n in preset.counts if n <= most]
     if not counts:
+        least = min(preset.counts)
         raise CannotTellError(
-            f"{len(presses.load)} presses leave {most} to calibrate with when others are held out; "
-            f"{min(preset.counts)} are needed."
+            f"{len(presses.load)} presses leave {most} to calibrate with when others are held out, and {least} "
+            f"are needed; {math.ceil(least / (1 - preset.held_out_share))} are enough."
         )
     splits = {name: (pool, test) for name, (pool, test) in splits.items() if len(pool) >= counts[0]}
     known, r2 = pushing_presses(presses, recording.board), {}
