@@ -14,12 +14,15 @@ from experiments.calibrate import arguments, methods, pad, prior_search, simulat
 from experiments.calibrate.data import PressRecording, read_presses
 from experiments.calibrate.evaluate import explained, learning_curves, over_blocks
 from experiments.calibrate.held_out import EACH_PRESS, RANDOM, HeldOut, hold_out, share_masks
+from experiments.train.configs import PRESETS as TRAINING
+from experiments.train.splitting import split_dataset
 from i2t import calibration, serialization
 from i2t import dataset as data
 from i2t.calibration import load_calibration
 from i2t.calibration.physics import PadFit, RoundTip, layer_prior
 from i2t.calibration.prior import PRIOR_KIND, KernelPrior, load_prior
 from i2t.dataset import Dataset
+from i2t.errors import DataError
 from i2t.skin import boards
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.skin.pad import sample_pad
@@ -285,3 +288,9 @@ def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
         assert (tmp_path / "prior.npz").stat().st_size < 100_000
     else:
         assert set(metrics["cases"]["lattice, depth"]["r2"]) == set(methods.METHODS)
+
+
+def test_a_split_of_too_few_touches_says_what_each_part_needs_and_what_to_add():
+    """For training: six presses in time leave one to test, of two that each part needs."""
+    with pytest.raises(DataError, match=r"of 6 usable touches, splitting by time leaves 1 to .*, which needs 2; .*"):
+        split_dataset(recording(6), TRAINING["debug"], "time", 0)
