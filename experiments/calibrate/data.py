@@ -1,7 +1,6 @@
-"""Presses of one tip on one skin as arrays, and which of them are held out."""
+"""Presses of one tip on one skin as arrays."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +12,6 @@ from i2t.geometry import inverse
 from i2t.skin.boards import name_of_board
 from i2t.types import Board, ReturnCode
 
-RANDOM = "random presses"
 MM_PER_M = 1e3
 PULLING_SHARE = 0.8  # of loads below zero, from which on the sign is taken to be the other
 DEPTH_OF_UNKNOWN_M = 2e-3  # of every press, where neither depth nor force is known
@@ -48,13 +46,6 @@ class PressRecording:
     def blocks(self, edge_mm: float) -> np.ndarray:
         """The square block of this edge in which each press lies, counted from 0."""
         return square_blocks(MM_PER_M * self.position, edge_mm)
-
-
-class PressSplit(NamedTuple):
-    """Rows of a recording: what methods may learn from, and what they are tested on."""
-
-    tests: dict[str, np.ndarray]  # predicted from the pool
-    pool: np.ndarray
 
 
 def read_presses(dataset: Dataset, load: str) -> PressRecording:
@@ -108,24 +99,3 @@ def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.
     if float(np.ptp(amount[good & pushing])) <= LEAST_LOAD_RANGE * max(largest, 1e-9):
         notes.append(f"all presses have one {kind}, so only what depends on the position is learned")
     return amount, pushing, tuple(notes)
-
-
-def hold_out(
-    recording: PressRecording, presses: int, block_mm: float, block_share: float, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of random presses and of whole blocks that no method sees; at most a quarter is taken at random."""
-    rng = np.random.default_rng(seed)
-    n, block = len(recording.load), recording.blocks(block_mm)
-    held = np.zeros(n, bool)
-    held[rng.permutation(n)[: min(presses, n // 4)]] = True
-    chosen = rng.permutation(block.max() + 1)[: max(round(block_share * (block.max() + 1)), 1)]
-    return held, np.isin(block, chosen)
-
-
-def split_presses(held: np.ndarray, blocks: np.ndarray, usable: np.ndarray, block_mm: float) -> PressSplit:
-    """Rows to test on and to train on; rows that are not `usable` are neither."""
-    tests = {
-        RANDOM: np.flatnonzero(held & usable),
-        f"blocks of {block_mm:g} mm": np.flatnonzero(blocks & usable),
-    }
-    return PressSplit(tests, np.flatnonzero(~held & ~blocks & usable))

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import PressRecording, PressSplit
+from experiments.calibrate.data import PressRecording
+from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED, METHODS, calibrated_with_std
 from i2t.calibration.population_gp import STDS_WITHIN_90_PERCENT
 from i2t.prediction.metrics import grouped_interval, student_interval
@@ -15,6 +16,7 @@ from i2t.progress import progress
 Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of presses -> a value for each draw
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]
 INTERVAL = ("mean", "low", "high")
+LEAST_SPREAD_SHARE = 1e-9  # of the sum of squares
 
 
 class Scores(NamedTuple):
@@ -26,25 +28,60 @@ class Scores(NamedTuple):
 
 
 def learning_curves(
-    recording: PressRecording, split: PressSplit, *, counts: Sequence[int], draws: int, seed: int
+    recording: PressRecording, splits: Sequence[PressSplit], *, counts: Sequence[int], draws: int, seed: int
 ) -> Scores:
-    """Scores of every method at every number of presses, a value for each draw."""
-    names = list(split.tests)
+    """Scores of every method at every number of presses, a value for each draw.
+
+    Args:
+        recording: The presses.
+        splits: What methods may learn from and are tested on; of several, the tests of one name are one test.
+        counts: Presses to learn from, at most: those that no split has are left out.
+        draws: Of these presses.
+        seed: Of the draws.
+
+    Returns:
+        The scores.
+    """
+    names = list(dict.fromkeys(name for split in splits for name in split.tests))
     scores = Scores({name: {} for name in names}, {name: {} for name in names}, {name: {} for name in names})
-    test = np.concatenate(list(split.tests.values()))
-    ends = np.cumsum([len(rows) for rows in split.tests.values()])
-    for draw in progress(range(draws), desc="draws", unit="draw"):
+    counts = [n for n in counts if n <= max(len(split.pool) for split in splits)]
+    one = len(splits) == 1
+    steps = [(draw, split) for draw in range(draws) for split in splits]
+    tested: dict[tuple[str, int, int], list[_Tested]] = {}
+    for draw, split in progress(steps, desc="draws" if one else "left out", unit="draw" if one else "part"):
         order = np.random.default_rng((seed, draw)).permutation(split.pool)
-        for count in (n for n in counts if n <= len(order)):
-            predicted, inside = predict_all(recording, order[:count], test)
-            for (name, own), end in zip(split.tests.items(), ends, strict=True):
-                part = slice(end - len(own), end)
-                for method, values in predicted.items():
-                    error = ((recording.readings[own] - values[part]) ** 2).sum(1)
-                    append(scores.errors[name], method, count, error)
-                    append(scores.r2[name], method, count, explained(recording.readings[own], error))
-                append(scores.coverage[name], CALIBRATED, count, float(np.mean(inside[part])))
+        for count in counts:
+            for name, result in _tested(recording, order[:count], split.tests).items():
+                tested.setdefault((name, count, draw), []).append(result)
+    for (name, count, _), results in tested.items():
+        readings = recording.readings[np.concatenate([result.rows for result in results])]
+        for method in results[0].error:
+            error = np.concatenate([result.error[method] for result in results])
+            append(scores.errors[name], method, count, error)
+            append(scores.r2[name], method, count, explained(readings, error))
+        inside = float(np.mean(np.concatenate([result.inside for result in results])))
+        append(scores.coverage[name], CALIBRATED, count, inside)
     return scores
+
+
+class _Tested(NamedTuple):
+    """Rows of a test as they were predicted from others."""
+
+    rows: np.ndarray  # (n,)
+    error: dict[str, np.ndarray]  # (n,) uT^2 of each method
+    inside: np.ndarray  # (n, c) readings in the 90 % range of `i2t.calibrate`
+
+
+def _tested(recording: PressRecording, rows: np.ndarray, tests: dict[str, np.ndarray]) -> dict[str, _Tested]:
+    """Each test's rows as all methods predict them from some rows."""
+    predicted, inside = predict_all(recording, rows, np.concatenate(list(tests.values())))
+    results, start = {}, 0
+    for name, own in tests.items():
+        part = slice(start, start + len(own))
+        start += len(own)
+        error = {method: ((recording.readings[own] - values[part]) ** 2).sum(1) for method, values in predicted.items()}
+        results[name] = _Tested(own, error, inside[part])
+    return results
 
 
 def predict_all(
@@ -85,8 +122,9 @@ def gains(curves: Curves) -> Curves:
 
 
 def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) -> dict[str, Any]:
-    """R2 of `i2t.calibrate`, and by how much it is above each other method, with 95 % intervals over whole blocks of
-    the held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would have given.
+    """R2 of `i2t.calibrate`, and by how much it is above each other method, with 95 % intervals over whole blocks, or
+    places, of the held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would
+    have given. Fewer than three blocks have no interval.
     """
     names, of = np.unique(block, return_inverse=True)
     inside = (of == np.arange(len(names))[:, None]).astype(float)  # sums over each block
@@ -96,7 +134,8 @@ def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) ->
 
     def share(error: np.ndarray, rows: np.ndarray) -> float:
         spread = second[rows].sum() - (first[rows].sum(0) ** 2).sum() / presses[rows].sum()
-        return float(error[rows].sum() / spread)
+        # A resample may hold one press several times, whose spread is that of rounding.
+        return float(error[rows].sum() / spread) if spread > LEAST_SPREAD_SHARE * second[rows].sum() else np.nan
 
     def r2(error: np.ndarray, rows: np.ndarray) -> float:
         return 1 - share(error, rows)

@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments.calibrate.data import PressRecording
 from i2t.calibration import calibrate, plain_gp
+from i2t.calibration.left_out import one_thread_for_few
 from i2t.prediction.baselines import tuned
 from i2t.prediction.metrics import nearest_neighbours
 
@@ -33,7 +34,8 @@ def plain(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.n
     """A Gaussian process over position and load, its scales fitted to the rows."""
     known = recording.position[rows], recording.load[rows], recording.readings[rows]
     at = recording.position[test], recording.load[test]
-    return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, at)
+    with one_thread_for_few(len(rows)):
+        return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, at)
 
 
 def calibrated(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:

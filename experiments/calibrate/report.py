@@ -5,13 +5,13 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.calibrate.data import PressRecording
 from experiments.calibrate.evaluate import INTERVAL
 from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN
 from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from experiments.common.tables import text_table
-from i2t.calibration import DataWarnings, check_presses
+from i2t.calibration import DataWarnings
+from i2t.prediction.metrics import MIN_CLUSTERS
 from i2t.viz import style
 
 COLOURS = {
@@ -27,10 +27,13 @@ def figure(metrics: dict[str, Any]) -> Figure:
         _draw(axes, methods)
         axes.set_title(f"held out: {name}")
     result.axes[0].set_ylabel("R² over all channels")
-    result.suptitle(
-        f"Calibration of one skin ({metrics['source']}): mean of {metrics['draws']} draws and 95 % interval"
-    )
+    result.suptitle(f"Calibration of one skin ({metrics['source']}): {_over_draws(metrics['draws'])}")
     return result
+
+
+def _over_draws(draws: int) -> str:
+    """What a number is of."""
+    return "one draw" if draws == 1 else f"mean of {draws} draws and 95 % interval"
 
 
 def _draw(axes: Any, by_method: dict[str, Any]) -> None:
@@ -48,25 +51,29 @@ def _draw(axes: Any, by_method: dict[str, Any]) -> None:
     axes.legend(fontsize=7, loc="lower right")
 
 
-def count_table(curves: dict[str, dict[int, dict[str, float]]]) -> str:
-    """Mean and interval of each curve at each number of presses."""
+def count_table(curves: dict[str, dict[int, dict[str, float]]], presses: str = "presses") -> str:
+    """Mean and interval of each curve at each number of presses, which are headed as given."""
     counts = list(next(iter(curves.values())))
     rows = (
         [label, *(with_interval(*(by_count[n][end] for end in INTERVAL)) for n in counts)]
         for label, by_count in curves.items()
     )
-    return text_table(["presses", *map(str, counts)], rows)
+    return text_table([presses, *map(str, counts)], rows)
 
 
 def print_tables(metrics: dict[str, Any]) -> None:
     """The tables a person reads."""
+    head = "presses, at most" if metrics.get("held_out_in_turn") else "presses"
     for name, methods in metrics["r2"].items():
-        print(f"\n{metrics['source']}, held out: {metrics['held_out'][name]} ({name}); mean R2 [95 %] over draws")
-        print(count_table(methods))
+        held = f"{metrics['held_out'][name]} ({name})"
+        print(f"\n{metrics['source']}, held out: {held}; R2, {_over_draws(metrics['draws'])}")
+        print(count_table(methods, head))
     for name, found in metrics.get("calibrate_over_blocks", {}).items():
-        print(f"\nheld out: {name}; {CALIBRATED} and its gain, 95 % over {found['blocks']} blocks of positions")
+        over = f"{found['blocks']} {metrics['clusters']}"
+        about = f"95 % over {over}" if found["blocks"] >= MIN_CLUSTERS else f"no interval over {over}"
+        print(f"\nheld out: {name}; {CALIBRATED} and its gain, {about}")
         gains = {what.removeprefix(CALIBRATED + " "): by_count for what, by_count in found["differences"].items()}
-        print(count_table({CALIBRATED: found["r2"], **gains}))
+        print(count_table({CALIBRATED: found["r2"], **gains}, head))
 
 
 def write(out: Path, metrics: dict[str, Any]) -> None:
@@ -74,14 +81,6 @@ def write(out: Path, metrics: dict[str, Any]) -> None:
     style.save_figure(figure(metrics), out / "curves.png")
     write_json(out / "metrics.json", metrics)
     print_tables(metrics)
-
-
-def warn(recording: PressRecording) -> DataWarnings:
-    """Print what in the presses contradicts a sound skin."""
-    found = check_presses(recording.position, recording.load, recording.readings, by_force=recording.by_force)
-    for message in found.messages():
-        print(f"warning: {message}")
-    return found
 
 
 def warning_metrics(found: DataWarnings) -> dict[str, Any]:

@@ -10,9 +10,13 @@
     python -m experiments.calibrate --dataset DIR --targets position force  heads: these from readings
 
 DIR is any recording of one tip on one skin (see python -m i2t.convert). Held out, for all draws alike: 1000 random
-presses, and whole blocks of 6 mm; nothing is chosen by them. Every method sees the same presses, so that differences
-are paired. Intervals are over draws; as neighbouring presses are no independent tests, `i2t.calibrate` also
-has intervals over 6 mm blocks of what is held out. What an earlier session is worth is for `experiments.fidelity`.
+presses (of fewer than 4000, a quarter), and whole blocks of 6 mm; nothing is chosen by them. Every method sees the same
+presses, so that differences are paired. Intervals are over draws; as neighbouring presses are no independent tests,
+`i2t.calibrate` also has intervals over 6 mm blocks of what is held out. What an earlier session is worth is for
+`experiments.fidelity`.
+
+Of 8 to 59 presses each is left out in turn, and each block or place, and predicted from all others; --presses asks for
+fewer of these. The command says which way it took, and what that cannot show: at one place, nothing about others.
 
 --simulated tries them on skins of its own seed (`experiments.calibrate.skins`), and --prior makes prior.npz from others
 (`experiments.calibrate.prior_search`), which becomes i2t/calibration/prior.npz.
@@ -28,11 +32,12 @@ import numpy as np
 
 from experiments.calibrate import pad, prior_search, report, simulated, targets
 from experiments.calibrate.arguments import CalibrateArgs, Preset, preset_of
-from experiments.calibrate.data import PressRecording, hold_out, read_presses, split_presses
+from experiments.calibrate.data import PressRecording, read_presses
 from experiments.calibrate.evaluate import gains, learning_curves, over_blocks, summarise
+from experiments.calibrate.held_out import HeldOut, hold_out
 from experiments.common.runs import begin
 from i2t import dataset as data
-from i2t.calibration import calibrate
+from i2t.calibration import calibrate, check_presses
 from i2t.dataset import Dataset
 from i2t.terminal import printable
 
@@ -53,46 +58,59 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
     recording = read_presses(dataset, args.load)
     for note in recording.notes:
         print(printable(f"note: {note}"))
-    held, blocks = hold_out(recording, cfg.held_out_presses, cfg.block_mm, cfg.block_share, args.seed)
-    refuse_too_few(args, cfg, held, blocks)
+    warnings = check_presses(recording.position, recording.load, recording.readings, by_force=recording.by_force)
+    held = hold_out(recording, cfg, args.seed, ~warnings.repeated, str(args.dataset))
+    counts, draws = counts_and_draws(args, cfg, held)
     begin(args.out, args, cfg, None, args.overwrite)
-    warnings = report.warn(recording)
-    split = split_presses(held, blocks, ~warnings.repeated, cfg.block_mm)
-    scores = learning_curves(recording, split, counts=cfg.counts, draws=cfg.draws, seed=args.seed)
+    for message in warnings.messages():
+        print(f"warning: {message}")
+    for sentence in held.sentences:
+        print(f"held out: {sentence}")
+    scores = learning_curves(recording, held.splits, counts=counts, draws=draws, seed=args.seed)
     kept = save_calibration(args, cfg, dataset, recording, ~warnings.repeated)
-    block = recording.blocks(cfg.block_mm)
+    tests = held.tests
     metrics = {
         "source": dataset.source,
         "seed": args.seed,
-        "draws": cfg.draws,
+        "draws": draws,
         "load": recording.load_kind,
         "tip": pad.tip_of(dataset),
         "notes": recording.notes,
         "kept": kept,
         **report.warning_metrics(warnings),
-        "presses": len(held),
-        "held_out": {name: len(rows) for name, rows in split.tests.items()},
+        "presses": len(recording.load),
+        "held_out": {name: len(rows) for name, rows in tests.items()},
+        "held_out_in_turn": held.in_turn,
+        "about_held_out": held.sentences,
         "r2": {name: summarise(curves) for name, curves in scores.r2.items()},
         "inside_90": {name: summarise(curves) for name, curves in scores.coverage.items()},
         "differences": {name: summarise(gains(curves)) for name, curves in scores.r2.items()},
         "calibrate_over_blocks": {
-            name: over_blocks(recording.readings[rows], scores.errors[name], block[rows])
-            for name, rows in split.tests.items()
+            name: over_blocks(recording.readings[rows], scores.errors[name], held.clusters.of_press[rows])
+            for name, rows in tests.items()
         },
+        "clusters": held.clusters.plural(),
         "seconds": round(time.perf_counter() - started, 1),
     }
     report.write(args.out, metrics)
     return metrics
 
 
-def refuse_too_few(args: CalibrateArgs, cfg: Preset, held: np.ndarray, blocks: np.ndarray) -> None:
-    """ValueError where presses are missing to learn from or to test on."""
-    pool = np.flatnonzero(~held & ~blocks)
-    if len(pool) < 2 * min(cfg.counts) or min((held & ~blocks).sum(), blocks.sum()) < 2:
-        placed = "" if len(pool) else f", all in {cfg.block_mm:g} mm that are held out as one block"
+def counts_and_draws(args: CalibrateArgs, cfg: Preset, held: HeldOut) -> tuple[tuple[int, ...], int]:
+    """Presses to learn from and how often they are drawn; ValueError where no number asked for is there.
+
+    Where each press is left out in turn, all others are learned from, once, unless the options ask for something else.
+    """
+    most = max(len(split.pool) for split in held.splits)
+    if held.in_turn and not args.presses:
+        return (most,), 1
+    counts = tuple(n for n in cfg.counts if n <= most)
+    if not counts:
         raise ValueError(
-            f"{args.dataset} has {len(held)} usable presses{placed}, too few to calibrate on and to hold out"
+            f"{args.dataset} leaves {most} presses to learn from, fewer than the {min(cfg.counts)} asked for; pass "
+            f"--presses {most} or less, or add presses"
         )
+    return counts, cfg.draws
 
 
 def save_calibration(

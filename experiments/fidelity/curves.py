@@ -2,6 +2,7 @@
 what one session says of another.
 """
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import permutations
@@ -9,8 +10,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M, PressRecording, PressSplit
+from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M, PressRecording
 from experiments.calibrate.evaluate import INTERVAL, ErrorCurves, learning_curves, summarise
+from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED
 from experiments.calibrate.report import figure
 from experiments.common.intervals import with_interval
@@ -43,11 +45,15 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
     most = max(len(pool) for pool, _ in splits.values())
     counts = [n for n in preset.counts if n <= most]
     if not counts:
-        raise CannotTellError(f"{len(presses.load)} presses leave fewer than {min(preset.counts)} to calibrate with.")
+        least = min(preset.counts)
+        raise CannotTellError(
+            f"{len(presses.load)} presses leave {most} to calibrate with when others are held out, and {least} "
+            f"are needed; {math.ceil(least / (1 - preset.held_out_share))} are enough."
+        )
     splits = {name: (pool, test) for name, (pool, test) in splits.items() if len(pool) >= counts[0]}
     known, r2 = pushing_presses(presses, recording.board), {}
     for name, (pool, test) in splits.items():
-        scores = learning_curves(known, PressSplit({name: test}, pool), counts=counts, draws=preset.draws, seed=seed)
+        scores = learning_curves(known, [PressSplit({name: test}, pool)], counts=counts, draws=preset.draws, seed=seed)
         r2[name] = summarise(scores.r2[name])
         section.tables[f"held out: {name} ({len(test)} presses)"] = [
             ["R2, mean of the draws [95 %]", *map(str, counts)],
@@ -77,7 +83,10 @@ def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> Sp
         if len(test) >= MIN_TEST_ROWS and len(pool) >= MIN_POOL_ROWS
     }
     if not usable:
-        raise CannotTellError(f"{n} presses are too few to calibrate with some and to test on others.")
+        raise CannotTellError(
+            f"{n} presses are too few to calibrate with some and to test on others; "
+            f"{MIN_POOL_ROWS + 2 * MIN_TEST_ROWS} are enough."
+        )
     return usable
 
 
@@ -134,7 +143,10 @@ def _across(
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]
     if len(test) < MIN_TEST_ROWS:
-        raise CannotTellError(f"{other.name} has too few presses to test {known.name} on.")
+        raise CannotTellError(
+            f"{other.name} has {len(now.load)} presses, too few to test {known.name} on; "
+            f"{OWN_PRESSES + MIN_TEST_ROWS} are enough."
+        )
     both = now._replace(
         position=np.concatenate([before.position, now.position]),
         load=np.concatenate([before.load, now.load]),

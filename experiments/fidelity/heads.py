@@ -1,5 +1,6 @@
 """Heads of a recording, tested in three ways on rows they never saw, with baselines and published figures."""
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.calibration.heads import (
     HEAD_TARGETS,
+    MIN_HEAD_ROWS,
     STDS_OF_90_PERCENT,
     Head,
     HeadPrediction,
@@ -102,8 +104,15 @@ def test_heads(
             head.method, int(head.record.history), kept, baselines, head.validation, beaten_by=tuple(better)
         )
     if not tests:
-        raise ValueError("; ".join(problems) or f"{recording.name} has too few rows to hold some out")
+        enough = rows_enough(share)
+        few = f"{recording.name} knows {target} of {len(rows)} rows, too few to learn from some and test on others"
+        raise ValueError(f"{few}; {enough} are enough" if len(rows) < enough else "; ".join(problems))
     return tests
+
+
+def rows_enough(share: float) -> int:
+    """Rows of which a share is enough to test a head and the rest to fit it."""
+    return max(math.ceil(MIN_HEAD_TEST / share), math.ceil(MIN_HEAD_ROWS / (1 - share)))
 
 
 test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever its name

@@ -12,6 +12,11 @@ from i2t.types import ReturnCode, Touches
 
 MIN_SPLIT_BLOCKS, LEAST_BLOCK_M = 12, 1.5e-3  # blocks are made smaller for there to be as many, down to this edge
 MIN_SESSIONS = 5  # that can be held out where places cannot
+MIN_PART_TOUCHES = 2  # of each part of a split
+MORE_TOUCHES = {
+    "object": "touches of other objects", "session": "other sessions", "block": "touches at other places",
+    "time": "touches",
+}  # fmt: skip
 
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
@@ -57,9 +62,10 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
         tuning = data.holdout_last(dataset, 0.3) & ~held
     split = Split(usable & ~held & ~tuning, usable & tuning & ~held, usable & held, groups, how)
     for part in ("train", "validation", "test"):
-        if getattr(split, part).sum() < 2:
+        if (count := int(getattr(split, part).sum())) < MIN_PART_TOUCHES:
             raise DataError(
-                f"splitting by {how} leaves {getattr(split, part).sum()} touches to {part}; choose another --split"
+                f"of {int(usable.sum())} usable touches, splitting by {how} leaves {count} to {part}, which needs "
+                f"{MIN_PART_TOUCHES}; choose another --split, or add {MORE_TOUCHES[how]}"
             )
     return split
 

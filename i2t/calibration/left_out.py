@@ -7,17 +7,20 @@ that are left out together these are y_b - inv(A_bb) (A y)_b and the diagonal of
 
 import contextlib
 from collections.abc import Iterator
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lapack
+from threadpoolctl import ThreadpoolController
 
 from i2t.calibration import kernel
 from i2t.calibration.kernel import PressGeometry, SkinKernels
 
 SMALL_SYSTEM = 40  # presses up to which all groups are inverted in one call
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once
+ONE_THREAD_PRESSES = 400  # up to which BLAS is given one thread
 SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
 MIN_SCALE_UT = 1e-3
 CURVE_CELLS = 64  # of a curve that fills the plane, along an edge; a power of two
@@ -47,6 +50,24 @@ class Conditioned(NamedTuple):
     inverse: Float[np.ndarray, "groups n n"]
     weights: Float[np.ndarray, "n c"]
     scale: Float[np.ndarray, " c"]  # uT
+
+
+def one_thread_for_few(presses: int) -> contextlib.AbstractContextManager[Any]:
+    """One thread of BLAS while matrices of few presses are computed: threads that wait for each other cost many times
+    what such a matrix does, the more so on a machine that others use.
+
+    Args:
+        presses: Of a matrix, along an edge.
+
+    Returns:
+        A context, in which BLAS has one thread, or as many as before where the presses are many.
+    """
+    return _blas().limit(limits=1 if presses <= ONE_THREAD_PRESSES else None, user_api="blas")
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def left_out(

@@ -24,7 +24,7 @@ from i2t import serialization, validation
 from i2t.calibration import population_gp
 from i2t.calibration.candidates import board_candidates
 from i2t.calibration.checks import AXES_PER_CHIP
-from i2t.calibration.left_out import Conditioned
+from i2t.calibration.left_out import Conditioned, one_thread_for_few
 from i2t.calibration.population_gp import PopulationGP, PressTable
 from i2t.calibration.structured_gp import StructuredGPHyperparameters, fit_structured
 from i2t.errors import did_you_mean
@@ -62,7 +62,7 @@ class Calibration:
         load_kind: Whether loads are depths (m), forces (N), both or unknown.
         metadata: Whatever the caller wants to remember, as JSON can hold it.
         previous: An earlier session of the same skin, whose predictions are the mean of some of the mixture.
-        boards: Names of the boards that were candidates, in the order of the mixture's.
+        boards: Name of the board that takes part, or nothing.
     """
 
     gp: PopulationGP
@@ -81,7 +81,7 @@ class Calibration:
 
     @property
     def board_shares(self) -> dict[str, float]:
-        """Weight of each candidate board, and of none, by presses left out; they sum to 1."""
+        """Weight of the board that takes part, and of none, by presses left out; they sum to 1."""
         return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population_gp.board_shares(self.gp)), strict=True))
 
     @property
@@ -116,7 +116,8 @@ class Calibration:
         _check_rows(positions, loads, self.load_kind)
         previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
         table = PressTable(positions, loads, previous)
-        mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
+        with one_thread_for_few(len(self.gp.readings)):
+            mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
 
@@ -166,8 +167,8 @@ def calibrate(
 ) -> Calibration:
     """Calibrate one skin from n presses with one tip.
 
-    Which board the skin lies on, or none, is weighed by presses left out (`Calibration.board_shares`): the board that
-    is given, or else the named boards of as many chips that fit best to where each chip reads most.
+    What the skin's board tells is weighed by presses left out (`Calibration.board_shares`): the board that is given, or
+    else the likeliest of the named boards of as many chips that fit best to where each chip reads most.
 
     Args:
         positions: (n, 2) positions of the tip in the tool frame (m); None where they are not known.
@@ -194,9 +195,11 @@ def calibrate(
     if hyperparameters is not None:
         if load_kind not in MAX_LOAD or previous_session is not None:
             raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
-        on, named = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
-        gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
-        return Calibration(gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, boards=named)
+        on, given = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
+        with one_thread_for_few(len(readings)):
+            gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
+            scaling = population_gp.interval_scaling(gp)
+        return Calibration(gp, scaling, load_kind, metadata or {}, boards=given)
     boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     table = PressTable(positions, loads)
     if previous_session is not None:
@@ -206,10 +209,12 @@ def calibrate(
             raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
     chips = np.stack(list(boards.values())) if boards else None
-    gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
-    return Calibration(
-        gp, population_gp.interval_scaling(gp), load_kind, metadata or {}, previous_session, tuple(boards)
-    )
+    with one_thread_for_few(len(readings)):
+        gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
+        scaling = population_gp.interval_scaling(gp)
+    kept = () if gp.chip_positions is None else gp.chip_positions
+    named = tuple(name for at in kept for name, chips in boards.items() if np.array_equal(at, chips))
+    return Calibration(gp, scaling, load_kind, metadata or {}, previous_session, named)
 
 
 def load_calibration(path: Path | str) -> Calibration:

@@ -12,8 +12,15 @@ What is best among the presses need not be best where nothing was pressed. So th
 presses by presses left out one by one, and far from them by presses left out with all that lie together. A prediction
 takes a weighted mean of both, by its distance from the nearest press.
 
-Several boards may be candidates. Kernels whose amplitude falls with the distance from a chip are members once for each
-of them, and all kernels once more without chips; what is left out weighs boards as it weighs kernels.
+A few presses cannot tell hundreds of kernels apart, so that the mixture may be worse than a plain Gaussian process of
+the same presses. At last it is stacked with that process, channel by channel, near the presses and far from them
+(Wolpert, Neural Networks 5, 1992; Breiman, Machine Learning 24, 1996): the squared error of the parts that are left
+out, each predicted by weights that it had no part in, decides, with a share of the plain process that falls with the
+number of presses.
+
+Kernels whose amplitude falls with the distance from a chip are members once with the chips of the skin's board, and all
+kernels once without chips; what is left out weighs the board as it weighs kernels. Of several boards that may be the
+skin's, a short list of kernels chooses one by presses left out, and only that one takes part.
 
 Presses that lie far outside their stated errors are given more noise (Student's t errors as a scale mixture; West,
 JRSS B 46, 1984), and local heights of the skin, common to all channels, are found from what is left along the slopes
@@ -52,6 +59,11 @@ TEMPERING_PRESSES = 5.0  # beyond so many, presses add ever less to what is know
 PARTS, MIN_PART_PRESSES = 5, 10
 NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left out part by part
 BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
+BOARD_KERNELS = 32  # by which one of several boards is chosen
+# Stacking with the plain process, chosen on simulated skins and on presses of one real skin.
+FAR_PLAIN_PRESSES = 2.0  # presses' worth of belief that the population adds nothing far from the presses
+STACKING_PARTS = (PARTS, 3)  # ways to cut the presses: large parts are as far from the others as edges of a skin
+STACKED_CHANNELS = 4.0  # mean channels' worth of belief that all channels are stacked alike
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
 PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
 PREVIOUS_NOISE_FACTORS = (1.0, 10.0, 100.0)  # on the noise of kernels that explain what a previous session leaves
@@ -74,6 +86,7 @@ DEFAULT_SCALING = 1.1  # of the standard deviations, on simulated skins
 SCALING_PRESSES = 10.0  # presses' worth of belief in it
 SHARED_PRESSES = 30.0  # presses' worth of belief that all channels have one
 NO_BOARD = -1
+ALL_ROWS = slice(None)
 MIN_FAR_M = 1e-4  # from where weights are those near the presses to where they are those far from them, at least
 PREDICT_ROWS = 500  # presses that are predicted at once
 
@@ -142,15 +155,17 @@ def fit_population(
         prior: Kernels of a population; by default those of the package.
 
     Returns:
-        The conditioned mixture.
+        The conditioned mixture. Of several boards, its `chip_positions` are of the one that a short list of kernels
+        chose.
     """
-    gp = _start(presses, readings, load_kinds, chip_positions, prior or load_prior())
+    gp = _on_likeliest_board(_start(presses, readings, load_kinds, chip_positions, prior or load_prior()))
+    plain = _plain_processes(gp.components)
     gp = _weigh_in_stages(gp)
     if len(readings) >= MIN_ROBUST_PRESSES:
         gp = _with_heavy_tails(gp)
     if load_kinds and len(readings) >= FIRST_HEIGHT_PRESSES:
         gp = _with_heights(gp)
-    return gp
+    return _stacked_on_plain(gp, plain)
 
 
 def fit_one(
@@ -325,6 +340,25 @@ def _on_boards(kernels: SkinKernels, log_share: np.ndarray, column: int, boards:
     return _joined(without, *(on(board, falls, BOARD_SHARE / boards) for board in range(boards)))
 
 
+def _on_likeliest_board(gp: PopulationGP) -> PopulationGP:
+    """Members of one board and those without chips: of several boards the one that a short list of kernels favours."""
+    boards, components = 0 if gp.chip_positions is None else len(gp.chip_positions), gp.components
+    if boards < 2 or not (components.board != NO_BOARD).any():
+        return gp
+    # Members of all boards stand in one order, so that the same kernels compete.
+    of_board = np.stack([np.flatnonzero(components.board == board) for board in range(boards)])
+    common = np.argsort(-components.log_share[of_board[0]], kind="stable")[:BOARD_KERNELS]
+    short = _some_presses(_keep(gp, of_board[:, common].ravel()), min(STAGES[0][0], len(gp.readings)))
+    near, far = _weights(short, _left_out_all(short))
+    board = int(np.argmax(board_shares(short._replace(weights=near, far_weights=far))[1:]))
+    gp = _keep(gp, np.flatnonzero((components.board == NO_BOARD) | (components.board == board)))
+    own = gp.components.board != NO_BOARD
+    log_share = gp.components.log_share + np.where(own, np.log(boards), 0)
+    kept = gp.components._replace(board=np.where(own, 0, NO_BOARD), log_share=log_share)
+    assert gp.chip_positions is not None
+    return gp._replace(components=kept, chip_positions=gp.chip_positions[[board]])
+
+
 def _shared(components: Components, share: float, **changed: Any) -> Components:
     return components._replace(log_share=components.log_share + np.log(share), **changed)
 
@@ -402,12 +436,20 @@ def _weighed(gp: PopulationGP) -> PopulationGP:
     return gp._replace(weights=near, far_weights=far)
 
 
-def _weights(gp: PopulationGP, found: LeftOutPresses) -> tuple[np.ndarray, np.ndarray | None]:
-    """Weights (k, c) of the members near the presses and far from them, each channel's summing to 1."""
-    n, c = gp.readings.shape
-    trust = np.repeat(1 / (1 + gp.extra_noise), c // gp.extra_noise.shape[1], axis=1)
+def _trust(gp: PopulationGP) -> np.ndarray:
+    """Weight (n, c) of the squared error of each reading: less where it has been given more noise."""
+    return np.repeat(1 / (1 + gp.extra_noise), gp.readings.shape[1] // gp.extra_noise.shape[1], axis=1)
+
+
+def _weights(
+    gp: PopulationGP, found: LeftOutPresses, rows: slice | np.ndarray = ALL_ROWS
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Weights (k, c) of the members near the presses and far from them by some presses, each channel's summing to 1."""
+    trust = _trust(gp)[rows]
+    n = len(trust)
 
     def worth_of(error: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        error, variance = error[:, rows], variance[:, rows]
         std = np.sqrt(np.maximum(variance, 1e-12))
         density = (student_t.logpdf(error / std, DENSITY_DOF) - np.log(std)).sum(1)
         missed = (trust[None] * error**2).sum((1, 2))
@@ -429,10 +471,11 @@ def _weights(gp: PopulationGP, found: LeftOutPresses) -> tuple[np.ndarray, np.nd
     return near, far
 
 
-def _left_out_all(gp: PopulationGP) -> LeftOutPresses:
+def _left_out_all(gp: PopulationGP, part: np.ndarray | None = None) -> LeftOutPresses:
+    """Errors of all members, by default with the parts of `_parts`."""
     (n, c), components = gp.readings.shape, gp.components
     k = len(components.log_share)
-    part = _parts(gp)
+    part = _parts(gp) if part is None else part
     each = [np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c))]
     each += each[:2] if part is None else [np.empty((k, n, c)), np.empty((k, n, c))]
     found = LeftOutPresses(*each)
@@ -443,28 +486,33 @@ def _left_out_all(gp: PopulationGP) -> LeftOutPresses:
     return found
 
 
-def _parts(gp: PopulationGP) -> np.ndarray | None:
+def _parts(gp: PopulationGP, parts: int = PARTS) -> np.ndarray | None:
     """Presses that are left out together, because they lie together; None where they are few or all at one place."""
     position = gp.presses.position
     if len(position) < MIN_PART_PRESSES or not np.ptp(position, axis=0).any():
         return None
-    return parts_that_lie_together(position, PARTS)
+    return parts_that_lie_together(position, parts)
 
 
 def _alike(gp: PopulationGP) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
     """Numbers of members that see the same inputs, and these inputs."""
     components = gp.components
     which = np.column_stack([components.load_column, components.uses_previous, components.board])
+    presses = _raised(gp, gp.presses, _own_heights(gp))
     for combination in np.unique(which, axis=0):
         rows = np.flatnonzero((which == combination).all(1))
         column, previous, board = combination
-        yield rows, _geometry(gp, gp.presses, int(column), int(board)), _observed(gp, bool(previous))
+        yield rows, _geometry(gp, presses, int(column), int(board)), _observed(gp, bool(previous))
+
+
+def _raised(gp: PopulationGP, presses: PressTable, height: np.ndarray) -> PressTable:
+    """Presses with local heights (typical loads) added to their loads of the first kind."""
+    first = presses.loads[:, 0] + height * gp.typical_loads[0]
+    return presses._replace(loads=np.column_stack([first, presses.loads[:, 1:]]))
 
 
 def _geometry(gp: PopulationGP, presses: PressTable, column: int, board: int) -> PressGeometry:
     load = presses.loads[:, column] / gp.typical_loads[column]
-    if column == 0 and presses is gp.presses:
-        load = load + _own_heights(gp)
     if board == NO_BOARD:
         return kernel.geometry(presses.position, load, None)
     assert gp.chip_positions is not None
@@ -593,6 +641,70 @@ def _heights_at(gp: PopulationGP, position: np.ndarray, inverses: list[np.ndarra
     return mean, np.maximum(square_mean - mean**2, 0)
 
 
+# --- stacking with the plain process ---
+
+
+def _plain_processes(components: Components) -> Components:
+    """The plain process that is fitted to the presses, by each kind of load: the last without chips (`with_plain`)."""
+    alone = (components.board == NO_BOARD) & ~components.uses_previous
+    columns = np.unique(components.load_column)
+    return _taken(components, np.array([np.flatnonzero(alone & (components.load_column == i))[-1] for i in columns]))
+
+
+def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
+    """The mixture with the best plain process as a last member, whose weight is by what the others add to it on parts
+    that are left out; the mixture itself where the presses are too few for parts.
+    """
+    cuts = [part for part in (_parts(gp, parts) for parts in STACKING_PARTS) if part is not None]
+    if not cuts:
+        return gp
+    near, far = zip(*(_errors_by_other_parts(gp, part) for part in cuts), strict=True)
+    alone = [_left_out_all(gp._replace(components=plain), part) for part in cuts]
+    best = int(np.argmin(sum((_trust(gp) * found.part_error**2).sum((1, 2)) for found in alone)))
+    near_share = _stacking_share(gp, np.stack(near), np.stack([found.error[best] for found in alone]), 0.0)
+    plain_far = np.stack([found.part_error[best] for found in alone])
+    far_share = _stacking_share(gp, np.stack(far), plain_far, FAR_PLAIN_PRESSES)
+    far_weights = gp.weights if gp.far_weights is None else gp.far_weights
+    return gp._replace(
+        components=_joined(gp.components, _taken(plain, np.array([best]))),
+        weights=np.vstack([near_share * gp.weights, 1 - near_share]),
+        far_weights=np.vstack([far_share * far_weights, 1 - far_share]),
+    )
+
+
+def _errors_by_other_parts(gp: PopulationGP, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (n, c) of the mixture on presses left out alone, and with their part, by the weights of other parts."""
+    found = _left_out_all(gp, part)
+    alone, together = np.empty_like(gp.readings), np.empty_like(gp.readings)
+    for i in range(part.max() + 1):
+        rows = part == i
+        near, far = _weights(gp, found, ~rows)
+        alone[rows] = np.einsum("kc,knc->nc", near, found.error[:, rows])
+        together[rows] = np.einsum("kc,knc->nc", near if far is None else far, found.part_error[:, rows])
+    return alone, together
+
+
+def _stacking_share(gp: PopulationGP, error: np.ndarray, plain_error: np.ndarray, plain_presses: float) -> np.ndarray:
+    """Share (c,) of the mixture in the sum of it and the plain process whose squared error is the least.
+
+    Args:
+        gp: The mixture.
+        error: Its errors (cuts, n, c) (uT), for each way to cut the presses into parts.
+        plain_error: Those of the plain process, likewise.
+        plain_presses: Presses' worth of belief that the mixture adds nothing: the share is at most n / (n + this).
+
+    Returns:
+        A share between 0 and 1 for each channel, drawn to that of all channels.
+    """
+    apart, trust = plain_error - error, _trust(gp)
+    gained, spread = (trust * plain_error * apart).sum((0, 1)), (trust * apart**2).sum((0, 1))
+    most = len(gp.readings) / (len(gp.readings) + plain_presses)
+    spread = np.maximum(spread / most, 1e-12)
+    shared = np.clip(gained.sum() / spread.sum(), 0, most)
+    belief = STACKED_CHANNELS * spread.mean()
+    return np.clip((gained + belief * shared) / (spread + belief), 0, most)
+
+
 # --- prediction ---
 
 
@@ -603,13 +715,14 @@ def _predict_rows(
     m, c = len(presses.position), gp.readings.shape[1]
     height, height_variance = _heights_at(gp, presses.position, height_inverses)
     loads = presses.loads if gp.presses.loads.shape[1] == presses.loads.shape[1] else np.ones((m, 1))
-    presses = presses._replace(loads=np.column_stack([loads[:, 0] + height * gp.typical_loads[0], loads[:, 1:]]))
+    presses = _raised(gp, presses._replace(loads=loads), height)
+    known = _raised(gp, gp.presses, _heights_at(gp, gp.presses.position, height_inverses)[0])
     mean, square = np.zeros((m, c)), np.zeros((m, c))
     slope, far = np.zeros((m, c)), _farness(gp, presses.position)[:, None]
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     for i, given in enumerate(conditioned):
         weight = (1 - far) * gp.weights[i] + far * far_weights[i]
-        own_mean, own_variance, own_slope = _predict_one(gp, i, given, presses)
+        own_mean, own_variance, own_slope = _predict_one(gp, i, given, presses, known)
         mean += weight * own_mean
         square += weight * (own_variance + own_mean**2)
         slope += weight * own_slope
@@ -633,12 +746,12 @@ def _farness(gp: PopulationGP, position: np.ndarray) -> np.ndarray:
 
 
 def _predict_one(
-    gp: PopulationGP, i: int, given: Conditioned, presses: PressTable
+    gp: PopulationGP, i: int, given: Conditioned, presses: PressTable, raised: PressTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean, variance and slope by the first load (m, c) of one member."""
+    """Mean, variance and slope by the first load (m, c) of one member, from its own presses with their heights."""
     one = _taken(gp.components, np.array([i]))
     column, board = int(one.load_column[0]), int(one.board[0])
-    at, known = _geometry(gp, presses, column, board), _geometry(gp, gp.presses, column, board)
+    at, known = _geometry(gp, presses, column, board), _geometry(gp, raised, column, board)
     groups = len(given.inverse)
     cross = np.broadcast_to(
         kernel.signal_covariances(one.kernels, at, known)[0], (groups, len(at.load), len(known.load))

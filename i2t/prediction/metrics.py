@@ -92,7 +92,8 @@ def grouped_interval(
         level: Coverage.
 
     Returns:
-        Both ends of the interval; NaN where there are fewer than three groups.
+        Both ends of the interval; NaN where there are fewer than three groups. Resamples of which the statistic is NaN
+        are left out.
     """
     rng = np.random.default_rng(seed)
     members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
@@ -102,7 +103,7 @@ def grouped_interval(
         statistic(np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))]))
         for _ in range(RESAMPLES)
     ]
-    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.nanquantile(draws, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)
 
 

@@ -26,6 +26,7 @@ from i2t.unknowns.smooth import thinned
 STAGE = "board on the stage"
 FIELD_PRESSES = 70  # that are looked at: the cost grows with their cube
 MIN_FIELD_PRESSES = 25
+MIN_FIELD_CHIPS = 3
 STAGE_GAIN = 0.09  # of log evidence for each value, for the board to be turned
 IDENTIFICATION_GAIN = 0.02  # what the wrong hypotheses must lose for the right one to be known
 GRID_CELLS = 15  # of dipoles along an edge
@@ -71,10 +72,10 @@ def find_board(presses: RecordedPresses, board: Board, *, growth: Float[np.ndarr
         The finding about the stage.
     """
     n, chips = len(presses.readings), len(board.chips)
-    if n < MIN_FIELD_PRESSES or chips < 3 or presses.position.std(0).min() < 1e-3:
+    if n < MIN_FIELD_PRESSES or chips < MIN_FIELD_CHIPS or presses.position.std(0).min() < 1e-3:
         why = (
-            f"{n} presses are too few" if n < MIN_FIELD_PRESSES
-            else f"a board of {chips} chips has too few" if chips < 3
+            f"{n} presses are too few ({MIN_FIELD_PRESSES} are enough)" if n < MIN_FIELD_PRESSES
+            else f"a board of {chips} chips has too few ({MIN_FIELD_CHIPS} are enough)" if chips < MIN_FIELD_CHIPS
             else "all presses are at one place"
         )  # fmt: skip
         return Finding(STAGE, f"{STAGE.capitalize()}: not identifiable, as {why}.", False)

@@ -99,7 +99,7 @@ def find_height_zero(presses: RecordedPresses, stated: float | None = None) -> F
     span = float(np.subtract(*np.quantile(height, [0.95, 0.05])))
     if len(height) < MIN_ZERO_PRESSES or span < MIN_HEIGHT_RANGE_M:
         why = (
-            f"{len(height)} presses are too few"
+            f"{len(height)} presses are too few ({MIN_ZERO_PRESSES} are enough)"
             if len(height) < MIN_ZERO_PRESSES
             else f"all presses go to one height ({1e3 * span:.2g} mm between them)"
         )

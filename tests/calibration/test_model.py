@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from i2t import serialization
-from i2t.calibration import FORCE_HYPERPARAMETERS, Calibration, calibrate, load_calibration
+from i2t.calibration import FORCE_HYPERPARAMETERS, Calibration, calibrate, load_calibration, population_gp
 from i2t.calibration.model import FILE_KIND, CalibrationRecord
 from i2t.errors import SerializationError
 from i2t.skin import boards
@@ -109,3 +110,22 @@ def test_what_is_known_of_presses_may_be_more_or_less(unknown, tmp_path):
     assert nowhere.predict(None, DEPTH[:4])[0].shape == (4, 15)
     assert nowhere.predict(None, 1e-3)[0].shape == (15,)
     assert unknown.predict(POSITIONS[:4])[0].shape == (4, 15)
+
+
+def test_few_presses_are_fitted_with_one_thread_of_blas_and_the_others_come_back(monkeypatch):
+    """Threads that wait for each other cost many times what small matrices do."""
+    seen, fit = [], population_gp.fit_population
+
+    def fitting(*args, **more):
+        seen.extend(blas_threads())
+        return fit(*args, **more)
+
+    def blas_threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    monkeypatch.setattr(population_gp, "fit_population", fitting)
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        depths(POSITIONS[:5], DEPTH[:5], READINGS[:5])
+        assert blas_threads() == before
+    assert set(seen) == {1}

@@ -10,6 +10,7 @@ from i2t.calibration import kernel, prior
 from i2t.calibration import left_out as lo
 from i2t.calibration import population_gp as mixture
 from i2t.calibration.kernel import SkinKernels
+from i2t.calibration.plain_gp import fit_scales, predict_plain
 from i2t.calibration.population_gp import (
     PopulationGP,
     PressTable,
@@ -188,7 +189,9 @@ def test_given_variances_are_relative_to_map_and_bend_and_given_loads_to_the_uni
         assert getattr(found, name) == pytest.approx(value), name
 
 
-def test_weights_go_to_the_kernel_that_the_presses_are_of():
+def test_weights_go_to_the_kernel_that_the_presses_are_of(monkeypatch):
+    """Before the mixture is stacked with the plain process, which may predict the presses as well as their own."""
+    monkeypatch.setattr(mixture, "_stacked_on_plain", lambda gp, _: gp)
     rng = np.random.default_rng(9)
     both = KernelPrior(KINDS._replace(far_amplitude=np.ones(2)), np.log(np.full((2, 2), 0.5)))
     x, d = drawn(10, 80)
@@ -310,3 +313,91 @@ def test_heights_count_where_those_of_neighbours_tell_a_left_out_press_its_own(s
     error = slope * height[:, None] + rng.normal(size=(80, CHANNELS))
     share = mixture._height_shares(gp, tried, error, slope)
     assert share[0] > 0.99 if smooth else share[0] < 0.01
+
+
+def share_of_plain(weights: np.ndarray | None) -> np.ndarray:
+    assert weights is not None
+    return weights[-1]
+
+
+@pytest.mark.parametrize("n", [12, 40])
+def test_far_from_the_presses_the_plain_process_keeps_a_share_that_falls_with_their_number(n):
+    """However much better the mixture is on the parts left out: p presses' worth of belief among n + p."""
+    x, d = drawn(50, n)
+    gp = mixture._start(table(x, d), skin(51)(x, d), ("depth",), None, load_prior())
+    rng = np.random.default_rng(52)
+    plain_error = rng.normal(size=(2, n, CHANNELS))
+    far = mixture._stacking_share(gp, 0 * plain_error, plain_error, mixture.FAR_PLAIN_PRESSES)
+    np.testing.assert_allclose(far, n / (n + mixture.FAR_PLAIN_PRESSES), rtol=1e-9)
+    np.testing.assert_allclose(mixture._stacking_share(gp, 0 * plain_error, plain_error, 0.0), 1, rtol=1e-9)
+    # None where the mixture is worse in the direction in which it differs, the least squares between.
+    assert mixture._stacking_share(gp, 2 * plain_error, plain_error, 0.0).max() == 0
+    half = mixture._stacking_share(gp, -plain_error, plain_error, 0.0)
+    np.testing.assert_allclose(half, 0.5, rtol=1e-9)
+    fitted = fit(table(x, d), skin(51)(x, d) + rng.normal(size=(n, CHANNELS)))
+    floor = mixture.FAR_PLAIN_PRESSES / (n + mixture.FAR_PLAIN_PRESSES)
+    assert share_of_plain(fitted.far_weights).min() >= floor - 1e-9
+    np.testing.assert_allclose(fitted.weights.sum(0), 1, rtol=1e-9)
+
+
+def test_a_channel_is_stacked_by_its_own_errors_drawn_to_those_of_all():
+    x, d = drawn(53, 30)
+    gp = mixture._start(table(x, d), skin(54)(x, d), ("depth",), None, load_prior())
+    plain_error = np.random.default_rng(55).normal(size=(1, 30, CHANNELS))
+    error = 0 * plain_error
+    error[..., 0] = 2 * plain_error[..., 0]
+    share = mixture._stacking_share(gp, error, plain_error, 0.0)
+    assert share[0] < share[1:].min() - 0.1
+    assert share[0] > 0  # of two channels that differ as much, neither is believed whole
+    assert share[1:].max() <= 1
+
+
+MISLEADING = KernelPrior(
+    # Amplitudes that fall to nearly nothing off a chip: what is read far from it is magnified near it.
+    KINDS._replace(
+        chip_reach=np.array([2e-3, 2.5e-3]), far_amplitude=np.array([0.05, 0.1]), noise_variance=np.full(2, 1e-3)
+    ),
+    np.log(np.full((2, 2), 0.5)),
+)
+
+
+def test_kernels_that_mislead_do_not_fall_below_the_plain_process_where_nothing_was_pressed():
+    """Noisy skins without chips, given kernels for which readings fall off a chip, in a hole between the presses."""
+    gains = []
+    for seed in range(8):
+        read, rng = skin(60 + seed, length=4e-3, static=1.0), np.random.default_rng(70 + seed)
+        (x, d), (z, e) = drawn(80 + seed, 400), drawn(90 + seed, 600)
+        outside, inside = (np.abs(x) > 2.5e-3).any(1), (np.abs(z) < 2.5e-3).all(1)
+        x, d, z, e = x[outside][:24], d[outside][:24], z[inside], e[inside]
+        readings = read(x, d) + 20 * rng.normal(size=(24, CHANNELS))
+        gp = fit(table(x, d), readings, prior=MISLEADING, chip_positions=CHIPS[None])
+        plain = predict_plain(fit_scales(x, d, readings), (x, d, readings), (z, e))
+        gains.append(explained(gp, table(z, e), read(z, e)) - r2(read(z, e), plain))
+    assert np.mean(gains) > -0.01
+    assert min(gains) > -0.05
+
+
+def test_one_of_several_boards_is_chosen_by_a_short_list_of_kernels(monkeypatch):
+    """Beyond the kernels that a given board takes, no more than the short list for each board."""
+    x, d = drawn(100, 30)
+    near = np.exp(-((x[:, None] - CHIPS) ** 2).sum(-1) / 2 / 4e-3**2).repeat(3, axis=1)
+    readings = near * skin(101)(x, d) + np.random.default_rng(102).normal(size=(30, CHANNELS))
+    turned = CHIPS @ np.array([[0.8, -0.6], [0.6, 0.8]]).T
+    counted, left_out = [], mixture.left_out
+
+    def counting(kernels, at, *rest):
+        counted.append((len(kernels.load_power), at.chip_square is not None))
+        return left_out(kernels, at, *rest)
+
+    monkeypatch.setattr(mixture, "left_out", counting)
+    monkeypatch.setattr(mixture, "_with_heavy_tails", lambda gp: gp)
+    monkeypatch.setattr(mixture, "_with_heights", lambda gp: gp)
+    monkeypatch.setattr(mixture, "_stacked_on_plain", lambda gp, _: gp)
+    kernels, fits = {}, {}
+    for boards in ((CHIPS,), (turned, CHIPS)):
+        counted.clear()
+        fits[len(boards)] = fit(table(x, d), readings, chip_positions=np.stack(boards))
+        kernels[len(boards)] = sum(count for count, chips in counted if chips)
+    assert kernels[2] <= kernels[1] + 2 * mixture.BOARD_KERNELS
+    np.testing.assert_array_equal(fits[2].chip_positions, fits[1].chip_positions)
+    np.testing.assert_allclose(fits[2].weights, fits[1].weights, rtol=1e-9)

@@ -11,14 +11,18 @@ from helpers.baselines import placed_dataset
 
 from experiments.calibrate import __main__ as command
 from experiments.calibrate import arguments, methods, pad, prior_search, simulated, skins
-from experiments.calibrate.data import hold_out, read_presses
-from experiments.calibrate.evaluate import explained, over_blocks
+from experiments.calibrate.data import PressRecording, read_presses
+from experiments.calibrate.evaluate import explained, learning_curves, over_blocks
+from experiments.calibrate.held_out import EACH_PRESS, RANDOM, HeldOut, hold_out, share_masks
+from experiments.train.configs import PRESETS as TRAINING
+from experiments.train.splitting import split_dataset
 from i2t import calibration, serialization
 from i2t import dataset as data
 from i2t.calibration import load_calibration
 from i2t.calibration.physics import PadFit, RoundTip, layer_prior
 from i2t.calibration.prior import PRIOR_KIND, KernelPrior, load_prior
 from i2t.dataset import Dataset
+from i2t.errors import DataError
 from i2t.skin import boards
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.skin.pad import sample_pad
@@ -69,16 +73,118 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
 def test_held_out_presses_are_never_in_a_pool():
     cfg = arguments.PRESETS["paper"]
     presses = read_presses(recording(600), "auto")
-    held, blocks = hold_out(presses, cfg.held_out_presses, cfg.block_mm, cfg.block_share, 0)
+    held, blocks = share_masks(600, presses.blocks(cfg.block_mm), cfg, 0)
     assert held.sum() == 150
     cell = np.floor((1e3 * presses.position - (1e3 * presses.position).min(0)) / 6).astype(int)
     inside = {tuple(c) for c in cell[blocks]}
     assert inside.isdisjoint({tuple(c) for c in cell[~blocks]})
-    again, _ = hold_out(presses, cfg.held_out_presses, cfg.block_mm, cfg.block_share, 0)
+    again, _ = share_masks(600, presses.blocks(cfg.block_mm), cfg, 0)
     np.testing.assert_array_equal(held, again)
+    (split,) = hold_out(presses, cfg, 0, np.ones(600, bool), "set").splits
+    np.testing.assert_array_equal(split.tests[RANDOM], np.flatnonzero(held))
+    np.testing.assert_array_equal(split.tests["blocks of 6 mm"], np.flatnonzero(blocks))
+    np.testing.assert_array_equal(split.pool, np.flatnonzero(~held & ~blocks))
 
 
-@pytest.mark.parametrize(("n", "pads", "message"), [(400, 2, "several skins"), (9, 1, "too few")])
+SPREAD = np.random.default_rng(1).uniform(-8e-3, 8e-3, (24, 2))
+GRID = np.stack(np.meshgrid(*2 * [np.linspace(-8e-3, 8e-3, 5)]), -1).reshape(-1, 2)
+
+
+def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
+    """Presses at these places to many depths, held out as `experiments.calibrate` does it."""
+    n = len(place)
+    presses = PressRecording(place, np.linspace(1e-3, 3e-3, n), np.zeros((n, 15)), by_force=False)
+    return hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(n, bool) if usable is None else usable, "set")
+
+
+@pytest.mark.parametrize(
+    ("place", "also", "says"),
+    [
+        (SPREAD, "each block of 6 mm left out", "blocks of 6 mm is left out in turn, too"),
+        (GRID, "each block of 6 mm left out", "9 blocks of 6 mm is left out in turn, too"),
+        (GRID / 4, None, "each press has a place to itself"),  # all in one block
+        (np.repeat(SPREAD[:5] / 4, 4, axis=0), "each place left out", "5 places is left out in turn, too"),
+        (np.repeat(SPREAD[:2], 10, axis=0), "each place left out", "there is no interval: presses lie in 2 places"),
+        (np.zeros((20, 2)), None, "all 20 presses lie at one place, so leaving places out is impossible"),
+        (np.r_[np.zeros((15, 2)), SPREAD[:6]], None, "more than half of the 21 presses lie at one place"),
+        (SPREAD[:8], "each block of 6 mm left out", "8 presses are fewer than 60"),
+    ],
+)
+def test_few_presses_are_left_out_in_turn_wherever_they_lie(place, also, says):
+    """Each press is predicted once from all others, and each block or place from all that are not of it."""
+    held, every = held_out_of(place), np.arange(len(place))
+    assert held.in_turn
+    assert any(says in sentence for sentence in held.sentences), held.sentences
+    assert set(held.tests) == {EACH_PRESS} | ({also} if also else set())
+    for rows in held.tests.values():
+        np.testing.assert_array_equal(np.sort(rows), every)
+    for split in held.splits:
+        (rows,) = split.tests.values()
+        np.testing.assert_array_equal(np.sort(np.r_[rows, split.pool]), every)
+        if also in split.tests:
+            apart = np.linalg.norm(place[rows][:, None] - place[split.pool], axis=2)
+            assert apart.min() > 0
+
+
+@pytest.mark.parametrize("place", [np.zeros((100, 2)), np.random.default_rng(2).uniform(0, 5e-3, (100, 2))])
+def test_many_presses_in_one_block_are_held_out_without_it(place):
+    """At one place no place is left out; at many places of one block some of these are."""
+    held = held_out_of(place)
+    assert not held.in_turn
+    assert list(held.tests) == ([RANDOM, "places"] if place.any() else [RANDOM])
+    (split,) = held.splits
+    assert len(split.pool) >= 50
+    assert "other places" in held.sentences[0] or "farther from them" in held.sentences[0]
+
+
+def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
+    usable = np.arange(24) != 5
+    held = held_out_of(SPREAD, usable)
+    assert not any(5 in np.r_[split.pool, *split.tests.values()] for split in held.splits)
+    assert held.clusters.of_press[5] == -1
+    assert "predicted from the 22 others" in held.sentences[0]
+
+
+def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough():
+    with pytest.raises(ValueError, match=r"7 usable presses, too few .* 8 are enough .* some 20"):
+        held_out_of(SPREAD[:7])
+    alike = PressRecording(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), by_force=False)
+    with pytest.raises(ValueError, match="one place and one depth, which says nothing of any other press"):
+        hold_out(alike, arguments.PRESETS["paper"], 0, np.ones(20, bool), "set")
+
+
+def test_presses_left_out_in_turn_are_scored_as_one_test(monkeypatch):
+    """The mean of the others misses each press by n / (n - 1) times what it is from the mean of all."""
+    monkeypatch.setattr("experiments.calibrate.evaluate.METHODS", {methods.MEAN: methods.mean})
+    simple = lambda r, rows, test: (methods.mean(r, rows, test), np.ones((len(test), 15)))  # noqa: E731
+    monkeypatch.setattr("experiments.calibrate.evaluate.calibrated_with_std", simple)
+    readings = np.random.default_rng(0).normal(size=(24, 15))
+    presses = PressRecording(SPREAD, np.linspace(1e-3, 3e-3, 24), readings, by_force=False)
+    splits = hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(24, bool), "set").splits
+    scores = learning_curves(presses, splits, counts=(23,), draws=1, seed=0)
+    assert scores.r2[EACH_PRESS][methods.MEAN][23] == pytest.approx([1 - (24 / 23) ** 2])
+    assert len(scores.errors[EACH_PRESS][methods.MEAN][23][0]) == 24
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("one_place", [False, True])
+def test_few_presses_are_calibrated_from_the_command_line(tmp_path, capsys, one_place):
+    made = recording(12)
+    if one_place:
+        made = replace(made, touches=made.touches._replace(T_w_o=np.repeat(made.touches.T_w_o[:1], 12, axis=0)))
+    data.save_dataset(tmp_path / "set.h5", made)
+    assert command.main(["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out")]) == 0
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["held_out_in_turn"]
+    over = metrics["calibrate_over_blocks"][EACH_PRESS]["r2"]["11"]
+    assert (over["low"] is None) == one_place
+    printed = capsys.readouterr().out
+    assert "held out: 12 presses are fewer than 60" in printed
+    assert ("leaving places out is impossible" in printed) == one_place
+    assert load_calibration(tmp_path / "out" / "calibration.npz").load_kind == "depth"
+
+
+@pytest.mark.parametrize(("n", "pads", "message"), [(400, 2, "several skins"), (7, 1, "8 are enough")])
 def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message):
     data.save_dataset(tmp_path / "set.h5", recording(n, pads))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
@@ -182,3 +288,9 @@ def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
         assert (tmp_path / "prior.npz").stat().st_size < 100_000
     else:
         assert set(metrics["cases"]["lattice, depth"]["r2"]) == set(methods.METHODS)
+
+
+def test_a_split_of_too_few_touches_says_what_each_part_needs_and_what_to_add():
+    """For training: six presses in time leave one to test, of two that each part needs."""
+    with pytest.raises(DataError, match=r"of 6 usable touches, splitting by time leaves 1 to .*, which needs 2; .*"):
+        split_dataset(recording(6), TRAINING["debug"], "time", 0)

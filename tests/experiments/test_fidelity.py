@@ -197,6 +197,20 @@ def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
     assert curves_of[1] > curves_of[0] - 0.1 > 0.5
 
 
+def test_too_few_rows_say_how_many_are_enough():
+    """24 rows of which a fifth is held out leave 19 to a head or a calibration that needs 20; 25 are enough."""
+    few, share = presses_of_a_skin(24), 0.2
+    assert heads.rows_enough(share) == 25
+    with pytest.raises(ValueError, match=r"knows position of 24 rows, too few .*; 25 are enough"):
+        heads.test_heads(few, "position", FEW, share=share, seed=0)
+    preset = replace(TINY, counts=(20,), held_out_share=share)
+    with pytest.raises(CannotTellError, match=r"24 presses leave 19 .* and 20 are needed; 25 are enough"):
+        curves.calibration_curves(few, preset, 0, Section("Calibration curves"))
+    with pytest.raises(CannotTellError, match=r"14 presses are too few .*; 15 are enough"):
+        curves.hold_out_presses(press_set(presses_of_a_skin(14)), preset, 0)
+    assert curves.hold_out_presses(press_set(presses_of_a_skin(15)), preset, 0)
+
+
 def test_what_may_be_chance_is_no_loss():
     rng = np.random.default_rng(0)
     own = rng.exponential(size=200)

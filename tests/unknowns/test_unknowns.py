@@ -12,6 +12,23 @@ from i2t.unknowns.heights import HEIGHT_ZERO
 from i2t.unknowns.labels import LAG
 
 
+@pytest.mark.parametrize(
+    ("find", "enough"),
+    [
+        (unknowns.find_lag, 28),
+        (unknowns.find_height_axis, 20),
+        (unknowns.find_height_zero, 30),
+        (lambda few: unknowns.find_board(few, reskin_board()), 25),
+    ],
+)
+def test_too_few_presses_say_how_many_are_enough(find, enough):
+    rng = np.random.default_rng(0)
+    place, depth, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
+    said = {n: find(RecordedPresses(place[:n], readings[:n], height=-depth[:n])).sentence for n in (enough - 1, enough)}
+    assert f"{enough - 1} presses are too few ({enough} are enough)" in said[enough - 1]
+    assert "too few" not in said[enough]
+
+
 def presses(recorded: Recorded) -> RecordedPresses:
     return RecordedPresses(recorded.position, recorded.readings, height=recorded.height, force=recorded.force)
 
