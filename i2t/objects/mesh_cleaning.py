@@ -3,12 +3,6 @@
 Every body of a mesh is kept. A wall that two bodies give twice, where they meet, lies inside the object, and its faces
 are dropped. Holes are counted and left open: the renderer needs no closed surface, and an invented one would be
 touched as if it were there.
-
-Faces that share an edge belong to one *part*, whose faces are all turned alike. Where four or more faces share an edge,
-as where two bodies touch, faces that follow each other around the edge are neighbours. Each part is turned outward by
-its own signed volume, after its holes are closed by fans. Two kinds of parts stay as the file has them: one inside
-another that is wound the other way is a cavity or the inner side of a wall, and one with wide holes is a sheet, unless
-another part of the file faces outward.
 """
 
 from dataclasses import dataclass
@@ -21,15 +15,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from i2t.objects.orientation import directed_edges, encloses, turned_outward
 from i2t.objects.solids import Mesh
 
 MERGE_M = 1e-8  # m
 MAX_DUST_SHARE = 1e-3  # of the area: of the largest piece for a grain of dust, of the mesh for all of them
-MAX_HOLE_SHARE = (
-    0.45  # area of a part's holes over its own, up to which its volume tells its outside; half a sphere has 0.5
-)
-INSIDE_POINTS = 9  # of a part, that tell whether it is inside another
-MIN_VOLUME = 1e-6  # volume over area^1.5 (a sphere has 0.094), below which a part is flat and has no outside
 
 
 @dataclass(frozen=True)
@@ -110,7 +100,7 @@ def clean_mesh(mesh: Mesh, path: str = "mesh", *, largest_piece: bool = False) -
     kept = np.arange(pieces) == areas.argmax() if largest_piece else ~_dust(areas)
     left_out = _compact(vertices, faces[~kept[piece]])
     clean = _compact(vertices, faces[kept[piece]])
-    outward = _turned_outward(clean)
+    outward = turned_outward(clean)
     uses = np.unique(_edges(outward.faces), axis=0, return_counts=True)[1]
     x, y, z = np.ptp(outward.vertices, axis=0).tolist()
     report = CleaningReport(
@@ -174,13 +164,13 @@ def _single_faces(vertices: NDArray, faces: NDArray, areas: NDArray) -> NDArray:
     if not spare.any() or not keep.any():
         return keep
     piece = _pieces(faces)[1]
-    outward = _turned_outward(Mesh(vertices, faces[keep])).faces
+    outward = turned_outward(Mesh(vertices, faces[keep])).faces
     restored = np.zeros(len(faces), bool)
     torn = _torn_vertices(outward)
     for number in np.flatnonzero(spare):
         rows = first[repeated[wall == number]]
         around = vertices[outward[piece[keep] == piece[rows[0]]]]
-        inside = _encloses(around, _some_centres(vertices[faces[rows]]))
+        inside = encloses(around, vertices[faces[rows]])
         if not inside or len(np.intersect1d(faces[rows], torn)):
             restored[rows] = True
     return keep | restored
@@ -188,7 +178,7 @@ def _single_faces(vertices: NDArray, faces: NDArray, areas: NDArray) -> NDArray:
 
 def _torn_vertices(faces: NDArray) -> NDArray:
     """Vertices of edges that faces do not run through equally often in both directions."""
-    directed = _directed_edges(faces)
+    directed = directed_edges(faces)
     edges, edge = np.unique(np.sort(directed, 1), axis=0, return_inverse=True)
     balance = np.bincount(edge.reshape(-1), np.where(directed[:, 0] < directed[:, 1], 1, -1), len(edges))
     return np.unique(edges[balance != 0])
@@ -246,163 +236,4 @@ def _pieces(faces: NDArray) -> tuple[int, NDArray]:
 
 def _edges(faces: NDArray) -> NDArray:
     """The edges of all faces as sorted pairs: first all first edges, then all second, then all third ones."""
-    return np.sort(_directed_edges(faces), 1)
-
-
-def _directed_edges(faces: NDArray) -> NDArray:
-    """The edges of all faces as pairs in their direction, in the order of `_edges`."""
-    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-
-
-def _turned_outward(mesh: Mesh) -> Mesh:
-    """The mesh with faces turned so that every part of it faces outward."""
-    vertices, faces = mesh.vertices, np.asarray(mesh.faces)
-    pairs = _neighbours(vertices, faces)
-    alike, part = _wound_alike(faces, pairs, np.linalg.norm(_double_area(vertices[faces]), axis=1))
-    turned = _inside_out(vertices, alike, part, pairs)
-    return Mesh(vertices, np.where(turned[part][:, None], alike[:, ::-1], alike).astype(np.int32))
-
-
-def _neighbours(vertices: NDArray, faces: NDArray) -> NDArray:
-    """Pairs (n, 2) of directed edges (rows of `_directed_edges`) at which two faces continue each other.
-
-    The faces around an edge of four or more are sorted by their angle. Neighbours bound an empty wedge or a solid one.
-    Of the two ways to pair all of them, the one that turns fewer faces is taken, or the one that has the narrowest
-    wedge, so that walls that lie on each other are paired. An edge with an odd number of faces connects none.
-    """
-    directed = _directed_edges(faces)
-    _, edge, uses = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
-    order = np.argsort(edge, kind="stable")
-    pairs = order[uses[edge[order]] == 2].reshape(-1, 2)
-    many = order[(uses[edge[order]] > 2) & (uses[edge[order]] % 2 == 0)]
-    if not len(many):
-        return pairs
-    angle = _angles(vertices, faces, directed, many, edge[many])
-    by_angle = np.lexsort((angle, edge[many]))
-    many, angle = many[by_angle], angle[by_angle]
-    group = np.unique(edge[many], return_inverse=True)[1].reshape(-1)
-    size = np.bincount(group)
-    start = np.cumsum(size) - size
-    place = np.arange(len(many)) - start[group]
-    following = start[group] + (place + 1) % size[group]
-    gap = np.where(place + 1 < size[group], 0, 2 * np.pi) + angle[following] - angle
-    disagree = (directed[many] == directed[many[following]]).all(1)
-    disagreeing = np.bincount(2 * group + place % 2, disagree, 2 * len(size)).reshape(-1, 2)
-    narrowest = place[np.lexsort((gap, group))[start]] % 2
-    way = np.where(disagreeing[:, 0] == disagreeing[:, 1], narrowest, disagreeing.argmin(1))
-    first = place % 2 == way[group]
-    return np.concatenate([pairs, np.stack([many, many[following]], 1)[first]])
-
-
-def _angles(vertices: NDArray, faces: NDArray, directed: NDArray, rows: NDArray, edge: NDArray) -> NDArray:
-    """Angle (rad) of the faces of some directed edges around these edges, from any direction of each edge."""
-    low, high = np.sort(directed[rows], 1).T
-    axis = vertices[high] - vertices[low]
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    opposite = faces[rows % len(faces), (rows // len(faces) + 2) % 3]
-    across = vertices[opposite] - vertices[low]
-    across -= np.sum(across * axis, 1, keepdims=True) * axis
-    _, representative, group = np.unique(edge, return_index=True, return_inverse=True)
-    x = across[representative[group.reshape(-1)]]
-    y = np.cross(axis, x)
-    return np.arctan2(np.sum(across * y, 1), np.sum(across * x, 1))
-
-
-def _wound_alike(faces: NDArray, pairs: NDArray, areas: NDArray) -> tuple[NDArray, NDArray]:
-    """Faces of which neighbours run through their common edge in opposite directions, and the part of each face.
-
-    Every face is there twice, as it is and turned; neighbours that agree are connected. Of the two halves into which an
-    orientable part falls, the one in which more of the area is as it was given stays.
-    """
-    n, directed = len(faces), _directed_edges(faces)
-    one, other = (pairs % n).T
-    alike = (directed[pairs[:, 0]] == directed[pairs[:, 1]]).all(1)  # then one of the two has to be turned
-    joined = np.concatenate([other + n * alike, other + n * ~alike])
-    graph = coo_array((np.ones(2 * len(one)), (np.concatenate([one, one + n]), joined)), (2 * n, 2 * n))
-    _, half = connected_components(graph, directed=False)
-    given = np.bincount(half[:n], areas, int(half.max()) + 1)
-    one, other = half[:n], half[n:]
-    turned = (given[one] < given[other]) | ((given[one] == given[other]) & (one > other))
-    part = np.unique(np.minimum(half[:n], half[n:]), return_inverse=True)[1].reshape(-1)
-    return np.where(turned[:, None], faces[:, ::-1], faces), part
-
-
-def _inside_out(vertices: NDArray, faces: NDArray, part: NDArray, pairs: NDArray) -> NDArray:
-    """Mask (parts,) of those whose faces look inward and are to be turned."""
-    parts = int(part.max()) + 1
-    low, high = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
-    np.minimum.at(low, part, vertices[faces].min(1))
-    np.maximum.at(high, part, vertices[faces].max(1))
-    corners = vertices[faces] - 0.5 * (low + high)[part][:, None]
-    area = np.bincount(part, np.linalg.norm(_double_area(corners), axis=1) / 2, parts)
-    rim = np.ones(3 * len(faces), bool)
-    rim[pairs.ravel()] = False
-    hole, fan = _holes(faces, part, corners, np.flatnonzero(rim))
-    volume = np.bincount(part, np.linalg.det(corners) / 6, parts) + fan
-    inward = volume < -MIN_VOLUME * area**1.5
-    wide = hole > MAX_HOLE_SHARE * area
-    turned = inward & (~wide | (volume > MIN_VOLUME * area**1.5).any())
-    if inward.all() or not inward.any():
-        return turned
-    box = np.prod(high - low, 1)
-    surfaces = np.split(vertices[faces[np.argsort(part, kind="stable")]], np.cumsum(np.bincount(part))[:-1])
-    for child in np.argsort(-box, kind="stable"):
-        around = (low <= low[child]).all(1) & (high >= high[child]).all(1) & (inward != inward[child])
-        points = _some_centres(surfaces[child])
-        parents = [p for p in np.flatnonzero(around) if _encloses(surfaces[p], points)]
-        if parents:  # it stays as it was given, relative to what encloses it
-            turned[child] = turned[min(parents, key=lambda p: box[p])]
-    return turned
-
-
-def _double_area(corners: NDArray) -> NDArray:
-    """Normals (n, 3) of triangles (n, 3, 3), twice as long as their areas."""
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def _holes(faces: NDArray, part: NDArray, corners: NDArray, rim: NDArray) -> tuple[NDArray, NDArray]:
-    """Area of the holes of each part, and the volume of the fans that close them.
-
-    Connected edges of a rim are one hole, closed by a fan around the mean of its corners. `rim` holds rows of
-    `_directed_edges`.
-    """
-    parts = int(part.max()) + 1
-    if not len(rim):
-        return np.zeros(parts), np.zeros(parts)
-    face, side = rim % len(faces), rim // len(faces)
-    begin, end = corners[face, side], corners[face, (side + 1) % 3]
-    nodes = np.stack([faces[face, side], faces[face, (side + 1) % 3]]) + (int(faces.max()) + 1) * part[face]
-    names, node = np.unique(nodes, return_inverse=True)
-    graph = coo_array((np.ones(len(rim)), tuple(node.reshape(2, -1))), (len(names), len(names)))
-    count, loop = connected_components(graph, directed=False)
-    loop = loop[node.reshape(2, -1)[0]]
-    centre = np.stack([np.bincount(loop, begin[:, i], count) for i in range(3)], 1) / np.bincount(loop)[:, None]
-    fan = np.stack([end, begin, centre[loop]], 1)
-    normals = np.stack([np.bincount(loop, _double_area(fan)[:, i], count) for i in range(3)], 1) / 2
-    home = np.zeros(count, int)
-    home[loop] = part[face]
-    area = np.bincount(home, np.linalg.norm(normals, axis=1), parts)
-    return area, np.bincount(part[face], np.linalg.det(fan) / 6, parts)
-
-
-def _some_centres(corners: NDArray) -> NDArray:
-    """Centres of a few faces (n, 3, 3), at most `INSIDE_POINTS`, evenly over their order."""
-    return corners[:: -(-len(corners) // INSIDE_POINTS)].mean(1)
-
-
-def _encloses(corners: NDArray, points: NDArray) -> bool:
-    """Whether most of the points (m, 3) are inside a surface (n, 3, 3), which may have holes.
-
-    Inside, the generalized winding number is beyond 1/2 (Jacobson et al., "Robust inside-outside segmentation using
-    generalized winding numbers", 2013). It is the sum of the solid angles of the triangles over 4 pi, each by van
-    Oosterom and Strackee, "The solid angle of a plane triangle", 1983.
-    """
-    inside = 0
-    for point in points:
-        a, b, c = np.moveaxis(corners - point, 1, 0)
-        la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
-        below = la * lb * lc + np.sum(a * b, 1) * lc + np.sum(b * c, 1) * la + np.sum(c * a, 1) * lb
-        half_angle = np.arctan2(np.sum(a * np.cross(b, c), 1), below)
-        inside += abs(float(half_angle.sum())) > np.pi
-    return 2 * inside > len(points)
+    return np.sort(directed_edges(faces), 1)

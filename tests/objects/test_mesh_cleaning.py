@@ -128,17 +128,48 @@ def test_four_quarters_that_meet_lose_all_walls_between_them():
     assert report.watertight
 
 
-def test_a_wall_that_each_body_cuts_in_its_own_triangles_leaves_the_outside_outward():
+@pytest.mark.parametrize("seed", range(4))
+def test_a_wall_that_each_body_cuts_in_its_own_triangles_leaves_both_bodies_outward(seed):
     right, left = box((0.03, 0.04, 0.02), (0.015, 0, 0)), mirrored(box((0.03, 0.04, 0.02), (0.015, 0, 0)))
-    quads = np.array([[0, 1, 3], [0, 3, 2]])  # of the wall's corners, cut along the other diagonal
     wall = np.flatnonzero(np.isclose(left.vertices[:, 0], 0))
     side = np.isclose(left.vertices[left.faces][..., 0], 0).all(1)
-    left = Mesh(left.vertices, np.concatenate([left.faces[~side], wall[quads]]).astype(np.int32))
-    mesh, _, _ = clean_mesh(joined(right, left))
-    cast = whole(mesh)
-    outside = np.abs(cast.triangles_center[:, 0]) > 1e-6
-    middle = cast.triangles_center[outside]
-    assert (np.sum(cast.face_normals[outside] * middle, 1) > 0).all()
+    other_diagonal = wall[np.array([[0, 2, 3], [0, 3, 1]])]  # turned inward, as the rest of that half
+    left = Mesh(left.vertices, np.concatenate([left.faces[~side], other_diagonal]).astype(np.int32))
+    turn = Rotation.random(random_state=seed).as_matrix()
+    both = joined(right, left)
+    mesh, _, _ = clean_mesh(Mesh(both.vertices @ turn.T, both.faces))
+    assert whole(mesh).volume == pytest.approx(2 * whole(right).volume)
+    outward = np.sum(whole(mesh).face_normals * whole(mesh).triangles_center, 1)
+    assert (outward > -1e-9).all()
+
+
+@pytest.mark.parametrize("inverted", [(0,), (1,), (0, 1)])
+def test_bodies_that_overlap_or_share_a_face_are_judged_by_themselves(inverted):
+    ball, cube = plain(trimesh.creation.icosphere(3, 0.03)), box((0.036, 0.036, 0.036))
+    plate, peg = box((0.06, 0.06, 0.01), (0, 0, -0.005)), box((0.02, 0.02, 0.02), (0, 0, 0.01))
+    for bodies in ((ball, cube), (plate, peg)):  # corners of the cube stand out of the ball
+        given = joined(*(turned(body) if i in inverted else body for i, body in enumerate(bodies)))
+        mesh, _, report = clean_mesh(given)
+        assert whole(mesh).volume == pytest.approx(sum(whole(body).volume for body in bodies))
+        assert report.turned == sum(len(bodies[i].faces) for i in inverted)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_faces_that_are_not_joined_are_turned_together_or_not_at_all(inverted):
+    """A pipe whose outer and inner walls and rims are surfaces of their own, a micrometre apart."""
+    pipe = trimesh.creation.annulus(0.017, 0.02, 0.06)
+    faces = [pipe.faces[facet] for facet in pipe.facets]
+    faces.append(np.delete(pipe.faces, np.concatenate(pipe.facets), axis=0))
+    parts = [Mesh(pipe.vertices + 1e-6 * i, group) for i, group in enumerate(faces) if len(group)]
+    given = joined(*parts)
+    report = clean_mesh(turned(given) if inverted else given).report
+    assert report.turned == (len(given.faces) if inverted else 0)
+
+
+def test_a_dish_beside_a_ball_that_were_seen_from_above_stays():
+    bowl = plain(trimesh.creation.icosphere(3, 0.03).slice_plane([0, 0, 0], [0, 0, -1]))
+    ball = plain(trimesh.creation.icosphere(3, 0.02).apply_translation([0.1, 0, 0]))
+    assert clean_mesh(joined(turned(bowl), ball)).report.turned == 0
 
 
 @pytest.mark.parametrize("apart", [1e-4, 0.02])
