@@ -9,6 +9,8 @@ Sources: Jacobson et al., "Robust inside-outside segmentation using generalized 
 "Fast winding numbers for soups and clouds", 2018.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -21,6 +23,7 @@ NEAR = 1e-5  # of the mesh's size, from a face to the points beside it
 FAR = 3.0  # radii of a part, from where on it counts as one dipole
 BLOCK = 2**14  # pairs of faces and points that are held at once
 MAX_JUDGED_PARTS = 2000  # beyond which closed parts are judged by their own volume alone, and open ones not at all
+MAX_HOLED_PARTS = 200  # beyond which each is judged by the mean number beside it alone
 MIN_EVIDENCE = 0.65  # from 0 (a sheet) to 1 (a closed body), for a part to be turned; half a sphere has 0.63
 NEGATIVE, NEGATIVE_SHARE = -0.9, 1e-3  # a winding number inside what is inside out; share of the area that counts
 
@@ -35,9 +38,9 @@ def turned_outward(mesh: Mesh) -> Mesh:
         The mesh with the same faces in the same order, some of them turned.
     """
     corners = mesh.vertices[mesh.faces]
-    faces, part, closed = _wound_alike(mesh.faces, np.linalg.norm(_double_area(corners), axis=1))
-    turned = _inside_out(mesh.vertices[faces], part, closed)
-    return Mesh(mesh.vertices, np.where(turned[part][:, None], faces[:, ::-1], faces).astype(np.int32))
+    faces, parts = _wound_alike(mesh.faces, np.linalg.norm(_double_area(corners), axis=1))
+    turned = _inside_out(mesh.vertices[faces], parts)[parts.of_face]
+    return Mesh(mesh.vertices, np.where(turned[:, None], faces[:, ::-1], faces).astype(np.int32))
 
 
 def directed_edges(faces: NDArray) -> NDArray:
@@ -52,9 +55,17 @@ def directed_edges(faces: NDArray) -> NDArray:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Faces of which neighbours run through their common edge in opposite directions; the part of each face; and
-    whether each part is closed.
+class _Parts(NamedTuple):
+    """Faces that are turned together."""
+
+    of_face: NDArray  # (n,) the part of each face
+    closed: NDArray  # (parts,) whether its edges all have two faces
+    holed: NDArray  # (parts,) whether an edge has one face
+    halved: NDArray  # (parts,) whether half of its area was given turned
+
+
+def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
+    """Faces of which neighbours run through their common edge in opposite directions, and their parts.
 
     Neighbours are two faces that alone share an edge. Every face is there twice, as it is and turned; neighbours that
     agree are connected. Of the two halves into which an orientable part falls, the one in which more of the area is as
@@ -73,11 +84,15 @@ def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, NDArray, NDAr
     one, other = half[:n], half[n:]
     turned = (given[one] < given[other]) | ((given[one] == given[other]) & (one > other))
     part = np.unique(np.minimum(one, other), return_inverse=True)[1].reshape(-1)
-    closed = 2 * np.bincount(part[pairs[:, 0] % n], minlength=int(part.max()) + 1) == 3 * np.bincount(part)
-    return np.where(turned[:, None], faces[:, ::-1], faces), part, closed
+    count = int(part.max()) + 1
+    closed = 2 * np.bincount(part[pairs[:, 0] % n], minlength=count) == 3 * np.bincount(part)
+    holed = np.bincount(part[np.flatnonzero(uses[edge.reshape(-1)] == 1) % n], minlength=count) > 0
+    halved = np.zeros(count, bool)
+    halved[part] = np.isclose(given[one], given[other])
+    return np.where(turned[:, None], faces[:, ::-1], faces), _Parts(part, closed, holed, halved)
 
 
-def _inside_out(corners: NDArray, part: NDArray, closed: NDArray) -> NDArray:
+def _inside_out(corners: NDArray, given: _Parts) -> NDArray:
     """Mask (parts,) of those that are to be turned so that no part encloses a negative winding number.
 
     Starting from the parts as they are, and from all of them turned, the part with the most negative number beside its
@@ -85,13 +100,13 @@ def _inside_out(corners: NDArray, part: NDArray, closed: NDArray) -> NDArray:
 
     Args:
         corners: (m, 3, 3) corners of the faces (m).
-        part: (m,) part of each face.
-        closed: (parts,) whether each part is closed.
+        given: Parts of the faces.
 
     Returns:
         The mask.
     """
-    parts = int(part.max()) + 1
+    part, closed = given.of_face, given.closed
+    parts = len(closed)
     areas = np.linalg.norm(_double_area(corners), axis=1) / 2
     middle = corners - 0.5 * (corners.min((0, 1)) + corners.max((0, 1)))
     volume = np.bincount(part, np.linalg.det(middle), parts)
@@ -100,21 +115,34 @@ def _inside_out(corners: NDArray, part: NDArray, closed: NDArray) -> NDArray:
     points, owner, weight = _points_beside(corners, part, areas)
     shares = _winding_numbers(corners, part, points)  # (parts, points)
 
-    def evidence(sign: NDArray, number: NDArray) -> NDArray:
-        """How far each part is a body (1), a sheet (0) or inside out (-1)."""
-        mean = 2 * np.bincount(owner, weight * number, parts) / np.bincount(owner, weight, parts)
+    own = np.bincount(owner, weight, parts)
+    holed = np.flatnonzero(given.holed)
+
+    def by_mean(sign: NDArray, number: NDArray) -> NDArray:
+        """How far each part is a body (1), a sheet (0) or inside out (-1), by the numbers beside it."""
+        mean = 2 * np.bincount(owner, weight * number, parts) / own
         negative = np.bincount(owner, number < -0.5, parts) > 0  # else a closed part is a cavity
         return np.where(closed, np.where((sign * volume < 0) & negative, -1.0, 1.0), mean)
 
+    def by_others(sign: NDArray, number: NDArray) -> NDArray:
+        """The same of each part with holes, by the numbers beside all parts, which two halves make whole."""
+        result, now = np.ones(parts), weight @ _implausible(number)
+        for part in holed:
+            result[part] = 2 * (weight @ _implausible(number - 2 * sign[part] * shares[part]) - now) / own[part]
+        return result
+
     def settled(sign: NDArray) -> tuple[NDArray, float]:
         number = sign @ shares
-        for _ in range(2 * parts):
-            least = evidence(sign, number)
-            worst = least.argmin()
-            if least[worst] >= -MIN_EVIDENCE:
-                break
-            sign[worst] *= -1
-            number += 2 * sign[worst] * shares[worst]
+        for evidence in (by_mean, by_others) if len(holed) <= MAX_HOLED_PARTS else (by_mean,):
+            for _ in range(2 * parts):
+                least = evidence(sign, number)
+                worst = least.argmin()
+                if least[worst] >= -MIN_EVIDENCE:
+                    break
+                sign[worst] *= -1
+                number += 2 * sign[worst] * shares[worst]
+        enclosed = np.bincount(owner, number > 0.5, parts) == np.bincount(owner)
+        sign[closed & given.halved & enclosed] *= -1  # as given it says nothing, and cavities are more usual than cores
         return sign, float(weight[number < NEGATIVE].sum() / weight.sum())
 
     starts = [np.ones(parts), -np.ones(parts)]
@@ -122,6 +150,11 @@ def _inside_out(corners: NDArray, part: NDArray, closed: NDArray) -> NDArray:
         starts.reverse()
     (first, inner), (second, others_inner) = map(settled, starts)
     return (second if others_inner < inner - NEGATIVE_SHARE else first) < 0
+
+
+def _implausible(number: NDArray) -> NDArray:
+    """How far winding numbers are from whole ones, which a surface without holes has, and how far below zero."""
+    return np.abs(number - np.round(number)) + np.maximum(-number, 0)
 
 
 def _points_beside(corners: NDArray, part: NDArray, areas: NDArray) -> tuple[NDArray, NDArray, NDArray]:
