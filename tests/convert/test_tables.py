@@ -89,6 +89,14 @@ def test_a_table_is_the_same_in_any_encoding(tmp_path, encoding):
     assert any("not in UTF-8" in note for note in recording.notes) == (encoding != "utf-8-sig")
 
 
+def test_a_micro_sign_of_dos_is_read_and_letters_are_doubted(tmp_path):
+    path = write_table(tmp_path / "mine.csv", renamed("uT", "\u00b5T"), VALUES)
+    path.write_bytes(path.read_text(encoding="utf-8").encode("cp850"))
+    (recording,) = read_recordings(path)
+    np.testing.assert_allclose(recording.readings, SKIN.readings, rtol=1e-9)
+    assert any("letters beyond ASCII in names may be wrong" in note for note in recording.notes)
+
+
 def as_zip(name):
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
@@ -116,6 +124,9 @@ def as_npy(array):
         (b"SQLite format 3\0" + bytes(40), "is an SQLite database"),
         (b"\x89HDF\r\n\x1a\n" + bytes(40), "is an HDF5 file"),
         (b'{"x_mm": [1, 2]}', "is a JSON document"),
+        (b'[\n  {\n    "x_mm": 1', "is a JSON document"),
+        (b"{\\rtf1\\ansi", "is a document in rich text (RTF)"),
+        (gzip.compress(gzip.compress(b"x_mm")), "is a gzip archive; unpack it first"),
         (pickle.dumps([1.0]), "is a Python pickle"),
         (b"\n<!DOCTYPE html><html>", "is a web page (HTML); download the file itself"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a Git LFS pointer"),
