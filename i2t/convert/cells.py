@@ -143,7 +143,10 @@ class DecimalSigns:
         sign = "," if "," in text else "."
         if sign not in text or (sign == self.sign == "."):
             return text
-        plain, kind = text.strip(), kind_of_number(text)
+        plain = text.strip()
+        if sign == self.sign and DECIMAL[sign].fullmatch(plain):
+            return plain.replace(",", ".")
+        kind = kind_of_number(plain)
         is_clear = kind in SIGN_NAMES
         if not self._final and ((is_clear and kind != self.sign) or (kind.startswith(MAYBE) and not self.sign)):
             self._count_all(plain, line)

@@ -346,7 +346,7 @@ def _without_other_lines(
     for line, cells in rows:
         if _is_empty(cells) or cells == units:
             continue
-        if not _is_number(cells[0]):
+        if not _is_number(cells[0].replace(",", ".")):
             words = [cell.strip().strip(EMPTY) for cell in [cells[0].lstrip(EMPTY + COMMENT_MARK + "%"), *cells[1:]]]
             if words[:width] == begins.names and not any(words[width:]):
                 repeats += 1
@@ -429,7 +429,7 @@ def _is_empty(cells: list[str]) -> bool:
 def _names_other_columns(words: list[str], names: list[str]) -> bool:
     """Test for a line of names: half of them are known, or each column has another one."""
     words = [word.strip() for word in (re.split("[;\t|]", words[0]) if len(words) == 1 else words) if word.strip()]
-    if len(words) < 2 or any(map(_is_number, words)):
+    if len(words) < 2 or any(_is_number(word.replace(",", ".")) for word in words):
         return False
     if 2 * sum(word in names or _is_field_or_ours(word) for word in words) >= len(words):
         return True
