@@ -69,9 +69,11 @@ FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"<!doctype html", "a web page (HTML)", "download the file itself"),
     (b"<html", "a web page (HTML)", "download the file itself"),
     (b"<?xml", "an XML document", EXPORT),
-    *((mark, "a JSON document", EXPORT) for mark in (b"{", b"[{", b"[[")),
+    (b"{\\rtf", "a document in rich text (RTF)", "save its table as plain text, in CSV and UTF-8"),
+    (GZIP_MARK, "a gzip archive", UNPACK),
     *((b"\x80" + bytes([protocol]), "a Python pickle", EXPORT) for protocol in range(2, 6)),
 )
+JSON_BEGINS = re.compile(rb'\s*(\{\s*["{}]|\[\s*[\[{"\]]|\[\s+[-0-9tfn])')  # indented or not
 ZIP_NAMES: tuple[tuple[bytes, str, str], ...] = (  # of entries in a zip archive that is a document
     (b"xl/", "an Excel workbook (.xlsx)", "save it as CSV in UTF-8"),
     (b"[Content_Types].xml", "an Excel workbook or another Office document", "save it as CSV in UTF-8"),
@@ -211,11 +213,12 @@ def kind_of(head: bytes) -> tuple[str, str]:
         for name, kind, remedy in ZIP_NAMES:
             if name in head:
                 return kind, remedy
-    markup = head.removeprefix(codecs.BOM_UTF8).lstrip().lower()
+    text = head.removeprefix(codecs.BOM_UTF8)
+    markup = text.lstrip().lower()
     for mark, kind, remedy in FILE_MARKS:
-        if (markup if mark.startswith(b"<") else head).startswith(mark):
+        if (markup if mark.startswith((b"<", b"{")) else head).startswith(mark):
             return kind, remedy
-    return "", ""
+    return ("a JSON document", EXPORT) if JSON_BEGINS.match(text) else ("", "")
 
 
 def encoding_of(path: str | Path, head: bytes, *, whole: bool) -> str:
@@ -324,6 +327,8 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
                         f"{path}: unpacks to more than {_size(int(most))}, as no recording does; restore it from the "
                         "source"
                     )
+                if not line.strip("\0"):  # a power cut leaves zeros at the end of a log
+                    continue
                 if len(line) == MAX_LINE_BYTES and not line.endswith("\n"):
                     raise DataError(f"{path}: line {number} has more than {MAX_LINE_BYTES} bytes; it is no table")
                 if not line.isascii() and UNDECODED.search(line):

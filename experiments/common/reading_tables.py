@@ -15,8 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from i2t.convert.tables import beginning_of, open_text_table
+from i2t.convert.cells import GROUPED_MARK, as_written, parse_number
+from i2t.convert.common import ConversionLog
+from i2t.convert.tables import FIELD_STEM, beginning_of, open_text_table
 from i2t.errors import DataError, did_you_mean
+from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
 MAX_VALUE = 1e30  # of a reading: classifiers count in single precision
@@ -24,6 +27,7 @@ CLOSE = 0.25  # distance of two rows, in those of a label's rows that do not fol
 MIN_CLOSE_SHARE = 0.1  # of rows that follow a close one: where more do than by chance, a warning says so
 LEAST_RISES = 12  # of a column that never falls, which is no reading then
 MIN_JUMP = 0.5  # distance, likewise, between what are touches of their own then; a drift has no jumps
+MAX_ZERO_SHARE = 0.1  # of the values of other rows: where more are zero, a row of zeros is a reading
 OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
 
 
@@ -37,6 +41,7 @@ class ReadingTable(NamedTuple):
     groups: tuple[str, ...]  # in the order of the files
     columns: tuple[str, ...]  # of the reading
     samples: int = 0  # rows of the files, where several of them are one touch; 0 where each row is one
+    notes: tuple[str, ...] = ()  # what was undone in the files and left out, a sentence each
 
 
 class _Part(NamedTuple):
@@ -47,6 +52,7 @@ class _Part(NamedTuple):
     touches: list[str]  # which touch a row is a sample of; empty texts where each row is one
     columns: tuple[str, ...]
     reading: np.ndarray
+    notes: list[str]
 
 
 def read_reading_table(
@@ -115,6 +121,7 @@ def read_reading_table(
         group=np.array([groups.index(text) for text in grouped]),
         groups=groups,
         columns=parts[0].columns,
+        notes=tuple(f"{path}: {note}" for path, part in zip(paths, parts, strict=True) for note in part.notes),
     )
     if touch is None:
         return table
@@ -184,29 +191,45 @@ def refuse_counters(table: ReadingTable, path: Path, *, may_number_touches: bool
 
 
 def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touch: str | None) -> _Part:
-    header, rows, _ = open_text_table(path, as_named=True)
-    if len(set(header)) != len(header):
-        raise DataError(f"{path}: column {_twice(header)} stands twice in the first line; rename one")
-    if missing := [name for name in (label, group, touch, *ignore) if name is not None and name not in header]:
+    special = [name for name in (label, group, touch, *ignore) if name is not None]
+    header, rows, notes = open_text_table(path, as_named=True, texts=special)
+    if missing := [name for name in special if name not in header]:
         remedy = did_you_mean(missing[0], header, "name one of its columns")
         raise DataError(f"{path}: there is no column {missing[0]} ({beginning_of(header)}); {remedy}")
-    kept = [i for i, name in enumerate(header) if name not in (label, group, touch, *ignore)]
+    kept = [i for i, name in enumerate(header) if name not in special]
+    if twice := next((name for name in header if header.count(name) > 1 and name not in ignore), ""):
+        raise DataError(f"{path}: column {twice} stands twice in the first line; rename one")
     if not kept:
         raise DataError(f"{path}: no column is left for the reading; leave out fewer")
-    labels: list[str] = []
-    groups: list[str] = []
-    touches: list[str] = []
+    texts: list[list[str]] = []
     readings: list[np.ndarray] = []
     for line, cells in rows:
         if len(cells) != len(header):
             raise DataError(f"{path}: line {line} has {len(cells)} fields for {len(header)} columns; correct it")
-        labels.append(_name(path, line, label, cells[header.index(label)]))
-        groups.append("" if group is None else _name(path, line, group, cells[header.index(group)]))
-        touches.append("" if touch is None else _name(path, line, touch, cells[header.index(touch)]))
+        names = (label, group, touch)
+        texts.append(["" if name is None else _name(path, line, name, cells[header.index(name)]) for name in names])
         readings.append(_reading(path, line, [header[i] for i in kept], [cells[i] for i in kept]))
-    if not labels:
+    if not readings:
         raise DataError(f"{path}: holds no row below the names of its columns; give one a touch")
-    return _Part(labels, groups, touches, tuple(header[i] for i in kept), np.array(readings))
+    columns, reading = tuple(header[i] for i in kept), np.array(readings)
+    log = ConversionLog(skip_bad=False, lines=list(notes))
+    heard = log.keep_heard(_silent(columns, reading))
+    log.require_heard(path)
+    labels, groups, touches = zip(*(row for row, keep in zip(texts, heard, strict=True) if keep), strict=True)
+    return _Part(list(labels), list(groups), list(touches), columns, reading[heard], log.sentences())
+
+
+def _silent(columns: Sequence[str], reading: np.ndarray) -> np.ndarray:
+    """Where (n, chips) a chip sent zeros; the columns are one chip where no chips are named. Of sensors that often send
+    zeros, as arrays of switches do, a row of zeros is a reading.
+    """
+    fields = [i for i, name in enumerate(columns) if FIELD_STEM.match(name.lower())]
+    if fields and len(fields) % AXES_OF_CHIP == 0:
+        return silent_chips(reading[:, fields], differences=True)
+    zeros = (reading == 0).all(1, keepdims=True)
+    others = reading[~zeros[:, 0]]
+    plain = reading.shape[1] >= AXES_OF_CHIP and (not others.size or np.mean(others == 0) <= MAX_ZERO_SHARE)
+    return zeros & plain
 
 
 def _name(path: Path, line: int, column: str, text: str) -> str:
@@ -223,19 +246,15 @@ def _reading(path: Path, line: int, columns: Sequence[str], texts: Sequence[str]
     at = int(good.argmin())
     column, text = columns[at], texts[at].strip()
     wrong = f"is beyond {MAX_VALUE:g}" if np.isfinite(values[at]) else "is no number"
+    if text.endswith(GROUPED_MARK):
+        text, wrong = as_written(text), "may be decimal or grouped thousands"
     what = f"has {text!r} in column {column}, which {wrong}" if text else f"lacks column {column}"
     raise DataError(f"{path}: line {line} {what}; correct or remove the row, or leave the column out (--ignore)")
 
 
 def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
-
-
-def _twice(names: Sequence[str]) -> str:
-    return next(name for name in names if names.count(name) > 1)
+    number = parse_number(text)
+    return np.nan if number is None else number
 
 
 def _in_order(texts: Sequence[str]) -> tuple[str, ...]:

@@ -90,7 +90,7 @@ def run(args: RecordedArgs) -> dict[str, Any]:
         f"{len(table.label)} readings of {len(table.columns)} values, {len(table.labels)} labels in "
         f"{len(table.groups)} groups; the first {args.train_share:.0%} of each label's rows teach"
     )
-    for sentence in describe_touches(table, args.touch, alike):
+    for sentence in [*table.notes, *describe_touches(table, args.touch, alike)]:
         print(sentence)
     paths = {
         (split, i): args.out / f"{split.replace(' ', '_')}-{i}.npz"

@@ -90,6 +90,8 @@ def run(args: ShapesArgs, cfg: Methods) -> dict[str, Any]:
     started = time.perf_counter()
     n, t, d = data.reading.shape
     print(f"{n} rows of {len(data.labels)} labels, {t} sample{'s' if t > 1 else ''} of {d} values each")
+    for sentence in table.notes:
+        print(sentence)
     train = training_rows(table, SHARE, args.seed)
     tasks = []
     for name, taught in train.items():

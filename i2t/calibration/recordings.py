@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from i2t.convert.cells import parse_number
 from i2t.convert.common import read_text
 from i2t.convert.eflesh import (
     EFLESH_READINGS,
@@ -499,14 +500,8 @@ def _lines(path: Path) -> list[list[str]]:
 
 def _numbers(cells: list[str], count: int) -> list[float]:
     """Numbers of a line; NaN for other text."""
-
-    def number(cell: str) -> float:
-        try:
-            return float(cell)
-        except ValueError:
-            return np.nan
-
-    return [number(cell) for cell in [*cells, *[""] * count][:count]]
+    numbers = [parse_number(cell) for cell in [*cells, *[""] * count][:count]]
+    return [np.nan if number is None else number for number in numbers]
 
 
 def _loose_table(folder: Path, name: str) -> np.ndarray:

@@ -13,6 +13,8 @@ from i2t import files
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 
+ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"
+
 
 class Converted(NamedTuple):
     """A data set and, in sentences, what was assumed and what was left out on the way."""
@@ -136,6 +138,26 @@ class ConversionLog:
         notes = self.sentences()
         meta = dict(dataset.meta) | {"notes": " | ".join(notes)}
         return Converted(replace(dataset, meta=meta), tuple(notes))
+
+
+def require_ambient(
+    source: object, silent: Bool[np.ndarray, "n chips"], silent_ambient: Bool[np.ndarray, "n chips"], remedy: str
+) -> None:
+    """Refuse an ambient field that is missing of a chip which answered otherwise.
+
+    Args:
+        source: Names the file.
+        silent: Where a chip did not answer.
+        silent_ambient: Where its ambient field is zero.
+        remedy: What to do.
+
+    Raises:
+        DataError: A chip that answered has no ambient field in any row.
+    """
+    missing = silent_ambient.all(0) & ~silent.all(0)
+    if len(silent) and missing.any():
+        chips = ", ".join(map(str, np.flatnonzero(missing)))
+        raise DataError(f"{source}: the ambient field of chip {chips} is zero in every row; {remedy}")
 
 
 def data_error(path: Path, problem: str) -> DataError:

@@ -144,13 +144,14 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
     reading, time = samples.readings(tactile, options.order, notes)
     n = len(reading)
     poses = folder / f"{folder.name}_poses" / f"experiment_{run}"
-    T_w_t, approach = _poses(poses, n, notes)
+    damaged = np.zeros(n, bool)  # touches, marked by what is read below
+    T_w_t, approach = _poses(poses, damaged, notes)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
     patch, closest = _patches(images, n, options, notes)
     axis = np.array([0.0, 0.0, 1.0]) if options.tool_forces else T_w_t[:, :3, 2]
     nearest = closest - options.camera - approach
     _note_distance(nearest, images, notes)
-    force, code = _forces(folder / f"{folder.name}_forces" / f"experiment_{run}", axis, n, notes)
+    force, code = _forces(folder / f"{folder.name}_forces" / f"experiment_{run}", axis, damaged, notes)
     touches = Touches(
         patch=patch,
         wide=missing_context(n),
@@ -177,7 +178,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
         reach=options.reach,
         meta={"converter": "imagine2touch", **_remarks(folder, run)},
     )
-    return dataset.select(np.isfinite(reading).all(1) & np.isfinite(closest))
+    return dataset.select(np.isfinite(reading).all(1) & np.isfinite(closest) & ~damaged)
 
 
 def _objects(source: Path) -> list[Path]:
@@ -208,10 +209,11 @@ def _remarks(folder: Path, run: str) -> dict[str, str]:
     return {f"remarks on {folder.name} {run}": words} if words else {}
 
 
-def _poses(stem: Path, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+def _poses(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
     """Poses (n, 4, 4) at the contact, and the way (n,) in m along tool z from where the camera looked to it."""
-    final, prepare = (_optional(stem, name, (n, 3), notes) for name in ("final_contact", "prepare_contact"))
-    rotations = _rotations(stem, n, notes)
+    n = len(damaged)
+    final, prepare = (_optional(stem, name, (3,), damaged, notes) for name in ("final_contact", "prepare_contact"))
+    rotations = _rotations(stem, damaged, notes)
     T_w_t = np.full((n, 4, 4), np.nan)
     posed = np.isfinite(final).all(1) & np.isfinite(rotations).all((1, 2))
     T_w_t[posed] = np.eye(4)
@@ -231,25 +233,29 @@ def _poses(stem: Path, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.nda
     return T_w_t, approach
 
 
-def _rotations(stem: Path, n: int, notes: ConversionLog) -> np.ndarray:
+def _rotations(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> np.ndarray:
     """Rotations (n, 3, 3) of the tool, NaN where unknown."""
-    values = _optional(stem, "rotations", (n, 4), notes)
-    result = np.full((n, 3, 3), np.nan)
-    known = np.isfinite(values).all(1)
+    values = _optional(stem, "rotations", (4,), damaged, notes)
+    result = np.full((len(damaged), 3, 3), np.nan)
     crooked = np.abs(np.linalg.norm(values, axis=1) - 1) > QUATERNION_NORM_TOLERANCE
-    if crooked.any():
-        raise data_error(stem, f"quaternion {np.flatnonzero(crooked)[0] + 1} of its rotations is not of length 1")
+    for k in np.flatnonzero(crooked):
+        notes.skip(data_error(stem, f"quaternion {k + 1} of its rotations is not of length 1"))
+    damaged |= crooked
+    known = np.isfinite(values).all(1) & ~crooked
     if known.any():
         result[known] = Rotation.from_quat(values[known]).as_matrix()
     return result
 
 
-def _forces(stem: Path, axis: np.ndarray, n: int, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+def _forces(stem: Path, axis: np.ndarray, damaged: np.ndarray, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
     """Force (n,) N along tool z, which is `axis` in the axes of the wrenches; return codes (n,)."""
-    wrenches = _optional(stem, "forces_torques", (n, 6), notes)
-    codes = _optional(stem, "contact_returns", (n,), notes, unknown=float(ReturnCode.UNDEFINED))
-    if not np.isin(codes, [int(code) for code in ReturnCode]).all():
-        raise data_error(stem, "contact_returns hold a value that is no return code (-1 to 4)")
+    wrenches = _optional(stem, "forces_torques", (6,), damaged, notes)
+    codes = _optional(stem, "contact_returns", (), damaged, notes, unknown=float(ReturnCode.UNDEFINED))
+    wrong = ~np.isin(codes, [int(code) for code in ReturnCode])
+    for k in np.flatnonzero(wrong & ~np.isnan(codes)):
+        notes.skip(data_error(stem, f"contact_returns hold a value at touch {k + 1} that is no return code (-1 to 4)"))
+    damaged |= wrong
+    codes = np.where(wrong, float(ReturnCode.UNDEFINED), codes)
     return -np.sum(wrenches[:, :3] * axis, axis=1), codes
 
 
@@ -276,14 +282,23 @@ def _note_distance(nearest: np.ndarray, images: Path, notes: ConversionLog) -> N
     if abs(middle) > FAR_M:
         notes.info(
             f"{images}: the surface begins {1e3 * abs(middle):.3g} mm {'behind' if middle < 0 else 'in front of'} the "
-            "skin at the touches, in the median: correct --camera, or the unit of the images, which are taken for mm"
+            "skin at the touches, in the median: correct --camera-mm, or the unit of the images, which are taken for mm"
         )
 
 
 def _optional(
-    stem: Path, name: str, shape: tuple[int, ...], notes: ConversionLog, *, unknown: float = math.nan
+    stem: Path,
+    name: str,
+    width: tuple[int, ...],
+    damaged: np.ndarray,
+    notes: ConversionLog,
+    *,
+    unknown: float = math.nan,
 ) -> np.ndarray:
-    """A file of numbers of this shape, or the unknown value where there is no file."""
+    """A file of as many numbers for each touch, NaN and marked in `damaged` where a touch's are no numbers; or the
+    unknown value where there is no file.
+    """
+    shape = (len(damaged), *width)
     wanted = stem.with_name(f"{stem.name}_{name}")
     path = npy.find(wanted)
     if path is None:
@@ -296,9 +311,13 @@ def _optional(
         raise data_error(path, f"does not hold numbers of the shape {shape}") from error
     if numbers.size != math.prod(shape) or len(numbers) != shape[0]:
         raise data_error(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
-    if not (np.abs(numbers) < MAX_POSE_VALUE).all():
-        raise data_error(path, f"is not finite at touch {np.argwhere(~(np.abs(numbers) < MAX_POSE_VALUE))[0][0] + 1}")
-    return numbers.reshape(shape)
+    numbers = numbers.reshape(shape)
+    wrong = ~(np.abs(numbers) < MAX_POSE_VALUE).reshape(len(damaged), -1).all(1)
+    for k in np.flatnonzero(wrong):
+        notes.skip(data_error(path, f"is not finite at touch {k + 1}"))
+    damaged |= wrong
+    numbers[wrong] = np.nan
+    return numbers
 
 
 def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from i2t import validation
-from i2t.convert.common import ConversionLog, Converted
+from i2t.convert.common import ZERO_AMBIENT, ConversionLog, Converted, require_ambient
 from i2t.convert.press_table import (
     PressTable,
     SessionCheck,
@@ -153,7 +153,9 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
         return wanted
 
     rows, numbers = sound_rows(source, header, table.rows, columns, needed, notes)
-    heard = notes.keep_heard(_silent(numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes))
+    heard = notes.keep_heard(
+        _silent(source, numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes)
+    )
     notes.require_heard(
         source, "check the board's cable and record again, or empty the fields of a chip that is missing"
     )
@@ -181,7 +183,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
     return presses, _sources(source, header, [row for row, keep in zip(rows, kept, strict=True) if keep])
 
 
-def _silent(fields: np.ndarray, chips: int, notes: ConversionLog) -> np.ndarray:
+def _silent(source: Path, fields: np.ndarray, chips: int, notes: ConversionLog) -> np.ndarray:
     """Where (n, chips) a press is to be left out: a chip sent zeros, or no chip has a value.
 
     A chip whose fields are empty is missing, and its press is kept. Ambient columns that are zero in every row subtract
@@ -190,10 +192,14 @@ def _silent(fields: np.ndarray, chips: int, notes: ConversionLog) -> np.ndarray:
     readings, ambient = fields[:, : AXES_OF_CHIP * chips], fields[:, AXES_OF_CHIP * chips :]
     subtracts = bool(ambient.any())
     if ambient.size and not subtracts:
-        notes.info("ambient is zero in every row: nothing is subtracted")
+        notes.info(ZERO_AMBIENT)
     silent = silent_chips(readings, differences=not subtracts)
     if subtracts:
-        silent |= silent_chips(ambient)
+        silent_ambient = silent_chips(ambient)
+        require_ambient(
+            source, silent, silent_ambient, "correct its columns a0x_uT ..., or leave out those of all chips"
+        )
+        silent |= silent_ambient
     missing = np.isnan(readings).reshape(len(fields), chips, AXES_OF_CHIP).all(2)
     return silent | (silent | missing).all(1, keepdims=True)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from i2t.convert import npy
-from i2t.convert.common import ConversionLog, data_error
+from i2t.convert.common import ZERO_AMBIENT, ConversionLog, data_error, require_ambient
 from i2t.errors import DataError
 from i2t.skin.boards import AXES_OF_CHIP, mean_known, without_silent_chips
 
@@ -48,8 +48,9 @@ def readings(tactile: Path, order: str, notes: ConversionLog) -> tuple[np.ndarra
         raise data_error(path, "holds no touch")
     if any(len(sample) != 4 * CHIPS for touch in touches for sample in touch):
         raise data_error(path, f"holds a sample that has not {4 * CHIPS} values")
-    if order == "auto":
-        order = _detected(path, np.array([sample for touch in touches for sample in touch]))
+    values = np.array([sample for touch in touches for sample in touch])
+    if order == "auto" and values.any():  # of a board that never answered no order is needed
+        order = _detected(path, values)
         notes.info(f"{path}: samples are in {order} order")
     means = _means(path, touches, order, notes)
     path = _existing(tactile.with_name(tactile.name + "_ambient"))
@@ -60,8 +61,15 @@ def readings(tactile: Path, order: str, notes: ConversionLog) -> tuple[np.ndarra
     ambient = _means(path, groups, order, notes)
     ambient = ambient if len(groups) == n else ambient[np.arange(n) // 10]
     sound = ~(np.isinf(means) | np.isinf(ambient)).any(1)
-    silent = np.isnan(means[sound]) | np.isnan(ambient[sound])
-    notes.keep_heard(silent.reshape(-1, CHIPS, AXES_OF_CHIP).any(2))
+    silent, silent_ambient = (
+        np.isnan(mean[sound]).reshape(-1, CHIPS, AXES_OF_CHIP).any(2) for mean in (means, ambient)
+    )
+    if len(silent) and silent_ambient.all() and not silent.all():
+        notes.info(f"{path}: {ZERO_AMBIENT}")
+        silent_ambient[:] = False
+        ambient = np.where(np.isnan(ambient), 0, ambient)
+    require_ambient(path, silent, silent_ambient, "record it again, or write zeros for all chips to subtract nothing")
+    notes.keep_heard(silent | silent_ambient)
     difference = np.full(means.shape, np.nan)
     difference[sound] = means[sound] - ambient[sound]
     return difference, np.array([_time(t) for t in items])
@@ -142,10 +150,11 @@ def _detected(path: Path, samples: np.ndarray) -> str:
     """
     spread = {}
     for order, column in (("binary", 0), ("ascii", 3)):
-        values = samples.reshape(-1, CHIPS, 4)[..., column]
+        chips = samples.reshape(-1, CHIPS, 4)
         # A chip that fails sends a temperature of zero, too.
-        answered = (samples.reshape(-1, CHIPS, 4) != 0).any(2).all(1)
-        values = values[(np.abs(values) < MAX_SAMPLE_VALUE).all(1) & answered]
+        answered = (chips != 0).any(2)
+        values = chips[..., column][answered]
+        values = values[np.abs(values) < MAX_SAMPLE_VALUE]
         plausible = (
             values.size
             and TEMPERATURES[0] <= values.min()

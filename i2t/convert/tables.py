@@ -8,15 +8,26 @@ which refuses what is damaged, and `i2t.calibration.recordings`, which keeps wha
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from i2t.convert.clocks import stamp_in_seconds, states_zone, unix_unit
+from i2t.convert.cells import (
+    DECIMAL,
+    GROUPED_MARK,
+    MAYBE,
+    NO_TIME_MARK,
+    DecimalSigns,
+    as_written,
+    count_kinds,
+    kind_of_number,
+    parse_number,
+)
+from i2t.convert.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
 from i2t.convert.common import ConversionLog, data_error
 from i2t.errors import DataError
 from i2t.files import UTF_8, WINDOWS_1252, encoding_of_file, read_lines
@@ -30,12 +41,13 @@ QUANTITY_OF = {
 }  # by a column's name without its unit
 UNITS: dict[str, tuple[str, dict[str, float]]] = {  # of each quantity: ours, and others with their factors
     "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
-    "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0}),
+    "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "kg": 9.80665}),
-    "time": ("s", {"ms": 1e-3, "us": 1e-6, "min": 60.0}),
+    "time": ("s", {"sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}),
 }
 WORDS = {name: name for name in ("session", "pad", "contact", "slip")} | {"run": "session"}
 HEIGHT_COLUMNS = ("z_mm", "height_mm")  # of the tip, in place of a depth
+MAX_SHOWN = 60  # letters of a line that is not understood
 SHOWN_NAMES = 6  # of a table that is not understood
 MAX_NAMED = 5  # columns that a sentence names
 MAX_TABLE_VALUE = 1e9  # of any number, in its unit
@@ -46,16 +58,14 @@ TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
 STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
 SAMPLE_ROWS = 64  # by which decimals, times and units are told
 COMMENT_MARK, SPREADSHEET_ERROR = "#", re.compile("#(N/A|[A-Z0-9/]+[!?])")
-SEPARATOR_LINE = re.compile("sep=(.)", re.IGNORECASE)  # with which spreadsheets name the delimiter
+SEPARATOR_LINE = re.compile(r"sep=(\\t|.)", re.IGNORECASE)  # with which spreadsheets name the delimiter
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
-DECIMAL = {sign: re.compile(rf"[-+]?[0-9]*[{sign}][0-9]+([eE][-+]?[0-9]+)?") for sign in ".,"}
-GROUPED = {  # numbers that may have this sign between thousands
-    ".": re.compile(r"[-+]?[1-9][0-9]{0,2}([.][0-9]{3})+(,[0-9]*)?"),
-    ",": re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+([.][0-9]*)?"),
-}
-MAYBE_GROUPED = "?"  # behind such a number that cannot be read
+EMPTY = " \t\r\n\0\x1a\ufeff\u00a0"  # what cells hold that hold nothing, the old mark of a file's end among it
+MAX_TITLE_LINES = 20  # above the names of the columns
+EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count days
 UNIT_BRACKETS = re.compile(r"[\s\[\]()]")
 UNIT_WORDS = {"-", "1", "#"} | {word for own, others in UNITS.values() for word in (own.lower(), *others)}
+MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # the last is that of cp850, read as cp1252
 ENCODING_NAMES = {WINDOWS_1252: "Windows-1252 (cp1252)"}
 
 
@@ -96,12 +106,13 @@ def read_text_table(path: Path) -> TextTable:
     return TextTable(table.header, list(table.rows), table.notes)
 
 
-def open_text_table(path: Path, *, as_named: bool = False) -> TableRows:
+def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] = ()) -> TableRows:
     """Begin to read a table that may be larger than memory.
 
     Args:
         path: of the file, plain or gzip-ed.
         as_named: leave names and units of columns as they are.
+        texts: columns whose cells stay as they are; they are looked for in the first lines.
 
     Returns:
         The table, its rows as they are asked for, once.
@@ -109,7 +120,7 @@ def open_text_table(path: Path, *, as_named: bool = False) -> TableRows:
     Raises:
         DataError: it cannot be read, or is no table; of a later row when that row is asked for.
     """
-    return _table(path, as_named)
+    return _table(path, as_named, texts)
 
 
 def field_columns(
@@ -138,7 +149,7 @@ def field_columns(
         raise DataError(
             f"{path}: column {', '.join(beyond)} is of no chip of the board, which has {chips}; name it with --board"
         )
-    if twice := next((name for name in header if header.count(name) > 1), ""):
+    if twice := next((name for name in header if header.count(name) > 1 and _is_read(name)), ""):
         raise DataError(f"{path}: a column name, {twice}, stands twice in the first line; rename one")
     return values
 
@@ -182,15 +193,23 @@ def sound_rows(
     wrong |= np.isinf(numbers) | (np.isnan(numbers) & needed(np.isnan(numbers)))
     for k in np.flatnonzero(wrong.any(1)):
         (line, cells), j = complete[k], int(np.flatnonzero(wrong[k])[0])
-        cell, problem = cells[at[j]], "which is no such number; correct it"
-        if columns[j] == TIME and re.search("[0-9]:[0-9]", cell):
-            problem = "which is no time in ISO 8601; write it as 2025-10-20 12:00:00.010, or in seconds"
-        if cell.endswith(MAYBE_GROUPED):
-            cell = cell.removesuffix(MAYBE_GROUPED)
-            problem = "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
+        cell = cells[at[j]]
+        problem = _problem(cell, columns[j])
+        cell = as_written(cell)
         notes.skip_row(DataError(f"{path}: line {line} has {cell!r} in column {columns[j]}, {problem}"))
     sound = ~wrong.any(1)
     return [row for row, kept in zip(complete, sound, strict=True) if kept], numbers[sound]
+
+
+def _problem(cell: str, column: str) -> str:
+    """What is wrong with a cell that holds no plausible number, and how to put it right."""
+    if cell.endswith(GROUPED_MARK):
+        return "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
+    if column != TIME or not (cell.endswith(NO_TIME_MARK) or re.search("[0-9][:./-][0-9]", cell)):
+        return "which is no such number; correct it"
+    days = parse_number(as_written(cell))
+    counted = " but may count days, as spreadsheets do" if days and EXCEL_DAYS[0] <= days < EXCEL_DAYS[1] else ""
+    return f"which is no time in ISO 8601{counted}; write it as 2025-10-20 12:00:00.010, or in seconds"
 
 
 def names_in(header: list[str], cells: list[str], kind: str) -> str:
@@ -220,6 +239,8 @@ def beginning_of(header: list[str]) -> str:
         return "it holds no name of a column"
     if all(_is_number(name) for name in header):
         return "its first line holds numbers and no names"
+    if len(header) == 1:
+        return f"its first line holds {header[0][:MAX_SHOWN]!r} alone: delete lines above the names"
     more = " ..." if len(header) > SHOWN_NAMES else ""
     return f"its first line names {', '.join(header[:SHOWN_NAMES])}{more}"
 
@@ -227,16 +248,16 @@ def beginning_of(header: list[str]) -> str:
 def _numbers(texts: list[list[str]], columns: int) -> np.ndarray:
     """(n, columns) numbers: NaN where nothing stands, infinite where no number does."""
     try:
-        return np.array([[text or "nan" for text in row] for row in texts], float).reshape(-1, columns)
+        if "_" not in "".join(map("".join, texts)):  # NumPy reads 3_2 as 32
+            return np.array([[text or "nan" for text in row] for row in texts], float).reshape(-1, columns)
     except ValueError:
-        return np.array([[_number(text) for text in row] for row in texts]).reshape(-1, columns)
+        pass
+    return np.array([[_number(text) for text in row] for row in texts]).reshape(-1, columns)
 
 
 def _number(text: str) -> float:
-    try:
-        return float(text) if text.strip() else np.nan
-    except ValueError:
-        return np.inf
+    number = parse_number(text) if text.strip() else np.nan
+    return np.inf if number is None else number
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:
@@ -253,6 +274,7 @@ class _Beginning(NamedTuple):
     delimiter: str  # a space stands for any number of them
     before: int  # lines up to the names
     comments: int  # of these
+    titles: int  # of these, lines above the names that are none
     sample: list[str]  # lines that follow and were read already
 
 
@@ -262,36 +284,91 @@ class _Columns(NamedTuple):
     header: list[str]  # in our words
     factors: list[float]  # by which numbers grow
     stamps: bool  # times are dates, or times of day
+    texts: Sequence[str] = TEXT_COLUMNS  # columns that hold no numbers
 
     def where(self, wanted: Callable[[str, float], bool]) -> list[int]:
         """Columns whose name and factor are wanted."""
         return [i for i, both in enumerate(zip(self.header, self.factors, strict=True)) if wanted(*both)]
 
 
-def _table(path: Path, as_named: bool = False) -> TableRows:
+def _table(path: Path, as_named: bool = False, texts: Sequence[str] = ()) -> TableRows:
     """Names of the columns, the rows in our words and units, and what was undone."""
     try:
         encoding = encoding_of_file(path)
     except OSError as error:
         raise data_error(path, f"cannot be read ({error.strerror or error})") from error
     lines = _lines(path, encoding)
-    begins = _beginning(lines)
-    parts = [cells for _, cells in _parsed(path, begins.sample, begins.delimiter, strict=False)]
-    has_units = bool(parts) and _are_units(parts[0])
-    units, first = parts[0] if has_units else [], next(iter(parts[has_units:]), [])
-    comma = _decimal_sign(parts, begins.delimiter) == ","
-    notes = _notes_on(encoding, begins, comma=comma)
+    begins = _beginning(lines, texts)
+    parts = [cells for _, cells in _parsed(path, begins.sample, begins.delimiter, strict=False) if not _is_empty(cells)]
+    units = parts[0] if parts and _are_units(parts[0]) else []
+    sample = parts[bool(units) :]
     kept = [i for i, name in enumerate(begins.names) if name]
     stated = [_with_unit(path, begins.names[i], *units[i : i + 1]) for i in kept]
-    columns = _Columns(stated, [1.0] * len(stated), False)
-    if not as_named:
-        shown = [_with_point(first[i], comma=comma, quoted=False) if i < len(first) else "" for i in kept]
-        columns = _our_columns(stated, shown, notes)
-    if has_units:
+    cells_of = [[cells[i].strip() for cells in sample if i < len(cells) and cells[i].strip()] for i in kept]
+    notes = _notes_on(encoding, begins)
+    columns = _Columns(stated, [1.0] * len(stated), False, texts) if as_named else _our_columns(stated, cells_of, notes)
+    dates = columns.where(lambda name, _: columns.stamps and name == TIME)
+    seconds = columns.where(lambda name, factor: name == TIME and factor == 1)
+    seconds = [i for i in seconds if not as_named and i not in dates and _is_decimal_time(cells_of[i])]
+    numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or _is_read(name)))
+    numbers = [i for i in numbers if i not in (*dates, *seconds)]
+    at, counters = [kept[i] for i in numbers], [kept[i] for i in columns.where(lambda name, _: name == TIME)]
+
+    def all_kinds() -> Counter[str]:
+        return count_kinds(
+            (cells for _, cells in _parsed(path, _lines(path, encoding), begins.delimiter, strict=False)), at, counters
+        )
+
+    signs = DecimalSigns(path, count_kinds(sample, at, counters), all_kinds, begins.delimiter)
+    changes: list[tuple[list[int], Callable[[str], str]]] = [(dates, _stamp), (seconds, _with_decimal_point)]
+    if begins.delimiter != "," or signs.sign == ",":
+        decimal = ", and commas are decimal" if signs.sign == "," else ""
+        notes.append(f"fields are separated by {DELIMITERS[begins.delimiter]}{decimal}")
+    if units:
         notes.append("units stand in the line below the names of the columns")
     numbered = _parsed(path, chain(begins.sample, lines), begins.delimiter, begins.before)
-    rows = islice(_undone(numbered, begins, columns, kept, notes, comma=comma), int(has_units), None)
-    return TableRows(columns.header, rows, notes)
+    rows = _without_other_lines(path, numbered, begins, columns, units, notes)
+    return TableRows(columns.header, _undone(rows, begins, columns, kept, numbers, signs, changes, notes), notes)
+
+
+def _without_other_lines(
+    path: Path,
+    rows: Iterator[tuple[int, list[str]]],
+    begins: _Beginning,
+    columns: _Columns,
+    units: list[str],
+    notes: list[str],
+) -> Iterator[tuple[int, list[str]]]:
+    """Rows without empty ones, comments, and repeated names and units; the last notes come with their end."""
+    width, comments, repeats = len(begins.names), 0, 0
+    has_text_first = bool(begins.names and begins.names[0]) and columns.header[0] in columns.texts
+    marked_rows: bool | None = None  # whether rows begin with the mark of comments, as some labels do
+    for line, cells in rows:
+        if _is_empty(cells) or cells == units:
+            continue
+        if not _is_number(cells[0].replace(",", ".")):
+            words = [cell.strip().strip(EMPTY) for cell in [cells[0].lstrip(EMPTY + COMMENT_MARK + "%"), *cells[1:]]]
+            if words[:width] == begins.names and not any(words[width:]):
+                repeats += 1
+                continue
+            if _names_other_columns(words, begins.names):
+                raise DataError(
+                    f"{path}: line {line} names other columns ({', '.join(words[:3])} ...); split the file there"
+                )
+        is_marked = cells[0].lstrip().startswith(COMMENT_MARK) and not SPREADSHEET_ERROR.fullmatch(cells[0].strip())
+        if is_marked and not (has_text_first and len(cells) == width):
+            comments += 1
+            continue
+        if marked_rows is None:
+            marked_rows = is_marked
+        if has_text_first and is_marked != marked_rows:
+            raise DataError(
+                f"{path}: some rows up to line {line} ({cells[0]!r}) begin with {COMMENT_MARK} and some do not, so "
+                "that they may be rows or comments; remove these lines, or rename their first cells"
+            )
+        yield line, cells
+    counts = {"lines of comments between the rows": comments, "lines that repeat the names of the columns": repeats}
+    notes += [f"left out: {count} {what}" for what, count in counts.items() if count]
 
 
 def _undone(
@@ -299,70 +376,107 @@ def _undone(
     begins: _Beginning,
     columns: _Columns,
     kept: list[int],
+    numbers: list[int],
+    signs: DecimalSigns,
+    changes: list[tuple[list[int], Callable[[str], str]]],
     notes: list[str],
-    *,
-    comma: bool,
 ) -> Iterator[tuple[int, list[str]]]:
-    """Rows with decimal points, in our units, without what is no row of numbers; the last notes come with their end."""
-    width, all_named = len(begins.names), len(kept) == len(begins.names)
-    numbers = columns.where(lambda name, _: name not in TEXT_COLUMNS and not (columns.stamps and name == TIME))
-    others = columns.where(lambda _, factor: factor != 1)
-    stamps = columns.where(lambda name, _: columns.stamps and name == TIME)
-    with_point = partial(_with_point, comma=comma, quoted=begins.delimiter == ",")
-    comments = repeats = 0
+    """Rows with decimal points, in our units."""
+    width, all_named, before = len(begins.names), len(kept) == len(begins.names), signs.sign
+    scaled = columns.where(lambda _, factor: factor != 1)
     for line, cells in rows:
-        if cells[0].lstrip().startswith(COMMENT_MARK) and not SPREADSHEET_ERROR.fullmatch(cells[0].strip()):
-            comments += 1
-            continue
-        if [cell.strip().removeprefix("\ufeff") for cell in cells[:width]] == begins.names:
-            repeats += 1
-            continue
         while len(cells) > width and not cells[-1].strip():
             cells.pop()
         if not all_named:
             cells = [cells[i] for i in kept if i < len(cells)] + cells[width:]
-        changes: list[tuple[list[int], Callable[[str], str]]] = [(stamps, stamp_in_seconds)]
-        if begins.delimiter != "," or any("," in cell for cell in cells):
-            changes.append((numbers, with_point))
+        if begins.delimiter != "," or signs.sign != "." or any("," in cell for cell in cells):
+            for i in numbers:
+                if i < len(cells):
+                    cells[i] = signs.with_point(cells[i], line)
         for which, change in changes:
             for i in which:
                 if i < len(cells):
                     cells[i] = change(cells[i])
-        for i in others:
+        for i in scaled:
             if i < len(cells):
                 cells[i] = _scaled(cells[i], columns.factors[i])
         yield line, cells
-    counts = {"lines of comments between the rows": comments, "lines that repeat the names of the columns": repeats}
-    notes += [f"left out: {count} {what}" for what, count in counts.items() if count]
+    if signs.sign == "," != before:
+        notes.append("commas are decimal")
 
 
-def _beginning(lines: Iterator[str]) -> _Beginning:
+def _with_decimal_point(text: str) -> str:
+    return text.replace(",", ".") if DECIMAL[","].fullmatch(text.strip()) else text
+
+
+def _stamp(text: str) -> str:
+    """The seconds of a date or time of day; marked where it is none."""
+    seconds = stamp_in_seconds(text)
+    return text + NO_TIME_MARK if seconds == text and text.strip() else seconds
+
+
+def _is_decimal_time(cells: list[str]) -> bool:
+    """Test whether all times have three decimals: as thousands they would be whole seconds, as no program counts."""
+    kinds = set(map(kind_of_number, cells))
+    return len(cells) > 1 and len(kinds) == 1 and kinds.pop().startswith(MAYBE)
+
+
+def _is_empty(cells: list[str]) -> bool:
+    """Test for a row that holds nothing."""
+    return not any(cell.strip(EMPTY) for cell in cells)
+
+
+def _names_other_columns(words: list[str], names: list[str]) -> bool:
+    """Test for a line of names: half of them are known, or each column has another one."""
+    words = [word.strip() for word in (re.split("[;\t|]", words[0]) if len(words) == 1 else words) if word.strip()]
+    if len(words) < 2 or any(_is_number(word.replace(",", ".")) for word in words):
+        return False
+    if 2 * sum(word in names or _is_field_or_ours(word) for word in words) >= len(words):
+        return True
+    as_many = len(words) == len(set(words)) == len(names) > 2
+    return as_many and all(re.fullmatch(r"[^\W\d][\w .()/\[\]-]*", word) for word in words)
+
+
+def _beginning(lines: Iterator[str], texts: Sequence[str]) -> _Beginning:
     """Read up to the names of the columns: the first line that is no comment, or, where that holds numbers alone, the
-    comment before it, as `numpy.savetxt` writes them.
+    comment before it, as `numpy.savetxt` writes them, or the first of the lines below titles that names `texts`, or
+    two columns of ours.
     """
     before, comments, stated, comment, first = 0, 0, "", "", ""
     for line in lines:
         before += 1
-        if separator := SEPARATOR_LINE.fullmatch(line.strip().strip('"')):
-            stated = separator[1]
+        if separator := SEPARATOR_LINE.fullmatch(line.strip(' "\r')):
+            stated = separator[1].replace("\\t", "\t")
         elif line.startswith(COMMENT_MARK):
             comments, comment = comments + 1, line
-        elif line.strip():
+        elif line.strip(EMPTY + "".join(DELIMITERS) + '"'):
             first = line
             break
     sample = list(islice(lines, SAMPLE_ROWS))
-    hidden = comment.lstrip(COMMENT_MARK + "% ")
-    delimiter = stated or _delimiter(first, sample)
-    if first.startswith("%"):  # as ROS and MATLAB begin the line of names
-        first = first.lstrip("% ")
-    elif hidden and all(_is_number(text.replace(",", ".")) for text in _fields(first, delimiter) if text.strip()):
-        separated = stated or _delimiter(hidden, [first])
-        if len(_fields(hidden, separated)) == len(_fields(first, separated)) > 1:
-            return _Beginning(
-                [name.strip() for name in _fields(hidden, separated)], separated, before - 1, comments - 1,
-                [first, *sample],
-            )  # fmt: skip
-    return _Beginning([name.strip() for name in _fields(first, delimiter)], delimiter, before, comments, sample)
+    if first.count('"') % 2 and sample and sample[0].count('"') % 2:  # a name of two lines
+        first, before = f"{first} {sample.pop(0)}", before + 1
+
+    def delimiter_of(names: str, rows: list[str]) -> str:
+        return stated if stated and stated in names else _delimiter(names, rows)
+
+    def parsed(line: str, delimiter: str) -> list[str]:
+        return [name.strip() for name in _fields(line, delimiter)]
+
+    hidden, delimiter = comment.lstrip(COMMENT_MARK + "% "), delimiter_of(first, sample)
+    is_numeric = all(_is_number(text.replace(",", ".")) for text in _fields(first, delimiter) if text.strip())
+    if hidden and is_numeric and not first.startswith("%"):
+        separated = delimiter_of(hidden, [first])
+        if len(names := parsed(hidden, separated)) == len(_fields(first, separated)) > 1:
+            return _Beginning(names, separated, before - 1, comments - 1, 0, [first, *sample])
+    for titles, line in enumerate([first, *sample[:MAX_TITLE_LINES]]):
+        if is_numeric:
+            break
+        below = sample[titles:]
+        names = parsed(line.lstrip("%" + COMMENT_MARK + " "), separated := delimiter_of(line, below))
+        if all(name in names for name in texts) if texts else sum(map(_is_field_or_ours, names)) > 1:
+            sample = [*below, *islice(lines, titles)]
+            return _Beginning(names, separated, before + titles, comments, titles, sample)
+    return _Beginning(parsed(first.lstrip("% "), delimiter), delimiter, before, comments, 0, sample)
 
 
 def _delimiter(names: str, rows: list[str]) -> str:
@@ -381,19 +495,7 @@ def _fields(line: str, delimiter: str) -> list[str]:
     return next(csv.reader([line], delimiter=delimiter), [])
 
 
-def _decimal_sign(rows: list[list[str]], delimiter: str) -> str:
-    """The sign before decimals: the one that more numbers have which cannot be grouped thousands."""
-    texts = [text.strip() for cells in rows for text in cells]
-    counts = {
-        sign: sum(bool(DECIMAL[sign].fullmatch(text)) and not GROUPED[sign].fullmatch(text) for text in texts)
-        for sign in ".,"
-    }
-    if delimiter != ",":  # whoever separates fields otherwise does so because numbers have commas
-        counts[","] += sum(bool(GROUPED[","].fullmatch(text)) for text in texts)
-    return "," if counts[","] > counts["."] else "."
-
-
-def _notes_on(encoding: str, begins: _Beginning, *, comma: bool) -> list[str]:
+def _notes_on(encoding: str, begins: _Beginning) -> list[str]:
     """What was undone before the first row."""
     notes = []
     if encoding != UTF_8:
@@ -402,34 +504,32 @@ def _notes_on(encoding: str, begins: _Beginning, *, comma: bool) -> list[str]:
         notes.append(f"the text is not in UTF-8 and was read as {named}{doubt}")
     if begins.comments:
         notes.append(f"left out: {begins.comments} lines of comments before the names of the columns")
-    if begins.delimiter != "," or comma:
-        decimal = ", and commas are decimal" if comma else ""
-        notes.append(f"fields are separated by {DELIMITERS[begins.delimiter]}{decimal}")
+    if begins.titles:
+        notes.append(f"left out: {begins.titles} lines above the names of the columns")
     if nameless := begins.names.count(""):
         notes.append(f"left out: {nameless} columns without a name")
     return notes
 
 
-def _our_columns(stated: list[str], first: list[str], notes: list[str]) -> _Columns:
-    """Columns in our words and units, by their names and the fields of the first row."""
-    ours = [_in_our_words(name) for name in stated]
+def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str]) -> _Columns:
+    """Columns in our words and units, by their names and the cells of the first rows that hold any."""
+    ours = _one_clock(stated, [_in_our_words(name) for name in stated])
     header, factors = [name for name, _ in ours], [factor for _, factor in ours]
-    stamped = next((i for i, name in enumerate(stated) if name.lower().lstrip("%").replace(" ", "_") in STAMPS), None)
-    if TIME in header:
-        at = header.index(TIME)
-        stamps = stamp_in_seconds(first[at]) != first[at]
-    elif stamped is not None:
-        at, stamps = stamped, stamp_in_seconds(first[stamped]) != first[stamped]
-        unit = unix_unit(float(first[at])) if _is_number(first[at]) else None
-        if stamps or unit is not None:
+    bare = next((i for i, name in enumerate(stated) if _plain_name(name).lstrip("%") in STAMPS), None)
+    at = header.index(TIME) if TIME in header else bare
+    stamps = False
+    if at is not None:
+        stamps, unit = _form_of_times(cells_of[at], has_unit=TIME in header)
+        if TIME not in header and (stamps or unit is not None):
             header[at], factors[at] = TIME, 1.0 if stamps else float(unit or 1.0)
             size = "" if stamps else f" in units of {unit:g} s, by the size of its numbers"
             notes.append(f"column {stated[at]} holds the time{size}")
-    else:
-        stamps = False
-    if stamps:
-        factors[header.index(TIME)] = 1.0
-        if not states_zone(first[header.index(TIME)]):
+    if stamps and at is not None:
+        factors[at] = 1.0
+        understood = [cell for cell in cells_of[at] if stamp_in_seconds(cell) != cell]
+        if not understood:
+            notes.append(f"column {stated[at]} holds no time in ISO 8601 or in seconds, but {cells_of[at][0]!r}")
+        elif not states_zone(understood[0]):
             notes.append("assumed: times without a zone are in UTC, and times without a date are of one day")
     units = [name for name, own, factor in zip(stated, ours, factors, strict=True) if factor != 1 and own[1] != 1]
     if units:
@@ -437,9 +537,34 @@ def _our_columns(stated: list[str], first: list[str], notes: list[str]) -> _Colu
     return _Columns(header, factors, stamps)
 
 
+def _one_clock(stated: list[str], ours: list[tuple[str, float]]) -> list[tuple[str, float]]:
+    """Names and factors in which one column is the time: `time_s` and the like before `timestamp_s` and the like."""
+    times = [i for i, (name, _) in enumerate(ours) if name == TIME]
+    others = [i for i in times if not _plain_name(stated[i]).startswith("time_") or "stamp" in _plain_name(stated[i])]
+    dropped = others if len(others) < len(times) else others[1:]
+    return [(stated[i], 1.0) if i in dropped else own for i, own in enumerate(ours)]
+
+
+def _form_of_times(cells: list[str], *, has_unit: bool) -> tuple[bool, float | None]:
+    """Whether most of the first times are written as dates or times of day; else the unit of Unix times in a column
+    that states none, in seconds, or None.
+    """
+    numbers = [number for cell in cells if (number := parse_number(_with_decimal_point(cell))) is not None]
+    if 2 * len(numbers) <= len(cells):
+        return any(re.search("[0-9]", cell) for cell in cells), None
+    if has_unit:
+        return False, None
+    units = Counter(unit for unit in map(unix_unit, numbers) if unit is not None)
+    unit, count = next(iter(units.most_common(1)), (None, 0))
+    if 2 * count > len(numbers):
+        return False, unit
+    step = DAY_S * np.median(np.abs(np.diff(numbers))) if len(numbers) > 1 else 0.0  # s, if they count days
+    return 0 < step < STEPS_S[1] and all(EXCEL_DAYS[0] <= number < EXCEL_DAYS[1] for number in numbers), None
+
+
 def _are_units(cells: list[str]) -> bool:
     """Test for a line of units below the names."""
-    words = [UNIT_BRACKETS.sub("", cell).lower().replace("\u00b5", "u").replace("\u03bc", "u") for cell in cells]
+    words = [UNIT_BRACKETS.sub("", cell).lower().translate(MICRO_SIGNS) for cell in cells]
     return any(words) and all(word in UNIT_WORDS or not word for word in words) and not any(map(_is_number, words))
 
 
@@ -464,6 +589,16 @@ def _is_ours(name: str) -> bool:
     return quantity is not None and unit == UNITS[quantity][0]
 
 
+def _is_read(name: str) -> bool:
+    """Test for a column that some reader of tables looks at."""
+    return _is_ours(name) or name in WORDS.values() or name in TEXT_COLUMNS
+
+
+def _is_field_or_ours(name: str) -> bool:
+    """Test for the name of a column, of which the unit may stand elsewhere."""
+    return _is_read(name) or FIELD_STEM.fullmatch(_plain_name(name)) is not None
+
+
 def _parsed(
     path: Path, lines: Iterable[str], delimiter: str, before: int = 0, *, strict: bool = True
 ) -> Iterator[tuple[int, list[str]]]:
@@ -481,9 +616,10 @@ def _parsed(
 
 
 def _plain_name(name: str) -> str:
-    """A column's name in small letters, with its unit after a line: x_mm for X [mm]."""
+    """A column's name in small letters, with its unit after a line: x_mm for X [mm], or x/mm."""
     plain = re.sub(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]$", r"_\1", name)
-    return plain.replace("\u00b5", "u").replace("\u03bc", "u").replace(" ", "_").lower()
+    plain = re.sub(r"\s*/\s*([^\s/]+)$", r"_\1", plain)
+    return plain.translate(MICRO_SIGNS).replace(" ", "_").lower()
 
 
 def _in_our_words(name: str) -> tuple[str, float]:
@@ -491,7 +627,8 @@ def _in_our_words(name: str) -> tuple[str, float]:
     plain = _plain_name(name)
     if plain in WORDS:
         return WORDS[plain], 1.0
-    stem, _, unit = plain.rpartition("_")
+    stem, _, unit = plain.lstrip("%").rpartition("_")
+    stem = "time" if stem in STAMPS else stem
     quantity = "field" if FIELD_STEM.fullmatch(stem) else QUANTITY_OF.get(stem)
     if quantity is None:
         return name, 1.0
@@ -501,26 +638,10 @@ def _in_our_words(name: str) -> tuple[str, float]:
     return (f"{stem}_{ours}", others[unit]) if unit in others else (name, 1.0)
 
 
-def _with_point(text: str, *, comma: bool, quoted: bool) -> str:
-    """A number with a decimal point; marked where a point among decimal commas, or a comma among decimal points, may
-    group thousands.
-    """
-    plain = text.strip()
-    if GROUPED["." if comma else ","].fullmatch(plain):
-        return plain + MAYBE_GROUPED
-    if "," in plain and (comma or not quoted) and DECIMAL[","].fullmatch(plain):
-        return plain.replace(",", ".")
-    return text
-
-
 def _scaled(text: str, factor: float) -> str:
     """A number in another unit; what is no number stays, and is judged later."""
     return repr(factor * float(text)) if factor != 1 and _is_number(text) else text
 
 
 def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return parse_number(text) is not None

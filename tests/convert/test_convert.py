@@ -684,3 +684,62 @@ def test_nothing_is_overwritten_or_mixed_unasked(tmp_path, capsys):
     assert touches.read_bytes() != before  # its time of creation
     (tmp_path / "dst/mine.txt").write_text("mine")
     assert "holds mine.txt" in refused(capsys, *words, "--overwrite")
+
+
+def tactile_of(values, ambient, folder):
+    """Write samples (n, 5, 3) uT with their temperature, and ambient samples likewise, in place of those of a run."""
+    tactile = folder / "star/star_tactile/experiment_1_reskin"
+    for path, field in ((tactile, values), (tactile.with_name(tactile.name + "_ambient"), ambient)):
+        warm = np.where(
+            (field == 0).all(-1, keepdims=True), 0.0, 27.0 + np.random.default_rng(0).random(field[..., :1].shape)
+        )
+        authors_layout.save(path, np.concatenate([warm, field], -1).reshape(len(field), 1, 1, 20))
+
+
+@pytest.mark.parametrize(
+    ("chips", "sentence"), [([2], "chip 2 does not answer in any"), (range(5), "no chip answers in any")]
+)
+def test_a_dead_chip_is_named_and_not_the_order_of_values(tmp_path, capsys, chips, sentence):
+    write(tmp_path / "src", "star", "1", 8, size=8)
+    field = np.random.default_rng(0).normal(0, 400, (8, 5, 3))
+    field[:, list(chips)] = 0
+    tactile_of(field, field, tmp_path / "src")
+    assert sentence in refused(capsys, "imagine2touch", tmp_path / "src", tmp_path / "dst")
+
+
+def test_an_ambient_field_of_zeros_subtracts_nothing_and_one_of_a_chip_is_named(tmp_path, capsys):
+    write(tmp_path / "src", "star", "1", 8, size=8)
+    field, ambient = np.random.default_rng(0).normal(0, 400, (8, 5, 3)), np.zeros((8, 5, 3))
+    tactile_of(field, ambient, tmp_path / "src")
+    touches = converted("imagine2touch", tmp_path / "src", tmp_path / "dst", "--as-stated").touches
+    np.testing.assert_allclose(touches.reading, field.reshape(8, 15), atol=UT)
+    assert "ambient is zero in every row: nothing is subtracted" in capsys.readouterr().out
+    ambient[:, 1:] = 20.0
+    tactile_of(field, ambient, tmp_path / "src")
+    sentence = refused(capsys, "imagine2touch", tmp_path / "src", tmp_path / "no")
+    assert "reskin_ambient: the ambient field of chip 0 is zero in every row" in sentence
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("forces_torques", np.nan), ("rotations", 0.0), ("final_contact", np.inf), ("contact_returns", 9)],
+)
+def test_one_damaged_touch_costs_no_run(tmp_path, capsys, name, value):
+    truth = write(tmp_path / "src", "star", "1", 8, size=8)
+    folder = "forces" if name in ("forces_torques", "contact_returns") else "poses"
+    path = tmp_path / f"src/star/star_{folder}/experiment_1_{name}"
+    numbers = np.load(path).astype(float)
+    numbers[3] = value
+    authors_layout.save(path, numbers)
+    words = ("imagine2touch", tmp_path / "src")
+    assert "4" in refused(capsys, *words, tmp_path / "no")
+    touches = converted(*words, tmp_path / "dst", "--skip-bad", "--as-stated").touches
+    np.testing.assert_allclose(touches.reading, np.delete(truth.reading, 3, 0), atol=UT)
+    assert np.isfinite(touches.force).all()
+
+
+def test_an_ambient_field_that_is_zero_for_one_chip_is_named_as_such(tmp_path, capsys):
+    zeros = dict.fromkeys(("a0x_uT", "a0y_uT", "a0z_uT"), np.zeros(6))
+    presses_table(path := tmp_path / "a.csv", ambient=True, **zeros)
+    sentence = refused(capsys, "presses", path, tmp_path / "out", "--indenter", "sphere:4")
+    assert "the ambient field of chip 0 is zero in every row; correct its columns a0x_uT" in sentence

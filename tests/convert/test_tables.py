@@ -89,6 +89,14 @@ def test_a_table_is_the_same_in_any_encoding(tmp_path, encoding):
     assert any("not in UTF-8" in note for note in recording.notes) == (encoding != "utf-8-sig")
 
 
+def test_a_micro_sign_of_dos_is_read_and_letters_are_doubted(tmp_path):
+    path = write_table(tmp_path / "mine.csv", renamed("uT", "\u00b5T"), VALUES)
+    path.write_bytes(path.read_text(encoding="utf-8").encode("cp850"))
+    (recording,) = read_recordings(path)
+    np.testing.assert_allclose(recording.readings, SKIN.readings, rtol=1e-9)
+    assert any("letters beyond ASCII in names may be wrong" in note for note in recording.notes)
+
+
 def as_zip(name):
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
@@ -116,6 +124,9 @@ def as_npy(array):
         (b"SQLite format 3\0" + bytes(40), "is an SQLite database"),
         (b"\x89HDF\r\n\x1a\n" + bytes(40), "is an HDF5 file"),
         (b'{"x_mm": [1, 2]}', "is a JSON document"),
+        (b'[\n  {\n    "x_mm": 1', "is a JSON document"),
+        (b"{\\rtf1\\ansi", "is a document in rich text (RTF)"),
+        (gzip.compress(gzip.compress(b"x_mm")), "is a gzip archive; unpack it first"),
         (pickle.dumps([1.0]), "is a Python pickle"),
         (b"\n<!DOCTYPE html><html>", "is a web page (HTML); download the file itself"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a Git LFS pointer"),
@@ -261,3 +272,184 @@ def test_the_skins_of_a_table_are_apart(tmp_path):
     assert (left.name, right.name) == ("a (left)", "a (right)")
     assert (len(left), len(right)) == (30, 10)
     np.testing.assert_allclose(right.readings, SKIN.readings[::4])
+
+
+# --- one decimal sign ----------------------------------------------------------------------------------------------
+
+
+def whole_numbers(changes, between=";", rows=100):
+    """A table of whole numbers with some other cells in column b0x_uT."""
+    values = [["1", "2", "1", *(str(100 + 7 * i + j) for j in range(15))] for i in range(rows)]
+    for row, text in changes.items():
+        values[row][3] = text
+    return between.join(NAMES) + "\n" + "".join(between.join(row) + "\n" for row in values)
+
+
+@pytest.mark.parametrize("between", [";", "\t", "|", " "])
+@pytest.mark.parametrize(
+    ("changes", "refused_row"),
+    [
+        ({30: "1.234"}, 30),
+        ({30: "1,234"}, 30),
+        ({80: "-12.345"}, 80),
+        ({80: "1.234", 90: "2,5"}, 80),
+        ({80: "1,234", 90: "2.5"}, 80),
+        ({10: "1.234", 80: "1.234,5"}, 10),
+    ],
+)
+def test_a_number_that_no_other_number_explains_is_refused(tmp_path, capsys, changes, refused_row, between):
+    (path := tmp_path / "a.csv").write_text(whole_numbers(changes, between))
+    sentence = refused(capsys, "presses", path, tmp_path / "out", *OPTIONS)
+    assert f"line {refused_row + 2} has {changes[refused_row]!r} in column b0x_uT, which may be decimal" in sentence
+
+
+@pytest.mark.parametrize(
+    ("changes", "between", "value"),
+    [
+        ({80: "1.234", 90: "2.5"}, ";", 1.234),
+        ({80: "1,234", 90: "0,125"}, ";", 1.234),
+        ({5: "1,2345", 80: "1,234"}, "\t", 1.234),
+        ({80: "1.234"}, ",", 1.234),
+    ],
+)
+def test_a_number_that_other_numbers_explain_is_read(tmp_path, changes, between, value):
+    (path := tmp_path / "a.csv").write_text(whole_numbers(changes, between))
+    table = read_text_table(path)
+    assert float(table.rows[80][1][3]) == value
+
+
+def test_three_decimals_everywhere_are_decimals(tmp_path):
+    rows = [[f"{2 + 0.125 * i:.3f}" for _ in NAMES] for i in range(4)]
+    for change in (lambda text: text.replace(",", ";"), commas):
+        table = read_text_table(write_table(tmp_path / "a.csv", NAMES, rows, change))
+        assert [float(cells[5]) for _, cells in table.rows] == [2, 2.125, 2.25, 2.375]
+
+
+def test_seconds_with_three_decimals_stand_beside_whole_readings(tmp_path):
+    text = "time_s\tb0x_uT\n" + "".join(f"{5 + i / 100:.3f}\t{i}\n" for i in range(100))
+    (path := tmp_path / "a.csv").write_text(text)
+    np.testing.assert_allclose([float(cells[0]) for _, cells in read_text_table(path).rows], 5 + np.arange(100) / 100)
+    path.write_text(text.replace("time_s", "time_ms"))  # 5.010 may be 5010 ms
+    assert not any(cells[0].replace(".", "").isdigit() for _, cells in read_text_table(path).rows)
+
+
+def test_rows_that_were_read_with_another_decimal_sign_end_the_reading(tmp_path):
+    (path := tmp_path / "a.csv").write_text(whole_numbers({3: "0.5", 70: "1.234", 80: "2,5", 90: "3,5"}))
+    with pytest.raises(DataError, match="line 82 has '2,5', but points seemed to be decimal"):
+        read_text_table(path)
+    quoted_late = whole_numbers({70: "1.234", 80: '"2,5"'}, ",")
+    path.write_text(quoted_late)
+    with pytest.raises(DataError, match="line 82 has '2,5', but points"):
+        read_text_table(path)
+
+
+def test_signs_between_digits_are_no_part_of_a_number(tmp_path, capsys):
+    path = tmp_path / "a.csv"
+    path.write_text(whole_numbers({4: "3_2"}, ","))
+    assert "line 6 has '3_2' in column b0x_uT, which is no such number" in refused(
+        capsys, "presses", path, tmp_path / "out", *OPTIONS
+    )
+    (recording,) = read_recordings(path)
+    assert len(recording) == 99
+
+
+# --- lines that are no rows ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text + ",,,\n" * 3,
+        lambda text: text + "   \n\t\n",
+        lambda text: text + "\x1a",
+        lambda text: text + "\0" * 100_000,
+        lambda text: text.replace("\n", "\n" + "," * 17 + "\n"),
+        lambda text: "My measurement\n\n" + text,
+        lambda text: "My measurement" + "," * 17 + "\n" + text,
+        lambda text: "Operator,Bob\nDate,2025-10-20\n" + text,
+        lambda text: "% made by a program, version 5\n" + text,
+        lambda text: "sep=\t\n" + text.replace(",", "\t"),
+        lambda text: text.replace("x_mm", '"x\n(mm)"', 1),
+        lambda text: text.replace("_mm", "/mm"),
+    ],
+)
+def test_empty_rows_and_titles_are_no_rows(tmp_path, change):
+    path = write_table(tmp_path / "a.csv", NAMES, VALUES, change)
+    touches = converted("presses", path, tmp_path / "out", *OPTIONS).touches
+    np.testing.assert_allclose(touches.reading, SKIN.readings, rtol=1e-5)
+
+
+def test_lines_above_the_names_are_counted(tmp_path):
+    table = read_text_table(write_table(tmp_path / "a.csv", NAMES, VALUES, lambda text: "Mine\n\n" + text))
+    assert "left out: 2 lines above the names of the columns" in table.notes
+    assert table.rows[0][0] == 4
+
+
+OTHER_NAMES = [
+    ",".join(reversed(NAMES)),
+    "# " + ",".join(reversed(NAMES)),
+    ",".join(renamed("_mm", "_m")),
+    ",".join(["time_ms", *NAMES]),
+    ";".join(NAMES),
+    ",".join(f"column {i}" for i in range(18)),
+]
+
+
+@pytest.mark.parametrize("names", OTHER_NAMES)
+def test_a_table_that_goes_on_with_other_columns_is_refused_there(tmp_path, capsys, names):
+    path = write_table(tmp_path / "a.csv", NAMES, VALUES)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, names, *lines[1:]]))
+    sentence = refused(capsys, "presses", path, tmp_path / "out", *OPTIONS, "--skip-bad")
+    assert "line 42 names other columns" in sentence
+    assert "split the file there" in sentence
+
+
+def test_names_and_units_that_stand_again_are_no_rows(tmp_path):
+    text = ",".join(BARE) + "\n" + "mm,mm,mm" + 15 * ",uT" + "\n" + "1" + 17 * ",2" + "\n"
+    (path := tmp_path / "a.csv").write_text(text + "# " + text)
+    assert [line for line, _ in read_text_table(path).rows] == [3, 6]
+
+
+def test_columns_that_are_not_read_may_have_one_name(tmp_path):
+    rows = [[*row, "a", "b"] for row in VALUES]
+    path = write_table(tmp_path / "a.csv", [*NAMES, "note", "note"], rows)
+    assert len(converted("presses", path, tmp_path / "out", *OPTIONS)) == 40
+
+
+# --- times ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("Timestamp (ms)", 1e-3), ("timestamp_us", 1e-6), ("time_ns", 1e-9), ("epoch_s", 1), ("Time [sec]", 1)],
+)
+def test_a_time_is_known_by_its_unit(tmp_path, name, unit):
+    (path := tmp_path / "a.csv").write_text(f"{name},b0x_uT\n5000,1\n6000,2\n")
+    table = read_text_table(path)
+    assert table.header[0] == "time_s"
+    np.testing.assert_allclose([float(cells[0]) for _, cells in table.rows], [5000 * unit, 6000 * unit])
+
+
+def test_one_of_two_clocks_is_the_time(tmp_path):
+    (path := tmp_path / "a.csv").write_text("timestamp_ms,time_s,b0x_uT\n5000,1,1\n")
+    assert read_text_table(path).header == ["timestamp_ms", "time_s", "b0x_uT"]
+
+
+def test_a_bad_first_stamp_does_not_decide(tmp_path):
+    path = tmp_path / "a.csv"
+    for bad, good in (("0", "1760961600.25"), ("n/a", "2025-10-20 12:00:00.25")):
+        path.write_text(f"timestamp,b0x_uT\n{bad},1\n" + f"{good},2\n" * 5)
+        table = read_text_table(path)
+        assert table.header[0] == "time_s"
+        assert float(table.rows[3][1][0]) == 1760961600.25
+
+
+@pytest.mark.parametrize("stamp", ["31.12.2025 24:00", "2025-10-9 9h", "20/Oct/2025", "45950.5000{:02d}"])
+def test_a_stamp_that_is_not_understood_is_named_and_what_is_understood(tmp_path, capsys, stamp):
+    rows = "".join(f"{stamp.format(i)},{','.join('1' * 15)}\n" for i in range(20))
+    (path := tmp_path / "a.csv").write_text(f"timestamp,{','.join(READING_NAMES)}\n{rows}")
+    sentence = refused(capsys, "stream", path, tmp_path / "out.csv")
+    assert f"line 2 has {stamp.format(0)!r} in column time_s, which is no time in ISO 8601" in sentence
+    assert "write it as 2025-10-20 12:00:00.010, or in seconds" in sentence
+    assert ("may count days" in sentence) == ("{" in stamp)

@@ -120,6 +120,45 @@ def test_one_table_given_twice_is_refused_and_copies_of_rows_are_told(tmp_path):
         read_reading_table([copies], label="what")
 
 
+@pytest.mark.parametrize("labels", [("1.234", "1,5"), ("#1", "#2"), ("1_000", "a"), ("b#", "1e3")])
+def test_a_label_stays_as_it_stands(tmp_path, labels):
+    text = "what;u;v\n" + "".join(f"{label};{i},5;2,25\n" for i, label in enumerate(labels * 2))
+    table = read_reading_table([written(tmp_path / "t.csv", text)], label="what")
+    assert set(table.labels) == set(labels)
+    np.testing.assert_array_equal(table.reading[:, 0], [0.5, 1.5, 2.5, 3.5])
+    text = "u,what\n" + "".join(f'{i},"{label}"\n' for i, label in enumerate(labels * 2))
+    assert set(read_reading_table([written(tmp_path / "t.csv", text)], label="what").labels) == set(labels)
+
+
+def test_a_line_that_may_be_a_label_or_a_comment_is_refused_and_comments_are_counted(tmp_path):
+    text = "what,u\na,1\n# a pause\nb,2\n"
+    table = read_reading_table([written(tmp_path / "t.csv", text)], label="what")
+    assert any("1 lines of comments between the rows" in note for note in table.notes)
+    with pytest.raises(DataError, match=r"up to line 5 \('#a'\) begin with # and some do not"):
+        read_reading_table([written(tmp_path / "t.csv", text + "#a,3\n")], label="what")
+
+
+def test_a_reading_that_may_be_grouped_is_refused_without_a_mark(tmp_path):
+    with pytest.raises(DataError, match=r"line 3 has '1\.234' in column u, which may be decimal or grouped thousands"):
+        read_reading_table([written(tmp_path / "t.csv", "what;u\na;1\nb;1.234\n")], label="what")
+
+
+@pytest.mark.parametrize("names", ["u,v,w", "b0x_uT,b0y_uT,b0z_uT"])
+def test_rows_of_a_silent_sensor_are_left_out_and_counted(tmp_path, names):
+    rows = "".join(f"{'ab'[i % 2]},{i + 1},{-i - 1},{i + 0.5}\n" for i in range(6))
+    text = f"what,{names}\n{rows}a,0,0,0\nb,0,0,0\n"
+    table = read_reading_table([written(tmp_path / "t.csv", text)], label="what")
+    assert len(table.reading) == 6
+    assert any("2 rows in which a chip did not answer" in note for note in table.notes)
+    with pytest.raises(DataError, match="answer"):
+        read_reading_table([written(tmp_path / "t.csv", f"what,{names}\na,0,0,0\nb,0,0,0\n")], label="what")
+
+
+def test_rows_of_zeros_are_readings_of_sensors_that_often_send_zeros(tmp_path):
+    text = "what,u,v,w\na,0,0,0\nb,0,1,0\nb,1,0,0\nb,0,0,1\n"
+    assert len(read_reading_table([written(tmp_path / "t.csv", text)], label="what").reading) == 4
+
+
 @pytest.mark.skipif(not GRASPS.is_dir(), reason="needs the real grasps in I2T_DATA")
 def test_the_real_grasps_are_read_whole():
     table = read_reading_table(sorted(GRASPS.glob("*.csv.gz")), label="object", ignore=["slipped"])
