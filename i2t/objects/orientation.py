@@ -23,8 +23,9 @@ NEAR = 1e-5  # of the mesh's size, from a face to the points beside it
 FAR = 3.0  # radii of a part, from where on it counts as one dipole
 BLOCK = 2**14  # pairs of faces and points that are held at once
 MAX_JUDGED_PARTS = 2000  # beyond which closed parts are judged by their own volume alone, and open ones not at all
-MAX_HOLED_PARTS = 200  # beyond which each is judged by the mean number beside it alone
+MAX_HOLED_PARTS = 8  # beyond which each is judged by the mean number beside it alone
 MIN_EVIDENCE = 0.65  # from 0 (a sheet) to 1 (a closed body), for a part to be turned; half a sphere has 0.63
+MIN_OTHERS = 1.0  # by how much a part with holes makes the numbers beside all parts whole, to be turned
 NEGATIVE, NEGATIVE_SHARE = -0.9, 1e-3  # a winding number inside what is inside out; share of the area that counts
 
 
@@ -133,11 +134,12 @@ def _inside_out(corners: NDArray, given: _Parts) -> NDArray:
 
     def settled(sign: NDArray) -> tuple[NDArray, float]:
         number = sign @ shares
-        for evidence in (by_mean, by_others) if len(holed) <= MAX_HOLED_PARTS else (by_mean,):
+        rules = [(by_mean, MIN_EVIDENCE)] + [(by_others, MIN_OTHERS)] * (len(holed) <= MAX_HOLED_PARTS)
+        for evidence, wanted in rules:
             for _ in range(2 * parts):
                 least = evidence(sign, number)
                 worst = least.argmin()
-                if least[worst] >= -MIN_EVIDENCE:
+                if least[worst] >= -wanted:
                     break
                 sign[worst] *= -1
                 number += 2 * sign[worst] * shares[worst]
