@@ -26,6 +26,7 @@ STEPS_S = (1e-4, 1.0)  # between rows of a log: no board sends faster, and slowe
 ASSUMED_RATE_HZ = 100.0  # of a log whose stamps do not tell: its presses last the same number of rows at 30 to 500 Hz
 BATCH_SHARE = 3.0  # of the mean step that is many times longer than the steps within a batch of rows
 BATCHED_ROWS = 0.4  # of all, at least, that follow the row before within a batch
+BETWEEN_BATCHES = 1 / 3  # of all time, at least, that passes in the steps from one batch to the next
 UNEVEN = 0.5  # of the time from one batch to the next, up to which it is told by its rows
 DAY_S, HOUR_S = 86400.0, 3600.0
 MINUTES_AND_SECONDS = re.compile(r"(\d+):(\d\d[.,]\d+)")  # as Excel shows times of day, without their hour
@@ -37,6 +38,10 @@ COUNTERS_S = {  # how long a counter of whole numbers runs until it begins again
     "a clock of one day": DAY_S,
 }
 DECIMAL_MINUTES = re.compile(r"(^|[T ])\d+:\d\d[.,]\d")  # of which nothing tells whether they are hours and minutes
+IN_ORDER = (
+    "sort them by it where they were mixed up, or give --rate-hz where they are in order and its counter often begins "
+    "again or its stamps are damaged"
+)
 UNIX_TIMES = {1e9: 1.0, 1e12: 1e-3, 1e15: 1e-6, 1e18: 1e-9}  # s in their unit, from these numbers to ten times these
 
 
@@ -180,15 +185,15 @@ def _within_batches(time: np.ndarray) -> float:
     usual = steps[(steps >= 0) & (steps <= PAUSE_S)]
     if len(usual) < MIN_PART_ROWS:
         return 0.0
-    within = float(usual.mean()) / BATCH_SHARE
-    close = usual <= within
+    close = usual <= usual.mean() / BATCH_SHARE
     if not (usual[close] > 0).any() or close.mean() < BATCHED_ROWS:
         return 0.0
-    widths, counts = _batches(time, within)
-    if not len(widths):
-        return 0.0
-    told = float(np.median(widths / counts)) * counts
-    return within if np.median(np.abs(widths - told)) < UNEVEN * np.median(widths) else 0.0
+    longest = np.sort(usual)[::-1]
+    between = longest[np.searchsorted(np.cumsum(longest), BETWEEN_BATCHES * longest.sum())]
+    widths, counts = _batches(time, between / 2)
+    widths, counts = widths[widths <= PAUSE_S], counts[widths <= PAUSE_S]
+    told = widths.sum() / max(counts.sum(), 1) * counts
+    return float(between) / 2 if np.abs(widths - told).sum() < UNEVEN * widths.sum() else 0.0
 
 
 def _require_rate(step: float, rows: int, name: str) -> None:
@@ -205,7 +210,7 @@ def require_order(
     time: Float[np.ndarray, " n"],
     name: str,
     begins: Bool[np.ndarray, " n"] | None = None,
-    remedy: str = "sort them by it, or correct its column",
+    remedy: str = IN_ORDER,
 ) -> None:
     """Refuse rows in no order.
 
@@ -295,8 +300,9 @@ def even_times(time: Float[np.ndarray, " n"], clock: RowClock, shared: int = 0) 
     even = stamps + clock.step * within
     if clock.resolution and not shared and len(begins) > 1:  # of the first stamp, the last rows alone may be here
         end = min(time[begins[1]], time[0] + clock.resolution)
-        even[: sizes[0]] = np.maximum(end - clock.step * np.arange(sizes[0], 0, -1), time[0])
-    return np.maximum.accumulate(even)
+        even[: sizes[0]] = np.maximum(even[: sizes[0]], end - clock.step * np.arange(sizes[0], 0, -1))
+    # A batch is taken over after its last row was measured, and so is stamped later than its rows by its length.
+    return np.maximum.accumulate(even) - (clock.resolution - clock.step if clock.within else 0.0)
 
 
 class _Run(NamedTuple):

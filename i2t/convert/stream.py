@@ -76,10 +76,6 @@ PRESS_DECIMALS = 6  # of the table's numbers
 REMEMBERED_ROWS = 2**20  # that are compared with those that follow a step back in time
 REPEATED_ROWS = 8  # one after the other, at least, that repeat earlier ones
 GAP_ROWS = 3.0  # steps between the rows at which a press begins, beyond which its beginning was not recorded
-IN_ORDER = (
-    "sort them by it where they were mixed up, or give --rate-hz where they are in order and its counter often begins "
-    "again or its stamps are damaged"
-)
 UNSURE_DEPTH = 0.05  # of a depth, up to which the tip may move meanwhile
 LINE, STAMP, NAMES, LABELS = 0, 1, 2, 3  # columns of a row's labels
 
@@ -494,7 +490,7 @@ def _on_one_clock(pieces: Iterator[_Rows], name: str, notes: ConversionLog, rate
             yield stamps.counted(held, clock)
             held = None
             continue
-        require_order(held.time, name, begins, IN_ORDER)
+        require_order(held.time, name, begins)
         verdict = stamps.judge(held.time, last=last)
         for line, stamp in held.labels[: verdict.settled][verdict.damaged, :2]:
             notes.skip_row(

@@ -40,6 +40,7 @@ NOISE_BLOCKS = 20  # of rows, whose differences are compared to find those at re
 SPIKE_AT, SPIKE_TIMES = 10.0, 4.0  # standard deviations that a spike stands out by, and times its neighbours' spread
 HELD_SPREAD = 2.0  # of the lengths of runs of one value, where a sensor is read faster than it measures
 MIN_SHARE_OF_MOVE = 0.3  # of the way to a level: presses from there are larger, and a held press that wavers moves less
+STILL_BLOCKS = 3  # of a level, at least
 HELD_ROWS = 1.3  # in a run, at least
 
 
@@ -271,7 +272,7 @@ def _without_spikes(readings: np.ndarray, spike: np.ndarray) -> tuple[np.ndarray
     if not len(rows):
         return readings, spiked
     around = np.sort(readings[rows[:, None] + np.array([-2, -1, 1, 2])], axis=1)
-    middle, spread = around[:, 1:3].mean(1), around[:, 3] - around[:, 0]
+    middle, spread = around[:, 1:3].mean(1), around[:, 2] - around[:, 1]  # one of the four may be a spike too
     out = np.abs(readings[rows] - middle) > np.maximum(spike, SPIKE_TIMES * spread)
     mended = readings.copy()
     mended[rows] = np.where(out, middle, readings[rows])
@@ -288,14 +289,18 @@ def _fresh_share(readings: np.ndarray) -> float:
     return len(begins) / len(readings) if long <= HELD_SPREAD * short else 1.0
 
 
-def _first_still(blocks: np.ndarray, rules: SegmentationRules) -> int:
-    """First block from which the skin stays still for a quarter of a rest; 0 where it does not within a rest."""
-    size = max(rules.rest // 4, 1)
+def _first_still(blocks: np.ndarray, rules: SegmentationRules) -> tuple[int, np.ndarray | None]:
+    """First block, and level (uT), at which the skin stays still for longer than between two presses.
+
+    It is sought over the blocks of a rest; there is no level where it does not stay still.
+    """
+    size = max(rules.gap, STILL_BLOCKS)
     for start in range(min(rules.rest, len(blocks) - size) + 1):
         some = blocks[start : start + size]
-        if _distance(some - np.median(some, axis=0), rules.unit).max() < END_AT:
-            return start
-    return 0
+        level = np.median(some, axis=0)
+        if _distance(some - level, rules.unit).max() < END_AT:
+            return start, level
+    return 0, None
 
 
 def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, list[FoundPress]]:
@@ -310,8 +315,9 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
     found: list[FoundPress] = []
     while at < count and (last or at + 2 * rules.rest <= count):
         if baseline is None:
-            at = rest_from = at + _first_still(blocks[at:], rules)
-            baseline = np.median(blocks[at : at + max(rules.rest // 4, 1)], axis=0)  # a press may come within a second
+            still, baseline = _first_still(blocks[at:], rules)
+            at = rest_from = at + still
+            baseline = np.median(blocks[at : at + max(rules.rest // 4, 1)], axis=0) if baseline is None else baseline
         distance = _distance(blocks[at : at + rules.rest] - baseline, unit)
         over = np.flatnonzero(distance > BEGIN_AT)
         if not len(over):
@@ -368,14 +374,15 @@ def _has_moved(
     """
     if came_back and earlier is None:
         return False
-    still = _first_still(blocks, rules)
-    level = np.median(blocks[still : still + max(rules.rest // 4, 1)], axis=0)
-    if earlier is not None:
+    still, level = _first_still(blocks, rules)
+    if earlier is not None and level is not None:
         apart, away = _distance(np.stack([baseline, level]) - earlier, rules.unit)
         if apart > BEGIN_AT and away < max(END_AT, RELEASED_SHARE * apart):
             return True
     if came_back or len(blocks) > rules.longest:
         return not came_back
+    if level is None:
+        return False
     least = MIN_SHARE_OF_MOVE * float(_distance(level[None] - baseline, rules.unit)[0])
     over = np.flatnonzero(_distance(blocks[still:] - level, rules.unit) > max(BEGIN_AT, least))
     return len(over) > 0 and all(_end(blocks[still:], int(over[0]), level, rules)[1:])
