@@ -193,7 +193,8 @@ def _within_batches(time: np.ndarray) -> float:
     widths, counts = _batches(time, between / 2)
     widths, counts = widths[widths <= PAUSE_S], counts[widths <= PAUSE_S]
     told = widths.sum() / max(counts.sum(), 1) * counts
-    return float(between) / 2 if np.abs(widths - told).sum() < UNEVEN * widths.sum() else 0.0
+    even = np.abs(widths - told).sum() < UNEVEN * widths.sum() and counts.sum() > len(time) / 2
+    return float(between) / 2 if even else 0.0
 
 
 def _require_rate(step: float, rows: int, name: str) -> None:

@@ -75,7 +75,7 @@ SAME_LABEL = 0.2  # mm or N, up to which a press that goes on is at the same pla
 PRESS_DECIMALS = 6  # of the table's numbers
 REMEMBERED_ROWS = 2**20  # that are compared with those that follow a step back in time
 REPEATED_ROWS = 8  # one after the other, at least, that repeat earlier ones
-GAP_ROWS = 3.0  # steps between the rows at which a press begins, beyond which its beginning was not recorded
+GAP_ROWS = 3.0  # steps of rows in one where a press begins, beyond which its beginning was not recorded
 UNSURE_DEPTH = 0.05  # of a depth, up to which the tip may move meanwhile
 LINE, STAMP, NAMES, LABELS = 0, 1, 2, 3  # columns of a row's labels
 
@@ -330,9 +330,9 @@ class _Searches:
         """Test whether the tip moved while a press began and no row was read."""
         if self.height is None:
             return False
-        at = LABELS + self.height
-        depth = abs(press.before[at] - press.steady[at])
-        return bool(abs(press.before[at] - press.at_start[at]) > UNSURE_DEPTH * depth)
+        heights = press.across[:, LABELS + self.height]
+        depth = abs(heights[0] - press.steady[LABELS + self.height])
+        return bool(abs(np.diff(heights)).max(initial=0.0) > UNSURE_DEPTH * depth)
 
     def say(self, notes: ConversionLog) -> None:
         """Note what was found, assumed and left out."""

@@ -67,11 +67,11 @@ class FoundPress(NamedTuple):
     reading: Float[np.ndarray, " c"]  # uT, steady, less the baseline before it
     baseline: Float[np.ndarray, " c"]  # uT
     at_start: Float[np.ndarray, " e"]  # other columns where it begins
-    before: Float[np.ndarray, " e"]  # other columns in the row before
+    across: Float[np.ndarray, "2 e"]  # other columns in the rows before and after the longest step where it begins
     steady: Float[np.ndarray, " e"]  # their medians where it is steady
     start_time: float  # s
     end_time: float  # s
-    gap: float  # s, between its first row and the one before
+    gap: float  # s, that step
     over: bool  # it ended before the recording did
     peak: float  # distance from rest, in standard deviations of a smoothed channel
 
@@ -396,6 +396,9 @@ def _press(
     moved = blocks[span[0] : span[1]] - baseline
     start, end = (width * block for block in span)
     first, last = (start + width * block for block in _steady(moved, rules.unit))
+    onset = slice(max(start - 1, 0), start + width + 1)
+    steps = np.diff(recording.time[onset])
+    gap = onset.start + int(np.argmax(steps)) if len(steps) else start
     return FoundPress(
         start=recording.first + start,
         end=recording.first + end,
@@ -404,11 +407,11 @@ def _press(
         reading=np.median(recording.readings[first:last], axis=0) - baseline,
         baseline=baseline,
         at_start=recording.others[start].copy(),  # a view would keep all rows
-        before=recording.others[max(start - 1, 0)].copy(),
+        across=recording.others[gap : gap + 2].copy(),
         steady=np.quantile(recording.others[first:last], 0.5, axis=0, method="lower"),  # one of the values
         start_time=float(recording.time[start]),
         end_time=float(recording.time[end - 1]),
-        gap=float(recording.time[start] - recording.time[max(start - 1, 0)]),
+        gap=float(steps.max(initial=0.0)),
         over=over,
         peak=float(_distance(moved, rules.unit).max()),
     )
