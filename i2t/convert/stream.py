@@ -76,6 +76,7 @@ PRESS_DECIMALS = 6  # of the table's numbers
 REMEMBERED_ROWS = 2**20  # that are compared with those that follow a step back in time
 REPEATED_ROWS = 8  # one after the other, at least, that repeat earlier ones
 GAP_ROWS = 3.0  # steps of rows in one where a press begins, beyond which its beginning was not recorded
+STEADY_SHARE_AT_END = 1 / 6  # of a press's rows that are steady, at least, where a part ends in it: a ramp has less
 UNSURE_DEPTH = 0.05  # of a depth, up to which the tip may move meanwhile
 LINE, STAMP, NAMES, LABELS = 0, 1, 2, 3  # columns of a row's labels
 
@@ -300,6 +301,7 @@ class _Searches:
     held: int = 0  # rows of parts in which the sensor was read faster than it measures
     moved: list[int] = field(default_factory=list)  # lines at which the skin left what was no rest
     hidden: int = 0  # presses whose beginning was not recorded
+    unsteady: int = 0  # presses that were left out, as a part ended before they were steady
 
     @property
     def height(self) -> int | None:
@@ -318,6 +320,10 @@ class _Searches:
         if state is None:
             return
         for press in search.found:
+            steady = (press.steady_end - press.steady_start) / (press.end - press.start)
+            if not press.over and steady < STEADY_SHARE_AT_END:
+                self.unsteady += 1
+                continue
             if press.gap > GAP_ROWS * state.rules.step and self._travelled(press):
                 press.at_start[LABELS + (self.height or 0)] = np.nan
                 self.hidden += 1
@@ -355,6 +361,8 @@ class _Searches:
                 f"{LONGEST_S:g} s; the first was released at line {min(self.moved)} (or the skin rests elsewhere from "
                 "there on)"
             )
+        if self.unsteady:
+            notes.info(f"left out: {self.unsteady} presses that were not steady before their part of the log ended")
         if self.spikes:
             notes.info(f"replaced: values of {self.spikes} single rows that stand out from those around them")
         if self.held:

@@ -414,3 +414,13 @@ def test_presses_of_a_clock_of_whole_seconds_have_times_between_them(tmp_path):
 def test_a_counter_that_is_often_full_is_refused_with_its_remedy(tmp_path):
     with pytest.raises(DataError, match="give --rate-hz"):
         presses_of(tmp_path, np.round(1e6 * LOG[:, 0]) % 2**14, name="time_us")
+
+
+def test_a_press_that_is_not_steady_before_the_log_ends_is_left_out(tmp_path):
+    ramp = np.linspace(0, 1, 200)[:, None] * TOLD[0, 4:]
+    rows = np.concatenate([LOG, LOG[-200:]])
+    rows[:, 0] = np.arange(len(rows)) / RATE
+    rows[-200:, 5:] += ramp
+    table = presses_of(tmp_path, *one_clock(rows))
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+    assert any("1 presses that were not steady" in note for note in table.notes)
