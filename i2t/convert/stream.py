@@ -280,8 +280,11 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     if notes.damaged_rows and not searches.rows:
         raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
     if not searches.found:
+        cut = len(searches.moved) + searches.unsteady
+        but = f" but {cut} that are cut" if cut else ""
         raise DataError(
-            f"{source}: nothing presses in its {searches.rows} rows; give a log that begins at rest and has presses"
+            f"{source}: nothing presses in its {searches.rows} rows{but}; "
+            "give a log that begins at rest and has presses"
         )
     searches.say(notes)
     header = [*columns.names, TIME, *searches.labels, *columns.values]
