@@ -72,7 +72,7 @@ def test_a_press_that_is_held_too_long_costs_no_other():
 
 
 def test_spikes_change_no_press_and_a_press_of_three_rows_is_none():
-    time, readings, spans, levels = stream(6, 60.0)
+    time, readings, _, levels = stream(6, 60.0)
     rng = np.random.default_rng(0)
     spiked = rng.uniform(size=len(time)) < 0.005
     found = segment_presses(time, readings + spiked[:, None] * 500 * rng.normal(size=readings.shape))
