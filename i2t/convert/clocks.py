@@ -3,7 +3,8 @@
 Stamps are numbers in a unit that a column's name states, Unix times, or dates and times of day in ISO 8601. A damaged
 stamp stands out from the rows before it and after it, which agree. Where the stamps after a step back go on, the clock
 itself has begun again: a full counter is counted on, and a clock that was set or a board that was started anew begins a
-new part. Where several rows share a stamp, the clock is coarser than the rows, which then follow each other evenly.
+new part. Where several rows share a stamp, the clock is coarser than the rows, and where they come in batches, it is
+the time at which a computer took them over: such rows follow each other evenly.
 """
 
 import re
@@ -23,13 +24,24 @@ MIN_PART_ROWS = 8  # at a clock's beginning or end that can be a part of a recor
 MAX_BACK_SHARE = 0.05  # of the rows before which time goes back; beyond it rows are in no order
 STEPS_S = (1e-4, 1.0)  # between rows of a log: no board sends faster, and slower ones miss a press
 ASSUMED_RATE_HZ = 100.0  # of a log whose stamps do not tell: its presses last the same number of rows at 30 to 500 Hz
-DAY_S = 86400.0
+BATCH_SHARE = 3.0  # of the mean step that is many times longer than the steps within a batch of rows
+BATCHED_ROWS = 0.4  # of all, at least, that follow the row before within a batch
+BETWEEN_BATCHES = 1 / 3  # of all time, at least, that passes in the steps from one batch to the next
+UNEVEN = 0.5  # of the time from one batch to the next, up to which it is told by its rows
+DAY_S, HOUR_S = 86400.0, 3600.0
+MINUTES_AND_SECONDS = re.compile(r"(\d+):(\d\d[.,]\d+)")  # as Excel shows times of day, without their hour
 COUNTERS_S = {  # how long a counter of whole numbers runs until it begins again
     "a 32-bit counter of microseconds": 2.0**32 * 1e-6,
     "a 32-bit counter of milliseconds": 2.0**32 * 1e-3,
     "a 16-bit counter of milliseconds": 2.0**16 * 1e-3,
+    "a clock of one hour": HOUR_S,
     "a clock of one day": DAY_S,
 }
+DECIMAL_MINUTES = re.compile(r"(^|[T ])\d+:\d\d[.,]\d")  # of which nothing tells whether they are hours and minutes
+IN_ORDER = (
+    "sort them by it where they were mixed up, or give --rate-hz where they are in order and its counter often begins "
+    "again or its stamps are damaged"
+)
 UNIX_TIMES = {1e9: 1.0, 1e12: 1e-3, 1e15: 1e-6, 1e18: 1e-9}  # s in their unit, from these numbers to ten times these
 
 
@@ -46,8 +58,21 @@ class RowClock(NamedTuple):
 
     step: float  # s, between rows
     by_rows: bool  # the stamps say nothing: rows are evenly spaced
-    resolution: float  # s, of the stamps, where several rows share one; else 0
+    resolution: float  # s, of the stamps or between batches, where several rows share one; else 0
     assumed: bool  # nothing states the step
+    within: float = 0.0  # s, up to which rows that follow each other are of one batch
+
+
+def pause_of(step: float) -> float:
+    """How far rows are apart at least between which a recording paused.
+
+    Args:
+        step: Between rows (s).
+
+    Returns:
+        s.
+    """
+    return max(PAUSE_S, PAUSE_ROWS * step)
 
 
 def states_zone(stamp: str) -> bool:
@@ -66,13 +91,18 @@ def stamp_in_seconds(text: str) -> str:
     """A time stamp as a number of seconds.
 
     Args:
-        text: A number, or a date and time in ISO 8601, or a time of day; without a zone it is taken as UTC.
+        text: A number, or a date and time in ISO 8601, or a time of day, or minutes and seconds with decimals; without
+            a zone it is taken as UTC.
 
     Returns:
         The text of a number; what is no stamp stays as it is.
     """
     plain = text.strip()
     if ":" not in plain:
+        return text
+    if short := MINUTES_AND_SECONDS.fullmatch(plain):
+        return repr(60.0 * int(short[1]) + float(short[2].replace(",", ".")))
+    if DECIMAL_MINUTES.search(plain):
         return text
     try:
         moment = datetime.fromisoformat(plain.replace("/", "-"))
@@ -97,13 +127,20 @@ def unix_unit(number: float) -> float | None:
     return next((unit for least, unit in UNIX_TIMES.items() if least <= number < 10 * least), None)
 
 
-def row_clock(time: Float[np.ndarray, " n"], name: str, *, rate: float | None = None) -> RowClock:
+def row_clock(
+    time: Float[np.ndarray, " n"],
+    name: str,
+    *,
+    rate: float | None = None,
+    begins: Bool[np.ndarray, " n"] | None = None,
+) -> RowClock:
     """How the rows of a log follow each other, by the stamps of some of its first rows.
 
     Args:
         time: s.
         name: Of the log and its column, for messages.
         rate: Hz, where it is stated: then the stamps are not looked at.
+        begins: Rows with which another session begins, whose clock may start anew.
 
     Returns:
         The clock.
@@ -114,22 +151,50 @@ def row_clock(time: Float[np.ndarray, " n"], name: str, *, rate: float | None = 
     """
     if rate is not None:
         return RowClock(1 / rate, by_rows=True, resolution=0.0, assumed=False)
+    require_order(time, name, begins)
     steps = np.diff(time)
-    require_order(time, name)
     forward = steps[steps > 0]
-    if not (steps == 0).any():
+    within = _within_batches(time)
+    if not (steps == 0).any() and not within:
         step = float(np.median(forward)) if len(forward) else 0.0
         _require_rate(step, len(time), name)
         return RowClock(step, by_rows=False, resolution=0.0, assumed=False)
-    begins = np.flatnonzero(steps > 0) + 1  # rows at which the stamp is another, between them whole runs of one stamp
-    widths, counts = time[begins[1:]] - time[begins[:-1]], np.diff(begins)
+    widths, counts = _batches(time, within)
     resolution = float(np.median(widths)) if len(widths) else float(np.median(forward)) if len(forward) else 0.0
-    usual = (widths <= max(PAUSE_S, PAUSE_ROWS * resolution)) & (widths > 0)
+    usual = (widths <= pause_of(resolution)) & (widths > 0)
     if not usual.any():
         return RowClock(1 / ASSUMED_RATE_HZ, by_rows=True, resolution=resolution, assumed=True)
     step = float(widths[usual].sum() / counts[usual].sum())
     _require_rate(step, len(time), name)
-    return RowClock(step, by_rows=resolution > PAUSE_S, resolution=resolution, assumed=False)
+    return RowClock(step, by_rows=resolution > PAUSE_S, resolution=resolution, assumed=False, within=within)
+
+
+def _batches(time: np.ndarray, within: float) -> tuple[np.ndarray, np.ndarray]:
+    """Time from one whole batch to the next (s), and how many rows it has; the first may have begun before."""
+    begins = np.flatnonzero(np.diff(time) > within) + 1
+    return time[begins[1:]] - time[begins[:-1]], np.diff(begins)
+
+
+def _within_batches(time: np.ndarray) -> float:
+    """Step (s) up to which rows are of one batch; 0 where they do not come in batches, or share stamps.
+
+    Rows come in batches where many steps are far shorter than the mean, and the time up to the next batch grows with
+    the rows of each. It does not where rows were lost, or where the rate changes.
+    """
+    steps = np.diff(time)
+    usual = steps[(steps >= 0) & (steps <= PAUSE_S)]
+    if len(usual) < MIN_PART_ROWS:
+        return 0.0
+    close = usual <= usual.mean() / BATCH_SHARE
+    if not (usual[close] > 0).any() or close.mean() < BATCHED_ROWS:
+        return 0.0
+    longest = np.sort(usual)[::-1]
+    between = longest[np.searchsorted(np.cumsum(longest), BETWEEN_BATCHES * longest.sum())]
+    widths, counts = _batches(time, between / 2)
+    widths, counts = widths[widths <= PAUSE_S], counts[widths <= PAUSE_S]
+    told = widths.sum() / max(counts.sum(), 1) * counts
+    even = np.abs(widths - told).sum() < UNEVEN * widths.sum() and counts.sum() > len(time) / 2
+    return float(between) / 2 if even else 0.0
 
 
 def _require_rate(step: float, rows: int, name: str) -> None:
@@ -142,19 +207,27 @@ def _require_rate(step: float, rows: int, name: str) -> None:
     )
 
 
-def require_order(time: Float[np.ndarray, " n"], name: str) -> None:
+def require_order(
+    time: Float[np.ndarray, " n"],
+    name: str,
+    begins: Bool[np.ndarray, " n"] | None = None,
+    remedy: str = IN_ORDER,
+) -> None:
     """Refuse rows in no order.
 
     Args:
         time: s.
         name: Of the log and its column, for messages.
+        begins: Rows with which another session begins, whose clock may start anew.
+        remedy: What to do.
 
     Raises:
         DataError: Time goes back at many rows.
     """
-    back = int(np.sum(np.diff(time) < 0))
+    goes_back = np.diff(time) < 0
+    back = int(np.sum(goes_back if begins is None else goes_back & ~begins[1:]))
     if back > max(MAX_BACK_SHARE * len(time), 3):
-        raise DataError(f"{name} goes back at {back} of {len(time)} rows, so they are in no order; sort them by it")
+        raise DataError(f"{name} goes back at {back} of {len(time)} rows, so they are in no order; {remedy}")
 
 
 def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bool = True) -> ClockVerdict:
@@ -203,8 +276,8 @@ def rolls_over(before: float, after: float) -> str:
         What counts so; "" where no counter does.
     """
     for name, period in COUNTERS_S.items():
-        full = min(abs(before - period), abs(before - period / 2))  # without a sign, and with one
-        if 0 <= after + period - before <= PAUSE_S and full <= PAUSE_S:
+        full = any(0 < end - before <= PAUSE_S for end in (period, period / 2))  # without a sign, and with one
+        if 0 <= after + period - before <= PAUSE_S and full:
             return name
     return ""
 
@@ -220,10 +293,17 @@ def even_times(time: Float[np.ndarray, " n"], clock: RowClock, shared: int = 0) 
     Returns:
         s, not decreasing, as given where no two rows share a stamp.
     """
-    begins = np.flatnonzero(np.diff(time, prepend=-np.inf) > 0)
-    within = np.arange(len(time)) - np.repeat(begins, np.diff(np.append(begins, len(time))))
-    within[: begins[1] if len(begins) > 1 else len(time)] += shared
-    return np.maximum.accumulate(time + clock.step * within)
+    begins = np.flatnonzero(np.diff(time, prepend=-np.inf) > clock.within)
+    sizes = np.diff(np.append(begins, len(time)))
+    within = np.arange(len(time)) - np.repeat(begins, sizes)
+    within[: sizes[0]] += shared
+    stamps = np.repeat(time[begins], sizes) if clock.resolution else time
+    even = stamps + clock.step * within
+    if clock.resolution and not shared and len(begins) > 1:  # of the first stamp, the last rows alone may be here
+        end = min(time[begins[1]], time[0] + clock.resolution)
+        even[: sizes[0]] = np.maximum(even[: sizes[0]], end - clock.step * np.arange(sizes[0], 0, -1))
+    # A batch is taken over after its last row was measured, and so is stamped later than its rows by its length.
+    return np.maximum.accumulate(even) - (clock.resolution - clock.step if clock.within else 0.0)
 
 
 class _Run(NamedTuple):

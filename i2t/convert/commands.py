@@ -239,7 +239,7 @@ class FromStream(_FromTable):
         """Convert, or write the table."""
         if self.rate_hz is not None and not MIN_RATE_HZ <= self.rate_hz <= MAX_RATE_HZ:
             raise DataError(f"--rate-hz is {self.rate_hz:g}; give {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} rows in a second")
-        if self.target.suffix == ".csv":
+        if self.target.suffix.lower() == ".csv":
             self._write_table()
             return
         self._require()

@@ -335,7 +335,7 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionL
         row = np.flatnonzero(~finite)[0] + 1
         notes.skip(data_error(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
     table = table[finite]
-    require_order(table[:, 0], f"{path}: time, its first column,")
+    require_order(table[:, 0], f"{path}: time, its first column,", remedy="sort them by it")
     verdict = judge_stamps(table[:, 0])
     back = np.flatnonzero(np.diff(table[:, 0]) < 0) + 2
     if verdict.damaged.any():

@@ -7,16 +7,17 @@ so memory does not grow with the log.
 
 A press becomes one row: its steady reading less the rest before it, and the medians of the other columns over the same
 rows; its time is that of its beginning. A height becomes a depth, which counts from the height at which the reading
-left its rest. Where pad or session change, after a pause and where the clock begins again, the search begins anew,
-unless the skin is pressed there and goes on to read the same. Rows in which a chip did not answer are no part of a
-press, and end none. What the time stamps tell is for `i2t.convert.clocks`.
+left its rest. Where the pad changes, after a pause and where the clock begins again, the search begins anew, unless the
+skin is pressed there and goes on to read the same. A press has the session of its steady rows. Rows in which a chip did
+not answer are no part of a press, and end none but those that they hide for longer than a pause. Rows that repeat
+earlier ones after a step back are left out. What the time stamps tell is for `i2t.convert.clocks`.
 """
 
 import csv
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
-from itertools import compress, groupby, islice, pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,12 +26,12 @@ import numpy as np
 from i2t.convert import presses
 from i2t.convert.clocks import (
     COUNTERS_S,
-    PAUSE_ROWS,
     PAUSE_S,
     ClockVerdict,
     RowClock,
     even_times,
     judge_stamps,
+    pause_of,
     require_order,
     rolls_over,
     row_clock,
@@ -53,6 +54,7 @@ from i2t.progress import progress
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board
 from i2t.unknowns.segmentation import (
+    LONGEST_S,
     MIN_NOISE_UT,
     MIN_ROWS,
     FoundPress,
@@ -66,11 +68,17 @@ from i2t.unknowns.segmentation import (
 from i2t.windows import PATCH_WINDOW, REACH
 
 ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are found from the first of them
-SILENCE_S = 10.0  # in which no row has all chips: afterwards the skin may rest elsewhere
 HEAD_ROWS, LEVEL_ROWS = 20, 3  # at the beginning of a part, at rest; and of which a level is the mean
 GOES_ON, IS_PRESSED = 4.0, 8.0  # standard deviations between rows: up to the one two levels are the same, beyond the
 # other a level is none of rest
+SAME_LABEL = 0.2  # mm or N, up to which a press that goes on is at the same place and as strong
 PRESS_DECIMALS = 6  # of the table's numbers
+REMEMBERED_ROWS = 2**20  # that are compared with those that follow a step back in time
+REPEATED_ROWS = 8  # one after the other, at least, that repeat earlier ones
+GAP_ROWS = 3.0  # steps of rows in one where a press begins, beyond which its beginning was not recorded
+STEADY_SHARE_AT_END = 1 / 6  # of a press's rows that are steady, at least, where a part ends in it: a ramp has less
+UNSURE_DEPTH = 0.05  # of a depth, up to which the tip may move meanwhile
+LINE, STAMP, NAMES, LABELS = 0, 1, 2, 3  # columns of a row's labels
 
 
 class _Columns(NamedTuple):
@@ -85,20 +93,18 @@ class _Columns(NamedTuple):
 class _Rows(NamedTuple):
     """Rows in the order of the log."""
 
-    names: list[tuple[str, ...]]
     time: np.ndarray  # (n,) s
     readings: np.ndarray  # (n, c) uT; NaN of a chip that did not answer
-    labels: np.ndarray  # (n, 2 + e): line in the file, time stamp (s; NaN where stamps say nothing), and the labels
+    labels: np.ndarray  # (n, 3 + e): line in the file, time (s; NaN where stamps say nothing), number of its
+    # pad's and session's names, and the labels
 
     def pick(self, which: slice | np.ndarray) -> "_Rows":
         """Some of the rows, by a slice or a mask."""
-        names = self.names[which] if isinstance(which, slice) else list(compress(self.names, which))
-        return _Rows(names, self.time[which], self.readings[which], self.labels[which])
+        return _Rows(self.time[which], self.readings[which], self.labels[which])
 
     def then(self, more: "_Rows") -> "_Rows":
         """These rows and further ones."""
-        arrays = (np.concatenate(both) for both in zip(self[1:], more[1:], strict=True))
-        return _Rows(self.names + more.names, *arrays)
+        return _Rows(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
     @property
     def heard(self) -> np.ndarray:
@@ -108,9 +114,8 @@ class _Rows(NamedTuple):
 
 @dataclass
 class _Search:
-    """Presses of rows that belong together: of one pad and session, without a pause."""
+    """Presses of rows that belong together: of one pad, without a pause."""
 
-    names: tuple[str, ...]
     origin: float  # s, of the clock, from which the time of its rows counts
     early: list[_Rows] = field(default_factory=list)  # before rate and noise are known
     recording: OpenRecording | None = None
@@ -118,7 +123,8 @@ class _Search:
     rows: int = 0
     end: float = 0.0  # s, of the last row
     head: np.ndarray | None = None  # first readings, at rest
-    tail: np.ndarray | None = None  # last readings
+    tail: _Rows | None = None  # the last
+    earlier: np.ndarray | None = None  # (c,) uT, the rest of the search before
 
     def take(self, rows: _Rows, step: float) -> None:
         """Look for presses in further rows, of a clock with this step (s), leaving out those of silent chips."""
@@ -130,7 +136,7 @@ class _Search:
         rows = rows._replace(time=rows.time - self.origin + order)
         self.rows += len(rows.time)
         self.head = rows.readings[:HEAD_ROWS].copy() if self.head is None else self.head
-        self.tail = rows.readings[-HEAD_ROWS:].copy()
+        self.tail = rows.pick(slice(-HEAD_ROWS, None))
         if self.recording is not None:
             self.recording, more = find_more(self.recording, rows.time, rows.readings, rows.labels)
             self.found += more
@@ -139,30 +145,40 @@ class _Search:
         if self.rows >= ROWS_READ_AT_ONCE:
             self._begin()
 
-    def goes_on_pressed(self, readings: np.ndarray) -> bool:
-        """Test whether the skin was pressed last, and these readings go on from there."""
-        if self.head is None or self.tail is None or not len(readings) or self.rows < MIN_ROWS:
+    def goes_on_pressed(self, rows: _Rows) -> bool:
+        """Test whether the skin was pressed last, and these rows go on from there."""
+        if self.head is None or self.tail is None or not len(rows.time) or self.rows < MIN_ROWS:
             return False
-        last, following = self.tail[-LEVEL_ROWS:].mean(0), readings[:LEVEL_ROWS].mean(0)
+        tail = self.tail.readings
+        last, following = tail[-LEVEL_ROWS:].mean(0), rows.readings[:LEVEL_ROWS].mean(0)
 
         def distance(difference: np.ndarray, rows: np.ndarray) -> float:
             between_rows = np.diff(rows, axis=0).std(0) if len(rows) > 1 else np.zeros(rows.shape[1])
             return float((np.abs(difference) / np.maximum(between_rows, MIN_NOISE_UT)).max())
 
         pressed = distance(last - np.median(self.head, axis=0), self.head) > IS_PRESSED
-        return pressed and distance(following - last, np.vstack([self.tail, self.head])) < GOES_ON
+        elsewhere = np.abs(rows.labels[0, LABELS:] - self.tail.labels[-1, LABELS:]) > SAME_LABEL
+        return pressed and not elsewhere.any() and distance(following - last, np.vstack([tail, self.head])) < GOES_ON
 
-    def presses(self) -> list[FoundPress]:
-        """All presses, after the last row; none where there were too few rows."""
+    def finish(self) -> None:
+        """Take no more rows: find the last presses, if there were enough rows."""
         if self.recording is None and self.rows < MIN_ROWS:
-            return []
-        recording = self.recording or self._begin()
-        return true_presses([*self.found, *find_last(recording)], recording.rules)
+            return
+        self.recording, more = find_last(self.recording or self._begin())
+        self.found = true_presses([*self.found, *more], self.recording.rules)
+
+    @property
+    def rest(self) -> np.ndarray | None:
+        """(c,) uT, of the skin after the last row."""
+        state = self.recording
+        if state is None:
+            return self.earlier
+        return state.baseline if state.sure or state.earlier is None else state.earlier
 
     def _begin(self) -> OpenRecording:
         """Find rate and noise in the first rows, and their presses."""
-        time, readings, labels = (np.concatenate([part[i] for part in self.early]) for i in (1, 2, 3))
-        empty = open_recording(segmentation_rules(time, readings), labels.shape[1])
+        time, readings, labels = (np.concatenate([part[i] for part in self.early]) for i in range(3))
+        empty = open_recording(segmentation_rules(time, readings), labels.shape[1], self.earlier)
         self.recording, self.found = find_more(empty, time, readings, labels)
         self.early = []
         return self.recording
@@ -253,43 +269,116 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     table = open_text_table(source)
     columns = _columns(source, table, board.num_chips, timed=rate is None)
     notes = ConversionLog(skip_bad, [*table.notes, *columns.notes])
-    found: list[tuple[tuple[str, ...], FoundPress]] = []
-    rows = parts = 0
-    for search in _searches(_rows(source, table, columns, notes), f"{source}: its time", notes, rate):
-        found += [(search.names, press) for press in search.presses()]
-        rows, parts = rows + search.rows, parts + 1
+    names: list[tuple[str, ...]] = []
+    searches = _Searches(columns)
+    timed = _on_one_clock(_rows(source, table, columns, notes, names), f"{source}: its time", notes, rate)
+    for search in _searches(timed, columns.names, names):
+        searches.add(search)
     for note in table.notes:  # the last of which came with the last row
         notes.info(note)
     notes.require_heard(source)
-    if notes.damaged_rows and not rows:
+    if notes.damaged_rows and not searches.rows:
         raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
-    if not found:
-        raise DataError(f"{source}: nothing presses in its {rows} rows; give a log that begins at rest and has presses")
-    pieces = (
-        f" of {parts} parts, between which it paused, its clock was set, or another session began" if parts > 1 else ""
-    )
-    notes.info(f"found: {len(found)} presses in {rows} rows{pieces}")
-    height = next((name for name in columns.labels if name in HEIGHT_COLUMNS), None)
-    if height is not None:
-        notes.info(
-            f"assumed: {height} grows out of the skin, and depth counts from the height at which a press's reading "
-            "left its rest"
+    if not searches.found:
+        cut = len(searches.moved) + searches.unsteady
+        but = f" but {cut} that are cut" if cut else ""
+        raise DataError(
+            f"{source}: nothing presses in its {searches.rows} rows{but}; "
+            "give a log that begins at rest and has presses"
         )
-    labels = ["depth_mm" if name == height else name for name in columns.labels]
-    header = [*columns.names, TIME, *labels, *columns.values]
-    return TextTable(header, [_press_row(names, press, columns, height) for names, press in found], notes.sentences())
+    searches.say(notes)
+    header = [*columns.names, TIME, *searches.labels, *columns.values]
+    rows = [searches.row(press, names) for press in searches.found]
+    return TextTable(header, rows, notes.sentences())
 
 
-def _press_row(
-    names: tuple[str, ...], press: FoundPress, columns: _Columns, height: str | None
-) -> tuple[int, list[str]]:
-    """A press's line in the log, and its fields."""
-    steady = press.steady[2:].copy()
-    if height is not None:
-        at = columns.labels.index(height)
-        steady[at] = press.at_start[2 + at] - steady[at]
-    numbers = [press.at_start[1], *steady.tolist(), *press.reading.tolist()]
-    return int(press.at_start[0]), [*names, *("" if np.isnan(x) else f"{x:.{PRESS_DECIMALS}f}" for x in numbers)]
+@dataclass
+class _Searches:
+    """What was found in the parts of a log."""
+
+    columns: _Columns
+    found: list[FoundPress] = field(default_factory=list)
+    rows: int = 0
+    parts: int = 0
+    spikes: int = 0
+    held: int = 0  # rows of parts in which the sensor was read faster than it measures
+    moved: list[int] = field(default_factory=list)  # lines at which the skin left what was no rest
+    hidden: int = 0  # presses whose beginning was not recorded
+    unsteady: int = 0  # presses that were left out, as a part ended before they were steady
+
+    @property
+    def height(self) -> int | None:
+        """Which of the labels is a height."""
+        return next((i for i, name in enumerate(self.columns.labels) if name in HEIGHT_COLUMNS), None)
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of a press's labels, in which a height has become a depth."""
+        return ["depth_mm" if i == self.height else name for i, name in enumerate(self.columns.labels)]
+
+    def add(self, search: _Search) -> None:
+        """Take over a search after its last row."""
+        self.rows, self.parts = self.rows + search.rows, self.parts + 1
+        state = search.recording
+        if state is None:
+            return
+        for press in search.found:
+            steady = (press.steady_end - press.steady_start) / (press.end - press.start)
+            if not press.over and steady < STEADY_SHARE_AT_END:
+                self.unsteady += 1
+                continue
+            if press.gap > GAP_ROWS * state.rules.step and self._travelled(press):
+                press.at_start[LABELS + (self.height or 0)] = np.nan
+                self.hidden += 1
+            self.found.append(press)
+        self.spikes += state.spikes
+        self.held += search.rows if state.rules.fresh < 1 else 0
+        self.moved += [int(row[LINE]) for row in state.moved]
+
+    def _travelled(self, press: FoundPress) -> bool:
+        """Test whether the tip moved while a press began and no row was read."""
+        if self.height is None:
+            return False
+        heights = press.across[:, LABELS + self.height]
+        depth = abs(heights[0] - press.steady[LABELS + self.height])
+        return bool(abs(np.diff(heights)).max(initial=0.0) > UNSURE_DEPTH * depth)
+
+    def say(self, notes: ConversionLog) -> None:
+        """Note what was found, assumed and left out."""
+        pieces = ", between which it paused, its clock was set, or the pad changed"
+        parts = f" of {self.parts} parts{pieces}" if self.parts > 1 else ""
+        notes.info(f"found: {len(self.found)} presses in {self.rows} rows{parts}")
+        if self.height is not None:
+            notes.info(
+                f"assumed: {self.columns.labels[self.height]} grows out of the skin, and depth counts from the height "
+                "at which a press's reading left its rest"
+            )
+        if self.hidden:
+            notes.info(
+                f"{self.hidden} presses begin where rows are missing: their depth is left empty, and their time is "
+                "that of the first row afterwards"
+            )
+        if self.moved:
+            notes.info(
+                f"left out: {len(self.moved)} presses that had begun before their part of the log, or lasted over "
+                f"{LONGEST_S:g} s; the first was released at line {min(self.moved)} (or the skin rests elsewhere from "
+                "there on)"
+            )
+        if self.unsteady:
+            notes.info(f"left out: {self.unsteady} presses that were not steady before their part of the log ended")
+        if self.spikes:
+            notes.info(f"replaced: values of {self.spikes} single rows that stand out from those around them")
+        if self.held:
+            notes.info(f"{self.held} rows are of a sensor that was read faster than it measures, or were written twice")
+
+    def row(self, press: FoundPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:
+        """A press's line in the log, and its fields."""
+        steady = press.steady[LABELS:].copy()
+        if self.height is not None:
+            steady[self.height] = press.at_start[LABELS + self.height] - steady[self.height]
+        numbers = [press.at_start[STAMP], *steady.tolist(), *press.reading.tolist()]
+        cells = ["" if np.isnan(x) else f"{x:.{PRESS_DECIMALS}f}" for x in numbers]
+        return int(press.at_start[LINE]), [*names[int(press.steady[NAMES])], *cells]
 
 
 def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Columns:
@@ -308,11 +397,15 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
     return _Columns(names, values, labels, notes)
 
 
-def _rows(source: Path, table: TableRows, columns: _Columns, notes: ConversionLog) -> Iterator[_Rows]:
-    """The rows of a log, some at a time; those in which a chip did not answer are counted."""
+def _rows(
+    source: Path, table: TableRows, columns: _Columns, notes: ConversionLog, known_names: list[tuple[str, ...]]
+) -> Iterator[_Rows]:
+    """The rows of a log, some at a time; those in which a chip did not answer are counted, and new names added."""
     timed = [TIME] if TIME in table.header else []
     wanted = [*timed, *columns.values, *columns.labels]
     first, end = len(timed), len(timed) + len(columns.values)
+    which = [table.header.index(name) for name in columns.names]
+    number_of: dict[tuple[str, ...], int] = {} if which else {(): 0}
     with progress(desc=source.name, unit="row", unit_scale=True) as bar:
         while some := list(islice(table.rows, ROWS_READ_AT_ONCE)):
             bar.update(len(some))
@@ -321,10 +414,14 @@ def _rows(source: Path, table: TableRows, columns: _Columns, notes: ConversionLo
                 continue
             readings = without_silent_chips(numbers[:, first:end])
             notes.keep_heard(np.isnan(readings).reshape(len(rows), -1, AXES_OF_CHIP).any(2))
-            names = [tuple(cells[table.header.index(name)].strip() for name in columns.names) for _, cells in rows]
+            codes = np.zeros(len(rows))
+            if which:
+                names = (tuple(cells[i].strip() for i in which) for _, cells in rows)
+                codes += [number_of.setdefault(name, len(number_of)) for name in names]
+            known_names[:] = number_of
             time = numbers[:, 0] if timed else np.zeros(len(rows))
-            labels = np.column_stack([np.array([line for line, _ in rows], float), time, numbers[:, end:]])
-            yield _Rows(names, time, readings, labels)
+            labels = np.column_stack([np.array([line for line, _ in rows], float), time, codes, numbers[:, end:]])
+            yield _Rows(time, readings, labels)
 
 
 def _needed(empty: np.ndarray, *, timed: int) -> np.ndarray:
@@ -332,35 +429,48 @@ def _needed(empty: np.ndarray, *, timed: int) -> np.ndarray:
     return np.tile(np.arange(empty.shape[1]) < timed, (len(empty), 1))
 
 
-def _searches(chunks: Iterator[_Rows], name: str, notes: ConversionLog, rate: float | None) -> Iterator[_Search]:
-    """A search for each part of a log that belongs together, after its last row."""
-    pieces = (piece for chunk in chunks for piece in _of_one_name(chunk))
-    for names, same in groupby(pieces, key=lambda rows: rows.names[0]):
-        yield from _parts(names, _on_one_clock(same, name, notes, rate))
-
-
-def _parts(names: tuple[str, ...], pieces: "Iterator[_Timed]") -> Iterator[_Search]:
-    """Searches of rows of one pad and session, of which each begins after a pause or where the clock begins again."""
+def _searches(pieces: "Iterator[_Timed]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
+    """Searches of which each begins after a pause, or where the clock begins again or the pad changes."""
     search: _Search | None = None
-    last_heard = np.nan  # s
+    last_heard, pad = np.nan, ""
     for piece in pieces:
         rows, heard = piece.rows, piece.rows.heard
         heard_at = np.fmax.accumulate(np.concatenate([[last_heard], np.where(heard, rows.time, np.nan)]))
-        silences = np.flatnonzero(heard & (rows.time - heard_at[:-1] > SILENCE_S))
+        silences = np.flatnonzero(heard & (rows.time - heard_at[:-1] > pause_of(piece.step)))
         begins = {*np.flatnonzero(piece.begins).tolist(), *silences.tolist()}
-        for start, end in pairwise(sorted({0, *begins, len(rows.time)})):
+        pads = [name[columns.index("pad")] if "pad" in columns else "" for name in names]
+        others, pad = _other_pads(rows, pads, pad)
+        for start, end in pairwise(sorted({0, *begins, *others, len(rows.time)})):
             part = rows.pick(slice(start, end))
-            if start in begins and search is not None:
-                if search.goes_on_pressed(part.readings[part.heard]):
+            if search is not None and start in others:
+                search.finish()
+                yield search
+                search = None
+            if search is not None and start in begins:
+                if search.goes_on_pressed(part.pick(part.heard)):
                     search.origin = float(part.time[0]) - search.end - piece.step
                 else:
+                    search.finish()
                     yield search
-                    search = None
-            search = search or _Search(names, origin=float(part.time[0]))
+                    search = _Search(origin=float(part.time[0]), earlier=search.rest)
+            search = search or _Search(origin=float(part.time[0]))
             search.take(part, piece.step)
         last_heard = float(heard_at[-1])
     if search is not None:
+        search.finish()
         yield search
+
+
+def _other_pads(rows: _Rows, pads: list[str], pad: str) -> tuple[set[int], str]:
+    """Rows with which another pad begins than the one before, and the last; one without a name is the one before."""
+    others = set()
+    codes = rows.labels[:, NAMES]
+    for at in np.flatnonzero(np.diff(codes, prepend=-1.0)).tolist():
+        pad_there = pads[int(codes[at])] or pad
+        if pad not in ("", pad_there):
+            others.add(at)
+        pad = pad_there
+    return others, pad
 
 
 class _Timed(NamedTuple):
@@ -372,22 +482,26 @@ class _Timed(NamedTuple):
 
 
 def _on_one_clock(pieces: Iterator[_Rows], name: str, notes: ConversionLog, rate: float | None) -> Iterator[_Timed]:
-    """Rows without those whose stamp is damaged, in even time where the clock is coarse."""
+    """Rows without those whose stamp is damaged and those that repeat earlier ones, in even time where a clock is
+    coarse.
+    """
     clock: RowClock | None = None
     held: _Rows | None = None
-    stamps = _Stamps()
+    stamps, memory = _Stamps(), _Memory()
     for piece, last in _with_last(pieces):
-        held = piece if held is None else held.then(piece)
+        new = piece if rate is not None else memory.leave_out(piece)
+        held = new if held is None else held.then(new)
         if clock is None and len(held.time) < ROWS_READ_AT_ONCE and not last:
             continue
+        begins = np.append(False, np.diff(held.labels[:, NAMES]) != 0)
         if clock is None:
-            clock = row_clock(held.time, name, rate=rate)
+            clock = row_clock(held.time, name, rate=rate, begins=begins)
             _say_clock(clock, held.time, notes)
         if clock.by_rows:
             yield stamps.counted(held, clock)
             held = None
             continue
-        require_order(held.time, name)
+        require_order(held.time, name, begins)
         verdict = stamps.judge(held.time, last=last)
         for line, stamp in held.labels[: verdict.settled][verdict.damaged, :2]:
             notes.skip_row(
@@ -398,6 +512,43 @@ def _on_one_clock(pieces: Iterator[_Rows], name: str, notes: ConversionLog, rate
         if verdict.settled:
             yield stamps.timed(held.pick(slice(0, verdict.settled)), verdict, clock, notes)
         held = held.pick(slice(verdict.settled, None))
+    if memory.repeats:
+        notes.info(
+            f"left out: {memory.repeats} rows that repeat earlier ones with their times, the first at line "
+            f"{memory.first}"
+        )
+
+
+@dataclass
+class _Memory:
+    """Which rows a log has had, by a number that is computed from each."""
+
+    prints: list[np.ndarray] = field(default_factory=list)
+    latest: float = -np.inf  # s, of all stamps
+    repeats: int = 0  # rows left out
+    first: int = 0  # line of the first of them
+
+    def leave_out(self, rows: _Rows) -> _Rows:
+        """Rows without those that go back in time and repeat earlier ones with their time, at least several in turn."""
+        before = np.maximum.accumulate(np.append(self.latest, rows.time))[:-1]
+        parts = np.ascontiguousarray(np.column_stack([rows.time, rows.labels[:, NAMES], rows.readings])).view(np.uint64)
+        odd = 2 * np.random.default_rng(0).integers(2**62, size=parts.shape[1], dtype=np.uint64) + np.uint64(1)
+        prints = ((parts * odd).sum(1) >> np.uint64(32)).astype(np.uint32)
+        repeated = np.zeros(len(rows.time), bool)
+        if (rows.time < before).any():
+            whole = np.concatenate([*self.prints, prints])
+            _, firsts, which = np.unique(whole, return_index=True, return_inverse=True)
+            again = (firsts[which] < np.arange(len(whole)))[-len(prints) :] & (rows.time <= before)
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]])))
+            for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+                varied = np.diff(rows.readings[start:end], axis=0).any()
+                repeated[start:end] = end - start >= REPEATED_ROWS and rows.time[start] < before[start] and varied
+        if repeated.any():
+            self.first = self.first or int(rows.labels[repeated, LINE][0])
+            self.repeats += int(repeated.sum())
+        self.latest = max(self.latest, float(rows.time.max()))
+        self.prints = [*self.prints, prints][-(REMEMBERED_ROWS // ROWS_READ_AT_ONCE) :]
+        return rows.pick(~repeated) if repeated.any() else rows
 
 
 @dataclass
@@ -405,18 +556,22 @@ class _Stamps:
     """A log's clock up to the rows that were settled."""
 
     last: float = np.nan  # s, stamp of the last sound row
+    names: float = np.nan  # number of its names
     offset: float = 0.0  # s, added to stamps after a counter began again
     end: float = np.nan  # s, even time of the last sound row
     sharing: int = 0  # rows that have its stamp
     rows: int = 0
 
     def counted(self, rows: _Rows, clock: RowClock) -> _Timed:
-        """Rows that are evenly spaced, whatever their stamps."""
+        """Rows that are evenly spaced, whatever their stamps; each session may be another recording."""
         n = len(rows.time)
         time = clock.step * np.arange(self.rows, self.rows + n)
-        self.rows += n
-        labels = np.column_stack([rows.labels[:, :1], np.full(n, np.nan), rows.labels[:, 2:]])
-        return _Timed(rows._replace(time=time, labels=labels), np.zeros(n, bool), clock.step)
+        codes = rows.labels[:, NAMES]
+        begins = np.diff(codes, prepend=codes[0] if np.isnan(self.names) else self.names) != 0
+        self.rows, self.names = self.rows + n, float(codes[-1])
+        labels = rows.labels.copy()
+        labels[:, STAMP] = np.nan
+        return _Timed(rows._replace(time=time, labels=labels), begins, clock.step)
 
     def judge(self, time: np.ndarray, *, last: bool) -> ClockVerdict:
         """The verdict on stamps that follow."""
@@ -436,16 +591,17 @@ class _Stamps:
                 continue
             again = start in verdict.restarts and self._begin_again(part, clock, notes)
             stamps = part.time + self.offset
-            shared = self.sharing if stamps[0] == self.last + self.offset and not again else 0
+            shared = self.sharing if stamps[0] <= self.last + self.offset + clock.within and not again else 0
             time = even_times(stamps, clock, shared)
             before = time[0] if again or np.isnan(self.end) else self.end
             time = np.maximum(time, before) if not again else time
-            pauses = np.diff(time, prepend=before) > max(PAUSE_S, PAUSE_ROWS * clock.step)
+            pauses = np.diff(time, prepend=before) > pause_of(clock.step)
             pauses[0] |= again
-            self.last, self.end = float(part.time[-1]), float(time[-1])
-            same = int(np.sum(part.time == part.time[-1]))
-            self.sharing = same + (shared if same == len(part.time) else 0)
-            labels = np.column_stack([part.labels[:, :1], stamps, part.labels[:, 2:]])
+            self.last, self.end, self.names = float(part.time[-1]), float(time[-1]), float(part.labels[-1, NAMES])
+            apart = np.flatnonzero(np.diff(part.time) > clock.within)
+            self.sharing = len(part.time) - (int(apart[-1]) + 1 if len(apart) else -shared)
+            labels = part.labels.copy()
+            labels[:, STAMP] = time
             parts.append(part._replace(time=time, labels=labels))
             begins.append(pauses)
         whole = reduce(_Rows.then, parts) if parts else rows.pick(slice(0, 0))
@@ -453,23 +609,26 @@ class _Stamps:
 
     def _begin_again(self, part: _Rows, clock: RowClock, notes: ConversionLog) -> bool:
         """Whether a part begins with rows at which the clock goes back; otherwise it is counted on."""
-        line, back = f"{part.labels[0, 0]:.0f}", self.last - float(part.time[0])
+        line, back = f"{part.labels[0, LINE]:.0f}", self.last - float(part.time[0])
+        other_session = part.labels[0, NAMES] != self.names
         if counter := rolls_over(self.last, float(part.time[0])):
             self.offset += COUNTERS_S[counter]
             notes.info(f"time begins again at line {line}, where {counter} is full: it was counted on")
             return False
-        if back <= PAUSE_S:
+        if back <= PAUSE_S and not other_session:
             self.offset += back + clock.step
             notes.info(f"time goes back by {back:.3g} s at line {line}: it was taken as running on")
             return False
         self.offset = 0.0
-        notes.info(f"time goes back by {back:.6g} s at line {line}, where the clock was set or began again")
+        if not other_session:
+            notes.info(f"time goes back by {back:.6g} s at line {line}, where the clock was set or began again")
         return True
 
 
 def _say_clock(clock: RowClock, time: np.ndarray, notes: ConversionLog) -> None:
     """Note what the stamps tell, where they do not tell all."""
-    shared = int(np.sum(np.diff(time) == 0))
+    steps = np.diff(time)
+    shared = int(np.sum((steps >= 0) & (steps <= clock.within)))
     if clock.assumed:
         seen = f"in steps of {clock.resolution:g} s" if clock.resolution else "always the same"
         notes.info(
@@ -480,6 +639,11 @@ def _say_clock(clock: RowClock, time: np.ndarray, notes: ConversionLog) -> None:
         notes.info(
             f"time has steps of {clock.resolution:g} s: rows are evenly spaced at {1 / clock.step:.4g} Hz, and the "
             "times of presses are unknown"
+        )
+    elif clock.within:
+        notes.info(
+            f"rows come in batches, {clock.resolution:.3g} s one after the other: they are evenly spaced at "
+            f"{1 / clock.step:.4g} Hz"
         )
     elif shared and not clock.by_rows:
         notes.info(
@@ -497,11 +661,3 @@ def _with_last(pieces: Iterator[_Rows]) -> Iterator[tuple[_Rows, bool]]:
         before = piece
     if before is not None:
         yield before, True
-
-
-def _of_one_name(rows: _Rows) -> Iterator[_Rows]:
-    """Rows up to where pad or session change."""
-    ends = [i for i, (one, other) in enumerate(pairwise(rows.names), 1) if one != other]
-    for start, end in pairwise([0, *ends, len(rows.names)]):
-        if start < end:
-            yield rows.pick(slice(start, end))

@@ -4,8 +4,13 @@ A skin at rest drifts slowly and its noise is white; a press moves many channels
 it the skin may stay displaced and recover. Rows are averaged over 20 ms. The distance of each average from a baseline,
 the median of the last second at rest, is counted in standard deviations of the noise over all channels. A press begins
 where it rises over a threshold. It ends where it has fallen to a tenth of the press's own peak and falls no further:
-there is the next rest, with a baseline of its own. Any rate, regular or not, and any number of channels. The recording
-begins at rest.
+there is the next rest, with a baseline of its own. Any rate, regular or not, and any number of channels.
+
+The first level at which the skin stays still is taken as its rest until it moves from there. Where it moves to the rest
+of an earlier recording, or does not come back, it was pressed or has moved: the next still level is taken then.
+
+A row that stands out from two rows on either side is a spike, which their median replaces. Rows that repeat the one
+before, as of a sensor that is read faster than it measures, tell nothing of the noise.
 
 `segment_presses` takes a whole recording. One that does not fit into memory is given piece by piece to `find_more`,
 which keeps no more than the rows of the longest press.
@@ -32,6 +37,11 @@ BASELINE_S = 1.0  # at rest, that a baseline is the median of
 SHORTEST_S, LONGEST_S = 0.1, 60.0  # of a press: what is shorter is left out, what lasts longer is a new rest
 GAP_S = 0.1  # presses closer than this are one
 NOISE_BLOCKS = 20  # of rows, whose differences are compared to find those at rest
+SPIKE_AT, SPIKE_TIMES = 10.0, 4.0  # standard deviations that a spike stands out by, and times its neighbours' spread
+HELD_SPREAD = 2.0  # of the lengths of runs of one value, where a sensor is read faster than it measures
+MIN_SHARE_OF_MOVE = 0.3  # of the way to a level: presses from there are larger, and a held press that wavers moves less
+STILL_BLOCKS = 3  # of a level, at least
+HELD_ROWS = 1.3  # in a run, at least
 
 
 class SegmentedPresses(NamedTuple):
@@ -57,9 +67,12 @@ class FoundPress(NamedTuple):
     reading: Float[np.ndarray, " c"]  # uT, steady, less the baseline before it
     baseline: Float[np.ndarray, " c"]  # uT
     at_start: Float[np.ndarray, " e"]  # other columns where it begins
+    across: Float[np.ndarray, "2 e"]  # other columns in the rows before and after the longest step where it begins
     steady: Float[np.ndarray, " e"]  # their medians where it is steady
     start_time: float  # s
     end_time: float  # s
+    gap: float  # s, that step
+    over: bool  # it ended before the recording did
     peak: float  # distance from rest, in standard deviations of a smoothed channel
 
 
@@ -72,11 +85,13 @@ class SegmentationRules(NamedTuple):
     rest: int  # blocks
     gap: int  # blocks
     longest: int  # blocks
+    spike: Float[np.ndarray, " c"]  # uT, that a row stands out by at least to be a spike; inf where one may be a press
+    fresh: float  # share of rows that do not repeat the one before
 
     @property
     def unit(self) -> Float[np.ndarray, " c"]:
         """The noise of a block (uT)."""
-        return self.noise_std / np.sqrt(self.width)
+        return self.noise_std / np.sqrt(max(self.width * self.fresh, 1.0))
 
 
 class OpenRecording(NamedTuple):
@@ -90,6 +105,10 @@ class OpenRecording(NamedTuple):
     at: int  # block, among those kept, up to which presses were sought
     rest_from: int  # block from which the skin has been at rest; negative where that was dropped
     baseline: Float[np.ndarray, " c"] | None  # uT; None before the first rest was seen
+    earlier: Float[np.ndarray, " c"] | None = None  # uT, a rest before, of another recording or of this one
+    sure: bool = False  # the skin came back to its rest
+    moved: tuple[np.ndarray, ...] = ()  # others where it left what was taken for rest, and did not come back
+    spikes: int = 0  # rows that were replaced
 
 
 def segment_presses(time: ArrayLike, readings: ArrayLike) -> SegmentedPresses:
@@ -112,7 +131,7 @@ def segment_presses(time: ArrayLike, readings: ArrayLike) -> SegmentedPresses:
     time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
     rules = segmentation_rules(time, readings)
     recording, found = find_more(open_recording(rules), time, readings)
-    kept = true_presses([*found, *find_last(recording)], rules)
+    kept = true_presses([*found, *find_last(recording)[1]], rules)
     columns = {name: np.array([getattr(press, name) for press in kept]) for name in SegmentedPresses._fields}
     columns |= {name: columns[name].reshape(-1, readings.shape[1]) for name in ("reading", "baseline")}
     return SegmentedPresses(**columns)
@@ -136,22 +155,29 @@ def segmentation_rules(time: ArrayLike, readings: ArrayLike) -> SegmentationRule
     step = float(np.median(np.diff(time)))
     width = min(max(1, round(SMOOTH_S / step)), max(len(time) // MIN_ROWS, 1))
     rest, gap, longest = (max(1, max(1, round(s / step)) // width) for s in (BASELINE_S, GAP_S, LONGEST_S))
-    return SegmentationRules(_noise(readings), step, width, rest=rest, gap=gap, longest=longest)
+    fresh = _fresh_share(readings)
+    new = readings[np.append(True, np.diff(readings, axis=0).any(1))] if fresh < 1 else readings
+    spike = _spike_size(new) if 2 * step < SHORTEST_S and fresh == 1 else np.full(readings.shape[1], np.inf)
+    noise = _noise(_without_spikes(new, spike)[0])
+    return SegmentationRules(noise, step, width, rest=rest, gap=gap, longest=longest, spike=spike, fresh=fresh)
 
 
-def open_recording(rules: SegmentationRules, columns: int = 0) -> OpenRecording:
+def open_recording(
+    rules: SegmentationRules, columns: int = 0, earlier: Float[np.ndarray, " c"] | None = None
+) -> OpenRecording:
     """A recording of which no row has come.
 
     Args:
         rules: What is a press.
         columns: Other columns that come with its readings.
+        earlier: (c,) uT, the rest of the recording before, where there was one.
 
     Returns:
         The recording.
     """
     channels = len(rules.noise_std)
     nothing = (np.zeros(0), np.zeros((0, channels)), np.zeros((0, columns)))
-    return OpenRecording(rules, 0, *nothing, at=0, rest_from=0, baseline=None)
+    return OpenRecording(rules, 0, *nothing, at=0, rest_from=0, baseline=None, earlier=earlier)
 
 
 def find_more(
@@ -178,16 +204,16 @@ def find_more(
     return _advance(longer, last=False)
 
 
-def find_last(recording: OpenRecording) -> list[FoundPress]:
+def find_last(recording: OpenRecording) -> tuple[OpenRecording, list[FoundPress]]:
     """The presses in the last rows of a recording.
 
     Args:
         recording: To which nothing is added any more.
 
     Returns:
-        Those that `find_more` has not found; one that was not over ends with the recording.
+        The recording, and those presses that `find_more` has not found; one that was not over ends with the recording.
     """
-    return _advance(recording, last=True)[1]
+    return _advance(recording, last=True)
 
 
 def true_presses(found: Sequence[FoundPress], rules: SegmentationRules) -> list[FoundPress]:
@@ -227,17 +253,71 @@ def _noise(readings: np.ndarray) -> np.ndarray:
     return np.maximum(np.maximum(np.quantile(spread, 0.25, axis=0), 0.5 * robust), MIN_NOISE_UT)
 
 
+def _spike_size(readings: np.ndarray) -> np.ndarray:
+    """How far a row stands out that is a spike, in each channel: by far more than noise and than a channel's steps."""
+    steps = np.abs(np.diff(readings, axis=0))
+    resolution = np.min(np.where(steps > 0, steps, np.inf), axis=0, initial=np.inf)
+    second = np.abs(np.diff(readings, 2, axis=0))
+    noise = np.maximum(MAD_TO_STD * np.median(second, axis=0) / np.sqrt(6), MIN_NOISE_UT)
+    return SPIKE_AT * np.maximum(noise, np.where(np.isfinite(resolution), resolution, 0.0))
+
+
+def _without_spikes(readings: np.ndarray, spike: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows with spikes replaced by the median of the two rows on either side; and which rows had one."""
+    spiked = np.zeros(len(readings), bool)
+    if len(readings) < 5 or not np.isfinite(spike).any():
+        return readings, spiked
+    far = (np.abs(readings[2:-2] - readings[1:-3]) > spike) & (np.abs(readings[2:-2] - readings[3:-1]) > spike)
+    rows = np.flatnonzero(far.any(1)) + 2
+    if not len(rows):
+        return readings, spiked
+    around = np.sort(readings[rows[:, None] + np.array([-2, -1, 1, 2])], axis=1)
+    middle, spread = around[:, 1:3].mean(1), around[:, 2] - around[:, 1]  # one of the four may be a spike too
+    out = np.abs(readings[rows] - middle) > np.maximum(spike, SPIKE_TIMES * spread)
+    mended = readings.copy()
+    mended[rows] = np.where(out, middle, readings[rows])
+    spiked[rows[out.any(1)]] = True
+    return mended, spiked
+
+
+def _fresh_share(readings: np.ndarray) -> float:
+    """Share of rows that do not repeat the one before, where runs of one value are about equally long; else 1."""
+    begins = np.flatnonzero(np.append(True, np.diff(readings, axis=0).any(1)))
+    if len(begins) < MIN_ROWS or len(readings) < HELD_ROWS * len(begins):
+        return 1.0
+    short, long = np.quantile(np.diff(begins), (0.1, 0.9))
+    return len(begins) / len(readings) if long <= HELD_SPREAD * short else 1.0
+
+
+def _first_still(blocks: np.ndarray, rules: SegmentationRules) -> tuple[int, np.ndarray | None]:
+    """First block, and level (uT), at which the skin stays still for longer than between two presses.
+
+    It is sought over the blocks of a rest; there is no level where it does not stay still.
+    """
+    size = max(rules.gap, STILL_BLOCKS)
+    for start in range(min(rules.rest, len(blocks) - size) + 1):
+        some = blocks[start : start + size]
+        level = np.median(some, axis=0)
+        if _distance(some - level, rules.unit).max() < END_AT:
+            return start, level
+    return 0, None
+
+
 def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, list[FoundPress]]:
     """Look for presses as far as later rows cannot change them, or to the end where these rows are the last."""
     rules, unit = recording.rules, recording.rules.unit
     count = len(recording.readings) // rules.width
     shape = (count, rules.width, recording.readings.shape[1])
-    blocks = recording.readings[: count * rules.width].reshape(shape).mean(1)
+    mended, spiked = _without_spikes(recording.readings, rules.spike)
+    blocks = mended[: count * rules.width].reshape(shape).mean(1)
     at, rest_from, baseline = recording.at, recording.rest_from, recording.baseline
+    earlier, sure, moved = recording.earlier, recording.sure, list(recording.moved)
     found: list[FoundPress] = []
-    while at < count and (last or at + rules.rest <= count):
+    while at < count and (last or at + 2 * rules.rest <= count):
         if baseline is None:
-            baseline = np.median(blocks[: max(rules.rest // 4, 1)], axis=0)  # a press may come within a second
+            still, baseline = _first_still(blocks[at:], rules)
+            at = rest_from = at + still
+            baseline = np.median(blocks[at : at + max(rules.rest // 4, 1)], axis=0) if baseline is None else baseline
         distance = _distance(blocks[at : at + rules.rest] - baseline, unit)
         over = np.flatnonzero(distance > BEGIN_AT)
         if not len(over):
@@ -247,17 +327,21 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
         first = at + int(over[0])
         end, rests, known = _end(blocks, first, baseline, rules)
         following = max(first + end, first + 1)
-        if not last and not (known and following + rules.gap <= count):
+        if not last and not (known and max(following + rules.gap, first + 2 * rules.rest) <= count):
             break
-        if rests:
-            since = max(rest_from, first - rules.longest, 0)
-            back = _distance(blocks[since:first] - baseline, unit) < END_AT
-            start = since + int(np.flatnonzero(back)[-1]) + 1 if back.any() else since
-            found.append(_press(recording, blocks, (start, first + end), baseline))
+        if _has_moved(blocks[first:], baseline, None if sure else earlier, rules, came_back=known and rests):
+            moved += [recording.others[rules.width * first].copy()] if first > at or not moved else []
+            at, earlier, baseline, sure = max(first, at + 1), baseline if sure else earlier, None, False
+            continue
+        sure |= known and rests
+        since = max(rest_from, first - rules.longest, 0)
+        back = _distance(blocks[since:first] - baseline, unit) < END_AT
+        start = since + int(np.flatnonzero(back)[-1]) + 1 if back.any() else since
+        found.append(_press(recording, blocks, (start, first + end), baseline, over=known))
         at = rest_from = following
         if at < count:
             baseline = np.median(blocks[rest_from : rest_from + rules.gap], axis=0)
-    drop = max(min(max(rest_from, at - rules.longest), at - rules.rest), 0)
+    drop = len(blocks) if last else max(min(max(rest_from, at - rules.longest), at - rules.rest), 0)
     rows = drop * rules.width
     kept = recording._replace(
         first=recording.first + rows,
@@ -267,16 +351,54 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
         at=at - drop,
         rest_from=rest_from - drop,
         baseline=baseline,
+        earlier=earlier,
+        sure=sure,
+        moved=tuple(moved),
+        spikes=recording.spikes + int(spiked[:rows].sum()),
     )
     return kept, found
 
 
-def _press(recording: OpenRecording, blocks: np.ndarray, span: tuple[int, int], baseline: np.ndarray) -> FoundPress:
+def _has_moved(
+    blocks: np.ndarray,
+    baseline: np.ndarray,
+    earlier: np.ndarray | None,
+    rules: SegmentationRules,
+    *,
+    came_back: bool,
+) -> bool:
+    """Test whether a skin that leaves a level, with these blocks, has left a press or rests elsewhere from then on.
+
+    It has where the next still level is an earlier rest, or where it does not come back for longer than a press lasts.
+    Where the recording ends before, it has where presses come and go after it from the next still level.
+    """
+    if came_back and earlier is None:
+        return False
+    still, level = _first_still(blocks, rules)
+    if earlier is not None and level is not None:
+        apart, away = _distance(np.stack([baseline, level]) - earlier, rules.unit)
+        if apart > BEGIN_AT and away < max(END_AT, RELEASED_SHARE * apart):
+            return True
+    if came_back or len(blocks) > rules.longest:
+        return not came_back
+    if level is None:
+        return False
+    least = MIN_SHARE_OF_MOVE * float(_distance(level[None] - baseline, rules.unit)[0])
+    over = np.flatnonzero(_distance(blocks[still:] - level, rules.unit) > max(BEGIN_AT, least))
+    return len(over) > 0 and all(_end(blocks[still:], int(over[0]), level, rules)[1:])
+
+
+def _press(
+    recording: OpenRecording, blocks: np.ndarray, span: tuple[int, int], baseline: np.ndarray, *, over: bool
+) -> FoundPress:
     """The press between two blocks of a recording."""
     rules, width = recording.rules, recording.rules.width
     moved = blocks[span[0] : span[1]] - baseline
     start, end = (width * block for block in span)
     first, last = (start + width * block for block in _steady(moved, rules.unit))
+    onset = slice(max(start - 1, 0), start + width + 1)
+    steps = np.diff(recording.time[onset])
+    gap = onset.start + int(np.argmax(steps)) if len(steps) else start
     return FoundPress(
         start=recording.first + start,
         end=recording.first + end,
@@ -285,9 +407,12 @@ def _press(recording: OpenRecording, blocks: np.ndarray, span: tuple[int, int], 
         reading=np.median(recording.readings[first:last], axis=0) - baseline,
         baseline=baseline,
         at_start=recording.others[start].copy(),  # a view would keep all rows
-        steady=np.median(recording.others[first:last], axis=0),
+        across=recording.others[gap : gap + 2].copy(),
+        steady=np.quantile(recording.others[first:last], 0.5, axis=0, method="lower"),  # one of the values
         start_time=float(recording.time[start]),
         end_time=float(recording.time[end - 1]),
+        gap=float(steps.max(initial=0.0)),
+        over=over,
         peak=float(_distance(moved, rules.unit).max()),
     )
 

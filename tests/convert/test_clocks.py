@@ -67,6 +67,23 @@ def test_rows_of_a_coarse_clock_are_evenly_spaced(resolution):
     np.testing.assert_allclose(np.concatenate(halves), even, atol=resolution / 10)
 
 
+@pytest.mark.parametrize("rows", [2, 3, 25])
+def test_rows_of_a_batch_have_the_times_at_which_they_were_measured(rows):
+    within = np.arange(400) % rows
+    arrived = TIME + 0.01 * (rows - 1 - within) + 2e-4 * within
+    clock = row_clock(arrived, "a clock")
+    np.testing.assert_allclose(clock.step, 0.01, rtol=0.02)
+    np.testing.assert_allclose(even_times(arrived, clock), TIME, atol=0.011)
+
+
+def test_rows_that_were_lost_and_a_rate_that_changes_are_no_batches():
+    lost = TIME[np.random.default_rng(0).uniform(size=400) < 0.5]
+    idle = np.concatenate([np.arange(100) * 0.2, 20 + np.arange(800) * 0.0025])
+    for time in (lost, idle):
+        assert row_clock(time, "a clock").within == 0
+        np.testing.assert_array_equal(even_times(time, row_clock(time, "a clock")), time)
+
+
 def test_a_clock_without_steps_tells_no_rate():
     for stamps in (np.float32(1.76e9 + TIME).astype(float), np.zeros(400)):
         clock = row_clock(stamps, "a clock")

@@ -128,6 +128,7 @@ def test_a_log_without_places_becomes_a_table_to_complete(tmp_path, capsys):
     assert "where it was pressed is not known" in refused(capsys, "stream", path, data, *indenter)
     refused(capsys, "stream", path, table, *indenter)
     assert "--indenter is missing" in refused(capsys, "stream", path, data)
+    assert run("stream", path, tmp_path / "presses.CSV") == 0
     assert run("stream", path, table) == 0
     places = ["x_mm,y_mm", *(f"{x},{y}" for x, y in told[:, :2])]
     lines = zip(places, table.read_text().splitlines(), strict=True)
@@ -156,6 +157,7 @@ def silent_log(share=0.06, gap=None, chips=slice(None)):
     return rows, int(gone.sum())
 
 
+MUTE = np.where(np.arange(20) < 5, 1.0, 0.0)
 IN_A_PRESS = int(np.flatnonzero(LOG[:, 3] < 0)[300])  # in the second half of its rest in the skin
 
 
@@ -227,6 +229,8 @@ CLOCKS = {
     "signed micros()": ("time_us", full_after(1e-6, 32, signed=True)),
     "millis()": ("time_ms", full_after(1e-3, 32)),
     "16 bits of milliseconds": ("time_ms", full_after(1e-3, 16)),
+    "minutes and seconds": ("time", [f"{59 + t // 60:02.0f}:{t % 60:04.1f}" for t in LOG[:, 0]]),
+    "an hour that ends": ("time", texts("%M:%S.%f", 1.76e9 // 3600 * 3600 - 3)),
     "ISO 8601": ("timestamp", texts("%Y-%m-%d %H:%M:%S.%f")),
     "ISO 8601 with a zone": ("time_s", texts("%Y-%m-%dT%H:%M:%S.%fZ")),
     "a day that ends": ("Time", texts("%H:%M:%S.%f", 1.76e9 // 86400 * 86400 - 3)),
@@ -274,8 +278,9 @@ def test_stamps_that_say_nothing_are_said_and_a_rate_can_be_stated(tmp_path):
         ("time_s", LOG[::-1, 0], "they are in no order; sort them"),
         ("time", LOG[:, 0], "name the column of time by its unit"),
         ("time_s", texts("%d.%m.%Y %H:%M:%S"), "which is no time in ISO 8601"),
+        ("time_s", texts("%Y-%m-%d %H:%M.%f"), "which is no time in ISO 8601"),
     ],
-    ids=["unit", "other unit", "shuffled", "descending", "no unit", "other dates"],
+    ids=["unit", "other unit", "shuffled", "descending", "no unit", "other dates", "decimal minutes"],
 )
 def test_a_time_that_cannot_be_is_refused_with_its_remedy(tmp_path, name, stamps, sentence):
     with pytest.raises(DataError, match=sentence):
@@ -300,3 +305,122 @@ def test_memory_does_not_grow_with_the_log(tmp_path, monkeypatch):
         tracemalloc.stop()
         assert len(found.rows) == presses
     assert peaks[1] < 1.15 * peaks[0]
+
+
+def cut(seconds, before):
+    """The log without the rows of some seconds before a moment of its fourth press, by the press's rows in the skin."""
+    moment = int(np.flatnonzero(np.diff(np.sign(LOG[:, 3])) < 0)[3]) + before
+    kept = np.ones(len(LOG), bool)
+    kept[moment - int(seconds * RATE) : moment] = False
+    return LOG[kept]
+
+
+def one_clock(rows):
+    """The time of rows, and the rows."""
+    return rows[:, 0], rows
+
+
+FIRST_IN_SKIN = int(np.flatnonzero(LOG[:, 3] < 0)[0])
+CUT_PRESSES = {
+    "rows missing up to a press": (*one_clock(cut(1.2, 60)), {3}),
+    "rows missing up to its beginning": (*one_clock(cut(1.2, 5)), {3}),
+    "begins pressed": (*one_clock(LOG[FIRST_IN_SKIN + 60 :]), {0}),
+    "silent up to a press": (
+        LOG[:, 0],
+        np.where(np.isin(LOG[:, 0], cut(1.3, 60)[:, 0])[:, None], LOG, LOG * MUTE),
+        {3},
+    ),
+    "started anew in a press": (np.where(LOG[:, 0] < 4, LOG[:, 0], LOG[:, 0] - 4), LOG, set()),
+}
+
+
+@pytest.mark.parametrize("name", CUT_PRESSES)
+def test_a_press_that_is_cut_costs_no_other(tmp_path, name):
+    time, rows, lost = CUT_PRESSES[name]
+    table = presses_of(tmp_path, time, rows)
+    distance = np.linalg.norm(numbers(table)[:, None] - TOLD[:, 4:], axis=2).min(0)
+    assert {int(press) for press in np.flatnonzero(distance > 10)} <= lost
+    assert len(table.rows) <= len(TOLD)
+    assert len(table.rows) == len(TOLD) or any("that had begun before their part" in note for note in table.notes)
+
+
+def test_a_session_that_changes_with_each_press_cuts_none(tmp_path):
+    pressed = LOG[:, 3] < 0
+    which = np.cumsum(np.diff(pressed, prepend=False) & pressed)
+    sessions = [f"press {k}" if on else "" for k, on in zip(which, pressed, strict=True)]
+    rows = [[session, *row] for session, row in zip(sessions, LOG, strict=True)]
+    table = table_of_presses(write_table(tmp_path / "log.csv", ["session", *NAMES], rows), board=BOARD)
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+    assert [cells[0] for _, cells in table.rows] == [f"press {k}" for k in range(1, 7)]
+
+
+def test_single_rows_that_stand_out_are_replaced_and_counted(tmp_path):
+    rows = LOG.copy()
+    rng = np.random.default_rng(0)
+    spiked = rng.uniform(size=len(rows)) < 0.005
+    rows[spiked, 5:] += rng.choice([-500, 500], (int(spiked.sum()), 15))
+    table = presses_of(tmp_path, rows=rows)
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+    replaced = next(int(note.split()[3]) for note in table.notes if note.startswith("replaced: "))
+    assert abs(replaced - spiked.sum()) <= 2
+    assert not any("replaced" in note for note in presses_of(tmp_path).notes)
+
+
+def test_a_sensor_that_is_read_too_often_makes_no_press(tmp_path):
+    held = LOG[::8].repeat(8, axis=0)[: len(LOG)]
+    table = presses_of(tmp_path, rows=held)
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=4.0)
+    assert any("read faster than it measures" in note for note in table.notes)
+
+
+def test_rows_that_repeat_earlier_ones_are_left_out(tmp_path):
+    again = LOG[np.r_[: REST - 100, REST - 500 : len(LOG)]]
+    table = presses_of(tmp_path, *one_clock(again))
+    assert any("left out: 400 rows that repeat earlier ones" in note for note in table.notes)
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+
+
+def test_a_depth_is_unknown_where_the_skin_was_met_unseen(tmp_path):
+    met = int(np.flatnonzero(np.diff(np.sign(LOG[:, 3])) < 0)[2])
+    table = presses_of(tmp_path, *one_clock(np.delete(LOG, slice(met - 20, met + 20), axis=0)))
+    depths = [cells[table.header.index("depth_mm")] for _, cells in table.rows]
+    assert [depth == "" for depth in depths] == [False, False, True, False, False, False]
+    assert any("1 presses begin where rows are missing" in note for note in table.notes)
+
+
+def test_two_presses_with_silence_between_are_two(tmp_path):
+    begins = np.flatnonzero(np.diff(np.sign(LOG[:, 3])) < 0)
+    rows = LOG.copy()
+    rows[begins[1] + 100 : begins[2] + 100, 5:] = 0
+    table = presses_of(tmp_path, rows=rows)
+    distance = np.linalg.norm(numbers(table)[:, None] - TOLD[:, 4:], axis=2).min(0)
+    assert set(np.flatnonzero(distance > 10)) <= {2}
+    assert any("that had begun before their part" in note for note in table.notes)
+
+
+def test_rows_in_batches_are_evenly_spaced(tmp_path):
+    within = np.arange(len(LOG)) % 8
+    arrived = LOG[:, 0] + (7 - within) / RATE + 150e-6 * within
+    table = presses_of(tmp_path, arrived)
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+    assert any(note.startswith("rows come in batches, 0.02 s") for note in table.notes)
+
+
+def test_presses_of_a_clock_of_whole_seconds_have_times_between_them(tmp_path):
+    time = [[float(row[0]) for _, row in presses_of(tmp_path, stamps).rows] for stamps in (LOG[:, 0], LOG[:, 0] // 1)]
+    np.testing.assert_allclose(*time, atol=0.1)
+
+
+def test_a_counter_that_is_often_full_is_refused_with_its_remedy(tmp_path):
+    with pytest.raises(DataError, match="give --rate-hz"):
+        presses_of(tmp_path, np.round(1e6 * LOG[:, 0]) % 2**14, name="time_us")
+
+
+def test_a_press_that_is_not_steady_before_the_log_ends_is_left_out(tmp_path):
+    ramp = np.linspace(0, 1, 200)[:, None] * TOLD[0, 4:]
+    rows = np.concatenate([LOG, LOG[-200:]])
+    rows[:, 0] = np.arange(len(rows)) / RATE
+    rows[-200:, 5:] += ramp
+    table = presses_of(tmp_path, *one_clock(rows))
+    np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
+    assert any("1 presses that were not steady" in note for note in table.notes)

@@ -55,6 +55,34 @@ def test_a_skin_that_stays_displaced_has_a_new_rest():
     np.testing.assert_allclose(found.baseline[3] - found.baseline[2], 0.08 * levels[2], atol=2.0)
 
 
+def test_a_recording_that_begins_pressed_loses_that_press_alone():
+    time, readings, spans, levels = stream(4, 60.0)
+    begin = (spans[0][0] + spans[0][1]) // 2
+    found = segment_presses(time[begin:], readings[begin:])
+    np.testing.assert_allclose(found.reading, levels[1:], atol=2.0)
+
+
+def test_a_press_that_is_held_too_long_costs_no_other():
+    time, readings, spans, levels = stream(5, 60.0)
+    middle = (spans[3][0] + spans[3][1]) // 2
+    rows = readings[np.r_[:middle, np.full(int(70 * RATE), middle), middle : len(time)]]
+    rows[middle : middle + int(70 * RATE)] += NOISE * np.random.default_rng(0).normal(size=(int(70 * RATE), 15))
+    found = segment_presses(np.arange(len(rows)) / RATE, rows)
+    np.testing.assert_allclose(found.reading, np.delete(levels, 3, axis=0), atol=2.0)
+
+
+def test_spikes_change_no_press_and_a_press_of_three_rows_is_none():
+    time, readings, _, levels = stream(6, 60.0)
+    rng = np.random.default_rng(0)
+    spiked = rng.uniform(size=len(time)) < 0.005
+    found = segment_presses(time, readings + spiked[:, None] * 500 * rng.normal(size=readings.shape))
+    np.testing.assert_allclose(found.reading, levels, atol=2.0)
+    short = NOISE * rng.normal(size=(200, 15))
+    for at in range(20, 200, 20):
+        short[at : at + 3] += 60
+    assert len(segment_presses(np.arange(200) / 25, short).start) == 9
+
+
 def test_one_weak_chip_is_enough_and_the_rate_may_be_any():
     time, readings, spans, _ = stream(2, 0.0, channels=48)
     rows = np.zeros(len(time))
