@@ -20,7 +20,7 @@ Frames: W world, C camera (z forward, x along columns, y along rows), T tool; me
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +52,8 @@ class DepthPatch(NamedTuple):
     patch: Patch
     valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
     inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
+    window: Any = None  # m, edge of the patch; None where it is not known
+    reach: Any = None  # m, at which it is clipped
 
 
 @in_one_line
@@ -104,17 +106,18 @@ def patch_from_depth(
         reading, std = predictor.predict(seen, force=1.0)
     """
     if not validation.is_traced(depth, T_w_c, T_w_t):
-        hint = "a (4, 4) transform"
-        poses = validation.numbers("T_w_c", T_w_c, hint), validation.numbers("T_w_t", T_w_t, hint)
-        check_view(validation.numbers("depth", depth, "an image of metres"), camera, *poses)
+        depth = validation.numbers("depth", depth, "an image of metres")
+        check_view(depth, camera, T_w_c, T_w_t)
     validation.number("window", window, "a length (m) above 0", above=0)
+    validation.number("reach", reach, "a length (m) above 0, such as 4e-3", above=0)
     validation.count("pixels", pixels)
     validation.number("fill", fill, "a length (m), 0 for none", least=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
     depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # 16 bits hold 0.1 m to 0.06 mm
     sizes = {"window": window, "reach": reach, "fill": fill}
-    return _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
+    seen = _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
+    return seen._replace(window=jnp.asarray(window, jnp.float32), reach=jnp.asarray(reach, jnp.float32))
 
 
 def view_from_depth(

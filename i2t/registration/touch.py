@@ -123,7 +123,8 @@ def register_by_touch(
         The estimate; its residuals, weights and cost are those of the most probable pose.
 
     Raises:
-        ValueError: There is no touch, not one weight for each, or a standard deviation that is none.
+        ValueError: There is no touch, not one weight for each, a pose is not rigid, or a standard deviation that is
+            none.
         TypeError: The key is none, or a standard deviation is no number.
 
     Example:
@@ -138,6 +139,10 @@ def register_by_touch(
     validation.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
     _check_contacts(T_w_contact, weight)
+    if not validation.is_traced(T_w_o, T_w_contact, weight):
+        validation.pose("T_w_o", T_w_o)
+        for number in np.flatnonzero(np.asarray(weight) > 0):
+            validation.pose(f"T_w_contact[{number}]", T_w_contact[number])
     stds = (jnp.asarray(std, jnp.float32) for std in (translation_std, rotation_std, contact_std))
     return _register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
 
