@@ -106,7 +106,7 @@ def as_path(name: str, value: Any) -> Path:
         ValueError: It is empty.
     """
     if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"{name}: is {str(value)[:40]!r}, and no path; give the name of a file or folder")
+        raise TypeError(f"{name}: is {repr(value)[:40]}, and no path; give the name of a file or folder")
     if not os.fspath(value):
         raise ValueError(f"{name}: is empty; give the name of a file or folder")
     return Path(value)

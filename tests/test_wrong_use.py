@@ -251,6 +251,14 @@ def on_top(height: float = 0.0, up: bool = False) -> np.ndarray:
     return np.asarray(geometry.contact_frame(at, np.array([0.0, 0, -1.0 if up else 1.0])), np.float32)
 
 
+def sized(**sizes: float) -> DepthPatch:
+    """A flat patch from a depth image that says its size."""
+    patch = DepthPatch(Patch(FLAT, np.float32(0)), WHOLE, ~WHOLE)
+    for name, size in sizes.items():
+        setattr(patch, name, size)
+    return patch
+
+
 PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": np.full((48, 48), REACH)}, "shows no surface"),
     ({"patch": np.linspace(0, 4, 48 * 48).reshape(48, 48)}, "divide millimetres by 1000"),
@@ -274,8 +282,9 @@ PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": SeenPatch(FLAT, WIDE, 0.2, 1.0)}, "begins 200 mm in front of the skin"),
     ({"patch": [Patch(FLAT, 0.0), SeenPatch(FLAT, WIDE, 0.0, 1.0)]}, "lists of one kind"),
     ({"patch": DepthPatch(Patch(FLAT + REACH, np.float32(np.inf)), ~WHOLE, ~WHOLE)}, "no pixel of the patch was seen"),
-    ({"patch": DepthPatch(Patch(FLAT, np.float32(0)), WHOLE, ~WHOLE, 34e-3, REACH)}, "its window is 34 mm, and the"),
-    ({"patch": DepthPatch(Patch(FLAT, np.float32(0)), WHOLE, ~WHOLE, 17e-3, 2e-3)}, "its reach is 2 mm, and the"),
+    ({"patch": sized(window=34e-3)}, "its window is 34 mm, and the model was trained on patches of 17 mm"),
+    ({"patch": sized(reach=2e-3)}, "its reach is 2 mm, and the model was trained on patches of 4 mm"),
+    ({"patch": [sized(window=17e-3), sized(window=34e-3)]}, "its window is 34 mm"),
     ({"patch": DepthPatch(Patch(FLAT, np.float32(0)), WHOLE & (np.arange(48) < 3), ~WHOLE)}, "only 6 % of the patch"),
     ({"patch": FLAT, "wide": np.full((72, 72), np.nan)}, "NaN or infinite where the patch is"),
     ({"patch": FLAT, "wide": np.zeros((72, 71))}, "wide has shape"),

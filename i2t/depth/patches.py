@@ -20,7 +20,7 @@ Frames: W world, C camera (z forward, x along columns, y along rows), T tool; me
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -45,15 +45,24 @@ CROSSING_STEPS = 6  # steps; without a fold of the surface in between the first 
 CROSSING_TOLERANCE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
 
 
-@in_one_line
-class DepthPatch(NamedTuple):
-    """A patch extracted from a depth image, and what is known of each of its pixels."""
-
+class _DepthPatch(NamedTuple):
     patch: Patch
     valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
     inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
-    window: Any = None  # m, edge of the patch; None where it is not known
-    reach: Any = None  # m, at which it is clipped
+
+
+@in_one_line
+class DepthPatch(_DepthPatch):
+    """A patch extracted from a depth image, and what is known of each of its pixels.
+
+    Attributes:
+        window: m, edge of the patch, and
+        reach: m, at which it is clipped, as `patch_from_depth` was called; they are static and no part of the tuple, so
+            that a transformation of JAX makes them None, which is unknown.
+    """
+
+    window: float | None = None
+    reach: float | None = None
 
 
 @in_one_line
@@ -117,7 +126,8 @@ def patch_from_depth(
     depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # 16 bits hold 0.1 m to 0.06 mm
     sizes = {"window": window, "reach": reach, "fill": fill}
     seen = _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
-    return seen._replace(window=jnp.asarray(window, jnp.float32), reach=jnp.asarray(reach, jnp.float32))
+    seen.window, seen.reach = window, reach
+    return seen
 
 
 def view_from_depth(

@@ -68,8 +68,8 @@ class SeenTouches(NamedTuple):
     nearest: Any = None  # one or (n,) m, signed distance of that point; NaN where it is unknown
     wide: Any = None  # (w, w) or (n, w, w) m, the surroundings too
     valid: Any = None  # (p, p) or (n, p, p) bool, pixels that were seen
-    window: Any = None  # m, edge of the patches; one or (n,)
-    reach: Any = None  # m, at which they are clipped; one or (n,)
+    window: Any = None  # m, edge of the patches; one or (n,), NaN where it is unknown
+    reach: Any = None  # m, at which they are clipped; likewise
 
 
 def seen_touches(patch: Any, *, nearest: Any = None, wide: Any = None, valid: Any = None) -> SeenTouches:
@@ -91,7 +91,10 @@ def seen_touches(patch: Any, *, nearest: Any = None, wide: Any = None, valid: An
     if isinstance(patch, list | tuple) and patch and all(hasattr(item, "_fields") for item in patch):
         if len({type(item) for item in patch}) > 1:
             raise ValueError("patch: is a list of different kinds of patches; give them in lists of one kind")
-        patch = jax.tree.map(lambda *items: np.stack(items), *patch)
+        items, patch = patch, jax.tree.map(lambda *items: np.stack(items), *patch)
+        if isinstance(patch, DepthPatch):
+            sizes = np.array([(item.window, item.reach) for item in items], float)  # NaN where it is unknown
+            patch.window, patch.reach = sizes.T
     seen = _parts(patch)
     given = {"nearest": nearest, "wide": wide, "valid": valid}
     return seen._replace(**{name: value for name, value in given.items() if value is not None})
@@ -129,12 +132,12 @@ def check_size_of_patches(seen: SeenTouches, window: float, reach: float) -> Non
         ValueError: They are of another size.
     """
     for name, given, own in (("window", seen.window, window), ("reach", seen.reach, reach)):
-        if given is not None and not np.allclose(np.asarray(given), own, rtol=PATCH_SIZE_TOLERANCE, atol=0):
-            size = np.asarray(given).ravel()
-            wrong = float(size[np.abs(size - own).argmax()])
+        sizes = np.atleast_1d(np.array(given, np.float64))
+        wrong = sizes[np.abs(sizes - own) > PATCH_SIZE_TOLERANCE * own]
+        if len(wrong):
             raise ValueError(
-                f"patch: its {name} is {_mm(wrong)} mm, and the model was trained on patches of {_mm(own)} mm; make it "
-                f"with {name}={own:g}"
+                f"patch: its {name} is {_mm(float(wrong[0]))} mm, and the model was trained on patches of {_mm(own)} "
+                f"mm; make it with {name}={own:g}"
             )
 
 

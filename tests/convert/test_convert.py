@@ -440,7 +440,7 @@ def test_options_that_mean_nothing_are_one_sentence(intact, tmp_path, capsys):
         (("--indenter", "sphere:4mm"), "without a unit, such as sphere:4"),
         (("--indenter", "sphere:2,5"), "without a unit, such as sphere:2.5"),
         (("--indenter", "sphere:4000"), "its radius of 4000 mm is larger than 100 mm"),
-        (("--indenter", "sphere:inf"), "its radius of inf mm is larger than 1000 mm"),
+        (("--indenter", "sphere:inf"), "its radius of inf mm is larger than 100 mm"),
         (("--indenter", "sphere:0.004"), "smaller than 0.1 mm; give it in mm, not in m"),
         (("--indenter", "spere:4"), "its shape 'spere' is unknown; did you mean sphere?"),
         (("--indenter", "flat"), "its shape 'flat' is unknown; give sphere:RADIUS"),

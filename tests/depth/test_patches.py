@@ -311,4 +311,8 @@ def test_a_reach_is_a_length(reach):
 def test_a_patch_knows_its_size():
     depth = np.full((360, 640), 0.3, np.float32)
     seen = patch_from_depth(depth, CAMERA, np.eye(4), pose(np.eye(3), (0, 0, 0.3)), window=34e-3, reach=2e-3)
-    assert (float(seen.window), float(seen.reach)) == pytest.approx((34e-3, 2e-3))
+    assert (seen.window, seen.reach) == (34e-3, 2e-3)
+    patch, valid, inpainted = seen  # three parts, as ever
+    assert patch is seen.patch
+    assert valid.shape == inpainted.shape == (PATCH_PIXELS, PATCH_PIXELS)
+    assert jax.tree.map(np.asarray, seen).window is None
