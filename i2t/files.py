@@ -93,6 +93,27 @@ NO_TEXT_BYTES = frozenset(range(32)) - set(b"\t\n\v\f\r\x1a\x1b")  # control cha
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
+def as_path(name: str, value: Any) -> Path:
+    """The path of a file or folder that a user gave.
+
+    Args:
+        name: Of the argument, for the message.
+        value: That was given.
+
+    Returns:
+        The path.
+
+    Raises:
+        TypeError: It is neither text nor a path.
+        ValueError: It is empty.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"{name}: is {repr(value)[:40]}, and no path; give the name of a file or folder")
+    if not os.fspath(value):
+        raise ValueError(f"{name}: is empty; give the name of a file or folder")
+    return Path(value)
+
+
 def unwritable(path: str | Path, error: OSError) -> DataError:
     """Error for a file that could not be written.
 
@@ -510,13 +531,14 @@ def check_archive(path: str | Path, data: bytes) -> None:
         raise DataError(f"{path}: is packed in a way that i2t does not use; restore a copy or make it again")
 
 
-def file_in(folder: Path, name: str, listed_in: str | Path) -> Path:
+def file_in(folder: Path, name: str, listed_in: str | Path, *, below: bool = False) -> Path:
     """The file in a folder that a list names.
 
     Args:
         folder: The folder.
         name: Of the file.
         listed_in: The list, for messages.
+        below: Whether the name may lead into a folder in the folder.
 
     Returns:
         The file's path.
@@ -525,8 +547,13 @@ def file_in(folder: Path, name: str, listed_in: str | Path) -> Path:
         DataError: The name leads out of the folder, by itself or as a symbolic link.
     """
     path = folder / name
-    plain = name not in ("", ".", "..") and not set(name) & {"/", "\\", "\0"}
-    if not plain or (path.is_symlink() and path.resolve().parent != folder.resolve()):
+    if below:
+        inside = name not in ("", ".") and ".." not in Path(name).parts and "\0" not in name
+        inside = inside and path.resolve().is_relative_to(folder.resolve())
+    else:
+        inside = name not in ("", ".", "..") and not set(name) & {"/", "\\", "\0"}
+        inside = inside and (not path.is_symlink() or path.resolve().parent == folder.resolve())
+    if not inside:
         raise DataError(f"{listed_in}: names {name!r}, which lies outside of {folder}; name files of that folder only")
     return path
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Key
 
 from i2t.types import Array
-from i2t.windows import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
+from i2t.windows import LAST_ROW_TOLERANCE, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 
 SMALL_ANGLE_SQUARE = 1e-8  # rad^2, below which a series of two terms takes the place of a quotient
 SMALL_SERIES_SQUARE = 1e-4  # rad^2, below which one of three terms does
@@ -128,7 +128,7 @@ def nearest_rigid(matrix: Float[Array, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
-    """Tell a rigid motion from any other matrix.
+    """Tell a rigid motion from any other matrix, traced ones too; `i2t.validation.pose` says what is wrong.
 
     Args:
         T_a_b: Any matrix.
@@ -139,7 +139,7 @@ def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
     xp = _namespace(T_a_b)
     x, y, z = T_a_b[:3, :3].T
     products = xp.stack([xp.sum(x * x) - 1, xp.sum(y * y) - 1, xp.sum(x * y), *(xp.cross(x, y) - z)])
-    last = xp.array_equal(T_a_b[3], xp.array([0, 0, 0, 1], T_a_b.dtype))
+    last = xp.all(xp.abs(T_a_b[3] - xp.array([0, 0, 0, 1], T_a_b.dtype)) <= LAST_ROW_TOLERANCE)
     return xp.all(xp.abs(products) <= ORTHOGONALITY_TOLERANCE) & xp.all(xp.isfinite(T_a_b[:3, 3])) & last
 
 

@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from i2t.cli import Count, Limits, Seed, command, docstring_of, require_writable
-from i2t.models import READY_MODELS, ready_path
+from i2t.models import READY_MODELS, ready_hint, ready_path
 from i2t.objects.named import read_object
 from i2t.windows import MAX_SKIN_FORCE_N
 
 if TYPE_CHECKING:
     from i2t.objects import Object
+    from i2t.prediction.predictor import Predictor
+    from i2t.types import Board
 
 
 PICTURE_ENDINGS = (".png", ".jpg", ".pdf", ".svg")
@@ -39,8 +41,9 @@ class ImagineArgs:
     """Of a mesh file."""
     model: str = "nominal"
     """The ready model, or a finished run of experiments.train."""
-    board: str = "reskin"
-    """Of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml)."""
+    board: str | None = None
+    """Of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml); by
+    default the board that the model was trained on."""
     force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] = 1.0
     """N along the tool's z axis."""
     sites: Count = 4
@@ -59,14 +62,9 @@ def _imagine(asked: ImagineArgs) -> None:
     from i2t.prediction.predictor import load_predictor
     from i2t.rendering.render import prepare_surface
     from i2t.simulation.sites import sample_touch_sites
-    from i2t.skin.boards import make_board
 
-    predictor, board = load_predictor(asked.model), make_board(asked.board)
-    if predictor.model.channels != board.num_readings:
-        raise ValueError(
-            f"--board {asked.board} has {board.num_readings} values, and the predictor of {asked.model} has "
-            f"{predictor.model.channels}; name the board that it was trained on"
-        )
+    predictor = load_predictor(asked.model)
+    board = _board(asked, predictor)
     surface = prepare_surface(thing.mesh)
     sites = sample_touch_sites(surface, asked.sites, seed=asked.seed, name=thing.name)
     seen = predictor.render_touches(surface, sites.T_o_t)
@@ -92,14 +90,38 @@ def _check(asked: ImagineArgs) -> None:
         raise ValueError(f"--out {asked.out}: is no name of a picture; let it end in {' or '.join(PICTURE_ENDINGS)}")
     folder = ready_path(asked.model, "predictor")
     if not any((folder / part / CHECKPOINT_NOTE).is_file() for part in ("", "checkpoint/predictor")):
-        names = [name for name, parts in READY_MODELS.items() if "predictor" in parts]
         raise ValueError(
-            f"--model {asked.model}: holds no predictor; name the folder that `python -m experiments.train` wrote, or "
-            f"the ready model {', '.join(names)}"
+            f"--model {asked.model}: holds no predictor; name the folder that `python -m experiments.train` wrote"
+            + ready_hint(asked.model, "predictor")
         )
-    from i2t.skin.boards import make_board
+    if asked.board is not None:
+        from i2t.skin.boards import make_board
 
-    make_board(asked.board)
+        make_board(asked.board)
+
+
+def _board(asked: ImagineArgs, predictor: "Predictor") -> "Board":
+    """The board that the predictor was trained on, or where that is not known one of as many values."""
+    from i2t.skin.boards import DEFAULT_BOARD, make_board, name_of_board, same_board
+
+    trained_on, name = predictor.board, asked.board or DEFAULT_BOARD
+    if trained_on is not None and asked.board is None:
+        return trained_on
+    board = make_board(name)
+    if predictor.model.channels != board.num_readings:
+        raise ValueError(
+            f"--board {name} has {board.num_readings} values, and the predictor of {asked.model} has "
+            f"{predictor.model.channels}; name the board that it was trained on"
+        )
+    if trained_on is None:
+        print(f"the predictor of {asked.model} does not say its board; its readings are drawn at the chips of {name}")
+    elif not same_board(board, trained_on):
+        its = name_of_board(trained_on) or "another board of as many chips"
+        raise ValueError(
+            f"--board {name} is another board than that of the predictor of {asked.model}, {its}: its readings are of "
+            "those chips; leave --board out, or train on touches of this board"
+        )
+    return board
 
 
 def _object(asked: ImagineArgs) -> "Object":

@@ -48,7 +48,12 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
 
 
 def load(
-    path: Path | str, kind: str, form: type[Tree], *, renamed: Mapping[str, str] | None = None
+    path: Path | str,
+    kind: str,
+    form: type[Tree],
+    *,
+    renamed: Mapping[str, str] | None = None,
+    missing: str = "",
 ) -> tuple[Tree, dict[str, Any]]:
     """Read a NamedTuple that `save` wrote.
 
@@ -57,14 +62,16 @@ def load(
         kind: Of file.
         form: Type of the NamedTuple.
         renamed: Fields that files of earlier versions call otherwise: the name there, and the name now.
+        missing: Ends the sentence where there is no such file.
 
     Returns:
         The NamedTuple, with NumPy arrays, and what was kept with it.
 
     Raises:
         SerializationError: There is no such file, or it is of another kind or damaged.
+        TypeError: The path is neither text nor a path.
     """
-    arrays, header = _read(path, f"{kind} file")
+    arrays, header = _read(path, f"{kind} file", missing)
     found, version, digest = header["format"], header["version"], header["sha256"]
     if found != kind:
         raise SerializationError(f"{path}: holds a {found}, not a {kind}; name the right file")
@@ -160,11 +167,11 @@ def _build(form: Any, arrays: dict[str, np.ndarray], prefix: str) -> Any:
     return form(**values)
 
 
-def _read(path: Path | str, what: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def _read(path: Path | str, what: str, missing: str = "") -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Arrays of a file, and its header."""
-    path = Path(path)
+    path = files.as_path("path", path)
     if not path.is_file():
-        raise SerializationError(f"{path}: there is no such file; name a {what} that i2t wrote")
+        raise SerializationError(f"{path}: there is no such file; name a {what} that i2t wrote{missing}")
     try:
         data = files.read_bytes(path)
         files.check_archive(path, data)

@@ -1,4 +1,4 @@
-"""Checks of a user's arguments to a public function: numbers, counts and random keys.
+"""Checks of a user's arguments to a public function: numbers, poses, counts and random keys.
 
 Wrong types are a TypeError and wrong values a ValueError, in one sentence that names the argument. Values that `jit`,
 `vmap` or a derivative traces are not known yet and pass.
@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import did_you_mean
-from i2t.windows import MAX_SKIN_FORCE_N
+from i2t.windows import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORCE_N, ORTHOGONALITY_TOLERANCE
 
 ROUND_TIPS = ("sphere", "cylinder")
 MIN_TIP_RADIUS_MM = 0.1  # of an indenter; smaller ones are meant in metres
+MAX_TIP_RADIUS_MM = 100.0  # a ball of 20 cm; under a skin of 20 mm a larger one is flat to 0.5 mm
 REAL_KINDS = "iuf"  # of NumPy: integers and floats; no booleans, text or objects
 
 
@@ -40,11 +41,12 @@ def numbers(name: str, value: Any, hint: str) -> np.ndarray:
         hint: What to give, for the message.
 
     Returns:
-        The array; integers and floats stay as they are.
+        The array; integers and floats stay as they are, and masked floats become NaN.
 
     Raises:
-        TypeError: It holds something else than real numbers, or rows of different lengths.
+        TypeError: It holds something else than real numbers, rows of different lengths, or masked integers.
     """
+    value = _without_mask(name, value, hint)
     try:
         array = np.asarray(value)
     except (TypeError, ValueError) as error:  # rows of different lengths
@@ -52,6 +54,63 @@ def numbers(name: str, value: Any, hint: str) -> np.ndarray:
     if array.dtype.kind not in REAL_KINDS and array.size:
         raise TypeError(f"{name}: is {_short(value)}, and no real numbers; give {hint}")
     return array
+
+
+def _without_mask(name: str, value: Any, hint: str) -> Any:
+    """A masked array with NaN where it is masked; everything else as it is."""
+    if not isinstance(value, np.ma.MaskedArray) or not np.ma.getmaskarray(value).any():
+        return value
+    if value.dtype.kind != "f":
+        raise TypeError(f"{name}: masks some of its {value.dtype}, which have no NaN to mark them; give {hint}")
+    return value.filled(np.nan)
+
+
+def pose(name: str, value: Any, *, farthest: float = MAX_POSE_M) -> np.ndarray:
+    """A rigid motion that a user gave: the only check of poses, so that all of them answer alike.
+
+    Args:
+        name: Of the pose, for the message.
+        value: (4, 4), such as a nested list.
+        farthest: The largest translation (m) along an axis that makes sense.
+
+    Returns:
+        (4, 4) float64.
+
+    Raises:
+        TypeError: It holds something else than real numbers.
+        ValueError: It has another shape, is not finite or not rigid, is transposed, or lies too far away for metres.
+    """
+    T = numbers(name, value, "a (4, 4) transform").astype(np.float64)
+    if T.shape != (4, 4):
+        raise ValueError(f"{name}: has the shape {T.shape}; give a (4, 4) transform")
+    if not np.isfinite(T).all():
+        raise ValueError(
+            f"{name}: is not a rigid motion (it is not finite: it holds NaN or infinity); measure it again, or leave "
+            "it out"
+        )
+    if not _is_last_row(T[3]):
+        hint = "perhaps it is transposed, with its translation there: give T.T" if _is_last_row(T[:, 3]) else ""
+        row = ", ".join(f"{entry:g}" for entry in T[3])
+        raise ValueError(f"{name}: is not a rigid motion (its last row is {row}); {hint or 'write 0, 0, 0, 1'}")
+    if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > ORTHOGONALITY_TOLERANCE:
+        raise ValueError(
+            f"{name}: is not a rigid motion (its rotation is scaled, bent or singular: its columns are not "
+            "orthonormal); correct it, and give six digits or more"
+        )
+    if np.linalg.det(T[:3, :3]) < 0:
+        raise ValueError(
+            f"{name}: is not a rigid motion (it is mirrored: an axis has the wrong sign); make z the cross product of "
+            "x and y"
+        )
+    if (distance := np.abs(T[:3, 3]).max()) > farthest:
+        raise ValueError(
+            f"{name}: lies {distance:g} m away, of at most {farthest:g}; give metres: divide millimetres by 1000"
+        )
+    return T
+
+
+def _is_last_row(row: np.ndarray) -> bool:
+    return bool(np.abs(row - [0, 0, 0, 1]).max() <= LAST_ROW_TOLERANCE)
 
 
 def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, above: int | float = -math.inf) -> None:
@@ -155,7 +214,7 @@ def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
 
     Args:
         text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm; capitals do not matter.
-        largest_mm: The largest radius that makes sense, mm.
+        largest_mm: The largest radius that makes sense, mm; more than `MAX_TIP_RADIUS_MM` never does.
 
     Returns:
         "sphere" or "cylinder", and the radius in mm.
@@ -179,6 +238,7 @@ def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
         raise ValueError(f"its radius is {size}, and must be positive, in mm")
     if radius < MIN_TIP_RADIUS_MM:
         raise ValueError(f"its radius of {size} mm is smaller than {MIN_TIP_RADIUS_MM:g} mm; give it in mm, not in m")
+    largest_mm = min(largest_mm, MAX_TIP_RADIUS_MM)
     if not radius <= largest_mm:
         raise ValueError(f"its radius of {size} mm is larger than {largest_mm:g} mm; give it in mm")
     return shape, radius

@@ -10,4 +10,6 @@ STANDOFF = 40e-3  # m, rays start this far behind the tool origin
 PAD_WINDOW = 20e-3  # m, edge of the skin
 MAX_SKIN_FORCE_N = 100.0  # more breaks a skin
 CONTACT_TOLERANCE_M = 1.5e-3  # behind the nearest point, that counts as contact in a mask
+MAX_POSE_M = 10.0  # m, of a pose along each axis: the largest sensible lab
+LAST_ROW_TOLERANCE = 1e-6  # of a pose, by rounding
 ORTHOGONALITY_TOLERANCE = 1e-3  # by which products of a rotation's columns may miss 1 and 0: 4 um at the rim of a patch

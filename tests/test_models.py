@@ -1,6 +1,8 @@
 """The ready models: they load by name from the package alone, say what they are of, and their cards are true."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -14,6 +16,7 @@ from i2t.errors import SerializationError
 from i2t.models import READY_MODELS, model_card, ready_path
 from i2t.recognition.pad_model_files import load_pad_model
 from i2t.simulation.touches import SimulationErrors
+from i2t.skin.boards import make_board, name_of_board, same_board
 from i2t.skin.pad import numbered_pad
 
 ROOT = Path(__file__).parents[1]
@@ -96,6 +99,30 @@ def test_the_ready_calibration_is_what_its_command_makes(tmp_path, shared_data):
         assert made[key] == card[key]
     for name, scores in card["methods"].items():
         assert made["methods"][name] == pytest.approx(scores, rel=1e-2, abs=1e-3)
+
+
+def test_the_board_is_the_one_that_the_predictor_was_trained_on(capsys):
+    ready = i2t.load_predictor("nominal")
+    assert name_of_board(ready.board) == "reskin"
+    assert same_board(imagine._board(imagine.ImagineArgs(), ready), ready.board)
+    assert same_board(imagine._board(imagine.ImagineArgs(board="reskin"), ready), ready.board)
+    with pytest.raises(ValueError, match=r"--board eflesh is another board than that of .*nominal, reskin"):
+        imagine._board(imagine.ImagineArgs(board="eflesh"), ready)
+    assert not capsys.readouterr().out
+    before = replace(ready, metadata={})  # as an earlier version wrote it
+    assert same_board(imagine._board(imagine.ImagineArgs(board="eflesh"), before), make_board("eflesh"))
+    assert "does not say its board; its readings are drawn at the chips of eflesh" in capsys.readouterr().out
+
+
+def test_a_slip_in_the_name_of_a_ready_model_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for load, name, meant in (
+        (i2t.load_pad_model, "Nominal", "did you mean nominal?"),
+        (i2t.load_calibration, "eflsh", "did you mean eflesh?"),
+        (i2t.load_calibration, "skin.npz", "or a ready model, eflesh"),
+    ):
+        with pytest.raises(SerializationError, match=re.escape(meant)):
+            load(name)
 
 
 @pytest.mark.full

@@ -66,7 +66,9 @@ COMMANDS = [
     ("experiments.reproduce --only nothing", "there is no step nothing"),
     ("experiments.notebooks nothing", "no notebook is called nothing"),
     ("i2t.imagine --board grid-2x2", "name the board that it was trained on"),
+    ("i2t.imagine --board anyskin", "another board than that of the predictor of nominal, reskin"),
     ("i2t.imagine --model nowhere", "holds no predictor"),
+    ("i2t.imagine --model nominall", "did you mean nominal"),
     ("i2t.view empty", "holds no touches"),
     ("i2t.place text.txt --object hammer --host h", "text.txt"),
     ("i2t.hardware.hand_eye board b.png --dictionary nothing", "nothing"),
@@ -81,7 +83,7 @@ COMMANDS = [
 ]  # fmt: skip
 
 # Those that have to read data, a model or a mesh before they can refuse.
-MAY_IMPORT_JAX = ("i2t.imagine --board grid-2x2", "experiments.shapes --dataset one")
+MAY_IMPORT_JAX = ("i2t.imagine --board grid-2x2", "i2t.imagine --board anyskin", "experiments.shapes --dataset one")
 
 
 @pytest.fixture(scope="module")
@@ -249,6 +251,14 @@ def on_top(height: float = 0.0, up: bool = False) -> np.ndarray:
     return np.asarray(geometry.contact_frame(at, np.array([0.0, 0, -1.0 if up else 1.0])), np.float32)
 
 
+def sized(**sizes: float) -> DepthPatch:
+    """A flat patch from a depth image that says its size."""
+    patch = DepthPatch(Patch(FLAT, np.float32(0)), WHOLE, ~WHOLE)
+    for name, size in sizes.items():
+        setattr(patch, name, size)
+    return patch
+
+
 PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": np.full((48, 48), REACH)}, "shows no surface"),
     ({"patch": np.linspace(0, 4, 48 * 48).reshape(48, 48)}, "divide millimetres by 1000"),
@@ -272,6 +282,9 @@ PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": SeenPatch(FLAT, WIDE, 0.2, 1.0)}, "begins 200 mm in front of the skin"),
     ({"patch": [Patch(FLAT, 0.0), SeenPatch(FLAT, WIDE, 0.0, 1.0)]}, "lists of one kind"),
     ({"patch": DepthPatch(Patch(FLAT + REACH, np.float32(np.inf)), ~WHOLE, ~WHOLE)}, "no pixel of the patch was seen"),
+    ({"patch": sized(window=34e-3)}, "its window is 34 mm, and the model was trained on patches of 17 mm"),
+    ({"patch": sized(reach=2e-3)}, "its reach is 2 mm, and the model was trained on patches of 4 mm"),
+    ({"patch": [sized(window=17e-3), sized(window=34e-3)]}, "its window is 34 mm"),
     ({"patch": DepthPatch(Patch(FLAT, np.float32(0)), WHOLE & (np.arange(48) < 3), ~WHOLE)}, "only 6 % of the patch"),
     ({"patch": FLAT, "wide": np.full((72, 72), np.nan)}, "NaN or infinite where the patch is"),
     ({"patch": FLAT, "wide": np.zeros((72, 71))}, "wide has shape"),
@@ -375,8 +388,10 @@ def test_a_pose_on_the_surface_is_taken_and_one_without_contact_refused_in_one_s
         (on_top(-20e-3), "20 mm behind"),
         (on_top(up=True), "from inside the object"),
         (on_top(-60e-3), "from inside the object"),
-        (np.diag([2.0, 2, 2, 1]), "no rigid transform"),
-        (np.full((4, 4), np.nan), "finite"),
+        (np.diag([2.0, 2, 2, 1]), "not a rigid motion"),
+        (on_top().T, "perhaps it is transposed"),
+        (on_top() * [1, 1, 1, 1e3] + np.diag([0, 0, 0, -999.0]), "divide millimetres by 1000"),
+        (np.full((4, 4), np.nan), "not a rigid motion"),
         (np.eye(3), "shape"),
         (on_top() + np.array([[0, 0, 0, 1.0], *np.zeros((3, 4))]), "nothing lies in front"),
     ):

@@ -59,7 +59,8 @@ def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict
         if method is not None:
             predictor = evaluation.predictors[method]
             metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
-            metadata |= {name: x for name, x in (predictor.metadata or {}).items() if name in ("epochs", "force_range")}
+            kept_from_training = ("epochs", "force_range", "board")
+            metadata |= {name: x for name, x in (predictor.metadata or {}).items() if name in kept_from_training}
             save(out / "checkpoint" / folder, replace(predictor, metadata=metadata))
     figures(out, prepared, evaluation, metrics)
     metrics["seconds"] = round(time.perf_counter() - started, 1)

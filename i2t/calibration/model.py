@@ -28,7 +28,7 @@ from i2t.calibration.left_out import Conditioned, one_thread_for_few
 from i2t.calibration.population_gp import PopulationGP, PressTable
 from i2t.calibration.structured_gp import StructuredGPHyperparameters, fit_structured
 from i2t.errors import did_you_mean
-from i2t.models import ready_path
+from i2t.models import ready_hint, ready_path
 from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibrated skin"
@@ -233,8 +233,9 @@ def load_calibration(path: Path | str) -> Calibration:
     Example:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
+    hint = ready_hint(path, "calibration.npz")
     path = ready_path(path, "calibration.npz")
-    record, about = serialization.load(path, FILE_KIND, CalibrationRecord)
+    record, about = serialization.load(path, FILE_KIND, CalibrationRecord, missing=hint)
     with serialization.fitting(path):
         return _calibration(path, record, about)
 

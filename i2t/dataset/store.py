@@ -25,7 +25,7 @@ from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
-from i2t.files import why_no_touches
+from i2t.files import as_path, why_no_touches
 from i2t.types import Board, Touches, Truth
 
 INDEX = "index.json"  # which earlier versions wrote next to touches
@@ -251,7 +251,7 @@ def load_dataset(
     Example:
         touches = i2t.load_dataset("data/mug").touches
     """
-    path = Path(path)
+    path = as_path("path", path)
     files = _files(path)
     good: list[Dataset] = []
     bad: list[str] = []

@@ -6,11 +6,14 @@ is a hole, NaN in an image from `read_depth`. Cameras and programs mark holes by
 the largest value of 16 bits or a distance that no camera measures; `measured_mask` knows them all.
 """
 
+import functools
 import io
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,6 @@ from PIL import Image, UnidentifiedImageError
 
 from i2t import files, validation
 from i2t.errors import DataError
-from i2t.windows import ORTHOGONALITY_TOLERANCE
 
 METRES_PER_DEPTH_UNIT = {"m": 1.0, "mm": 1e-3}  # m
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
@@ -36,6 +38,18 @@ FULL_SCALES = tuple(2**bits - 1 for bits in range(10, 16))  # largest values of 
 MAX_FULL_SCALE_SHARE = 0.01  # of an image's measured pixels, that are at the largest value by chance
 FULL_SCALE_GAP = 0.98  # of the largest value; scenes have depths between this and it, marked holes have none
 MIN_FOCAL_RATIO = 1 / 8  # of the image's edge: an angle of view of 152 degrees
+MAX_FOCAL_RATIO = 1 / (2 * math.tan(math.radians(0.5)))  # likewise: an angle of view of 1 degree
+MAX_PIXEL_ASPECT = 2.0  # of fx to fy: images of which every second row or column is left out
+SWAPPED_OFF_CENTRE = 0.08  # of an edge, by which a swapped principal point is off the middle along both
+SWAPPED_CENTRE = 0.05  # likewise, after it is swapped back
+MAX_BLIND_SHARE = 0.05  # of an image's pixels, that a wide lens may have in its corners without a line of sight
+BLIND_GRID = 41  # pixels along an edge that are looked at for it
+MAX_COEFFICIENT = 1e9  # of a lens
+BISECTION_STEPS, NEWTON_STEPS = 12, 6
+MAX_SLOPE = 10.0  # x / z of lines of sight, 84 degrees off the camera's axis
+LIMIT_RATIO = 0.999  # of the radius at which a lens folds, where lines of sight end: at the fold they are all one
+RETURN_TOLERANCE = 1e-3  # of x / z: some tenths of a pixel, between a line of sight and what it returns to
+SOLUTION_TOLERANCE = 1e-5  # of x / z: some thousandths of a pixel, and a hundred roundings of float32
 SCALED_LENS_RATIO = 1.2  # by which a principal point may lie off the middle, along both edges alike
 SCALED_LENS_AGREEMENT = 0.05  # by which these ratios of both edges differ where the lens is of another image size
 MODEL_PREFIXES = ("distortion.", "rs2_distortion_")  # of librealsense's names in Python and C
@@ -106,6 +120,7 @@ class Camera:
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "coefficients", coefficients)
+        _check_folds(self)
 
 
 def _lens_model(name: Any, coefficients: tuple[float, ...]) -> tuple[Distortion, tuple[float, ...]]:
@@ -142,10 +157,29 @@ def _check_lens_fits_image(camera: Camera) -> None:
             f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g} see more than 150 degrees on an image of "
             f"{size}; give them in pixels, neither in millimetres nor as parts of the image"
         )
+    if any(length > MAX_FOCAL_RATIO * edge for length, edge in zip(focal, sizes, strict=True)):
+        raise ValueError(
+            f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g} see less than 1 degree on an image of "
+            f"{size}; give them in pixels, not in micrometres"
+        )
+    if max(focal) > MAX_PIXEL_ASPECT * min(focal):
+        raise ValueError(
+            f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g} differ by more than a factor of "
+            f"{MAX_PIXEL_ASPECT:g}, and pixels are nearly square; correct the wrong one"
+        )
     x, y = ((2 * at + 1) / edge for at, edge in zip(middle, sizes, strict=True))
     scale = (x + y) / 2
     outside = not all(-0.5 <= at <= edge - 0.5 for at, edge in zip(middle, sizes, strict=True))
     scaled = abs(x - y) < SCALED_LENS_AGREEMENT * scale and max(scale, 1 / scale) > SCALED_LENS_RATIO
+    as_given, swapped = (
+        [abs((2 * at + 1) / edge - 1) / 2 for at, edge in zip(order, sizes, strict=True)]
+        for order in (middle, middle[::-1])
+    )
+    if min(as_given) > SWAPPED_OFF_CENTRE and max(swapped) < SWAPPED_CENTRE:
+        raise ValueError(
+            f"camera: the principal point cx = {camera.cx:g}, cy = {camera.cy:g} lies in the middle of an image of "
+            f"{size} where its two numbers are swapped; give cx along the width and cy along the height"
+        )
     if outside or scaled:
         other = f"{round(scale * camera.width)} x {round(scale * camera.height)} pixels"
         of = f"; it is the lens of an image of about {other}: scale fx, fy, cx and cy with the image" if scaled else ""
@@ -178,6 +212,107 @@ def brown_conrady(camera: Camera, x: Any, y: Any) -> tuple[Any, Any]:
         u + 2 * p1 * x * y + p2 * (square + 2 * x * x),
         v + 2 * p2 * x * y + p1 * (square + 2 * y * y),
     )
+
+
+def _jacobian(camera: Camera, x: Any, y: Any) -> tuple[Any, Any, Any, Any]:
+    """Derivatives of both results of `brown_conrady`: of the first by x and by y, of the second by x and by y."""
+    k1, k2, p1, p2, k3 = camera.coefficients
+    square = x * x + y * y
+    scale = 1 + square * (k1 + square * (k2 + square * k3))
+    slope = 2 * (k1 + square * (2 * k2 + 3 * square * k3))
+    ux, uy, vy = scale + slope * x * x, slope * x * y, scale + slope * y * y
+    a, b, ax, ay, bx, by = x, y, 1, 0, 0, 1
+    if camera.model == Distortion.MODIFIED_BROWN_CONRADY:
+        a, b, ax, ay, bx, by = x * scale, y * scale, ux, uy, uy, vy
+    return (
+        ux + 2 * p1 * (ax * b + a * bx) + p2 * (2 * x + 4 * a * ax),
+        uy + 2 * p1 * (ay * b + a * by) + p2 * (2 * y + 4 * a * ay),
+        uy + 2 * p2 * (ax * b + a * bx) + p1 * (2 * x + 4 * b * bx),
+        vy + 2 * p2 * (ay * b + a * by) + p1 * (2 * y + 4 * b * by),
+    )
+
+
+def fold_radius(camera: Camera) -> float:
+    """Where the radial part of `brown_conrady` folds: from there on points farther out land farther in.
+
+    Args:
+        camera: Its coefficients.
+
+    Returns:
+        The radius, in the unit of x; infinite for a lens that does not fold.
+    """
+    k1, k2, _, _, k3 = camera.coefficients
+    squares = np.roots([7 * k3, 5 * k2, 3 * k1, 1])  # of the radius r, where d/dr (r scale) = 0
+    squares = squares.real[(squares.real > 0) & (np.abs(squares.imag) <= 1e-6 * np.abs(squares.real))]
+    return math.sqrt(squares.min(initial=math.inf))
+
+
+def invert_brown_conrady(
+    camera: Camera, x: Any, y: Any, *, xp: Any = np, repeat: Callable[[int, Callable, Any], Any] | None = None
+) -> tuple[Any, Any]:
+    """The inverse of `brown_conrady` within the radius at which the lens folds: bisection of the radius, then Newton's
+    method.
+
+    Args:
+        camera: Its model and coefficients.
+        x: The first of its results, any shape.
+        y: The second, of the same shape.
+        xp: NumPy, or JAX's namespace like it.
+        repeat: Applies a function to a value so many times; by default a loop of Python.
+
+    Returns:
+        x and y before distortion; NaN where nothing within the fold leads there.
+    """
+    limit = LIMIT_RATIO * min(fold_radius(camera), MAX_SLOPE)
+    repeat = repeat or (lambda n, step, at: functools.reduce(lambda at, _: step(at), range(n), at))
+    k1, k2, _, _, k3 = camera.coefficients
+    distance = xp.hypot(x, y)
+
+    def halve(ends: tuple[Any, Any]) -> tuple[Any, Any]:
+        radius = (ends[0] + ends[1]) / 2
+        square = radius * radius
+        short = radius * (1 + square * (k1 + square * (k2 + square * k3))) < distance
+        return xp.where(short, radius, ends[0]), xp.where(short, ends[1], radius)
+
+    def step(at: tuple[Any, Any]) -> tuple[Any, Any]:
+        p, q = brown_conrady(camera, *at)
+        px, py, qx, qy = _jacobian(camera, *at)
+        area = px * qy - py * qx
+        area = xp.where(area == 0, 1, area)
+        u, v = at[0] - ((p - x) * qy - (q - y) * py) / area, at[1] - ((q - y) * px - (p - x) * qx) / area
+        shrink = xp.minimum(limit / xp.maximum(xp.hypot(u, v), limit), 1)
+        return u * shrink, v * shrink
+
+    # Without its small tangential part a lens is a growing function of the radius up to its fold.
+    low, high = repeat(BISECTION_STEPS, halve, (xp.zeros_like(distance), xp.full_like(distance, limit)))
+    outward = (low + high) / 2 / xp.where(distance == 0, 1, distance)
+    at = repeat(NEWTON_STEPS, step, (x * outward, y * outward))
+    p, q = brown_conrady(camera, *at)
+    px, py, qx, qy = _jacobian(camera, *at)
+    solved = xp.hypot(p - x, q - y) <= SOLUTION_TOLERANCE * (1 + xp.hypot(x, y))
+    solved &= px * qy - py * qx > 0
+    return xp.where(solved, at[0], xp.nan), xp.where(solved, at[1], xp.nan)
+
+
+def _check_folds(camera: Camera) -> None:
+    """Refuse a lens that leaves many pixels without a line of sight, as wrong coefficients do."""
+    if not any(camera.coefficients):
+        return
+    if max(map(abs, camera.coefficients)) > MAX_COEFFICIENT:
+        blind = 1.0
+    else:
+        u, v = np.meshgrid(*(np.linspace(0, edge - 1, BLIND_GRID) for edge in (camera.width, camera.height)))
+        x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+        if camera.model == Distortion.INVERSE_BROWN_CONRADY:
+            back = invert_brown_conrady(camera, *brown_conrady(camera, x, y))
+        else:
+            back = brown_conrady(camera, *invert_brown_conrady(camera, x, y))
+        blind = np.mean(~(np.hypot(back[0] - x, back[1] - y) < RETURN_TOLERANCE))
+    if blind > MAX_BLIND_SHARE:
+        raise ValueError(
+            f"camera: coefficients {camera.coefficients} fold the image, so that {100 * blind:.0f} % of its pixels "
+            "have no line of sight; check their order (k1, k2, p1, p2, k3) and sign"
+        )
 
 
 def measured_mask(depth: Any) -> Any:
@@ -232,11 +367,10 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: It holds no depth; one sentence that names the file and a remedy.
+        TypeError: The path is neither text nor a path.
     """
-    path = Path(path)
-    metres = METRES_PER_DEPTH_UNIT.get(scale) if isinstance(scale, str) else scale
-    if metres is None or not math.isfinite(metres) or metres <= 0:
-        raise ValueError(f"{path}: scale is {scale!r}; give metres per unit as a positive number, or 'mm' or 'm'")
+    path = files.as_path("path", path)
+    metres = metres_per_unit(scale, path)
     if encoding not in list(Encoding):
         raise ValueError(f"{path}: encoding {encoding!r} is not known; choose from {', '.join(Encoding)}")
     values = _pixels(path)
@@ -252,6 +386,25 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
         values = (values >> 3) | (values << 13)
     measured = stored_mask(values, path)
     return np.where(measured, values.astype(np.float64) * metres, np.nan).astype(np.float32)
+
+
+def metres_per_unit(scale: Any, whose: str | Path) -> float:
+    """The scale of depth files as a number.
+
+    Args:
+        scale: Metres per unit, or "m" or "mm".
+        whose: Names the file in messages.
+
+    Returns:
+        Metres per unit.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    metres = METRES_PER_DEPTH_UNIT.get(scale) if isinstance(scale, str) else scale
+    if not isinstance(metres, Real) or isinstance(metres, bool) or not math.isfinite(metres) or metres <= 0:
+        raise ValueError(f"{whose}: scale is {scale!r}; give metres per unit as a positive number, or 'mm' or 'm'")
+    return float(metres)
 
 
 def stored_mask(values: np.ndarray, path: str | Path) -> np.ndarray:
@@ -305,8 +458,8 @@ def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
         ValueError: One of them makes no sense.
     """
     check_depth(depth, camera)
-    check_pose("T_w_c", T_w_c)
-    check_pose("T_w_t", T_w_t)
+    validation.pose("T_w_c", T_w_c)
+    validation.pose("T_w_t", T_w_t)
 
 
 def check_depth(depth: Any, camera: Camera) -> None:
@@ -345,25 +498,6 @@ def _too_far(near: float) -> str:
         f"depth: nearly all of it is farther than {near:.4g} m, and what is touched is seen from at most "
         f"{FARTHEST_M:g} m; it is metres: divide millimetres by 1000 (i2t.depth.camera.read_depth does)"
     )
-
-
-def check_pose(name: str, pose: Any) -> None:
-    """Refuse what is no rigid motion.
-
-    Args:
-        name: Of the pose, for the message.
-        pose: (4, 4).
-
-    Raises:
-        ValueError: Another shape, not finite, or its rotation is scaled or mirrored.
-    """
-    T = np.asarray(pose)
-    if T.shape != (4, 4):
-        raise ValueError(f"{name}: has the shape {T.shape}; give a (4, 4) transform")
-    if not np.isfinite(T).all():
-        raise ValueError(f"{name}: holds NaN or infinity; leave this view out")
-    if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > ORTHOGONALITY_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
-        raise ValueError(f"{name}: is not a rigid motion (its rotation is scaled, singular or mirrored); correct it")
 
 
 def check_image(depth: Any, camera: Camera) -> None:

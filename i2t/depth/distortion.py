@@ -9,19 +9,20 @@ y / z. Each has one direction in closed form; the other is solved by Newton's me
     modified_brown_conrady  project             the same, tangential after radial
     inverse_brown_conrady   deproject           Brown-Conrady from the image to the straight lens
 
+The polynomial of a wide lens may fold beyond the image, or in its corners. What lies beyond the first fold has no line
+of sight, or no pixel: NaN.
+
 One departure: librealsense from 2.44 takes `inverse_brown_conrady` for the modified model in both directions, against
 its own definition, which is kept here (say `modified_brown_conrady` for that).
 """
 
-from collections.abc import Callable
+import math
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from i2t.depth.camera import Camera, Distortion, brown_conrady
-
-NEWTON_STEPS = 10  # steps; a lens that is nearly straight needs four
+from i2t.depth.camera import Camera, Distortion, brown_conrady, fold_radius, invert_brown_conrady
 
 
 def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
@@ -32,7 +33,7 @@ def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"
         points: Points (m) in C, before the camera.
 
     Returns:
-        Pixels (column, row).
+        Pixels (column, row); NaN beyond where the lens folds.
     """
     return project_to_pixel(camera, points[..., 0] / points[..., 2], points[..., 1] / points[..., 2])
 
@@ -46,7 +47,7 @@ def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, 
         depth: Depth (m) along the camera's axis.
 
     Returns:
-        Points (m) in C.
+        Points (m) in C; NaN for pixels without a line of sight.
     """
     x, y = _undistort(camera, (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy)
     return jnp.stack([x * depth, y * depth, depth], -1)
@@ -59,7 +60,7 @@ def pixel_rays(camera: Camera) -> Float[Array, "2 height width"]:
         camera: The camera.
 
     Returns:
-        x / z and y / z of the rays.
+        x / z and y / z of the rays; NaN for pixels without a line of sight.
     """
     u, v = jnp.meshgrid(jnp.arange(camera.width), jnp.arange(camera.height))
     return jnp.stack(_undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
@@ -74,7 +75,7 @@ def project_to_pixel(camera: Camera, x: Float[Array, "*n"], y: Float[Array, "*n"
         y: y / z of the rays.
 
     Returns:
-        Pixels (column, row).
+        Pixels (column, row); NaN beyond where the lens folds.
     """
     x, y = _distort(camera, x, y)
     return jnp.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], -1)
@@ -84,9 +85,9 @@ def _distort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """Distort lines of sight, from a straight lens to this one."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
-            return _solve(lambda u, v: brown_conrady(camera, u, v), x, y)
+            return _invert(camera, x, y)
         case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
-            return brown_conrady(camera, x, y)
+            return _unfolded(camera, x, y)
     return x, y
 
 
@@ -94,9 +95,9 @@ def _undistort(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """Undistort lines of sight, from this lens to a straight one."""
     match _model(camera):
         case Distortion.INVERSE_BROWN_CONRADY:
-            return brown_conrady(camera, x, y)
+            return _unfolded(camera, x, y)
         case Distortion.BROWN_CONRADY | Distortion.MODIFIED_BROWN_CONRADY:
-            return _solve(lambda u, v: brown_conrady(camera, u, v), x, y)
+            return _invert(camera, x, y)
     return x, y
 
 
@@ -105,15 +106,18 @@ def _model(camera: Camera) -> str:
     return camera.model if any(camera.coefficients) else Distortion.NONE
 
 
-def _solve(function: Callable[[Array, Array], tuple[Array, Array]], x: Array, y: Array) -> tuple[Array, Array]:
-    """(u, v) with function(u, v) = (x, y), by Newton's method from (x, y), for functions near the identity."""
-    one, zero = jnp.ones_like(x), jnp.zeros_like(x)
+def _unfolded(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+    """`brown_conrady` up to where the lens folds, NaN beyond."""
+    u, v = brown_conrady(camera, x, y)
+    radius = fold_radius(camera)
+    if math.isinf(radius):
+        return u, v
+    before = x * x + y * y < radius**2
+    return jnp.where(before, u, jnp.nan), jnp.where(before, v, jnp.nan)
 
-    def step(_: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
-        (p, q), (px, qx) = jax.jvp(function, at, (one, zero))
-        _, (py, qy) = jax.jvp(function, at, (zero, one))
-        area = px * qy - py * qx
-        area = jnp.where(area == 0, 1, area)
-        return at[0] - ((p - x) * qy - (q - y) * py) / area, at[1] - ((q - y) * px - (p - x) * qx) / area
 
-    return jax.lax.fori_loop(0, NEWTON_STEPS, step, (x, y))
+def _invert(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+    """`invert_brown_conrady`, its steps compiled once."""
+    return invert_brown_conrady(
+        camera, x, y, xp=jnp, repeat=lambda n, step, at: jax.lax.fori_loop(0, n, lambda _, at: step(at), at)
+    )

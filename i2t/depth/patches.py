@@ -45,13 +45,24 @@ CROSSING_STEPS = 6  # steps; without a fold of the surface in between the first 
 CROSSING_TOLERANCE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
 
 
-@in_one_line
-class DepthPatch(NamedTuple):
-    """A patch extracted from a depth image, and what is known of each of its pixels."""
-
+class _DepthPatch(NamedTuple):
     patch: Patch
     valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
     inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
+
+
+@in_one_line
+class DepthPatch(_DepthPatch):
+    """A patch extracted from a depth image, and what is known of each of its pixels.
+
+    Attributes:
+        window: m, edge of the patch, and
+        reach: m, at which it is clipped, as `patch_from_depth` was called; they are static and no part of the tuple, so
+            that a transformation of JAX makes them None, which is unknown.
+    """
+
+    window: float | None = None
+    reach: float | None = None
 
 
 @in_one_line
@@ -104,17 +115,19 @@ def patch_from_depth(
         reading, std = predictor.predict(seen, force=1.0)
     """
     if not validation.is_traced(depth, T_w_c, T_w_t):
-        hint = "a (4, 4) transform"
-        poses = validation.numbers("T_w_c", T_w_c, hint), validation.numbers("T_w_t", T_w_t, hint)
-        check_view(validation.numbers("depth", depth, "an image of metres"), camera, *poses)
+        depth = validation.numbers("depth", depth, "an image of metres")
+        check_view(depth, camera, T_w_c, T_w_t)
     validation.number("window", window, "a length (m) above 0", above=0)
+    validation.number("reach", reach, "a length (m) above 0, such as 4e-3", above=0)
     validation.count("pixels", pixels)
     validation.number("fill", fill, "a length (m), 0 for none", least=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
     depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # 16 bits hold 0.1 m to 0.06 mm
     sizes = {"window": window, "reach": reach, "fill": fill}
-    return _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
+    seen = _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
+    seen.window, seen.reach = window, reach
+    return seen
 
 
 def view_from_depth(

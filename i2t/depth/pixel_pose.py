@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t import validation
-from i2t.depth.camera import Camera, check_depth, check_pose, measured_mask
+from i2t.depth.camera import Camera, check_depth, measured_mask
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import contact_frame
 from i2t.types import Array
@@ -62,19 +62,17 @@ def pose_at_pixel(
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
     """
     image = validation.numbers("depth", depth, "an image of metres")
-    T = validation.numbers("T_w_c", T_w_c, "a (4, 4) transform").astype(np.float64)
     check_depth(image, camera)
-    check_pose("T_w_c", T)
+    T = validation.pose("T_w_c", T_w_c)
     validation.number("roll", roll, "radians")
     validation.number("radius", radius, f"metres above 0, such as {FITTED_RADIUS_M:g}", above=0)
     column, row = _pixel(pixel, camera)
     points = _points(image, camera)
     at = points[row, column]
     if not np.isfinite(at).all():
-        raise ValueError(
-            f"pixel: depth at column {column}, row {row} was not measured (it is {image[row, column]:g}); choose "
-            "another pixel, or look again"
-        )
+        measured = measured_mask(image[row, column])
+        why = "has no line of sight in this lens" if measured else f"was not measured (it is {image[row, column]:g})"
+        raise ValueError(f"pixel: depth at column {column}, row {row} {why}; choose another pixel, or look again")
     normal = _normal(points.reshape(-1, 3), at, radius, f"column {column}, row {row}")
     R_w_c = T[:3, :3]
     return np.asarray(contact_frame(R_w_c @ at + T[:3, 3], R_w_c @ normal, roll))

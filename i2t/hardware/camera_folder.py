@@ -9,6 +9,7 @@ DIR/colour/NAME.png  8 bits RGB of the same pixels; may be missing
 
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -17,12 +18,27 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from i2t.depth.camera import IMAGE_SUFFIXES, Camera, Encoding, other_size, read_depth, read_image, to_units
-from i2t.files import read_toml
+from i2t.depth.camera import (
+    IMAGE_SUFFIXES,
+    Camera,
+    Encoding,
+    metres_per_unit,
+    other_size,
+    read_depth,
+    read_image,
+    to_units,
+)
+from i2t.errors import DataError
+from i2t.files import as_path, read_text, read_toml
 from i2t.hardware.protocols import View
 
 DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold
 DESCRIPTION = "camera.toml"
+OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".xml", ".ini")  # of descriptions by other programs
+YAML_REMEDY = (
+    f"not TOML: write its numbers to {DESCRIPTION}, as KEY = VALUE under the same names (width, height, K, "
+    "distortion_model, D), and add the depth's scale"
+)
 # Names of ROS's camera_info, its calibration files and librealsense, beside those of `Camera`.
 OTHER_KEYS = {
     "image_width": "width", "image_height": "height", "ppx": "cx", "ppy": "cy", "distortion_model": "model",
@@ -50,10 +66,11 @@ def read_view(path: str | Path) -> tuple[Camera, View]:
         OSError: A file cannot be read.
     """
     camera, given = read_lens(path, {"scale": None, "encoding": str(Encoding.PLAIN), "nearest": 0.0})
+    scale = metres_per_unit(given["scale"], Path(path) / DESCRIPTION)
     files = sorted(each for each in (Path(path) / "depth").glob("*") if each.suffix.lower() in IMAGE_SUFFIXES)
     if not files:
         raise ValueError(f"{Path(path) / 'depth'} holds no views; give a folder with depth/*.png or .tif")
-    depth = read_depth(files[0], given["scale"], given["encoding"])
+    depth = read_depth(files[0], scale, given["encoding"])
     if depth.shape != (camera.height, camera.width):
         raise ValueError(f"{files[0]}: {other_size(depth.shape, camera)} ({Path(path) / DESCRIPTION})")
     colour = (Path(path) / "colour" / files[0].name).with_suffix(".png")
@@ -74,12 +91,17 @@ def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[st
 
     Raises:
         ValueError: One sentence that names the file and the field.
+        TypeError: The path is neither text nor a path.
     """
-    file, known = Path(path) / DESCRIPTION, {each.name for each in fields(Camera)}
+    file, known = as_path("path", path) / DESCRIPTION, {each.name for each in fields(Camera)}
     try:
         table = read_toml(file)
     except OSError as error:
-        raise ValueError(f"{file} cannot be read ({error.strerror}); name a folder of views") from error
+        raise ValueError(f"{file} cannot be read ({error.strerror}); {_other_description(file)}") from error
+    except DataError as error:
+        if _is_yaml_or_json(file):
+            raise ValueError(f"{file}: is {YAML_REMEDY}") from error
+        raise
     try:
         table = _own_names(table)
     except (TypeError, ValueError) as error:
@@ -96,6 +118,18 @@ def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[st
         return Camera(**lens), {key: table.get(key, default) for key, default in others.items()}
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{file}: {' '.join(str(error).split())}; see i2t.hardware.camera_folder") from error
+
+
+def _other_description(file: Path) -> str:
+    """The remedy where a folder has no `camera.toml`: ROS and OpenCV write other files."""
+    others = sorted(each.name for each in file.parent.glob("*") if each.suffix.lower() in OTHER_SUFFIXES)
+    return f"{others[0]} is {YAML_REMEDY}" if others else "name a folder of views"
+
+
+def _is_yaml_or_json(file: Path) -> bool:
+    """Test whether a file that is no TOML begins as JSON, or has a key of YAML."""
+    text = read_text(file).lstrip()
+    return text.startswith(("{", "%YAML", "---")) or re.search(r"^\w+:(\s|$)", text, re.MULTILINE) is not None
 
 
 def _own_names(table: dict[str, Any]) -> dict[str, Any]:
@@ -116,7 +150,10 @@ def _own_names(table: dict[str, Any]) -> dict[str, Any]:
     if "K" in given:
         for name, number in zip(("fx", "fy", "cx", "cy"), _pinhole("K", given["K"]), strict=True):
             _add(own, name, number, "K")
-    _check_not_rectified(given)
+    if any(given.get("P", ())):
+        _use_projection(own, given["P"])
+    if any(given.get("R", ())) and not np.allclose(given["R"], np.eye(3).ravel(), atol=LENS_TOLERANCE):
+        raise ValueError("R turns a rectified image; for a raw one leave out R and P")
     for key, value in parts:
         if _is_part(value, (0, 1, own.get("width"), own.get("height"))):
             raise ValueError(f"{key} is {value}, of an image that is a part of the sensor's; give its own lens")
@@ -157,17 +194,23 @@ def _is_part(value: Any, whole: tuple[Any, ...]) -> bool:
     return value not in whole
 
 
-def _check_not_rectified(given: dict[str, list[float]]) -> None:
-    """Refuse a file whose lenses of the raw and of the rectified image differ: nothing says which the depth is."""
-    if "P" in given and any(given["P"]):
-        rectified = _pinhole("P", given["P"])
-        if "K" not in given or not np.allclose(_pinhole("K", given["K"]), rectified, rtol=LENS_TOLERANCE):
+def _use_projection(own: dict[str, Any], matrix: list[float]) -> None:
+    """Take the lens of a rectified image where it is the only one; refuse a file with another one for the raw image,
+    or with a distortion, which is of that: nothing says which of both the depth is.
+    """
+    names, rectified = ("fx", "fy", "cx", "cy"), _pinhole("P", matrix)
+    if not any(name in own for name in names):
+        if any(own.get("coefficients", ())):
             raise ValueError(
-                "K and P are of two lenses, of the raw and of the rectified image; for a raw image leave out P, for a "
-                "rectified one give the first three columns of P as K, and no D"
+                "P is of the rectified image and D of the raw one, and K is missing; for a raw image give its K and no "
+                "P, for a rectified one no D"
             )
-    if "R" in given and any(given["R"]) and not np.allclose(given["R"], np.eye(3).ravel(), atol=LENS_TOLERANCE):
-        raise ValueError("R turns a rectified image; for a raw one leave out R and P")
+        own.update(zip(names, rectified, strict=True))
+    elif not np.allclose([float(own.get(name, math.nan)) for name in names], rectified, rtol=LENS_TOLERANCE):
+        raise ValueError(
+            "K and P are of two lenses, of the raw and of the rectified image; for a raw image leave out P, for a "
+            "rectified one give the first three columns of P as K, and no D"
+        )
 
 
 def lens_text(camera: Camera, **others: Any) -> str:

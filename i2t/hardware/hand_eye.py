@@ -127,8 +127,10 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
         except OSError as error:
             raise ValueError(f"{file}: cannot be read ({error.strerror or error}); leave out its pose") from error
         corners, pixels = board.find(image)
-        if len(corners) >= MIN_CORNERS:
-            views.append(BoardView(T_b_t, corners, pixel_rays(camera, pixels)))
+        rays = pixel_rays(camera, pixels)
+        seen = np.isfinite(rays).all(1)
+        if seen.sum() >= MIN_CORNERS:
+            views.append(BoardView(T_b_t, corners[seen], rays[seen]))
             names.append(name)
     try:
         return fit(views, (camera.fx + camera.fy) / 2), T_c_image.astype(float), names

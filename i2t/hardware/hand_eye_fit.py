@@ -18,14 +18,13 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.depth.camera import Camera, Distortion, brown_conrady
+from i2t.depth.camera import Camera, Distortion, brown_conrady, invert_brown_conrady
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, so3_exp, transform
 from i2t.types import Array
 
 MIN_VIEWS, MIN_CORNERS = 6, 6  # views, and corners of each
 MIN_TILT_RAD = math.radians(5)  # root mean square turn about a second axis, under which the problem is nearly singular
-INVERSION_STEPS = 50  # of a lens, each closer by the distortion's slope, some hundredths
 MAX_FIT_STEPS = 100  # evaluations of the refinement; about ten are enough
 LOSS_SCALE_PX = 1.0  # from where on a corner counts less than its square
 
@@ -57,7 +56,7 @@ def pixel_rays(camera: Camera, pixels: Array) -> Array:
         pixels: (k, 2) columns and rows.
 
     Returns:
-        (k, 2) x / z and y / z in the camera.
+        (k, 2) x / z and y / z in the camera; NaN for pixels without a line of sight.
 
     Raises:
         ValueError: The lens is not of the Brown-Conrady family.
@@ -66,18 +65,10 @@ def pixel_rays(camera: Camera, pixels: Array) -> Array:
     if not any(camera.coefficients):
         return seen
     if camera.model == Distortion.INVERSE_BROWN_CONRADY:
-        return _bent(camera, seen)
+        return np.stack(brown_conrady(camera, *seen.T), axis=1)
     if camera.model in (Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY):
-        straight = seen
-        for _ in range(INVERSION_STEPS):
-            straight = seen - (_bent(camera, straight) - straight)
-        return straight
+        return np.stack(invert_brown_conrady(camera, *seen.T), axis=1)
     raise ValueError(f"camera: a hand-eye calibration knows no {camera.model} lens; give images without distortion")
-
-
-def _bent(camera: Camera, rays: Array) -> Array:
-    """Lines of sight (k, 2) distorted by a lens in its direct sense."""
-    return np.stack(brown_conrady(camera, *rays.T), axis=1)
 
 
 def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:

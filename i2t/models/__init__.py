@@ -15,8 +15,8 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
-from i2t.errors import did_you_mean
-from i2t.files import read_json
+from i2t.errors import closest, did_you_mean
+from i2t.files import as_path, read_json
 
 MAX_CARD_BYTES = 2**16
 Part = Literal["predictor", "pad_model.npz", "calibration.npz", "metrics.json"]
@@ -35,11 +35,30 @@ def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
 
     Returns:
         The part's path, or `name` as a path.
+
+    Raises:
+        TypeError: The name is neither text nor a path.
+        ValueError: It is empty.
     """
-    path = Path(name)
+    path = as_path("path", name)
     if isinstance(name, str) and part in READY_MODELS.get(name, ()) and not path.exists():
         return Path(__file__).parent / name / part
     return path
+
+
+def ready_hint(name: str | os.PathLike[str], part: Part) -> str:
+    """The remedy where nothing is found under a name: the ready model that may be meant.
+
+    Args:
+        name: As given.
+        part: Of the model.
+
+    Returns:
+        The end of a sentence: "; did you mean nominal?", or ", or a ready model, nominal".
+    """
+    names = [model for model, parts in READY_MODELS.items() if part in parts]
+    close = closest(as_path("path", name).name, names)
+    return f"; did you mean {close}?" if close else f", or a ready model, {' or '.join(names)}"
 
 
 def model_card(name: str) -> dict[str, Any]:

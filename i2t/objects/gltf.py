@@ -85,8 +85,8 @@ class _Document:
         self.path, self.binary = path, b""
         if data[:4] == b"glTF":
             text, self.binary = _chunks(path, data)
-        elif data.lstrip()[:1] in (b"{", b"\xef"):  # JSON, perhaps after a byte order mark
-            text = data
+        elif data.lstrip()[:1] in (b"{", b"\xef", b"\xff", b"\xfe"):  # JSON, perhaps after a byte order mark
+            text = data.lstrip()
         else:
             raise DataError(f"{path}: is no glTF file, neither binary nor JSON; export it again, or check its ending")
         self.json: dict[str, Any] = files.parse_json(text, path)
@@ -261,7 +261,7 @@ class _Document:
         return self.buffers[number]
 
     def _bytes_at(self, uri: str) -> bytes:
-        """What is in the address itself, or in a file next to this one. Nothing is fetched from anywhere else."""
+        """What is in the address itself, or in a file next to this one or in a folder there, and nowhere else."""
         head, _, body = uri.partition(",")
         if head.startswith("data:"):
             plain = urllib.parse.unquote_to_bytes(body)
@@ -269,7 +269,9 @@ class _Document:
         if "://" in head:
             raise DataError(f"{self.path}: its data are at {uri[:80]}; download that next to it, and name it there")
         name = urllib.parse.unquote(uri).removeprefix("./")
-        file = files.file_in(self.path.parent, name, self.path)
+        if "\\" in name and not (self.path.parent / name).exists():
+            name = name.replace("\\", "/")  # as Windows writes a folder
+        file = files.file_in(self.path.parent, name, self.path, below=True)
         if not file.is_file():
             raise DataError(f"{self.path}: its data are in {name!r}, which is not next to it; copy that file as well")
         data = files.read_bytes(file, files.MAX_MESH_BYTES)

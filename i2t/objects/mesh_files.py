@@ -42,7 +42,7 @@ def read_mesh(
         FileNotFoundError: There is no such file.
         ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
     """
-    path = Path(path)
+    path = files.as_path("path", path)
     data = read_bytes(path, files.MESH_SUFFIXES)
     scale = to_metres(path, unit)
     if up not in ("z", "y"):

@@ -190,12 +190,17 @@ def _check_kind(path: Path, suffix: str, data: bytes) -> None:
 
 def _text(path: Path, data: bytes) -> bytes:
     """Text with lines that end in a line feed and words that are spaced; whatever its encoding, numbers are ASCII."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        data = data.decode("utf-16", "replace").encode()
-    data = data.removeprefix(codecs.BOM_UTF8).rstrip(b"\x1a")  # the mark of the end in DOS
+    data = _in_utf8(data).rstrip(b"\x1a")  # the mark of the end in DOS
     if b"\0" in data:
         raise _unreadable(path, "it is no text", "export it again, or check its ending")
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ")
+
+
+def _in_utf8(data: bytes) -> bytes:
+    """Bytes without a byte order mark; those of a text in UTF-16 as UTF-8."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace").encode()
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
 def _rows(path: Path, rows: Sequence[bytes], dtype: type = np.float64) -> tuple[NDArray, NDArray]:
@@ -331,6 +336,8 @@ def _read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...
     if re.search(rb"\\ *\n", text):
         lines = _continued([line.rstrip() for line in lines])
     vertex_rows, face_rows, before, numbers, others = _obj_rows(path, lines)
+    if numbers and not text.endswith(b"\n") and numbers[-1] == len(lines):
+        _check_last_face(path, face_rows)
     values, counts = _rows(path, vertex_rows)
     unlike = ~np.isin(counts, OBJ_VERTEX_WORDS)
     if unlike.any():
@@ -351,6 +358,19 @@ def _read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...
     corners = np.where(corners > 0, corners - 1, corners + np.repeat(np.array(before, np.int64), sizes))
     *mesh, few = _mesh(path, vertices, corners, sizes, lambda i: f"face {i} (line {numbers[i - 1]})")
     return mesh[0], mesh[1], (few, *(f"{count} {name}" for name, count in others.items()))
+
+
+def _check_last_face(path: Path, face_rows: list[bytes]) -> None:
+    """Refuse a file whose last line, which no line break ends, has fewer corners than all other faces, or a shorter
+    last corner than its others: it is cut off there.
+    """
+    *others, last = [row.split() for row in face_rows]
+    sizes = {len(row) for row in others}
+    fewer = len(last) < 3 or (len(others) > 1 and len(sizes) == 1 and len(last) < min(sizes))
+    if fewer or len({corner.count(b"/") for corner in last}) > 1 or last[-1].endswith(b"/") > last[0].endswith(b"/"):
+        raise _unreadable(
+            path, "it is cut off within its last face, which no line break ends", "export or copy it again"
+        )
 
 
 def _continued(lines: list[bytes]) -> list[bytes]:
@@ -447,7 +467,7 @@ def _ply_corners(path: Path, name: str, element: _Element) -> tuple[NDArray, NDA
 
 def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list[_Property]]], bytes]:
     """The format, each element's name, number and properties, and the bytes after the header."""
-    data = data.removeprefix(codecs.BOM_UTF8)
+    data = _in_utf8(data)
     end = re.search(rb"\nend_header *(\r\n|\n)|\rend_header *\r", data[:MAX_PLY_HEADER])
     if not data.startswith(b"ply") or not end:
         raise _unreadable(path, "it has no header of PLY, or is cut off in it", "export or copy it again")
@@ -613,23 +633,36 @@ def _integer(body: bytes, start: int, dtype: np.dtype) -> int:
 
 
 def _read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
-    head = re.match(rb"\s*(?:#[^\n]*\s*)*((?:ST)?C?N?4?n?OFF)?", data.removeprefix(codecs.BOM_UTF8))
-    kind = head[1] or b"" if head else b""
-    if b"4" in kind or b"n" in kind or re.match(rb"\s*BINARY", data[head.end() :] if head else b""):
+    data = _in_utf8(data)
+    head = re.match(rb"\s*(?:#[^\n]*\s*)*((?:ST|st)?[Cc]?N?4?n?(?:OFF|off|Off))?", data)
+    kind = (head[1] or b"") if head else b""
+    if b"4" in kind or b"n" in kind or re.match(rb"\s*BINARY", data[head.end() :] if head else b"", re.IGNORECASE):
         raise _unreadable(path, "it is binary, or not in three dimensions", "export it as plain OFF")
     text = re.sub(rb"#[^\n]*", b"", _text(path, data))
     text = text.replace(kind, b"\n", 1) if kind else text
     rows = [row for row in text.split(b"\n") if row and not row.isspace()]
     if not rows:
         raise _unreadable(path, "it has no counts", "export or copy it again")
+    try:
+        vertices, corners, sizes = _off_by_lines(path, rows)
+    except DataError:
+        free = _off_by_words(kind, rows)
+        if free is None:
+            raise
+        vertices, corners, sizes = free
+    *mesh, few = _mesh(path, vertices, corners, sizes)
+    return mesh[0], mesh[1], (few,)
+
+
+def _off_by_lines(path: Path, rows: list[bytes]) -> tuple[NDArray, NDArray, NDArray]:
+    """Vertices, corners and sizes of faces, each vertex and face a line, at whose end colours may stand."""
     announced = _rows(path, rows[:1], np.int64)[0]
     if len(announced) not in (2, 3) or min(announced) < 0:
         raise _unreadable(path, "its first line is not the numbers of vertices, faces and edges", "export it again")
     points, polygons = map(int, announced[:2])
-    if len(rows) - 1 != points + polygons:
-        if len(rows) - 1 < points + polygons:
-            raise _cut_off(path, f"{points} vertices and {polygons} faces", f"{len(rows) - 1} lines")
-        extra = len(rows) - 1 - points - polygons
+    if len(rows) - 1 < points + polygons:
+        raise _cut_off(path, f"{points} vertices and {polygons} faces", f"{len(rows) - 1} lines")
+    if extra := len(rows) - 1 - points - polygons:
         raise _unreadable(path, f"it has {extra} lines more than its header announces", "export it again")
     values, counts = _rows(path, rows[1 : 1 + points])
     starts = np.cumsum(counts) - counts
@@ -645,8 +678,33 @@ def _read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...
     corners = values[_ranges(starts + 1, sizes)]
     if (corners != np.floor(corners)).any():
         raise _unreadable(path, "a corner of a face is no whole number", "export it again")
-    *mesh, few = _mesh(path, vertices, corners.astype(np.int64), sizes)
-    return mesh[0], mesh[1], (few,)
+    return vertices, corners.astype(np.int64), sizes
+
+
+def _off_by_words(kind: bytes, rows: list[bytes]) -> tuple[NDArray, NDArray, NDArray] | None:
+    """The same of numbers that are laid out freely over lines; None where they are not as many as the counts say."""
+    try:
+        values = np.array(b" ".join(rows).split()).astype(np.float64)
+    except ValueError:
+        return None
+    start = 2 if len(rows[0].split()) == 2 else 3  # the number of edges may be left out
+    whole = np.isfinite(values) & (values == np.floor(values)) & (values >= 0)
+    if len(values) < start or not whole[:start].all():
+        return None
+    points, polygons = map(int, values[:2])
+    width = 3 + sum(size * (mark in kind.upper()) for mark, size in ((b"ST", 2), (b"C", 4), (b"N", 3)))
+    end = start + points * width
+    if end + polygons > len(values) or not whole[end:].all():
+        return None
+    vertices, numbers, at = values[start:end].reshape(points, width)[:, :3], values[end:].astype(np.int64), 0
+    places = []
+    for _ in range(polygons):
+        if at >= len(numbers):
+            return None
+        places.append(at)
+        at += 1 + int(numbers[at])
+    sizes = numbers[places]
+    return (vertices, numbers[_ranges(np.array(places, np.int64) + 1, sizes)], sizes) if at == len(numbers) else None
 
 
 _READERS: dict[str, Callable[[Path, bytes], tuple[NDArray, NDArray, tuple[str, ...]]]] = {

@@ -159,7 +159,10 @@ def _clipped(points: NDArray, width: float) -> NDArray | None:
         x = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         axes = np.stack([x / np.linalg.norm(x), np.cross(normal, x) / np.linalg.norm(np.cross(normal, x))])
     flattened = centred @ axes[:2].T
-    pieces = None if _crosses_itself(flattened, width) else _clip_ears(flattened, width)
+    pieces = None
+    if not _crosses_itself(flattened, width):
+        attempts = (_clip_ears(flattened, width, folded=folded) for folded in (False, True))
+        pieces = next((attempt for attempt in attempts if attempt is not None), None)
     return none if pieces is not None and not len(pieces) else pieces
 
 
@@ -184,24 +187,29 @@ def _crosses_itself(points: NDArray, width: float) -> bool:
     return False
 
 
-def _clip_ears(points: NDArray, width: float) -> NDArray | None:
+def _clip_ears(points: NDArray, width: float, *, folded: bool = False) -> NDArray | None:
     """Triangles `(m, 3)` of a polygon `(n, 2)` that runs anticlockwise, ear after ear; None where it overlaps itself.
 
     After a cut only the two corners next to it can have become ears, so that each cut costs one look at the others.
+    Spikes without a width, which run out and back, go first: a triangle next to one might cover it. With `folded` they
+    are also those that run back by other corners than they ran out by.
     """
     size = len(points)
     before, after = np.roll(np.arange(size), 1).tolist(), np.roll(np.arange(size), -1).tolist()
     place = list(map(tuple, points.tolist()))
     there, left, triangles = np.ones(size, bool), size, []
-    for tolerance, touching in ((width, False), (0.0, False), (0.0, True)):
+    for tolerance, touching in ((math.inf, False), (width, False), (0.0, False), (0.0, True)):
         candidates = deque(np.flatnonzero(there).tolist())
         while candidates and left > 2:
             tip = candidates.popleft()
             a, c = before[tip], after[tip]
-            coincide = place[c] in (place[tip], place[a])  # then nothing is between the two sides
-            if not there[tip] or not (coincide or _is_ear(points[[a, tip, c]], points[there], tolerance, touching)):
+            if not there[tip]:
                 continue
-            if not coincide:
+            flat = place[c] in (place[tip], place[a])  # then nothing is between the two sides
+            flat = flat or (folded and _runs_back(place[a], place[tip], place[c], width))
+            if not flat and (tolerance > width or not _is_ear(points[[a, tip, c]], points[there], tolerance, touching)):
+                continue
+            if not flat:
                 triangles.append((a, tip, c))
             after[a], before[c], there[tip] = c, a, False
             left -= 1
@@ -211,6 +219,13 @@ def _clip_ears(points: NDArray, width: float) -> NDArray | None:
     sides = np.roll(points, -1, 0) - points
     area, cut = _cross(points, sides).sum() / 2, _cross(b - a, c - a).sum() / 2
     return pieces if abs(cut - area) <= width * np.linalg.norm(sides, axis=1).sum() else None
+
+
+def _runs_back(a: tuple[float, float], tip: tuple[float, float], c: tuple[float, float], width: float) -> bool:
+    """Tell whether the side from a corner lies on the side to it."""
+    ax, ay, cx, cy = a[0] - tip[0], a[1] - tip[1], c[0] - tip[0], c[1] - tip[1]
+    longer = max(math.hypot(ax, ay), math.hypot(cx, cy))
+    return ax * cx + ay * cy > 0 and abs(ax * cy - ay * cx) <= width * longer
 
 
 def _is_ear(triangle: NDArray, others: NDArray, width: float, touching: bool) -> bool:

@@ -28,6 +28,7 @@ from i2t.prediction.gp import ContactPressure
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_disk
+from i2t.skin.boards import board_as_lists
 from i2t.training import TrainConfig
 
 METHODS: Mapping[str, str] = {  # names of the command line; the first of equal ones is kept
@@ -134,7 +135,9 @@ class TrainingTouches:
         )
         known = pressed.force[split.train]
         known = known[np.isfinite(known)]
-        metadata = {"force_range": [float(known.min()), float(known.max())]} if len(known) else None
+        metadata: dict[str, Any] = {"board": board_as_lists(self.dataset.board)}
+        if len(known):
+            metadata["force_range"] = [float(known.min()), float(known.max())]
         return Predictor(model, self.dataset.window, self.dataset.reach, force, depth, metadata=metadata)
 
 

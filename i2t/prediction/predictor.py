@@ -28,12 +28,13 @@ from orbax.checkpoint import v1 as ocp
 
 from i2t.errors import CheckpointError
 from i2t.files import may_grow_to, read_json
-from i2t.models import ready_path
+from i2t.models import ready_hint, ready_path
 from i2t.prediction import user_input
 from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, to_disk
 from i2t.rendering.render import prepare_surface, render_view
-from i2t.types import Surface
+from i2t.skin.boards import board_from_lists
+from i2t.types import Board, Surface
 from i2t.views import WideView
 from i2t.windows import PATCH_PIXELS
 
@@ -85,6 +86,12 @@ class Predictor:
         given = (self.metadata or {}).get("force_range")
         forces = [abs(force) for force in given if isinstance(force, int | float)] if isinstance(given, list) else []
         return max(forces, default=None)
+
+    @property
+    def board(self) -> Board | None:
+        """The board whose readings it was trained on; None where that was not kept."""
+        board = board_from_lists((self.metadata or {}).get("board"))
+        return board if board and board.num_readings == self.model.channels else None
 
     @property
     def pressure(self) -> PressureModelConfig | None:
@@ -149,6 +156,7 @@ class Predictor:
             reading, std = predictor.predict(seen, force=1.0)
         """
         seen = user_input.seen_touches(patch, nearest=nearest, wide=wide, valid=valid)
+        user_input.check_size_of_patches(seen, self.window, self.reach)
         mask = None if seen.valid is None else user_input.checked_valid(seen.valid, np.shape(seen.depth))
         patches = user_input.checked_patches(seen.depth, self.reach)
         n, pitch = len(patches), self.window / patches.shape[1]
@@ -299,15 +307,17 @@ def load_predictor(directory: Path | str) -> Predictor:
 
     Raises:
         CheckpointError: There is none, or it cannot be read.
+        TypeError: The directory is neither text nor a path.
 
     Example:
         predictor = i2t.load_predictor("nominal")
         reading, std = predictor.predict(patch, force=1.0)
     """
+    hint = ready_hint(directory, "predictor")
     directory = ready_path(directory, "predictor").absolute()
     nested = directory / "checkpoint" / "predictor"
     directory = nested if nested.is_dir() else directory
-    about = _description(directory)
+    about = _description(directory, hint)
     try:
         arrays = _load_arrays(directory, about)
         return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _FIELDS})
@@ -349,8 +359,8 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
 _FIELDS = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")  # numbers and text of a file
 
 
-def _description(directory: Path) -> dict[str, Any]:
-    """Description of a predictor on disk."""
+def _description(directory: Path, hint: str) -> dict[str, Any]:
+    """Description of a predictor on disk, and a hint where there is none."""
     try:
         about = read_json(directory / "_CHECKPOINT_METADATA", MAX_DESCRIPTION_BYTES)["custom_metadata"]
         if about["format"] != PREDICTOR_FORMAT:
@@ -359,6 +369,7 @@ def _description(directory: Path) -> dict[str, Any]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CheckpointError(
             f"{directory} holds no predictor of this i2t; name the folder that `python -m experiments.train` wrote"
+            + hint
         ) from error
     if version != PREDICTOR_VERSION:
         raise CheckpointError(

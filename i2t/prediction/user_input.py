@@ -17,7 +17,6 @@ from scipy import ndimage
 
 from i2t import validation
 from i2t.depth.patches import DepthPatch, DepthView
-from i2t.geometry import is_rigid
 from i2t.objects.mesh_files import MAX_SIZE_M
 from i2t.types import Patch, Surface
 from i2t.views import WideView, centre, pixels_on_skin
@@ -38,6 +37,7 @@ VIEW_REMEDY = (
     "scale, such as 1e-4 where it stores tenths of a millimetre"
 )
 BESIDE_CENTRE = np.array([0.537, 0.471])  # pixels; a ray through a pixel's centre meets edges of symmetric meshes
+PATCH_SIZE_TOLERANCE = 1e-3  # relative: rounding
 PIXEL_TOLERANCE_M = 1e-6  # m, of single precision
 CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
 
@@ -68,6 +68,8 @@ class SeenTouches(NamedTuple):
     nearest: Any = None  # one or (n,) m, signed distance of that point; NaN where it is unknown
     wide: Any = None  # (w, w) or (n, w, w) m, the surroundings too
     valid: Any = None  # (p, p) or (n, p, p) bool, pixels that were seen
+    window: Any = None  # m, edge of the patches; one or (n,), NaN where it is unknown
+    reach: Any = None  # m, at which they are clipped; likewise
 
 
 def seen_touches(patch: Any, *, nearest: Any = None, wide: Any = None, valid: Any = None) -> SeenTouches:
@@ -89,7 +91,10 @@ def seen_touches(patch: Any, *, nearest: Any = None, wide: Any = None, valid: An
     if isinstance(patch, list | tuple) and patch and all(hasattr(item, "_fields") for item in patch):
         if len({type(item) for item in patch}) > 1:
             raise ValueError("patch: is a list of different kinds of patches; give them in lists of one kind")
-        patch = jax.tree.map(lambda *items: np.stack(items), *patch)
+        items, patch = patch, jax.tree.map(lambda *items: np.stack(items), *patch)
+        if isinstance(patch, DepthPatch):
+            sizes = np.array([(item.window, item.reach) for item in items], float)  # NaN where it is unknown
+            patch.window, patch.reach = sizes.T
     seen = _parts(patch)
     given = {"nearest": nearest, "wide": wide, "valid": valid}
     return seen._replace(**{name: value for name, value in given.items() if value is not None})
@@ -100,7 +105,7 @@ def _parts(patch: Any) -> SeenTouches:
     if isinstance(patch, Patch):
         return SeenTouches(patch.depth, patch.nearest)
     if isinstance(patch, DepthPatch):
-        return SeenTouches(*patch.patch, valid=np.asarray(patch.valid_mask))
+        return SeenTouches(*patch.patch, valid=np.asarray(patch.valid_mask), window=patch.window, reach=patch.reach)
     if isinstance(patch, DepthView):
         depth, nearest = patch.view.patch
         return SeenTouches(depth, nearest, patch.view.wide, centre(np.asarray(patch.known_mask), depth.shape[-1]))
@@ -113,6 +118,27 @@ def _parts(patch: Any) -> SeenTouches:
     if {"patch", "nearest", "wide", "visible_share"} <= names:  # a `SeenPatch`
         return SeenTouches(patch.patch, patch.nearest, patch.wide)
     return SeenTouches(patch)
+
+
+def check_size_of_patches(seen: SeenTouches, window: float, reach: float) -> None:
+    """Refuse patches that say that they show another square or depth than the model was trained on.
+
+    Args:
+        seen: The patches.
+        window: m, edge of the model's patches.
+        reach: m, at which they are clipped.
+
+    Raises:
+        ValueError: They are of another size.
+    """
+    for name, given, own in (("window", seen.window, window), ("reach", seen.reach, reach)):
+        sizes = np.atleast_1d(np.array(given, np.float64))
+        wrong = sizes[np.abs(sizes - own) > PATCH_SIZE_TOLERANCE * own]
+        if len(wrong):
+            raise ValueError(
+                f"patch: its {name} is {_mm(float(wrong[0]))} mm, and the model was trained on patches of {_mm(own)} "
+                f"mm; make it with {name}={own:g}"
+            )
 
 
 def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
@@ -404,10 +430,10 @@ def checked_poses(T_o_t: Any) -> Float[np.ndarray, "n 4 4"]:
         ValueError: They are no rigid transforms.
     """
     poses = _many("T_o_t", T_o_t, "a (4, 4) transform, or (n, 4, 4)")
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses) or not np.isfinite(poses).all():
-        raise ValueError(f"T_o_t must be a finite (4, 4) transform, or (n, 4, 4) of them; got shape {np.shape(T_o_t)}")
-    if not all(bool(is_rigid(pose)) for pose in poses):
-        raise ValueError("T_o_t is no rigid transform: its rotation is scaled, mirrored or bent; make it orthonormal")
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
+        raise ValueError(f"T_o_t must be a (4, 4) transform, or (n, 4, 4) of them; got shape {np.shape(T_o_t)}")
+    for number, pose in enumerate(poses):
+        validation.pose("T_o_t" if len(poses) == 1 else f"T_o_t[{number}]", pose)
     return poses
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from i2t import serialization
 from i2t.errors import DataError, SerializationError
-from i2t.models import ready_path
+from i2t.models import ready_hint, ready_path
 from i2t.recognition.belief import Likelihood
 from i2t.recognition.outcomes import LinearReadingModel
 from i2t.recognition.pad_model import PadModel
@@ -103,8 +103,9 @@ def load_pad_model(path: Path | str) -> KnownPad:
         known = i2t.load_pad_model("nominal")
         recognizer = i2t.ObjectRecognizer(jax.random.key(0), known.model, {"mug": mug, "bowl": bowl})
     """
+    hint = ready_hint(path, "pad_model.npz")
     path = ready_path(path, "pad_model.npz")
-    record, about = serialization.load(path, PAD_MODEL_KIND, _Record)
+    record, about = serialization.load(path, PAD_MODEL_KIND, _Record, missing=hint)
     with serialization.fitting(path):
         return _known_pad(path, record, about)
 

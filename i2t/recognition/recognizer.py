@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
-from i2t.geometry import from_twist, inverse, is_rigid, nearest_rigid
+from i2t.geometry import from_twist, inverse, nearest_rigid
 from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, outcomes
 from i2t.recognition.belief import Belief, Likelihood, TouchObservation
@@ -164,10 +164,7 @@ class ObjectRecognizer:
         if len(meshes) < 2:
             raise ValueError("a recogniser needs at least two objects to tell apart")
         self.names, self.config, self.likelihood = tuple(meshes), config, pad_model.likelihood
-        hint = "a (4, 4) transform"
-        self.T_w_o = np.eye(4) if T_w_o is None else validation.numbers("T_w_o", T_w_o, hint).astype(np.float64)
-        if self.T_w_o.shape != (4, 4) or not is_rigid(self.T_w_o):
-            raise ValueError("T_w_o: is not a rigid motion; correct it")
+        self.T_w_o = np.eye(4) if T_w_o is None else validation.pose("T_w_o", T_w_o)
         known = list(meshes.values())
         surrogates = range(config.num_surrogates if config.prior_unknown > 0 else 0)
         unknown = [catalogue.surrogate_unknown(known, i).mesh for i in surrogates]
@@ -288,9 +285,7 @@ class ObjectRecognizer:
             TypeError: One of them holds no real numbers.
         """
         validation.number("force", validation.forces("force", force, measured=True), "newtons along tool z")
-        T = validation.numbers("T_w_t", T_w_t, "a (4, 4) transform").astype(np.float64)
-        if T.shape != (4, 4) or not is_rigid(T):
-            raise ValueError("T_w_t: is not a rigid motion; give the tool's pose at the end of the press")
+        T = validation.pose("T_w_t", T_w_t)
         values = validation.numbers("reading", reading, f"{self.channels} values (uT)")
         if values.shape != (self.channels,):
             raise ValueError(f"reading: has the shape {values.shape}; give the board's {self.channels} values (uT)")

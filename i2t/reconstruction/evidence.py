@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import minimum_filter
 
+from i2t import validation
 from i2t.depth import distortion
-from i2t.depth.camera import Camera, measured_mask
-from i2t.geometry import is_rigid
+from i2t.depth.camera import Camera, check_image, measured_mask
 from i2t.reconstruction.local_shape import PatchPosterior
 from i2t.types import Array
 from i2t.windows import PAD_WINDOW, PATCH_WINDOW, STANDOFF
@@ -116,9 +116,9 @@ def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: flo
     Raises:
         ValueError: The pose is not rigid and finite, or the way no way.
     """
-    T_o_t = np.asarray(T_o_t, np.float64)
-    if T_o_t.shape != (4, 4) or not is_rigid(T_o_t) or not 0 < swept < MAX_SWEPT_M:
-        raise ValueError("T_o_t of a touch must be a finite rigid 4x4 pose, and swept a way in metres; leave it out")
+    T_o_t = validation.pose("T_o_t", T_o_t)
+    if not 0 < swept < MAX_SWEPT_M:
+        raise ValueError(f"swept: is {swept}; give a way in metres, above 0 and below {MAX_SWEPT_M:g}")
     sweep = Sweep(T_o_t, float(swept))
     edge = 0.9 * PAD_WINDOW * (np.arange(SWEPT_EDGE) / (SWEPT_EDGE - 1) - 0.5)
     free = _to_object(T_o_t, _grid(edge, edge, -np.array(SWEPT_DEPTHS_M)))
@@ -222,11 +222,9 @@ def view_evidence(
         ValueError: The view shows nothing above the table and in the box, its size is not the camera's, or the
             camera's pose is not rigid and finite.
     """
-    depth, T_o_c = np.asarray(depth, np.float64), np.asarray(T_o_c, np.float64)
-    if depth.shape != (camera.height, camera.width):
-        raise ValueError(f"a depth image of {depth.shape} pixels, from a camera of {camera.height, camera.width}")
-    if T_o_c.shape != (4, 4) or not is_rigid(T_o_c):
-        raise ValueError("T_o_c of a view must be a finite rigid 4x4 pose")
+    depth, T_o_c = validation.numbers("depth", depth, "an image of metres"), validation.pose("T_o_c", T_o_c)
+    check_image(depth, camera)
+    depth = depth.astype(np.float64)
     rng = np.random.default_rng(0)
     depth = np.where(measured_mask(depth) | np.isposinf(depth), depth, np.nan)  # infinite: nothing was there
     row, column = np.nonzero(np.isfinite(depth))

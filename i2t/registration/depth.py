@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.spatial import cKDTree
 
 from i2t import validation
-from i2t.depth.camera import Camera, check_depth, check_pose, measured_mask
+from i2t.depth.camera import Camera, check_depth, measured_mask
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import apply, compose, from_twist, inverse, to_twist
 from i2t.objects.solids import Mesh
@@ -115,13 +115,8 @@ def register_by_depth(
     validation.number("translation_std", translation_std, "metres above 0", above=0)
     validation.number("rotation_std", rotation_std, "radians above 0", above=0)
     depth = validation.numbers("depth", depth, "an image of metres")
-    T_w_c, start = (
-        validation.numbers(name, pose, "a (4, 4) transform").astype(np.float64)
-        for name, pose in (("T_w_c", T_w_c), ("T_w_o", T_w_o))
-    )
     check_depth(depth, camera)
-    check_pose("T_w_o", start)
-    check_pose("T_w_c", T_w_c)
+    start, T_w_c = validation.pose("T_w_o", T_w_o), validation.pose("T_w_c", T_w_c)
     scene = _scene(mesh, start, _points(depth, camera, T_w_c, table_height, config), T_w_c, config)
     scene = scene._replace(points_per_measurement=max(1.0, points_per_measurement * scene.points_per_measurement))
     prior_information = np.diag(np.array([translation_std] * 3 + [rotation_std * TWIST_LEVER_M] * 3) ** -2.0)

@@ -123,8 +123,8 @@ def register_by_touch(
         The estimate; its residuals, weights and cost are those of the most probable pose.
 
     Raises:
-        ValueError: There is no touch, not one weight for each, a pose or weight that counts and is not finite, or a
-            standard deviation that is none.
+        ValueError: There is no touch, not one weight for each, a pose or weight that counts and is not finite, a pose that
+            is not rigid, or a standard deviation that is none.
         TypeError: The key is none, or a standard deviation is no number.
 
     Example:
@@ -175,7 +175,7 @@ def _register(
 
 
 def _check_contacts(T_w_o: Array, T_w_contact: Array, weight: Array) -> None:
-    """Check for a list of poses with a weight for each, and for finite numbers; traced ones pass."""
+    """Check for a list of rigid poses with a weight for each; traced ones pass."""
     n = len(T_w_contact) if T_w_contact.ndim else 0
     if n == 0 or T_w_contact.shape != (n, 4, 4) or weight.shape != (n,):
         raise ValueError(
@@ -192,6 +192,9 @@ def _check_contacts(T_w_o: Array, T_w_contact: Array, weight: Array) -> None:
             f"{wrong.sum()} touches have a pose or a weight that is not finite, the first in row {np.argmax(wrong)}; "
             "give them the weight 0"
         )
+    validation.pose("T_w_o", T_w_o)
+    for number in np.flatnonzero(np.asarray(weight) > 0):
+        validation.pose(f"T_w_contact[{number}]", T_w_contact[number])
 
 
 def _contacts(

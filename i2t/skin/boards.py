@@ -250,6 +250,35 @@ def same_board(one: Board, other: Board) -> bool:
     return bool(apart < CHIP_TOLERANCE_M and turned < CHIP_ROTATION_TOLERANCE)
 
 
+def board_as_lists(board: Board) -> dict[str, Any]:
+    """A board as lists of numbers, for JSON and TOML; `board_from_lists` turns them back.
+
+    Args:
+        board: Any.
+
+    Returns:
+        Its chips and rotations, as in a board file.
+    """
+    return {name: np.asarray(part, np.float64).round(9).tolist() for name, part in board._asdict().items()}
+
+
+def board_from_lists(lists: Any) -> Board | None:
+    """The board of `board_as_lists`.
+
+    Args:
+        lists: What a file holds.
+
+    Returns:
+        The board; None where they are none.
+    """
+    try:
+        board = Board(*(np.array(lists[name], np.float32) for name in Board._fields))
+        fits = board.chips.shape[1:] == (3,) and board.rotations.shape == (len(board.chips), 3, 3)
+    except (KeyError, TypeError, ValueError):
+        return None
+    return board if fits else None
+
+
 def _board(positions: np.ndarray, rotations: np.ndarray, depth: float) -> Board:
     validation.number("depth", depth, "metres below the surface, 0 or more", least=0)
     chips = np.column_stack([positions, np.full(len(positions), -depth)])

@@ -16,8 +16,12 @@ from i2t.depth.camera import (
     MAX_DEPTH_M,
     Camera,
     Distortion,
+    brown_conrady,
     check_view,
+    fold_radius,
+    invert_brown_conrady,
     measured_mask,
+    metres_per_unit,
     read_depth,
     to_units,
 )
@@ -104,6 +108,9 @@ def test_a_pinhole():
         ({"model": "tangential"}, "not known; choose from none, modified_brown_conrady"),
         ({"fx": 0.47, "fy": 0.83}, "neither in millimetres"),
         ({"cx": 640.0}, "subtract from cx, cy what was cropped"),
+        ({"cx": 180.0, "cy": 320.0}, "its two numbers are swapped"),
+        ({"fy": 3000.0}, "differ by more than a factor of 2"),
+        ({"fx": 6e5, "fy": 6e5}, "less than 1 degree"),
         # The lens of an image of 1280 x 720 pixels with one of 640 x 360, and of every second pixel, and of two thirds.
         ({"fx": 600.0, "fy": 600.0, "cx": 641.0, "cy": 358.0}, "about 1279 x 719 pixels: scale fx"),
         ({"fx": 150.0, "fy": 150.0, "cx": 161.0, "cy": 91.0}, "about 32[0-9] x 18[0-9] pixels: scale fx"),
@@ -113,6 +120,49 @@ def test_a_pinhole():
 def test_impossible_cameras(change, words):
     with pytest.raises(ValueError, match=words):
         Camera(**{"width": 640, "height": 360, "fx": 300.0, "fy": 300.0, "cx": 320.0, "cy": 180.0, **change})
+
+
+def folding(k1: float, model: str = "brown_conrady") -> Camera:
+    return Camera(640, 480, 400.0, 400.0, 319.5, 239.5, model, (k1, 0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("model", [Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY])
+def test_beyond_the_fold_of_a_lens_there_is_no_line_of_sight(model):
+    """r + k r^3 is largest at r^2 = -1 / (3 k): what lies farther out in the image is seen from nowhere."""
+    lens = folding(-0.18, model)
+    u, v = np.meshgrid(np.arange(640), np.arange(480))
+    radius = np.hypot(u - 319.5, v - 239.5) / 400
+    fold = (1 / 0.54) ** 0.5
+    x, y = np.asarray(pixel_rays(lens))
+    away = np.abs(radius - fold * 2 / 3) > 1e-4
+    assert 0 < np.isnan(x).mean() < 0.05  # so it is usable
+    assert (np.isnan(x) == (radius > fold * 2 / 3))[away].all()
+    seen = np.isfinite(x)
+    assert np.hypot(x, y)[seen].max() < fold
+    back = np.asarray(project(lens, jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.ones(x.shape)], -1)))
+    np.testing.assert_allclose(back[seen], np.stack([u, v], -1)[seen], atol=0.02)
+    assert np.isnan(project(lens, jnp.array([fold * 1.01, 0, 1.0]))).all()  # it would land within the image again
+
+
+def test_rays_of_random_lenses_return_up_to_their_fold():
+    rng = np.random.default_rng(0)
+    for number in range(40):
+        k, p = rng.normal(size=3) * [0.5, 0.5, 0.3], rng.normal(size=2) * 1e-3 * (number % 4 > 1)
+        model = (Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY)[number % 2]
+        lens = Camera(640, 480, 2000.0, 2000.0, 319.5, 239.5, model, (k[0], k[1], *p, k[2]))
+        radius, angle = (
+            min(fold_radius(lens), 2.0) * rng.uniform(0, 0.7 if p.any() else 0.95, 200),
+            rng.uniform(0, 2 * np.pi, 200),
+        )
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        np.testing.assert_allclose(invert_brown_conrady(lens, *brown_conrady(lens, x, y)), (x, y), atol=1e-4)
+
+
+@pytest.mark.parametrize("model", ["brown_conrady", "modified_brown_conrady", "inverse_brown_conrady"])
+def test_a_lens_that_folds_much_of_the_image_is_refused(model):
+    with pytest.raises(ValueError, match=r"fold the image, so that \d+ % of its pixels have no line of sight"):
+        folding(-0.8, model)
+    assert folding(-0.1, model).coefficients[0] == -0.1
 
 
 BROWN = (-0.0565, 0.0682, 0.00037, 0.00069, -0.0218)
@@ -260,7 +310,7 @@ def test_views_are_checked():
         ((1e3 * depth, lens, eye, eye), "divide millimetres by 1000"),
         ((np.where(few > 1, 65535, 1e3 * depth), lens, eye, eye), "divide millimetres by 1000"),
         ((1e-3 * depth, lens, eye, eye), r"nearer than 0.0003 m, .* \(20 mm\)"),
-        ((depth, lens, gone, eye), "T_w_c: holds NaN"),
+        ((depth, lens, gone, eye), "T_w_c: .*holds NaN"),
         ((depth, lens, eye, np.zeros((4, 4))), "T_w_t: is not a rigid"),
         ((depth, lens, eye, np.diag([1.0, 1, -1, 1])), "mirrored"),
     ]:
@@ -277,3 +327,9 @@ def test_real_files(shared_data):
     assert np.nanmedian(np.abs(np.diff(depth))) < 2e-3 < np.nanmedian(np.abs(np.diff(read_depth(f200, 1e-4))))
     xtion = read_depth(shared_data / "ycbvideo" / "000001-depth.png", 1e-4)
     assert 0.5 < np.nanmedian(xtion) < 1.2
+
+
+@pytest.mark.parametrize("scale", [[1], 1j, True, None, "cm", np.nan, -1e-3, 0])
+def test_a_scale_that_is_none_names_the_file(scale):
+    with pytest.raises(ValueError, match=r"a.png: scale is .*; give metres per unit"):
+        metres_per_unit(scale, "a.png")

@@ -287,3 +287,32 @@ def test_contact_masks_agree():
         assert 0.05 < theirs.mean() < 0.95
         np.testing.assert_array_equal(ours[inner], theirs[inner])
         np.testing.assert_array_equal(theirs, np.asarray(imagined.depth) <= tolerance)
+
+
+def test_masked_pixels_are_holes():
+    box = make_object("hexagon").mesh
+    T_w_c, T_w_t = views(10.0, (0, 0, box.vertices[:, 2].max()))
+    depth = image(box, T_w_c)
+    hidden = np.zeros(depth.shape, bool)
+    hidden[::7] = True
+    by_mask = patch_from_depth(np.ma.MaskedArray(depth, hidden), CAMERA, T_w_c, T_w_t)
+    by_nan = patch_from_depth(np.where(hidden, np.float32(np.nan), depth), CAMERA, T_w_c, T_w_t)
+    jax.tree.map(np.testing.assert_array_equal, by_mask, by_nan)
+    assert by_nan.valid_mask.mean() < patch_from_depth(depth, CAMERA, T_w_c, T_w_t).valid_mask.mean()
+
+
+@pytest.mark.parametrize("reach", [-1, 0, np.nan, "x", [1e-3, 2e-3]])
+def test_a_reach_is_a_length(reach):
+    extract = getattr(patch_from_depth, "__wrapped__", patch_from_depth)  # without the tests' own check of types
+    with pytest.raises((ValueError, TypeError), match=r"reach: .*give a length"):
+        extract(np.full((360, 640), 0.3, np.float32), CAMERA, np.eye(4), np.eye(4), reach=reach)
+
+
+def test_a_patch_knows_its_size():
+    depth = np.full((360, 640), 0.3, np.float32)
+    seen = patch_from_depth(depth, CAMERA, np.eye(4), pose(np.eye(3), (0, 0, 0.3)), window=34e-3, reach=2e-3)
+    assert (seen.window, seen.reach) == (34e-3, 2e-3)
+    patch, valid, inpainted = seen  # three parts, as ever
+    assert patch is seen.patch
+    assert valid.shape == inpainted.shape == (PATCH_PIXELS, PATCH_PIXELS)
+    assert jax.tree.map(np.asarray, seen).window is None

@@ -126,3 +126,30 @@ def test_what_16_bits_do_not_hold_is_kept_as_a_hole(tmp_path):
     deep[0, 0] = np.inf
     list(camera_folder.save_views(tmp_path / "deep", CAMERA, [View(0.0, deep, None)]))
     np.testing.assert_array_equal(np.isnan(read_view(tmp_path / "deep")[1].depth), np.eye(4, 6) > 0)
+
+
+def test_the_projection_alone_is_the_lens_of_a_rectified_image(tmp_path):
+    size = "width = 640\nheight = 360\n"
+    assert lens_of(tmp_path, f"{size}P = {PROJECTION}\n") == lens_of(tmp_path, PLAIN)
+    assert lens_of(tmp_path, f"{PLAIN}P = {PROJECTION}\n") == lens_of(tmp_path, PLAIN)
+    with pytest.raises(ValueError, match="P is of the rectified image and D of the raw one, and K is missing"):
+        lens_of(tmp_path, f'{size}P = {PROJECTION}\nD = {COEFFICIENTS}\ndistortion_model = "plumb_bob"\n')
+    with pytest.raises(ValueError, match="K and P are of two lenses"):
+        lens_of(tmp_path, f"{PLAIN}P = {PROJECTION}\n".replace("fx = 391.2", "fx = 400.0"))
+
+
+def test_yaml_and_json_are_named_with_what_to_do(tmp_path):
+    (tmp_path / "camera_info.yaml").write_text("image_width: 640\n")
+    with pytest.raises(ValueError, match=r"camera_info.yaml is not TOML: write its numbers to camera.toml"):
+        camera_folder.read_lens(tmp_path, {})
+    for text in ("image_width: 640\ncamera_matrix:\n  rows: 3\n", '{"width": 640}'):
+        with pytest.raises(ValueError, match=r"camera.toml: is not TOML: write its numbers to camera.toml"):
+            lens_of(tmp_path, text)
+
+
+@pytest.mark.parametrize("scale", ["true", "[0.001]", '"0.001"'])
+def test_a_scale_that_is_none_names_the_description(views, scale):
+    lens = views / "camera.toml"
+    lens.write_text(lens.read_text().replace("scale = 0.0001", f"scale = {scale}"))
+    with pytest.raises(ValueError, match=r"camera.toml: scale is .*; give metres per unit"):
+        read_view(views)

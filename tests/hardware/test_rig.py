@@ -71,12 +71,16 @@ TOOL, CAMERA = IDENTITY + "0.05]", IDENTITY + "-0.064]"
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        (TOOL, TOOL.replace("0.05", "50.0"), r"tool.T_flange_tool lies 50 m away; give metres, each within 0.5 m"),
+        (TOOL, TOOL.replace("0.05", "50.0"), r"tool.T_flange_tool: lies 50 m away, of at most 0.5; give metres"),
         ("[tool]", '[tool]\narm = "ur5e"', r"'arm' is no key of \[tool\]; known are T_flange_tool"),
-        (TOOL, TOOL.replace("1.0", "1.1"), r"tool.T_flange_tool holds no rotation: .* orthonormal"),
-        (TOOL, TOOL.replace("[1.0", "[-1.0"), r"tool.T_flange_tool holds a reflection"),
+        (TOOL, TOOL.replace("1.0", "1.1"), r"tool.T_flange_tool: is not a rigid motion .* orthonormal"),
+        (TOOL, TOOL.replace("[1.0", "[-1.0"), r"tool.T_flange_tool: is not a rigid motion .it is mirrored"),
         (TOOL, TOOL.replace("0.05", "nan"), r"tool.T_flange_tool holds NaN or infinity"),
-        ("[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.05, 1.0]", r"T_flange_tool has the last row .*; write \[0, 0, 0, 1\]"),
+        (
+            "[0.0, 0.0, 0.0, 1.0]",
+            "[0.0, 0.0, 0.05, 1.0]",
+            r"T_flange_tool: .*last row is 0, 0, 0.05, 1.; write 0, 0, 0, 1",
+        ),
         (CAMERA, CAMERA.replace("1.0", "-1.0", 1).replace("1.0, -0", "-1.0, -0"), r"turns the camera's axis more than"),
         ("mass = 0.5", "mass = true", r"tool.mass is True; give one number"),
         ("mass = 0.5", "mas = 0.5", r"'mas' is no key of \[tool\]; is it mass\?"),

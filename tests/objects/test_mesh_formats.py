@@ -210,6 +210,15 @@ def test_what_is_wrong_with_an_obj_is_said(tmp_path, data, words):
     refused(tmp_path, "a.obj", data, words)
 
 
+def test_an_obj_cut_off_within_its_last_face_is_refused(tmp_path):
+    assert is_box(parse(tmp_path, "a.obj", (V + F).rstrip("\n")))
+    last = V + F.rstrip("\n")
+    for cut in (last[: last.rindex(" ")], last[: last.rindex(" ")].rpartition(" ")[0], last[: last.rindex("f") + 1]):
+        refused(tmp_path, "a.obj", cut, "cut off within its last face, which no line break ends")
+    for corners in ("1//1 2//1 3/", "1/1 2/2 3"):
+        refused(tmp_path, "a.obj", f"{V}f 1//1 2//1 4//1\nf {corners}", "cut off within its last face")
+
+
 # PLY and OFF
 
 
@@ -261,6 +270,10 @@ def test_dialects_of_ply_are_read(tmp_path, form, options):
     mesh = parse(tmp_path, "a.ply", ply(form, **options))
     assert is_box(mesh)
     assert mesh.left_out == (("1 faces of fewer than three corners",) if len(options.get("quads", ())) == 7 else ())
+
+
+def test_a_ply_in_utf_16_is_read(tmp_path):
+    assert is_box(parse(tmp_path, "a.ply", ply().decode().encode("utf-16")))
 
 
 def test_a_ply_whose_lines_end_as_on_other_systems_is_read(tmp_path):
@@ -329,6 +342,12 @@ OFF_ROWS = "".join("{} {} {}\n".format(*v) for v in CORNERS) + "".join("4 {} {} 
         f"OFF\n8 6 0\n{OFF_ROWS}".replace("\n", "\r\n"),
         f"OFF 8 6 12\n{OFF_ROWS}",
         f"OFF8 6 12\n{OFF_ROWS}",
+        f"off\n8 6 12\n{OFF_ROWS}",
+        f"OFF\n8 6 12\n{OFF_ROWS}".encode("utf-16"),
+        f"OFF 8 6 12\n{OFF_ROWS}".replace("\n", " "),
+        f"OFF\n8\n6\n12\n{OFF_ROWS}".replace(" ", "\n"),
+        f"OFF\n8 6\n{OFF_ROWS}".replace(".0\n", ".0 ").replace(".5\n", ".5 "),
+        f"NOFF 8 6 12\n{OFF_ROWS}".replace(".0\n", ".0 0 0 1\n").replace(".5\n", ".5 0 0 1\n").replace("\n", " "),
         f"# of ours\nOFF # so\n\n8 6\n# corners\n{OFF_ROWS}\n\n",
         f"8 6 12\n{OFF_ROWS}",
         f"COFF\n8 6 12\n{OFF_ROWS}".replace(".0\n", ".0 255 0 0 255\n").replace(".5\n", ".5 255 0 0 255\n"),
@@ -347,7 +366,9 @@ def test_dialects_of_off_are_read(tmp_path, data):
         (f"OFF\n8 5 12\n{OFF_ROWS}", "1 lines more than its header announces"),
         (f"OFF\n8 6 12\n{OFF_ROWS}"[:-3], "face 6 has too few corners"),
         (f"OFF\n8 6 12\n{OFF_ROWS}".replace(".", ","), "decimal commas"),
+        (f"OFF\n8 6 12\n{OFF_ROWS}"[:-4].replace("\n", " "), "'0.0' where a number belongs"),
         (f"4OFF\n8 6 12\n{OFF_ROWS}", "not in three dimensions"),
+        (f"noff\n8 6 12\n{OFF_ROWS}", "not in three dimensions"),
         ("OFF BINARY\n\0\0\0\1", "it is binary"),
         ("OFF\n", "no counts"),
         ("OFF\n8 0 0\n" + OFF_ROWS.partition("4 0")[0], "holds no faces"),
@@ -567,8 +588,29 @@ def test_gltf_is_read_with_its_data_next_to_it_or_in_it(tmp_path):
     for kind in ("application/octet-stream", "application/gltf-buffer"):
         assert is_box(parse(tmp_path, "a.gltf", gltf(f"data:{kind};base64,{base64.b64encode(blob).decode()}")))
     assert is_box(parse(tmp_path, "a.gltf", "\ufeff" + gltf("my box.bin")))
+    assert is_box(parse(tmp_path, "a.gltf", gltf("my box.bin").encode("utf-16")))
     (tmp_path / "my box.bin").write_bytes(blob[:-1])
     refused(tmp_path, "a.gltf", gltf("my box.bin"), "is cut off: buffer 0 should have 168 bytes and has 167")
+
+
+def test_data_of_gltf_may_lie_in_a_folder_next_to_it_and_nowhere_through_links(tmp_path):
+    blob = CORNERS.astype("<f4").tobytes() + TRIANGLES.astype("<u2").tobytes()
+    inside, outside = tmp_path / "scene", tmp_path / "elsewhere"
+    for folder in (inside / "parts", outside):
+        folder.mkdir(parents=True)
+        (folder / "x.bin").write_bytes(blob)
+    (inside / "link").symlink_to(outside)
+    (inside / "link.bin").symlink_to(outside / "x.bin")
+    for uri in ("parts/x.bin", "./parts/x.bin", "parts\\x.bin", "parts%2Fx.bin"):
+        assert is_box(parse(inside, "a.gltf", gltf(uri)))
+    for uri in (
+        "link/x.bin",
+        "link.bin",
+        "parts/../../elsewhere/x.bin",
+        str(outside / "x.bin"),
+        "..\\elsewhere\\x.bin",
+    ):
+        refused(inside, "a.gltf", gltf(uri), "lies outside of")
 
 
 @pytest.mark.parametrize(

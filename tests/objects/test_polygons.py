@@ -112,6 +112,30 @@ def test_a_polygon_may_touch_itself_at_a_corner():
     check(vertices, np.array([0, 1, 2, 3, 1, 4]), 50)
 
 
+SPIKES = {
+    "outward": [(10, 5), (20, 5), (10, 5)],
+    "inward": [(10, 5), (4, 5), (10, 5)],
+    "of several corners": [(10, 5), (14, 5), (20, 5), (14, 5), (10, 5)],
+    "out in two steps and back in one": [(10, 5), (14, 5), (20, 5), (10, 5)],
+    "forked": [(10, 5), (20, 5), (20, 8), (20, 5), (10, 5)],
+}
+
+
+@pytest.mark.parametrize("spike", SPIKES)
+@pytest.mark.parametrize("turned", [False, True])
+def test_spikes_without_a_width_have_no_area(spike, turned):
+    points = np.array([(0, 0), (10, 0), *SPIKES[spike], (10, 10), (0, 10)], float)
+    for first in range(len(points)):
+        loop = np.roll(points[::-1] if turned else points, first, 0)
+        _, at, shared = np.unique(loop, axis=0, return_index=True, return_inverse=True)
+        for corners in (np.arange(len(loop)), at[shared.ravel()]):  # as vertices of their own, and as the same ones
+            space = in_space(loop, seed=first)
+            a, b, c = np.moveaxis(space[cut(space, corners)], 1, 0)
+            vectors = np.cross(b - a, c - a) / 2
+            assert np.linalg.norm(vectors, axis=1).sum() == pytest.approx(100, rel=1e-5)
+            assert np.linalg.norm(vectors.sum(0)) == pytest.approx(100, rel=1e-5)
+
+
 def test_a_narrow_polygon_far_from_the_origin_keeps_its_area():
     for height in (0.2, 1e-3):
         points = [(0, 0), (30, 0), (30, height), (20, height), (15, height / 2), (9, height), (0, height)]

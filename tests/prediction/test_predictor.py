@@ -19,6 +19,7 @@ from i2t.prediction.networks import PatchNetwork, PressureNetwork
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.rendering.render import prepare_surface, render_view
+from i2t.skin.boards import board_as_lists, make_board, name_of_board, same_board
 from i2t.training import Standard
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 from tests.helpers.baselines import fit_baselines
@@ -118,6 +119,33 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
         one = loaded.predict(patches[2], nearest=0.9e-3)
         np.testing.assert_allclose(one.mean, many.mean[2], rtol=1e-5, atol=1e-5)
         assert (many.std > 0).all()
+
+
+@pytest.mark.parametrize("name", ["anyskin", "grid-5x1"])
+def test_the_board_of_the_training_is_kept(network, tmp_path, name):
+    board = make_board(name)
+    predictor.save(tmp_path / "p", replace(network, metadata={"board": board_as_lists(board)}))
+    loaded = predictor.load_predictor(tmp_path / "p")
+    assert same_board(loaded.board, board)
+    assert name_of_board(loaded.board) == name
+    for damaged in (
+        None,
+        {},
+        {"chips": [[0, 0, 0]]},
+        board_as_lists(make_board("grid-2x2")),
+        {"chips": 1, "rotations": 2},
+    ):
+        assert replace(network, metadata={"board": damaged}).board is None
+    assert network.board is None
+
+
+def test_a_name_that_is_no_predictor_leads_to_the_ready_model(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in ("nominall", "Nominal", "NOMINAL/", "nominal/"):
+        with pytest.raises(CheckpointError, match=r"holds no predictor .*; did you mean nominal\?"):
+            predictor.load_predictor(name)
+    with pytest.raises(CheckpointError, match=r"holds no predictor .*, or a ready model, nominal$"):
+        predictor.load_predictor("runs/train")
 
 
 @pytest.mark.full

@@ -205,7 +205,8 @@ def test_an_advance_is_how_far_the_tool_went_along_the_approach_of_its_site(lean
         ({"force": 250.0}, "force is 250 N; a skin bears at most 100 N"),
         ({"T_w_t": np.full((4, 4), np.nan)}, "T_w_t: is not a rigid motion"),
         ({"T_w_t": np.diag([1.0, 1, -1, 1])}, "T_w_t: is not a rigid motion"),
-        ({"T_w_t": np.eye(4) + np.array([[0, 0, 0, 400.0], *np.zeros((3, 4))])}, "from the site that was asked for"),
+        ({"T_w_t": np.eye(4) + np.array([[0, 0, 0, 4.0], *np.zeros((3, 4))])}, "from the site that was asked for"),
+        ({"T_w_t": np.eye(4) + np.array([[0, 0, 0, 400.0], *np.zeros((3, 4))])}, "divide millimetres by 1000"),
         ({"reading": np.zeros(CHANNELS + 3)}, "reading: has the shape"),
     ],
 )

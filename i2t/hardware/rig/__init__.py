@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from i2t import validation
 from i2t.depth.camera import Camera
 from i2t.errors import closest
 from i2t.files import read_toml, replacing
@@ -25,15 +26,15 @@ from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.carried_skins import TEXT_KEYS, TOOL_SKIN, CarriedSkin, require_distinct
 from i2t.hardware.limits import MotionLimits, format_position
 from i2t.types import Array
-from i2t.windows import ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
+from i2t.windows import MAX_POSE_M, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 
 OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
-MAX_TOOL_M, MAX_LAB_M = 0.5, 10.0  # the largest sensible tool and lab
+MAX_TOOL_M = 0.5  # the largest sensible tool
 POSES = {
     "T_flange_tool": MAX_TOOL_M,
     "T_tool_camera": MAX_TOOL_M,
-    "T_world_base": MAX_LAB_M,
-    "T_world_object": MAX_LAB_M,
+    "T_world_base": MAX_POSE_M,
+    "T_world_object": MAX_POSE_M,
 }
 NUMBER_RANGES = {"mass": (0.0, 20.0, "kg"), "looking_distance": (0.02, 2.0, "m")}  # of a payload, of a camera
 MAX_CAMERA_TILT_DEG = 60  # between the camera's axis and the tool's, beyond which it cannot see what is touched
@@ -294,16 +295,7 @@ def _numbers(key: str, value: Any, shape: tuple[int, ...]) -> Array:
 
 
 def _rigid(key: str, value: Any, far: float) -> Array:
-    T = _numbers(key, value, (4, 4))
-    if not np.array_equal(T[3], [0, 0, 0, 1]):
-        hint = "it is transposed" if np.array_equal(T[:, 3], [0, 0, 0, 1]) else "write [0, 0, 0, 1]"
-        raise ValueError(f"{key} has the last row {T[3].tolist()}; {hint}")
-    if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > ORTHOGONALITY_TOLERANCE:
-        raise ValueError(f"{key} holds no rotation: its columns are not orthonormal; copy it with six digits or more")
-    if np.linalg.det(T[:3, :3]) < 0:
-        raise ValueError(f"{key} holds a reflection: an axis has the wrong sign; make z the cross product of x and y")
-    if np.abs(T[:3, 3]).max() > far:
-        raise ValueError(f"{key} lies {np.abs(T[:3, 3]).max():g} m away; give metres, each within {far:g} m")
+    T = validation.pose(key, _numbers(key, value, (4, 4)), farthest=far)
     T = nearest_rigid(T)  # rounded digits are no part of a rotation
     T.flags.writeable = False
     return T
