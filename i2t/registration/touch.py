@@ -123,8 +123,8 @@ def register_by_touch(
         The estimate; its residuals, weights and cost are those of the most probable pose.
 
     Raises:
-        ValueError: There is no touch, not one weight for each, a pose or weight that counts and is not finite, a pose that
-            is not rigid, or a standard deviation that is none.
+        ValueError: There is no touch, not one weight for each, a pose or weight that counts and is not finite, a pose
+            that is not rigid, or a standard deviation that is none.
         TypeError: The key is none, or a standard deviation is no number.
 
     Example:
