@@ -146,6 +146,6 @@ def closest(name: str, names: Iterable[str]) -> str | None:
     Returns:
         The one that is most like it, whatever its capitals; None where none is.
     """
-    known = {each.lower(): each for each in names}
-    close = difflib.get_close_matches(name.lower(), known, 1, MIN_LIKENESS)
-    return known[close[0]] if close else None
+    spelled = {candidate.lower(): candidate for candidate in names}
+    close = difflib.get_close_matches(name.lower(), spelled, 1, MIN_LIKENESS)
+    return spelled[close[0]] if close else None

@@ -113,15 +113,15 @@ def convert(
 def _corrected(dataset: Dataset, notes: ConversionLog) -> Dataset:
     """The data set with forces that push and readings in microtesla, if need be turned and scaled."""
     touches = dataset.touches
-    found = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
+    units = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
     sign = find_force_sign(touches.force.astype(np.float64), touches.reading)
     enough = sign.evidence.get("presses", 0) >= MIN_PUSHES
-    for finding in (found, sign):
-        if finding is found or enough or finding.wrong is False:
+    for finding in (units, sign):
+        if finding is units or enough or finding.wrong is False:
             notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
-    todo = correction_of([found, sign] if enough else [found])
+    todo = correction_of([units, sign] if enough else [units])
     touches = touches._replace(force=todo.force * touches.force, reading=todo.field * touches.reading)
-    return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [found, sign]))
+    return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [units, sign]))
 
 
 class _Options(NamedTuple):
@@ -241,9 +241,9 @@ def _rotations(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> np.ndar
     for k in np.flatnonzero(crooked):
         notes.skip(data_error(stem, f"quaternion {k + 1} of its rotations is not of length 1"))
     damaged |= crooked
-    known = np.isfinite(values).all(1) & ~crooked
-    if known.any():
-        result[known] = Rotation.from_quat(values[known]).as_matrix()
+    is_rotation = np.isfinite(values).all(1) & ~crooked
+    if is_rotation.any():
+        result[is_rotation] = Rotation.from_quat(values[is_rotation]).as_matrix()
     return result
 
 

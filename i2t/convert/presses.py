@@ -121,11 +121,10 @@ def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[P
         check = check_session(session, recorded, board, notes, stated_zero=0.0)
         checks.append(check)
         part = check.apply(part)
-        found, turned = check.zero, check.correction.height < 0
-        if turned or (found is not None and found.wrong):
-            identified = found is not None and found.identifiable and found.estimate is not None
-            zero = found.estimate if found is not None and identified else float(part.height.max())
-            part = part._replace(height=part.height - zero)
+        zero = check.zero
+        if check.correction.height < 0 or (zero is not None and zero.wrong):
+            estimate = zero.estimate if zero is not None and zero.identifiable else None
+            part = part._replace(height=part.height - (part.height.max() if estimate is None else estimate))
         kept.append(part)
     return join_tables(kept), checks
 
@@ -223,11 +222,11 @@ def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]])
     """Whether rows are real, simulated or mixed; None where no column says it."""
     if SOURCE_COLUMN not in header:
         return None
-    said = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
-    for word, line in said.items():
+    line_of = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
+    for word, line in line_of.items():
         if word not in PRESS_SOURCES:
             raise DataError(f"{source}: line {line} has the source {word!r}; write {' or '.join(PRESS_SOURCES)}")
-    return "mixed" if len(said) > 1 else next(iter(said))
+    return "mixed" if len(line_of) > 1 else next(iter(line_of))
 
 
 def _value_columns(source: Path, header: list[str], chips: int, notes: ConversionLog) -> tuple[list[str], list[str]]:
@@ -242,8 +241,8 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: Conversio
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *values, "force_N", TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
-    if unknown := [name for name in header if name not in known]:
+    understood = {*PLACES, *values, "force_N", TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    if unknown := [name for name in header if name not in understood]:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
     return values, ambient if has_ambient else []
 

@@ -76,20 +76,20 @@ def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
     _, edge, uses = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(edge.reshape(-1), kind="stable")
     pairs = order[uses[edge.reshape(-1)[order]] == 2].reshape(-1, 2)
-    one, other = (pairs % n).T
+    left, right = (pairs % n).T
     alike = (directed[pairs[:, 0]] == directed[pairs[:, 1]]).all(1)  # then one of the two has to be turned
-    joined = np.concatenate([other + n * alike, other + n * ~alike])
-    graph = coo_array((np.ones(2 * len(one)), (np.concatenate([one, one + n]), joined)), (2 * n, 2 * n))
+    joined = np.concatenate([right + n * alike, right + n * ~alike])
+    graph = coo_array((np.ones(2 * len(left)), (np.concatenate([left, left + n]), joined)), (2 * n, 2 * n))
     _, half = connected_components(graph, directed=False)
     given = np.bincount(half[:n], areas, int(half.max()) + 1)
-    one, other = half[:n], half[n:]
-    turned = (given[one] < given[other]) | ((given[one] == given[other]) & (one > other))
-    part = np.unique(np.minimum(one, other), return_inverse=True)[1].reshape(-1)
+    kept, flipped = half[:n], half[n:]  # the halves that hold a face as it is, and turned
+    turned = (given[kept] < given[flipped]) | ((given[kept] == given[flipped]) & (kept > flipped))
+    part = np.unique(np.minimum(kept, flipped), return_inverse=True)[1].reshape(-1)
     count = int(part.max()) + 1
     closed = 2 * np.bincount(part[pairs[:, 0] % n], minlength=count) == 3 * np.bincount(part)
     holed = np.bincount(part[np.flatnonzero(uses[edge.reshape(-1)] == 1) % n], minlength=count) > 0
     halved = np.zeros(count, bool)
-    halved[part] = np.isclose(given[one], given[other])
+    halved[part] = np.isclose(given[kept], given[flipped])
     return np.where(turned[:, None], faces[:, ::-1], faces), _Parts(part, closed, holed, halved)
 
 

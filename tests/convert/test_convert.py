@@ -93,9 +93,9 @@ def test_a_chip_that_sends_zeros_costs_its_samples_and_no_more(tmp_path, capsys)
     mean = field.mean(1)
     mean[2] = field[2, heard].mean(0)
     np.testing.assert_allclose(touches.reading, mean.reshape(8, 15)[np.arange(8) != 5] - 1, atol=UT)
-    said = capsys.readouterr().out
-    assert "left out: 1 touches in which a chip did not answer" in said
-    assert "chip 4 in 1" in said
+    printed = capsys.readouterr().out
+    assert "left out: 1 touches in which a chip did not answer" in printed
+    assert "chip 4 in 1" in printed
 
 
 def test_objects_and_runs_keep_their_names_and_the_order_of_counting(tmp_path):
@@ -135,8 +135,8 @@ def test_a_hole_of_65535_is_no_surface_and_images_in_another_unit_are_noted(tmp_
     for file, image in zip(files, truth.depth, strict=True):
         tifffile.imwrite(file, np.where(image < 65535, 10 * image, image).astype(np.uint16))
     tenths = converted("imagine2touch", tmp_path / "src", tmp_path / "tenths").touches
-    said = capsys.readouterr().out
-    assert f"begins {1e3 * np.median(tenths.nearest):.3g} mm in front of the skin at the touches" in said
+    printed = capsys.readouterr().out
+    assert f"begins {1e3 * np.median(tenths.nearest):.3g} mm in front of the skin at the touches" in printed
 
 
 def test_what_was_not_recorded_is_unknown_and_said(tmp_path, capsys):
