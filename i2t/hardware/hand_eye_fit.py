@@ -163,14 +163,14 @@ def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tup
     def miss(change: Array) -> Array:
         return (focal * _misses(views, X @ _motion(change[:6]), Y @ _motion(change[6:]))).ravel()
 
-    fit = least_squares(
+    found = least_squares(
         miss, np.zeros(12), loss="soft_l1", f_scale=LOSS_SCALE_PX, x_scale="jac", max_nfev=MAX_FIT_STEPS
     )
-    if not fit.success:
+    if not found.success:
         raise ValueError(
             f"the camera's pose does not settle within {MAX_FIT_STEPS} steps; take more views, tilted about two axes"
         )
-    return X @ _motion(fit.x[:6]), Y @ _motion(fit.x[6:])
+    return X @ _motion(found.x[:6]), Y @ _motion(found.x[6:])
 
 
 def _misses(views: Sequence[BoardView], X: Array, Y: Array) -> Array:

@@ -73,12 +73,12 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
 def test_held_out_presses_are_never_in_a_pool():
     cfg = arguments.PRESETS["paper"]
     presses = read_presses(recording(600), "auto")
-    held, blocks = share_masks(600, presses.blocks(cfg.block_mm), cfg, 0)
+    held, blocks = share_masks(presses.blocks(cfg.block_mm), cfg, 0)
     assert held.sum() == 150
     cell = np.floor((1e3 * presses.position - (1e3 * presses.position).min(0)) / 6).astype(int)
     inside = {tuple(c) for c in cell[blocks]}
     assert inside.isdisjoint({tuple(c) for c in cell[~blocks]})
-    again, _ = share_masks(600, presses.blocks(cfg.block_mm), cfg, 0)
+    again, _ = share_masks(presses.blocks(cfg.block_mm), cfg, 0)
     np.testing.assert_array_equal(held, again)
     (split,) = hold_out(presses, cfg, 0, np.ones(600, bool), "set").splits
     np.testing.assert_array_equal(split.tests[RANDOM], np.flatnonzero(held))
