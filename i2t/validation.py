@@ -15,7 +15,7 @@ from i2t.errors import did_you_mean
 from i2t.windows import MAX_SKIN_FORCE_N
 
 ROUND_TIPS = ("sphere", "cylinder")
-MIN_TIP_RADIUS_MM = 0.1  # a smaller radius is probably given in metres
+MIN_TIP_RADIUS_MM = 0.1  # of an indenter; smaller ones are meant in metres
 REAL_KINDS = "iuf"  # of NumPy: integers and floats; no booleans, text or objects
 
 
@@ -155,7 +155,7 @@ def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
 
     Args:
         text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm; capitals do not matter.
-        largest_mm: The largest radius that is accepted, mm.
+        largest_mm: The largest radius that makes sense, mm.
 
     Returns:
         "sphere" or "cylinder", and the radius in mm.

@@ -163,8 +163,8 @@ def _check_not_rectified(given: dict[str, list[float]]) -> None:
         rectified = _pinhole("P", given["P"])
         if "K" not in given or not np.allclose(_pinhole("K", given["K"]), rectified, rtol=LENS_TOLERANCE):
             raise ValueError(
-                "K (of the raw image) and P (of the rectified one) are of two lenses; for a raw image leave out P, for "
-                "a rectified one give the first three columns of P as K, and no D"
+                "K and P are of two lenses, of the raw and of the rectified image; for a raw image leave out P, for a "
+                "rectified one give the first three columns of P as K, and no D"
             )
     if "R" in given and any(given["R"]) and not np.allclose(given["R"], np.eye(3).ravel(), atol=LENS_TOLERANCE):
         raise ValueError("R turns a rectified image; for a raw one leave out R and P")
