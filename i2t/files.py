@@ -278,7 +278,7 @@ def decoded(path: str | Path, data: bytes) -> str:
         The text, without a byte order mark.
 
     Raises:
-        DataError: The file is of another kind, or no text.
+        DataError: The file is of another kind, or is not text.
     """
     encoding = encoding_of(path, data[:HEAD_BYTES], whole=len(data) <= HEAD_BYTES)
     try:

@@ -221,7 +221,7 @@ def read_text(path: Path) -> str:
         The text.
 
     Raises:
-        DataError: It cannot be read, is a file of another kind, or no text.
+        DataError: It cannot be read, is of another kind, or is not text.
     """
     return files.decoded(path, read_bytes(path))
 
