@@ -12,9 +12,7 @@ from typing import NamedTuple
 from i2t.terminal import printable
 
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
-
-
-MIN_LIKENESS = 0.7  # of two names, as `difflib` has it, for one to be taken for a slip of the other
+MIN_LIKENESS = 0.7  # smallest ratio of `difflib` at which one name is taken for a misspelling of another
 
 
 class I2TError(Exception):
@@ -120,15 +118,15 @@ def require_extra(module: str, need: str) -> None:
 
 
 def did_you_mean(name: str, names: Iterable[str], otherwise: str | None = None) -> str:
-    """The remedy for a name that is not known: the name that is most like it, whatever its capitals.
+    """Suggest what to do about an unknown name.
 
     Args:
-        name: As given.
-        names: That are known.
-        otherwise: The remedy where none is like it; by default to choose one of them all.
+        name: The unknown name.
+        names: The names that exist.
+        otherwise: The remedy where no name is like it; by default, to choose one of all names.
 
     Returns:
-        Half a sentence, such as "did you mean hammer?".
+        Half a sentence, such as "did you mean hammer?" where a name is like it.
     """
     names = list(names)
     if close := closest(name, names):
@@ -137,15 +135,15 @@ def did_you_mean(name: str, names: Iterable[str], otherwise: str | None = None) 
 
 
 def closest(name: str, names: Iterable[str]) -> str | None:
-    """The name of which another one may be a slip.
+    """Find the name that was probably meant by a misspelt one.
 
     Args:
-        name: As given.
-        names: That are known.
+        name: The misspelt name.
+        names: The names that exist.
 
     Returns:
-        The one that is most like it, whatever its capitals; None where none is.
+        The name that is most like it, ignoring capitals; None where no name is like it.
     """
-    known = {each.lower(): each for each in names}
-    close = difflib.get_close_matches(name.lower(), known, 1, MIN_LIKENESS)
-    return known[close[0]] if close else None
+    spelled = {candidate.lower(): candidate for candidate in names}
+    close = difflib.get_close_matches(name.lower(), spelled, 1, MIN_LIKENESS)
+    return spelled[close[0]] if close else None

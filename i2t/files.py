@@ -38,9 +38,9 @@ MAX_MESH_BYTES = 2**28  # of a file of a mesh, and of the files that it names
 MARK_OF_TOUCHES = b"i2t-touches "  # with which a file of touches begins (`i2t.dataset.files`)
 TABLE_SUFFIXES, MESH_SUFFIXES = (".csv", ".tsv", ".txt"), (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 GZIP_MARK = b"\x1f\x8b"
-HEAD_BYTES = 2**16  # of a file, by which its kind and its encoding are told
-# What begins with these bytes, by the specification of each format, and how its numbers become a table.
+HEAD_BYTES = 2**16  # first bytes of a file, from which its kind and its encoding are detected
 EXPORT, UNPACK = "export what you need of it as CSV in UTF-8", "unpack it first"
+# First bytes of files that are not tables, by the specification of each format, and how their numbers become a table.
 FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"\x93NUMPY", "a NumPy array (.npy)", "write its columns with numpy.savetxt, with their names as the header"),
     (b"PK\x03\x04", "a zip archive", UNPACK),
@@ -55,16 +55,8 @@ FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"MATLAB 5.0 MAT-file", "a MATLAB file (.mat)", "write it in MATLAB with writetable"),
     (b"MATLAB 7.3 MAT-file", "a MATLAB file (.mat)", "write it in MATLAB with writetable"),
     (b"TDSm", "a LabVIEW recording (TDMS)", EXPORT),
-    (b"BZh", "a bzip2 archive", UNPACK),
-    (b"\xfd7zXZ\0", "an xz archive", UNPACK),
-    (b"\x28\xb5\x2f\xfd", "a Zstandard archive", UNPACK),
-    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", UNPACK),
-    (b"Rar!\x1a\x07", "a RAR archive", UNPACK),
-    (b"%PDF-", "a PDF document", EXPORT),
-    (b"\x89PNG\r\n\x1a\n", "an image (PNG)", "name a table"),
-    (b"\xff\xd8\xff", "an image (JPEG)", "name a table"),
-    (b"II*\0", "an image (TIFF)", "name a table"),
-    (b"MM\0*", "an image (TIFF)", "name a table"),
+    *((mark, "a compressed archive", UNPACK) for mark in (b"BZh", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd")),
+    *((mark, "an image", "name a table") for mark in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")),
     (b"version https://git-lfs", "a Git LFS pointer and not the file itself", "fetch it with git lfs pull"),
     (b"<!doctype html", "a web page (HTML)", "download the file itself"),
     (b"<html", "a web page (HTML)", "download the file itself"),
@@ -74,7 +66,7 @@ FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     *((b"\x80" + bytes([protocol]), "a Python pickle", EXPORT) for protocol in range(2, 6)),
 )
 JSON_BEGINS = re.compile(rb'\s*(\{\s*["{}]|\[\s*[\[{"\]]|\[\s+[-0-9tfn])')  # indented or not
-ZIP_NAMES: tuple[tuple[bytes, str, str], ...] = (  # of entries in a zip archive that is a document
+ZIP_NAMES: tuple[tuple[bytes, str, str], ...] = (  # names of entries in zip archives that are documents
     (b"xl/", "an Excel workbook (.xlsx)", "save it as CSV in UTF-8"),
     (b"[Content_Types].xml", "an Excel workbook or another Office document", "save it as CSV in UTF-8"),
     (b"opendocument.spreadsheet", "an OpenDocument spreadsheet (.ods)", "save it as CSV in UTF-8"),
@@ -87,7 +79,7 @@ UNICODE_MARKS = (  # those of UTF-32 first, which begin with those of UTF-16
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-UNDECODED = re.compile("[\udc80-\udcff]")  # bytes that are no UTF-8, as `surrogateescape` keeps them
+UNDECODED = re.compile("[\udc80-\udcff]")  # bytes that are not UTF-8, as `surrogateescape` keeps them
 UTF_8, WINDOWS_1252 = "utf-8-sig", "cp1252"
 NO_TEXT_BYTES = frozenset(range(32)) - set(b"\t\n\v\f\r\x1a\x1b")  # control characters that no text has
 ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -175,9 +167,8 @@ def open_regular(path: str | Path) -> BufferedReader:
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        if Path(path).is_dir():
-            raise DataError(f"{path}: is no file of its own but a folder; name the file itself")
-        raise DataError(f"{path}: is no file of its own but a pipe or a device; name the file itself")
+        kind = "folder" if Path(path).is_dir() else "pipe or a device"
+        raise DataError(f"{path}: is a {kind}, not a regular file; name the file itself")
     return os.fdopen(descriptor, "rb")
 
 
@@ -222,13 +213,13 @@ def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:
 
 
 def kind_of(head: bytes) -> tuple[str, str]:
-    """What a file is that is no table, by its first bytes.
+    """Recognise a file that is not a table by its first bytes.
 
     Args:
-        head: The first bytes, as many as `HEAD_BYTES`.
+        head: The first `HEAD_BYTES` bytes, or all of a smaller file.
 
     Returns:
-        The kind of file, with its article, and how its numbers can be read; two empty texts for anything else.
+        The kind of file, with its article, and how its numbers can be read; two empty texts for any other file.
     """
     if head.startswith(b"PK\x03\x04"):
         for name, kind, remedy in ZIP_NAMES:
@@ -243,21 +234,21 @@ def kind_of(head: bytes) -> tuple[str, str]:
 
 
 def encoding_of(path: str | Path, head: bytes, *, whole: bool) -> str:
-    """Encoding of a text.
+    """Detect the encoding of a text.
 
-    UTF-8, UTF-16 and UTF-32 by their marks, UTF-16 of plain characters without one, UTF-8 where the bytes are that, and
-    otherwise Windows-1252, as spreadsheets write it, where the bytes are that.
+    UTF-8, UTF-16 and UTF-32 are recognised by their marks, and UTF-16 of ASCII characters without one. Other texts are
+    in UTF-8 if their bytes allow it, else in Windows-1252, which spreadsheets write.
 
     Args:
-        path: Of the file, for messages.
-        head: Its first bytes, as many as `HEAD_BYTES`.
-        whole: Whether these are all.
+        path: The file, for messages.
+        head: The first `HEAD_BYTES` bytes, or all of a smaller file.
+        whole: Whether `head` is all of the file.
 
     Returns:
-        A name that Python knows; UTF-8 is "utf-8-sig".
+        Python's name of the encoding; that of UTF-8 is "utf-8-sig".
 
     Raises:
-        DataError: The file is of another kind, or no text.
+        DataError: The file is of another kind, or is not text.
     """
     kind, remedy = kind_of(head)
     if kind:
@@ -269,27 +260,27 @@ def encoding_of(path: str | Path, head: bytes, *, whole: bool) -> str:
         if len(head) > 3 and not any(head[first::2]) and all(head[1 - first : -1 : 2]):
             return encoding
     if NO_TEXT_BYTES & set(head.rstrip(b"\0")):  # a power cut leaves zeros at the end of a log
-        raise DataError(f"{path}: is no text but binary data; save it as CSV in UTF-8")
+        raise DataError(f"{path}: is binary data, not text; save it as CSV in UTF-8")
     for encoding in (UTF_8, WINDOWS_1252):
         try:
             codecs.getincrementaldecoder(encoding)().decode(head, final=whole)
         except UnicodeDecodeError:
             continue
         return encoding
-    raise DataError(f"{path}: is no text in UTF-8 or Windows-1252; save it as CSV in UTF-8")
+    raise DataError(f"{path}: is not text in UTF-8 or Windows-1252; save it as CSV in UTF-8")
 
 
 def encoding_of_file(path: str | Path) -> str:
-    """Encoding of a text file, plain or gzip-ed, by its first bytes, as `encoding_of` tells it.
+    """Detect the encoding of a text file, plain or gzip-ed, by its first bytes (`encoding_of`).
 
     Args:
-        path: Of the file.
+        path: The file.
 
     Returns:
-        A name that Python knows.
+        Python's name of the encoding.
 
     Raises:
-        DataError: It is no regular file, of another kind, no text, or damaged.
+        DataError: It is not a regular file, is of another kind, is not text, or is damaged.
         OSError: It is missing, or cannot be read.
     """
     with open_regular(path) as raw, _unpacking(path):
@@ -298,7 +289,7 @@ def encoding_of_file(path: str | Path) -> str:
 
 
 def decoded(path: str | Path, data: bytes) -> str:
-    """The text of a file in the encoding that `encoding_of` tells.
+    """Decode the bytes of a text file by the encoding that `encoding_of` detects.
 
     Args:
         path: Of the file, for messages.
@@ -308,14 +299,14 @@ def decoded(path: str | Path, data: bytes) -> str:
         The text, without a byte order mark.
 
     Raises:
-        DataError: The file is of another kind, or no text.
+        DataError: The file is of another kind, or is not text.
     """
     encoding = encoding_of(path, data[:HEAD_BYTES], whole=len(data) <= HEAD_BYTES)
     try:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
         name = encoding.removesuffix("-sig").upper()
-        raise DataError(f"{path}: is no text in {name} (byte {error.start}); save it as CSV in UTF-8") from error
+        raise DataError(f"{path}: is not text in {name} (byte {error.start}); save it as CSV in UTF-8") from error
 
 
 def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
@@ -336,7 +327,7 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
     with open_regular(path) as raw, _unpacking(path):
         size, zipped = os.fstat(raw.fileno()).st_size, raw.peek(2).startswith(GZIP_MARK)
         most = may_grow_to(size) if zipped else math.inf
-        # Bytes that are no text are kept as surrogates, so that the line is named that holds them.
+        # Bytes that are not UTF-8 are kept as surrogates, so that the message can name their line.
         errors = "surrogateescape" if encoding == UTF_8 else "strict"
         text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzipped(raw), encoding, errors)
         number, total = 0, 0
@@ -353,11 +344,11 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
                 if len(line) == MAX_LINE_BYTES and not line.endswith("\n"):
                     raise DataError(f"{path}: line {number} has more than {MAX_LINE_BYTES} bytes; it is no table")
                 if not line.isascii() and UNDECODED.search(line):
-                    raise DataError(f"{path}: line {number} is no text in UTF-8; save the file as CSV in UTF-8")
+                    raise DataError(f"{path}: line {number} is not text in UTF-8; save the file as CSV in UTF-8")
                 yield line.removesuffix("\n")
         except UnicodeDecodeError as error:
             raise DataError(
-                f"{path}: is no text in {encoding.upper()} after line {number}; save it as CSV in UTF-8"
+                f"{path}: is not text in {encoding.upper()} after line {number}; save it as CSV in UTF-8"
             ) from error
         finally:
             with contextlib.suppress(ValueError, OSError, EOFError, zlib.error):

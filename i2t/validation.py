@@ -137,20 +137,20 @@ def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, 
 
 
 def forces(name: str, value: Any, *, measured: bool = False, reversed_sign: bool = False) -> np.ndarray:
-    """Forces (N) along tool z that press a skin.
+    """Check forces (N) along tool z that press a skin.
 
     Args:
-        name: Of the argument, for the message.
-        value: A number, or an array of them.
-        measured: Whether a sensor felt them, so that a press may be nothing or a little less than nothing.
-        reversed_sign: Whether a recording counts a pressing force negative.
+        name: Name of the argument, for the message.
+        value: A number or an array of numbers.
+        measured: Whether the forces were measured, so that noise may make them zero or negative.
+        reversed_sign: Whether a recording counts pressing forces as negative.
 
     Returns:
-        The array, as it was given.
+        The forces as an array, with their signs as given.
 
     Raises:
-        TypeError: It holds something else than real numbers.
-        ValueError: One is not finite, breaks a skin, or presses nothing where it is not measured.
+        TypeError: The value holds other things than real numbers.
+        ValueError: A force is not finite, is larger than a skin bears, or, if not measured, does not press.
     """
     array = numbers(name, value, "newtons along tool z")
     if not np.isfinite(array).all():
@@ -220,7 +220,7 @@ def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
         "sphere" or "cylinder", and the radius in mm.
 
     Raises:
-        ValueError: It is neither; the message is the end of a sentence whose subject is the text.
+        ValueError: The text does not name a round indenter. The message completes a sentence about the text.
     """
     kind, _, size = (part.strip() for part in text.partition(":"))
     shape = kind.lower()
@@ -233,7 +233,9 @@ def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
     except ValueError:
         number = re.match(r"\d+(?:[.,]\d+)?", size)
         example = f"{shape}:{number[0].replace(',', '.') if number else 4}"
-        raise ValueError(f"its radius {size!r} is no number; give it in mm without a unit, such as {example}") from None
+        raise ValueError(
+            f"its radius {size!r} is not a number; give it in mm without a unit, such as {example}"
+        ) from None
     if not radius > 0:
         raise ValueError(f"its radius is {size}, and must be positive, in mm")
     if radius < MIN_TIP_RADIUS_MM:

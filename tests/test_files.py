@@ -96,7 +96,7 @@ def test_lines_come_one_after_the_other_without_their_ends(tmp_path):
     ("name", "data", "sentence"),
     [
         ("a.csv", b"1,2\n" + b"9" * MAX_LINE_BYTES, "line 2 has more than"),
-        ("a.csv", b"1,2\n3,\xff\n", "line 2 is no text"),
+        ("a.csv", b"1,2\n3,\xff\n", "line 2 is not text"),
         ("a.csv.gz", gzip.compress(b"1,2\n" * 1000)[:-20], "cannot be unpacked"),
         ("a.csv.gz", gzip.compress((b"1," * 500 + b"2\n") * 20_000), "unpacks to more than"),
     ],
@@ -110,5 +110,5 @@ def test_lines_of_a_damaged_file_are_refused_by_its_name(tmp_path, name, data, s
             pass
     assert str(path) in str(refused.value)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(DataError, match="no file of its own"):  # and is not waited for
+    with pytest.raises(DataError, match="not a regular file"):  # and is not waited for
         next(read_lines(tmp_path / "pipe"))

@@ -323,22 +323,22 @@ def test_the_whole_patch_says_as_much_as_its_parts(predictor):
     depth = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
     mask, wide = np.arange(48 * 48).reshape(48, 48) < 2000, WIDE.copy()
     centre(wide, 48)[:] = depth
-    known = WIDE == 0
-    known[12:-12, 12:-12] = mask
+    seen = WIDE == 0
+    seen[12:-12, 12:-12] = mask
     patch, nearest = Patch(depth, np.float32(-2e-4)), -2e-4
     for whole, parts in (
         (patch, {"nearest": nearest}),
         (Patch(depth, np.nan), {}),
         (DepthPatch(patch, mask, ~mask), {"nearest": nearest, "valid": mask}),
         (WideView(patch, wide), {"nearest": nearest, "wide": wide}),
-        (DepthView(WideView(patch, wide), known), {"nearest": nearest, "wide": wide, "valid": mask}),
+        (DepthView(WideView(patch, wide), seen), {"nearest": nearest, "wide": wide, "valid": mask}),
         (SeenPatch(depth, wide, nearest, 1.0), {"nearest": nearest, "wide": wide}),
     ):
-        expected, one = predictor.predict(depth, force=1.0, **parts), predictor.predict(whole, force=1.0)
+        expected, single = predictor.predict(depth, force=1.0, **parts), predictor.predict(whole, force=1.0)
         many = predictor.predict([whole, whole], force=[1.0, 1.0])
-        np.testing.assert_array_equal(one, expected)
-        assert one.mean.shape == (15,)
-        np.testing.assert_array_equal(many.mean, np.stack([one.mean] * 2))
+        np.testing.assert_array_equal(single, expected)
+        assert single.mean.shape == (15,)
+        np.testing.assert_array_equal(many.mean, np.stack([single.mean] * 2))
     with pytest.warns(UserWarning, match="begins 3 mm in front of the skin"):
         predictor.predict(Patch(depth, 3e-3), force=1.0)
     predictor.predict(Patch(depth, 3e-3), force=1.0, nearest=0.0)  # as a user says

@@ -45,10 +45,10 @@ def learning_curves(
     names = list(dict.fromkeys(name for split in splits for name in split.tests))
     scores = Scores({name: {} for name in names}, {name: {} for name in names}, {name: {} for name in names})
     counts = [n for n in counts if n <= max(len(split.pool) for split in splits)]
-    one = len(splits) == 1
+    desc, unit = ("draws", "draw") if len(splits) == 1 else ("left out", "part")
     steps = [(draw, split) for draw in range(draws) for split in splits]
     tested: dict[tuple[str, int, int], list[_Tested]] = {}
-    for draw, split in progress(steps, desc="draws" if one else "left out", unit="draw" if one else "part"):
+    for draw, split in progress(steps, desc=desc, unit=unit):
         order = np.random.default_rng((seed, draw)).permutation(split.pool)
         for count in counts:
             for name, result in _tested(recording, order[:count], split.tests).items():

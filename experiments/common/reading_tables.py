@@ -1,10 +1,9 @@
 """Tables of labelled readings of any tactile sensor: one row a touch, in the order in which they were made.
 
-A column holds the label, others may be left out, and all that remain are the reading. Where a column numbers the
-touches, rows of one touch are samples of it and become their mean: samples of one contact share its errors, so that
-they are no independent touches. Tables are split within groups,
-in the order of the file or at random: touches that follow one another share errors, which a random split puts on both
-sides, so that it says more than a later session would (Roberts et al., Ecography 40, 2017).
+One column holds the label, others may be left out, and the remaining columns are the reading. Where a column numbers
+the touches, the rows of a touch become their mean, because samples of one contact share its errors. Tables are split
+within groups, in the order of the file or at random. Successive touches share errors, which a random split puts on both
+sides, so its scores are better than those of a later session would be (Roberts et al., Ecography 40, 2017).
 """
 
 import warnings
@@ -23,11 +22,11 @@ from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
 MAX_VALUE = 1e30  # of a reading: classifiers count in single precision
-CLOSE = 0.25  # distance of two rows, in those of a label's rows that do not follow each other, that is close
-MIN_CLOSE_SHARE = 0.1  # of rows that follow a close one: where more do than by chance, a warning says so
-LEAST_RISES = 12  # of a column that never falls, which is no reading then
-MIN_JUMP = 0.5  # distance, likewise, between what are touches of their own then; a drift has no jumps
-MAX_ZERO_SHARE = 0.1  # of the values of other rows: where more are zero, a row of zeros is a reading
+CLOSE = 0.25  # distance of successive rows of one touch, relative to that of a label's rows far apart in time
+MIN_CLOSE_SHARE = 0.1  # share of close successive rows, above that by chance, from which a warning is given
+MIN_RISES = 12  # rises of a column that never falls, from which it is taken for a counter
+MIN_JUMP = 0.5  # relative distance between rows of different touches; a drift has no such jumps
+MAX_ZERO_SHARE = 0.1  # share of zeros in other rows, above which a row of zeros is a reading
 OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
 
 
@@ -40,16 +39,16 @@ class ReadingTable(NamedTuple):
     group: Int[np.ndarray, " n"]  # index of `groups`
     groups: tuple[str, ...]  # in the order of the files
     columns: tuple[str, ...]  # of the reading
-    samples: int = 0  # rows of the files, where several of them are one touch; 0 where each row is one
-    notes: tuple[str, ...] = ()  # what was undone in the files and left out, a sentence each
+    samples: int = 0  # rows of the files, where several rows are one touch; 0 where each row is a touch
+    notes: tuple[str, ...] = ()  # sentences on what was changed in the files or left out
 
 
 class _Part(NamedTuple):
-    """One file: texts of the labels and groups, and the readings."""
+    """The rows of one file."""
 
     labels: list[str]
     groups: list[str]
-    touches: list[str]  # which touch a row is a sample of; empty texts where each row is one
+    touches: list[str]  # the touch of which a row is a sample; empty texts where each row is a touch
     columns: tuple[str, ...]
     reading: np.ndarray
     notes: list[str]
@@ -74,14 +73,14 @@ def read_reading_table(
             value in it are samples of one touch.
 
     Returns:
-        All touches, in the order of the files; of several samples their mean.
+        All touches, in the order of the files. A touch of several samples has their mean reading.
 
     Raises:
-        DataError: A file cannot be read, lacks a column, or holds what is no number or no label.
+        DataError: A file cannot be read, lacks a column, or holds a value that is not a number or an empty label.
         ValueError: One column is named for two purposes, or one file is given twice.
     """
-    known = [path.resolve() for path in paths]
-    if repeated := [path for i, path in enumerate(paths) if known[i] in known[:i]]:
+    files = [path.resolve() for path in paths]
+    if repeated := [path for i, path in enumerate(paths) if files[i] in files[:i]]:
         raise ValueError(f"{repeated[0]} is given twice; give each table once")
     special = [label, *(name for name in (group, touch) if name is not None), *ignore]
     if twice := sorted({name for name in special if special.count(name) > 1}):
@@ -129,7 +128,7 @@ def read_reading_table(
 
 
 def _merge_samples(table: ReadingTable, touches: Sequence[tuple[int, str]]) -> ReadingTable:
-    """The means of rows that follow each other with the same label and group in the same touch (file and name)."""
+    """The means of successive rows with the same label, group and touch (number of the file, and name)."""
     names = np.unique(touches, axis=0, return_inverse=True)[1].reshape(-1)
     keys = np.column_stack([table.label, table.group, names])
     starts = np.flatnonzero(np.r_[True, (keys[1:] != keys[:-1]).any(1)])
@@ -139,15 +138,17 @@ def _merge_samples(table: ReadingTable, touches: Sequence[tuple[int, str]]) -> R
 
 
 def close_followers(table: ReadingTable) -> float:
-    """Share of rows that are much closer to the row before, of the same label and group, than rows of that label are to
-    each other otherwise, as several samples of one touch are.
+    """Share of rows that may be samples of the same touch as the row before.
+
+    Such a row is much closer to the row before of its label and group than rows of that label are to each other
+    otherwise.
 
     Args:
-        table: With its rows in the order in which they were made.
+        table: The readings, in the order in which they were made.
 
     Returns:
-        The share; 0 where no more rows than a tenth are, where rows that do not follow each other are as close, and
-        where rows drift without jumps.
+        The share; 0 where it is at most a tenth, where rows far apart in time are as close, and where readings drift
+        without jumps.
     """
     spread = table.reading.std(0)
     scaled = (table.reading - table.reading.mean(0)) / np.where(spread > 0, spread, 1)
@@ -169,18 +170,18 @@ def close_followers(table: ReadingTable) -> float:
 
 
 def refuse_counters(table: ReadingTable, path: Path, *, may_number_touches: bool = True) -> None:
-    """Refuse a reading with a column that never falls within any label: it counts rows, touches or time.
+    """Refuse a reading with a column that never falls within any label, because it counts rows, touches or time.
 
     Args:
-        table: With its rows in the order of the files.
-        path: Of the file, or the first one, for messages.
+        table: The readings, in the order of the files.
+        path: The file, or the first of several, for messages.
         may_number_touches: Whether the command has an option `--touch` for such a column.
 
     Raises:
         DataError: There is such a column.
     """
     steps = np.concatenate([np.diff(table.reading[rows], axis=0) for rows in rows_of_labels(table)])
-    counts = (steps >= 0).all(0) & ((steps > 0).sum(0) >= LEAST_RISES)
+    counts = (steps >= 0).all(0) & ((steps > 0).sum(0) >= MIN_RISES)
     if counts.any():
         name = table.columns[int(counts.argmax())]
         other = f", or, if it numbers touches of several rows each, pass --touch {name}" if may_number_touches else ""
@@ -220,8 +221,8 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
 
 
 def _silent(columns: Sequence[str], reading: np.ndarray) -> np.ndarray:
-    """Where (n, chips) a chip sent zeros; the columns are one chip where no chips are named. Of sensors that often send
-    zeros, as arrays of switches do, a row of zeros is a reading.
+    """Mask (n, chips) of chips that sent zeros only; all columns are one chip where their names tell of none. Where
+    other rows hold many zeros, as those of arrays of switches do, a row of zeros is a reading.
     """
     fields = [i for i, name in enumerate(columns) if FIELD_STEM.match(name.lower())]
     if fields and len(fields) % AXES_OF_CHIP == 0:
@@ -245,7 +246,7 @@ def _reading(path: Path, line: int, columns: Sequence[str], texts: Sequence[str]
         return values
     at = int(good.argmin())
     column, text = columns[at], texts[at].strip()
-    wrong = f"is beyond {MAX_VALUE:g}" if np.isfinite(values[at]) else "is no number"
+    wrong = f"is beyond {MAX_VALUE:g}" if np.isfinite(values[at]) else "is not a number"
     if text.endswith(GROUPED_MARK):
         text, wrong = as_written(text), "may be decimal or grouped thousands"
     what = f"has {text!r} in column {column}, which {wrong}" if text else f"lacks column {column}"

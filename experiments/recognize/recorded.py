@@ -43,14 +43,14 @@ class Sessions(NamedTuple):
     def describe(self) -> str:
         """Describe the sessions in one line."""
         fewest, most = min(self.usable), max(self.usable)
-        said = f"{len(self.names)} sessions of {fewest if fewest == most else f'{fewest} to {most}'} usable touches"
+        sentence = f"{len(self.names)} sessions of {fewest if fewest == most else f'{fewest} to {most}'} usable touches"
         if most > self.touches:
-            said += f", the first {self.touches} of each count (--max-touches N for more from the longer ones)"
+            sentence += f", the first {self.touches} of each count (--max-touches N for more from the longer ones)"
         if self.touches < self.asked:
-            said += f", and not the {self.asked} that were asked for, which no session has"
+            sentence += f", and not the {self.asked} that were asked for, which no session has"
         if self.left_out:
-            said += f"; left out, with fewer: {', '.join(self.left_out)}"
-        return said
+            sentence += f"; left out, with fewer: {', '.join(self.left_out)}"
+        return sentence
 
 
 def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
@@ -158,12 +158,14 @@ def merge_samples(recorded: Dataset) -> Dataset:
     Returns:
         The same touches, or fewer; readings, forces and depths of those that were merged are means.
     """
-    made, time = recorded.touches, times_of(recorded)
-    usable = np.isin(np.arange(len(recorded)), np.concatenate(list(usable_touches(made).values())))
-    moved = inverse(made.T_w_t[:-1]) @ made.T_w_t[1:]
+    touches, time = recorded.touches, times_of(recorded)
+    usable = np.isin(np.arange(len(recorded)), np.concatenate(list(usable_touches(touches).values())))
+    moved = inverse(touches.T_w_t[:-1]) @ touches.T_w_t[1:]
     turned = np.arccos(np.clip((np.trace(moved[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
     follows = (np.linalg.norm(moved[:, :3, 3], axis=1) < SAME_PLACE_M) & (turned < SAME_TURN)
-    follows &= usable[1:] & usable[:-1] & (made.session[1:] == made.session[:-1]) & (made.code[1:] == made.code[:-1])
+    follows &= usable[1:] & usable[:-1]
+    for same in (touches.session, touches.code):
+        follows &= same[1:] == same[:-1]
     with np.errstate(invalid="ignore"):
         follows &= (np.diff(time) >= 0) & (np.diff(time) < SAME_PRESS_S)  # false where a time is unknown
     starts = np.flatnonzero(np.r_[True, ~follows])
@@ -172,7 +174,7 @@ def merge_samples(recorded: Dataset) -> Dataset:
     merged, counts = recorded.select(starts), np.diff(np.r_[starts, len(recorded)])
     means = {}
     for name in ("reading", "force", "depth"):
-        values = np.asarray(getattr(made, name), np.float64)
+        values = np.asarray(getattr(touches, name), np.float64)
         sums = np.add.reduceat(values, starts, axis=0)
         means[name] = (sums / counts.reshape(-1, *[1] * (values.ndim - 1))).astype(np.float32)
     return replace(merged, touches=merged.touches._replace(**means))

@@ -122,8 +122,8 @@ def summary_of(prepared: Prepared) -> str:
     """Touches of each part of the split, and what is odd about them."""
     dataset, split = prepared.touches.dataset, prepared.split
     counts = f"{split.train.sum()} train, {split.validation.sum()} validate, {split.test.sum()} test"
-    said = f"{len(dataset)} touches ({source_words(dataset.source)}), split by {split.how}: {counts}"
-    return "\n".join([said, *(printable(f"note: {note}") for note in prepared.notes)])
+    sizes = f"{len(dataset)} touches ({source_words(dataset.source)}), split by {split.how}: {counts}"
+    return "\n".join([sizes, *(printable(f"note: {note}") for note in prepared.notes)])
 
 
 def noted(prepared: Prepared, note: str) -> Prepared:

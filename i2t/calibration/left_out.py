@@ -20,7 +20,7 @@ from i2t.calibration.kernel import PressGeometry, SkinKernels
 
 SMALL_SYSTEM = 40  # presses up to which all groups are inverted in one call
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once
-ONE_THREAD_PRESSES = 400  # up to which BLAS is given one thread
+ONE_THREAD_PRESSES = 400  # most presses for which BLAS gets one thread
 SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
 MIN_SCALE_UT = 1e-3
 CURVE_CELLS = 64  # of a curve that fills the plane, along an edge; a power of two
@@ -53,14 +53,14 @@ class Conditioned(NamedTuple):
 
 
 def one_thread_for_few(presses: int) -> contextlib.AbstractContextManager[Any]:
-    """One thread of BLAS while matrices of few presses are computed: threads that wait for each other cost many times
-    what such a matrix does, the more so on a machine that others use.
+    """Give BLAS one thread while matrices of few presses are computed, because threads that wait for each other cost
+    many times what such a matrix does.
 
     Args:
-        presses: Of a matrix, along an edge.
+        presses: Number of presses, the edge of the matrices.
 
     Returns:
-        A context, in which BLAS has one thread, or as many as before where the presses are many.
+        A context in which BLAS has one thread, or as many as before if there are many presses.
     """
     return _blas().limit(limits=1 if presses <= ONE_THREAD_PRESSES else None, user_api="blas")
 

@@ -61,8 +61,8 @@ DESIGN_PARAMETERS = ("thickness", "gap", "young", "contact_offset", "mount_compl
 NORMAL_PARAMETERS = ("contact_offset", "tip_offset")
 LBFGS_STEPS = 25  # in each linearization
 MAX_MOVE_STDS = 0.7  # how far each coordinate goes in one of them, in standard deviations of the prior
-FAILED_OBJECTIVE = 1e9  # by which a point where the objective cannot be computed is worse than the start
-NO_PAD = "no pad explains these presses; are tip, unit of the loads and board what they are said to be?"
+FAILED_OBJECTIVE = 1e9  # added to the objective at the start, where it cannot be computed
+NO_PAD = "no pad explains these presses; check the tip, the unit of the loads and the board"
 
 MAX_LAYER_PRESSES = 48  # that the layer's parameters are fitted to; they need no more, and the map takes all
 LINEARIZATIONS = 3  # of the design matrices
@@ -487,7 +487,7 @@ def fit_pad(
 
 
 def _check_finite(presses: Presses, readings: Array) -> None:
-    """Refuse presses whose place, load or reading is not finite."""
+    """Raise ValueError where a position, load or reading is not finite."""
     for name, values in (("positions", presses.position), ("loads", presses.load), ("readings", readings)):
         wrong = ~np.isfinite(np.asarray(values)).reshape(len(values), -1).all(1)
         if wrong.any():
@@ -567,7 +567,7 @@ def _is_finite(evaluated: tuple[float, np.ndarray]) -> bool:
 
 
 def _finite_everywhere(objective: Objective, *, start: np.ndarray) -> Objective:
-    """The objective, and much more than at the start where single precision cannot factor its matrices."""
+    """The objective, with a large value where single precision cannot factor its matrices."""
     failed = FAILED_OBJECTIVE + abs(objective(start)[0])
 
     def bounded(x: np.ndarray) -> tuple[float, np.ndarray]:

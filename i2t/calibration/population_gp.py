@@ -660,9 +660,9 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
         return gp
     near, far = zip(*(_errors_by_other_parts(gp, part) for part in cuts), strict=True)
     alone = [_left_out_all(gp._replace(components=plain), part) for part in cuts]
-    best = int(np.argmin(sum((_trust(gp) * found.part_error**2).sum((1, 2)) for found in alone)))
-    near_share = _stacking_share(gp, np.stack(near), np.stack([found.error[best] for found in alone]), 0.0)
-    plain_far = np.stack([found.part_error[best] for found in alone])
+    best = int(np.argmin(sum((_trust(gp) * left_out.part_error**2).sum((1, 2)) for left_out in alone)))
+    near_share = _stacking_share(gp, np.stack(near), np.stack([left_out.error[best] for left_out in alone]), 0.0)
+    plain_far = np.stack([left_out.part_error[best] for left_out in alone])
     far_share = _stacking_share(gp, np.stack(far), plain_far, FAR_PLAIN_PRESSES)
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     return gp._replace(
@@ -674,13 +674,13 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
 
 def _errors_by_other_parts(gp: PopulationGP, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n, c) of the mixture on presses left out alone, and with their part, by the weights of other parts."""
-    found = _left_out_all(gp, part)
+    left_out = _left_out_all(gp, part)
     alone, together = np.empty_like(gp.readings), np.empty_like(gp.readings)
     for i in range(part.max() + 1):
         rows = part == i
-        near, far = _weights(gp, found, ~rows)
-        alone[rows] = np.einsum("kc,knc->nc", near, found.error[:, rows])
-        together[rows] = np.einsum("kc,knc->nc", near if far is None else far, found.part_error[:, rows])
+        near, far = _weights(gp, left_out, ~rows)
+        alone[rows] = np.einsum("kc,knc->nc", near, left_out.error[:, rows])
+        together[rows] = np.einsum("kc,knc->nc", near if far is None else far, left_out.part_error[:, rows])
     return alone, together
 
 
@@ -716,13 +716,13 @@ def _predict_rows(
     height, height_variance = _heights_at(gp, presses.position, height_inverses)
     loads = presses.loads if gp.presses.loads.shape[1] == presses.loads.shape[1] else np.ones((m, 1))
     presses = _raised(gp, presses._replace(loads=loads), height)
-    known = _raised(gp, gp.presses, _heights_at(gp, gp.presses.position, height_inverses)[0])
+    fitted = _raised(gp, gp.presses, _heights_at(gp, gp.presses.position, height_inverses)[0])
     mean, square = np.zeros((m, c)), np.zeros((m, c))
     slope, far = np.zeros((m, c)), _farness(gp, presses.position)[:, None]
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     for i, given in enumerate(conditioned):
         weight = (1 - far) * gp.weights[i] + far * far_weights[i]
-        own_mean, own_variance, own_slope = _predict_one(gp, i, given, presses, known)
+        own_mean, own_variance, own_slope = _predict_one(gp, i, given, presses, fitted)
         mean += weight * own_mean
         square += weight * (own_variance + own_mean**2)
         slope += weight * own_slope
@@ -749,24 +749,24 @@ def _predict_one(
     gp: PopulationGP, i: int, given: Conditioned, presses: PressTable, raised: PressTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, variance and slope by the first load (m, c) of one member, from its own presses with their heights."""
-    one = _taken(gp.components, np.array([i]))
-    column, board = int(one.load_column[0]), int(one.board[0])
-    at, known = _geometry(gp, presses, column, board), _geometry(gp, raised, column, board)
+    member = _taken(gp.components, np.array([i]))
+    column, board = int(member.load_column[0]), int(member.board[0])
+    at, fitted_at = _geometry(gp, presses, column, board), _geometry(gp, raised, column, board)
     groups = len(given.inverse)
     cross = np.broadcast_to(
-        kernel.signal_covariances(one.kernels, at, known)[0], (groups, len(at.load), len(known.load))
+        kernel.signal_covariances(member.kernels, at, fitted_at)[0], (groups, len(at.load), len(fitted_at.load))
     )
-    weights = given.weights.reshape(len(known.load), groups, -1).swapaxes(0, 1)
+    weights = given.weights.reshape(len(fitted_at.load), groups, -1).swapaxes(0, 1)
     mean = ungrouped(cross @ weights)
     explained = np.einsum("gmn,gmn->gm", cross @ given.inverse, cross)
-    own = kernel.signal_variances(one.kernels, at)[0] + kernel.noise_variances(one.kernels, at)[0]
-    variance = np.maximum(own - explained, kernel.noise_variances(one.kernels, at)[0])
+    own = kernel.signal_variances(member.kernels, at)[0] + kernel.noise_variances(member.kernels, at)[0]
+    variance = np.maximum(own - explained, kernel.noise_variances(member.kernels, at)[0])
     variance = np.repeat(variance, mean.shape[1] // len(variance), axis=0).T
     slope = np.zeros_like(mean)
     if len(gp.heights.std) and column == 0:
-        change = np.broadcast_to(kernel.load_slopes(one.kernels, at, known)[0], cross.shape)
+        change = np.broadcast_to(kernel.load_slopes(member.kernels, at, fitted_at)[0], cross.shape)
         slope = ungrouped(change @ weights)
-    if one.uses_previous[0]:
+    if member.uses_previous[0]:
         assert presses.previous_mean is not None
         mean = mean + presses.previous_mean
     return mean, variance * given.scale[None] ** 2, slope

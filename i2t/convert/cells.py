@@ -1,8 +1,8 @@
 """Numbers in the cells of a table: decimal points, decimal commas, and the same signs between thousands.
 
-1.234 is a little more than one, or one thousand two hundred and thirty-four. Other numbers of the table tell: those
-with one, two, four or more decimals, or with decimals below one, can be read in one way only. Where no number tells, or
-as many contradict, such a cell is marked and is no number.
+1.234 is a little more than one, or one thousand two hundred and thirty-four. Other numbers of the table decide: those
+with one, two, four or more decimals, or a zero before the sign, can be read in one way only. Where there are none, or
+as many of either kind, such a cell is marked and does not count as a number.
 """
 
 import re
@@ -19,18 +19,18 @@ GROUPED = {  # numbers that may have this sign between thousands
 }
 OTHER_SIGN = {".": ",", ",": "."}
 SIGN_NAMES = {".": "points", ",": "commas"}
-WHOLE, MAYBE = "whole", "maybe "  # kinds of numbers: without a sign, and with one (which follows) of unknown meaning
-GROUPED_MARK, NO_TIME_MARK = "\ufffe", "\uffff"  # behind cells that are no numbers; Unicode has no such characters
+WHOLE, MAYBE = "whole", "maybe "  # kinds of numbers: without a sign, and with a sign (appended) of unknown meaning
+GROUPED_MARK, NO_TIME_MARK = "\ufffe", "\uffff"  # appended to cells that do not count as numbers; Unicode has neither
 
 
 def parse_number(text: str) -> float | None:
-    """The number that a text is.
+    """Read a number.
 
     Args:
-        text: Any text; signs between digits, as Python has them in 1_000, are no part of a number.
+        text: Any text. Unlike Python's, a number has no underscores between digits.
 
     Returns:
-        The number, which may be infinite or NaN; None where the text is none.
+        The number, which may be infinite or NaN; None where the text is not a number.
     """
     try:
         return None if "_" in text else float(text)
@@ -39,26 +39,26 @@ def parse_number(text: str) -> float | None:
 
 
 def as_written(cell: str) -> str:
-    """A cell as it stands in the file.
+    """Take the marks off a cell.
 
     Args:
-        cell: With or without a mark.
+        cell: A cell with or without a mark.
 
     Returns:
-        The text without a mark.
+        The text that stands in the file.
     """
     return cell.rstrip(GROUPED_MARK + NO_TIME_MARK)
 
 
 def kind_of_number(text: str) -> str:
-    """What a number tells of the sign before decimals.
+    """What a number shows about the sign before decimals.
 
     Args:
-        text: Of a cell.
+        text: The text of a cell.
 
     Returns:
-        The sign that it shows to be decimal; `MAYBE` and a sign that may be decimal or group thousands; `WHOLE`; or ""
-        for what is no number.
+        "." or "," where the number shows that this sign is decimal; `MAYBE` and the sign where it may be decimal or
+        group thousands; `WHOLE` for a number without a sign; "" for a text that is not a number.
     """
     plain = text.strip()
     if plain.lstrip("+-").isdigit():
@@ -70,15 +70,15 @@ def kind_of_number(text: str) -> str:
 
 
 def count_kinds(rows: Iterable[Sequence[str]], columns: Sequence[int], counters: Container[int] = ()) -> Counter[str]:
-    """How many numbers of each kind a table has.
+    """Count the numbers of each kind in a table.
 
     Args:
-        rows: Cells.
-        columns: Which of them to look at.
-        counters: Of these, columns in which numbers without decimals tell nothing, as they count milliseconds.
+        rows: The cells of each row.
+        columns: Indices of the columns to look at.
+        counters: Indices of columns whose whole numbers show nothing about decimals, because they count milliseconds.
 
     Returns:
-        The numbers by kind, as of `kind_of_number`.
+        How many numbers have each kind of `kind_of_number`.
     """
     counts: Counter[str] = Counter()
     for cells in rows:
@@ -90,15 +90,15 @@ def count_kinds(rows: Iterable[Sequence[str]], columns: Sequence[int], counters:
 
 
 def decimal_sign(counts: Counter[str], delimiter: str) -> str:
-    """The sign before decimals, by the numbers of a table.
+    """Decide the sign before decimals by the numbers of a table.
 
     Args:
-        counts: Of the numbers, by kind.
-        delimiter: Between fields.
+        counts: How many numbers have each kind of `kind_of_number`.
+        delimiter: The character between fields.
 
     Returns:
-        The sign that more numbers show to be decimal. Where none does: the sign that every number has, as grouped
-        numbers of less than a thousand have none; or the point, in a table that is separated by commas. Else "".
+        The sign that more numbers show to be decimal. Where no number decides, it is the sign that every number has,
+        because grouped numbers below a thousand would have none, or the point in a table separated by commas. Else "".
     """
     if counts["."] != counts[","]:
         return "." if counts["."] > counts[","] else ","
@@ -109,32 +109,32 @@ def decimal_sign(counts: Counter[str], delimiter: str) -> str:
 
 
 class DecimalSigns:
-    """Reads the numbers of a table row by row. Its first rows tell the sign before decimals; where they do not, or
-    where a later number contradicts them, all rows are counted, once.
+    """Reads the numbers of a table row by row. Its first rows decide the sign before decimals; where they do not, or
+    where a later number contradicts them, the numbers of all rows are counted, once.
     """
 
     def __init__(self, path: Path, first: Counter[str], all_rows: Callable[[], Counter[str]], delimiter: str) -> None:
-        """Begin.
+        """Begin to read a table.
 
         Args:
-            path: Of the table, for messages.
-            first: Kinds of the numbers in its first rows.
-            all_rows: Counts those of all rows.
-            delimiter: Between fields.
+            path: The file of the table, for messages.
+            first: The counts of `count_kinds` for its first rows.
+            all_rows: Reads the table again and gives the counts for all rows.
+            delimiter: The character between fields.
         """
         self.sign = decimal_sign(first, delimiter)
         self._path, self._all_rows, self._delimiter = path, all_rows, delimiter
         self._final = False
 
     def with_point(self, text: str, line: int) -> str:
-        """A number with a decimal point.
+        """Write a number with a decimal point.
 
         Args:
-            text: Of a cell.
-            line: Where it stands.
+            text: The text of a cell.
+            line: Number of its line in the file.
 
         Returns:
-            The number; marked where its sign may group thousands; what is no number stays as it is.
+            The number, marked where its sign may group thousands. A text that is not a number stays as it is.
 
         Raises:
             DataError: Most numbers of the table have another decimal sign than those of its first rows, which were read

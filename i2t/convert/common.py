@@ -2,6 +2,8 @@
 
 import io
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -32,9 +34,9 @@ class ConversionLog:
     damaged_rows: int = 0
     first_damage: str = ""
     unit: str = "rows"  # what a reading stands for
-    heard_rows: int = 0  # in which every chip answered
-    silent_rows: int = 0  # left out, as a chip did not answer
-    silent_chips: Counter[int] = field(default_factory=Counter)  # in how many of these rows each chip did not
+    heard_rows: int = 0  # rows in which every chip answered
+    silent_rows: int = 0  # rows that are left out because a chip did not answer
+    silent_chips: Counter[int] = field(default_factory=Counter)  # rows in which each chip did not answer
 
     def info(self, line: str) -> None:
         """Note a sentence, once.
@@ -75,10 +77,10 @@ class ConversionLog:
         """Leave out rows in which a chip did not answer, and count them.
 
         Args:
-            silent: Where a chip did not answer.
+            silent: (n, chips) mask of chips that did not answer.
 
         Returns:
-            The rows in which all chips answered.
+            (n,) mask of the rows in which all chips answered.
         """
         heard = np.asarray(~silent.any(1))
         self.heard_rows, self.silent_rows = self.heard_rows + int(heard.sum()), self.silent_rows + int((~heard).sum())
@@ -89,11 +91,11 @@ class ConversionLog:
         """Refuse a source in which a chip was silent in every row.
 
         Args:
-            source: Names it.
-            remedy: What to do.
+            source: Name of the source, for the message.
+            remedy: What the user is to do.
 
         Raises:
-            DataError: No row is left, and chips that did not answer are why.
+            DataError: Rows were left out because a chip did not answer, and no other row was read.
         """
         if self.silent_rows and not self.heard_rows:
             rows = f"in any of its {self.silent_rows} {self.unit}"
@@ -107,7 +109,7 @@ class ConversionLog:
             raise DataError(f"{source}: {problem}; {remedy}")
 
     def _chips(self) -> str:
-        """In how many rows each chip did not answer."""
+        """Half a sentence that counts the rows in which each chip did not answer."""
         counts = {chip: count for chip, count in self.silent_chips.items() if count}
         if len(counts) == len(self.silent_chips) and set(counts.values()) == {self.silent_rows}:
             return "every chip in all of them"
@@ -143,13 +145,13 @@ class ConversionLog:
 def require_ambient(
     source: object, silent: Bool[np.ndarray, "n chips"], silent_ambient: Bool[np.ndarray, "n chips"], remedy: str
 ) -> None:
-    """Refuse an ambient field that is missing of a chip which answered otherwise.
+    """Refuse a source without the ambient field of a chip that has readings.
 
     Args:
-        source: Names the file.
-        silent: Where a chip did not answer.
-        silent_ambient: Where its ambient field is zero.
-        remedy: What to do.
+        source: Name of the file, for the message.
+        silent: (n, chips) mask of chips that did not answer.
+        silent_ambient: (n, chips) mask of ambient fields that are zero.
+        remedy: What the user is to do.
 
     Raises:
         DataError: A chip that answered has no ambient field in any row.
@@ -173,6 +175,25 @@ def data_error(path: Path, problem: str) -> DataError:
     return DataError(f"{path}: {problem}; restore it from the source")
 
 
+@contextmanager
+def os_errors_as_data_errors(path: Path) -> Iterator[None]:
+    """Turn errors of the system while a file is read into errors that name the file.
+
+    Args:
+        path: The file that is read in the block.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        DataError: The block raised an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise data_error(path, f"cannot be read ({error.strerror or error})") from error
+
+
 def read_bytes(path: Path) -> bytes:
     """The contents of a file, unzipped where it is a gzip archive.
 
@@ -185,10 +206,8 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         DataError: It cannot be read.
     """
-    try:
+    with os_errors_as_data_errors(path):
         raw = files.read_bytes(path)
-    except OSError as error:
-        raise data_error(path, f"cannot be read ({error.strerror or error})") from error
     return files.unpacked(path, raw) if raw.startswith(files.GZIP_MARK) else raw
 
 
@@ -202,7 +221,7 @@ def read_text(path: Path) -> str:
         The text.
 
     Raises:
-        DataError: It cannot be read, is a file of another kind, or no text.
+        DataError: It cannot be read, is of another kind, or is not text.
     """
     return files.decoded(path, read_bytes(path))
 

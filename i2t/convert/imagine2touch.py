@@ -10,10 +10,10 @@ samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quate
     patch   = depth - depth of the nearest pixel, clipped to the reach; 0 and 65535 are no measurement: no surface
     nearest = depth of the nearest pixel - distance from the camera to the tool - approach from the look to the contact
 
-Assumed, for the recordings do not say: the tool frame is the one of the recorded poses; image rows run along tool y and
-columns along tool x; forces are in the robot base's axes and act on the tool, so that the force along tool z is minus
-their component along it. Objects' poses are unknown (NaN). Forces that pull, and
-fields in millitesla, are found and put right, with a sentence.
+Assumed, because the recordings do not state it: the tool frame is that of the recorded poses; image rows run along tool
+y and columns along tool x; forces are in the robot base's axes and act on the tool, so the force along tool z is minus
+their component along it. Objects' poses are unknown (NaN). Pulling forces and fields in millitesla are corrected,
+with a note.
 """
 
 import math
@@ -35,11 +35,11 @@ from i2t.types import Board, ReturnCode, Touches
 from i2t.unknowns import correction_of, find_force_sign, find_units, findings_to_meta
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
-MAX_LOOK_OFFSET_M = 2e-3  # m: a look from further off the contact's axis saw another place
+MAX_LOOK_OFFSET_M = 2e-3  # m; a look from further off the contact's axis showed another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
-MAX_POSE_VALUE = 1e6  # of any recorded number, in its unit
-FAR_M = 10e-3  # m; the nearest pixel of a touch lies within this of the skin, unless a distance or a unit is wrong
-MIN_PUSHES = 8  # touches with a force, for their sign to be turned
+MAX_POSE_VALUE = 1e6  # bound of any recorded number, in its unit
+FAR_M = 10e-3  # m; a touched surface that lies farther from the skin has a wrong distance or unit
+MIN_PUSHES = 8  # fewest touches with a force by which the sign of forces is corrected
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
 
 _TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
@@ -65,20 +65,20 @@ def convert(
 
     Args:
         source: The folder.
-        board: That recorded the touches.
-        order: Of a sample's values: "binary" (t first), "ascii" (t last) or "auto".
-        window: m, edge of the square that a patch shows.
-        reach: m, depth at which a patch ends.
-        camera: m, distance of the camera behind the tool's origin.
-        quarter_turns: By which images are turned counter-clockwise.
+        board: The board that recorded the touches.
+        order: Order of a sample's values: "binary" (t first), "ascii" (t last) or "auto".
+        window: Edge (m) of the square that a patch shows.
+        reach: Depth (m) at which a patch ends.
+        camera: Distance (m) of the camera behind the tool's origin.
+        quarter_turns: Number of counter-clockwise quarter turns of the images.
         tool_forces: Whether forces are in the tool's axes.
         pad: Name of the skin.
-        stated_source: "real" or "simulated", which the layout does not say.
-        as_stated: Look for no mistake and correct none.
-        skip_bad: Leave out what cannot be read instead of ending.
+        stated_source: "real" or "simulated", which the layout does not state; None where it is unknown.
+        as_stated: Whether to take all units and signs as they are.
+        skip_bad: Whether to leave out damaged parts instead of raising an error.
 
     Returns:
-        The data set and what was noted.
+        The data set and the notes.
 
     Raises:
         DataError: The folder cannot be read as such a recording.
@@ -111,17 +111,17 @@ def convert(
 
 
 def _corrected(dataset: Dataset, notes: ConversionLog) -> Dataset:
-    """The data set with forces that push and readings in microtesla, if need be turned and scaled."""
+    """The data set with pressing forces positive and readings in microtesla."""
     touches = dataset.touches
-    found = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
+    units = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
     sign = find_force_sign(touches.force.astype(np.float64), touches.reading)
     enough = sign.evidence.get("presses", 0) >= MIN_PUSHES
-    for finding in (found, sign):
-        if finding is found or enough or finding.wrong is False:
+    for finding in (units, sign):
+        if finding is units or enough or finding.wrong is False:
             notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
-    todo = correction_of([found, sign] if enough else [found])
+    todo = correction_of([units, sign] if enough else [units])
     touches = touches._replace(force=todo.force * touches.force, reading=todo.field * touches.reading)
-    return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [found, sign]))
+    return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [units, sign]))
 
 
 class _Options(NamedTuple):
@@ -144,7 +144,7 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog
     reading, time = samples.readings(tactile, options.order, notes)
     n = len(reading)
     poses = folder / f"{folder.name}_poses" / f"experiment_{run}"
-    damaged = np.zeros(n, bool)  # touches, marked by what is read below
+    damaged = np.zeros(n, bool)  # touches; the functions below mark damaged ones
     T_w_t, approach = _poses(poses, damaged, notes)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
     patch, closest = _patches(images, n, options, notes)
@@ -241,9 +241,9 @@ def _rotations(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> np.ndar
     for k in np.flatnonzero(crooked):
         notes.skip(data_error(stem, f"quaternion {k + 1} of its rotations is not of length 1"))
     damaged |= crooked
-    known = np.isfinite(values).all(1) & ~crooked
-    if known.any():
-        result[known] = Rotation.from_quat(values[known]).as_matrix()
+    is_rotation = np.isfinite(values).all(1) & ~crooked
+    if is_rotation.any():
+        result[is_rotation] = Rotation.from_quat(values[is_rotation]).as_matrix()
     return result
 
 
@@ -277,7 +277,7 @@ def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tup
 
 
 def _note_distance(nearest: np.ndarray, images: Path, notes: ConversionLog) -> None:
-    """Note where what the images show (n,) m lies far from the skin at the touches."""
+    """Note that the nearest surface in the images, at distances (n,) m from the skin, lies far from it."""
     middle = float(np.median(nearest[np.isfinite(nearest)])) if np.isfinite(nearest).any() else 0.0
     if abs(middle) > FAR_M:
         notes.info(
@@ -295,8 +295,9 @@ def _optional(
     *,
     unknown: float = math.nan,
 ) -> np.ndarray:
-    """A file of as many numbers for each touch, NaN and marked in `damaged` where a touch's are no numbers; or the
-    unknown value where there is no file.
+    """Numbers (n, *width) of a file, or the unknown value where there is no file.
+
+    Touches without finite numbers are NaN and marked in `damaged`.
     """
     shape = (len(damaged), *width)
     wanted = stem.with_name(f"{stem.name}_{name}")

@@ -47,10 +47,10 @@ from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 PRESS_SOURCES = ("real", "simulated")
-TURNED_SHARE = 0.9  # of the rows with a depth, for all to be turned
-MIN_TURNED = 5  # rows
+TURNED_SHARE = 0.9  # share of negative depths above which the sign of all depths is turned
+MIN_TURNED = 5  # rows with a depth that this share counts at least
 MM = 1e-3  # m
-MAX_RADIUS_MM = 1000.0  # of a round indenter
+MAX_RADIUS_MM = 1000.0  # largest radius of a round indenter
 
 
 def convert(
@@ -69,22 +69,22 @@ def convert(
     """Convert a table of presses.
 
     Args:
-        source: the table.
+        source: The file of the table.
         indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `unit`.
-        board: which the values are of; the table has three columns for each of its chips.
-        window: m, edge of the square that a patch shows; presses whose axis lies outside it are left out.
-        reach: m, patches are clipped to this depth behind the indenter's lowest point.
-        unit: of the mesh file: m, cm, mm or inch.
-        as_stated: look for no mistake and correct none.
-        skip_bad: leave out damaged rows, and note them.
-        table: what `source` holds, where it was read already.
-        stated_source: "real" or "simulated", of a table that does not say it.
+        board: The board that sent the values; the table has three columns for each of its chips.
+        window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
+        reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
+        unit: Unit of the mesh file: m, cm, mm or inch.
+        as_stated: Whether to take all units, signs and axes as they are.
+        skip_bad: Whether to leave out damaged rows, with a note, instead of raising an error.
+        table: The contents of `source`, where they were read already.
+        stated_source: "real" or "simulated", for a table without a column `source`.
 
     Returns:
-        The data set and what was assumed and left out.
+        The data set, and notes on what was assumed and left out.
 
     Raises:
-        DataError: the table or the indenter cannot be used.
+        DataError: The table or the indenter cannot be used.
     """
     notes = ConversionLog(skip_bad, unit="presses")
     tip = _tip(indenter, unit, notes)
@@ -112,7 +112,7 @@ def convert(
 
 
 def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[PressTable, list[SessionCheck]]:
-    """The presses with what each session contradicts put right, session by session."""
+    """The presses, with units, signs, axes and heights that a session contradicts corrected in that session."""
     kept, checks = [], []
     for pad, session in dict.fromkeys(zip(table.pad.tolist(), table.session.tolist(), strict=True)):
         part = table.rows((table.pad == pad) & (table.session == session))
@@ -121,19 +121,16 @@ def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[P
         check = check_session(session, recorded, board, notes, stated_zero=0.0)
         checks.append(check)
         part = check.apply(part)
-        found, turned = check.zero, check.correction.height < 0
-        if turned or (found is not None and found.wrong):
-            identified = found is not None and found.identifiable and found.estimate is not None
-            zero = found.estimate if found is not None and identified else float(part.height.max())
-            part = part._replace(height=part.height - zero)
+        zero = check.zero
+        if check.correction.height < 0 or (zero is not None and zero.wrong):
+            estimate = zero.estimate if zero is not None and zero.identifiable else None
+            part = part._replace(height=part.height - (part.height.max() if estimate is None else estimate))
         kept.append(part)
     return join_tables(kept), checks
 
 
 def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> tuple[PressTable, str | None]:
-    """The presses of a table, and whether they are real, simulated or mixed; damaged rows are refused or left out as
-    `notes` has it.
-    """
+    """The presses of a table, and whether they are real, simulated or mixed. `notes` refuses or counts damaged rows."""
     for note in table.notes:
         notes.info(note)
     height = next((name for name in HEIGHT_COLUMNS if name in table.header and "depth_mm" not in table.header), None)
@@ -143,7 +140,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
     columns = [*places, *values, *ambient, *(["force_N"] if "force_N" in header else [])]
 
     def needed(empty: np.ndarray) -> np.ndarray:
-        """Fields that may not be empty: places, and those of chips that answered."""
+        """Mask of fields that may not be empty: places, and the values of chips that answered."""
         first, end = len(places), len(places) + len(values)
         wanted = np.ones_like(empty)
         answered = ~np.all(empty[:, first:end].reshape(len(empty), chips, AXES_OF_CHIP), axis=2)
@@ -184,10 +181,9 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
 
 
 def _silent(source: Path, fields: np.ndarray, chips: int, notes: ConversionLog) -> np.ndarray:
-    """Where (n, chips) a press is to be left out: a chip sent zeros, or no chip has a value.
+    """Mask (n, chips) of chips for which a press is left out, because they sent zeros or no chip has a value.
 
-    A chip whose fields are empty is missing, and its press is kept. Ambient columns that are zero in every row subtract
-    nothing, and are no silence.
+    A press is kept if fields of only some chips are empty. Ambient columns that are zero in every row subtract nothing.
     """
     readings, ambient = fields[:, : AXES_OF_CHIP * chips], fields[:, AXES_OF_CHIP * chips :]
     subtracts = bool(ambient.any())
@@ -205,7 +201,7 @@ def _silent(source: Path, fields: np.ndarray, chips: int, notes: ConversionLog) 
 
 
 def _time(header: list[str], cells: list[str]) -> float:
-    """When a press was, NaN where nobody can tell."""
+    """Time of a press (s), NaN where it was not recorded."""
     try:
         return float(cells[header.index(TIME)])
     except ValueError:
@@ -213,21 +209,21 @@ def _time(header: list[str], cells: list[str]) -> float:
 
 
 def _one_source(file: Path, column: str | None, option: str | None) -> str:
-    """Source of a table by its column and the option; a table is real where neither says it."""
+    """Source of a table by its column and the option; "real" where neither states it."""
     if column is not None and option not in (None, column):
         raise DataError(f"--source {option}: the column source of {file} says {column}; leave out the option")
     return option or column or "real"
 
 
 def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str | None:
-    """Whether rows are real, simulated or mixed; None where no column says it."""
+    """Whether rows are real, simulated or mixed; None without a column `source`."""
     if SOURCE_COLUMN not in header:
         return None
-    said = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
-    for word, line in said.items():
+    line_of = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
+    for word, line in line_of.items():
         if word not in PRESS_SOURCES:
             raise DataError(f"{source}: line {line} has the source {word!r}; write {' or '.join(PRESS_SOURCES)}")
-    return "mixed" if len(said) > 1 else next(iter(said))
+    return "mixed" if len(line_of) > 1 else next(iter(line_of))
 
 
 def _value_columns(source: Path, header: list[str], chips: int, notes: ConversionLog) -> tuple[list[str], list[str]]:
@@ -242,8 +238,8 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: Conversio
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    known = {*PLACES, *values, "force_N", TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
-    if unknown := [name for name in header if name not in known]:
+    understood = {*PLACES, *values, "force_N", TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    if unknown := [name for name in header if name not in understood]:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
     return values, ambient if has_ambient else []
 

@@ -1,9 +1,9 @@
 """Tables as labs write them: a line of column names, then a row for each reading or press.
 
-What programs and people vary without changing the meaning is undone here, and said: fields between semicolons or tabs
-with decimal commas, lines of comments before the names, columns without a name (a row's number), small and large
-letters, units in brackets, and units other than mm, uT, N and s. What the columns mean is for `i2t.convert.presses`,
-which refuses what is damaged, and `i2t.calibration.recordings`, which keeps what can be kept.
+Differences between programs that do not change the meaning are removed here, each with a note: other delimiters and
+decimal commas, titles and comments before the names, columns without a name (a row's number), capital letters, units in
+brackets or below the names, and units other than mm, uT, N and s. Two modules interpret the columns:
+`i2t.convert.presses` refuses damaged rows, and `i2t.calibration.recordings` keeps what it can.
 """
 
 import csv
@@ -28,40 +28,40 @@ from i2t.convert.cells import (
     parse_number,
 )
 from i2t.convert.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
-from i2t.convert.common import ConversionLog, data_error
+from i2t.convert.common import ConversionLog, os_errors_as_data_errors
 from i2t.errors import DataError
 from i2t.files import UTF_8, WINDOWS_1252, encoding_of_file, read_lines
 
-FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # of a chip's value, or of its ambient field
-FIELD_COLUMN = re.compile("b[0-9]+[xyz]_uT")  # of a chip's value, in our words
+FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
+FIELD_COLUMN = re.compile("b[0-9]+[xyz]_uT")  # column of a chip's value under our name
 QUANTITY_OF = {
     **dict.fromkeys(("x", "y", "z", "height", "depth"), "length"),
     **dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force"),
     "time": "time",
-}  # by a column's name without its unit
-UNITS: dict[str, tuple[str, dict[str, float]]] = {  # of each quantity: ours, and others with their factors
+}  # quantity of a column by its name without the unit
+UNITS: dict[str, tuple[str, dict[str, float]]] = {  # our unit of each quantity, and other units with their factors
     "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
     "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "kg": 9.80665}),
     "time": ("s", {"sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}),
 }
 WORDS = {name: name for name in ("session", "pad", "contact", "slip")} | {"run": "session"}
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # of the tip, in place of a depth
-MAX_SHOWN = 60  # letters of a line that is not understood
-SHOWN_NAMES = 6  # of a table that is not understood
-MAX_NAMED = 5  # columns that a sentence names
-MAX_TABLE_VALUE = 1e9  # of any number, in its unit
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, in place of a depth
+MAX_SHOWN = 60  # letters that a message shows of a single name
+SHOWN_NAMES = 6  # names that a message shows of a first line
+MAX_NAMED = 5  # missing columns that a message names
+MAX_TABLE_VALUE = 1e9  # bound of a plausible number, in its unit
 TIME = "time_s"
 NAME_COLUMNS = ("pad", "session")
 SOURCE_COLUMN = "source"
 TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
 STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
-SAMPLE_ROWS = 64  # by which decimals, times and units are told
+SAMPLE_ROWS = 64  # first rows, which decide decimals, times and units
 COMMENT_MARK, SPREADSHEET_ERROR = "#", re.compile("#(N/A|[A-Z0-9/]+[!?])")
-SEPARATOR_LINE = re.compile(r"sep=(\\t|.)", re.IGNORECASE)  # with which spreadsheets name the delimiter
+SEPARATOR_LINE = re.compile(r"sep=(\\t|.)", re.IGNORECASE)  # line in which spreadsheets name the delimiter
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
-EMPTY = " \t\r\n\0\x1a\ufeff\u00a0"  # what cells hold that hold nothing, the old mark of a file's end among it
-MAX_TITLE_LINES = 20  # above the names of the columns
+EMPTY = " \t\r\n\0\x1a\ufeff\u00a0"  # characters of empty cells, with the end-of-file mark of DOS
+MAX_TITLE_LINES = 20  # lines above the names of the columns
 EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count days
 UNIT_BRACKETS = re.compile(r"[\s\[\]()]")
 UNIT_WORDS = {"-", "1", "#"} | {word for own, others in UNITS.values() for word in (own.lower(), *others)}
@@ -73,8 +73,8 @@ class TextTable(NamedTuple):
     """A table's texts under the names and in the units of this package."""
 
     header: list[str]
-    rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields, as many as there are
-    notes: list[str]  # what was undone, a sentence each
+    rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
+    notes: list[str]  # sentences on what was changed
 
     @property
     def beginning(self) -> str:
@@ -83,7 +83,7 @@ class TextTable(NamedTuple):
 
 
 class TableRows(NamedTuple):
-    """A table as it is read: its rows come one after the other, once."""
+    """A table whose rows are read one after the other, once."""
 
     header: list[str]
     rows: Iterator[tuple[int, list[str]]]
@@ -94,13 +94,13 @@ def read_text_table(path: Path) -> TextTable:
     """Read a table of any program.
 
     Args:
-        path: of the file, plain or gzip-ed.
+        path: The file, plain or gzip-ed.
 
     Returns:
         The table.
 
     Raises:
-        DataError: it cannot be read, or is no table.
+        DataError: The file cannot be read, or is not a table.
     """
     table = _table(path)
     return TextTable(table.header, list(table.rows), table.notes)
@@ -110,15 +110,15 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
     """Begin to read a table that may be larger than memory.
 
     Args:
-        path: of the file, plain or gzip-ed.
-        as_named: leave names and units of columns as they are.
-        texts: columns whose cells stay as they are; they are looked for in the first lines.
+        path: The file, plain or gzip-ed.
+        as_named: Whether names and units of columns stay as they are.
+        texts: Columns whose cells stay as they are; the line of names is the one that has them all.
 
     Returns:
-        The table, its rows as they are asked for, once.
+        The table, whose rows are read when they are asked for.
 
     Raises:
-        DataError: it cannot be read, or is no table; of a later row when that row is asked for.
+        DataError: The file cannot be read, or is not a table. Errors in a row are raised when that row is read.
     """
     return _table(path, as_named, texts)
 
@@ -126,20 +126,20 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
 def field_columns(
     path: Path, header: list[str], chips: int, needed: Sequence[str], remedy: str = "name columns as in docs/data.md"
 ) -> list[str]:
-    """Names of the columns of a board's values; a table without them, or with those of another board, is refused.
+    """Name the columns of a board's values, and refuse a table without them or with those of more chips.
 
     Args:
-        path: of the file, for messages.
-        header: names of its columns.
-        chips: of the board.
-        needed: other columns that it must have.
-        remedy: what to do where a column is missing.
+        path: The file, for messages.
+        header: Names of its columns.
+        chips: Number of chips of the board.
+        needed: Other columns that the table must have.
+        remedy: What the user is to do where a column is missing.
 
     Returns:
-        b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
+        The names b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
 
     Raises:
-        DataError: a column is missing, stands twice, or is of no chip of the board.
+        DataError: A column is missing, stands twice, or belongs to a chip that the board lacks.
     """
     values = [f"b{chip}{axis}_uT" for chip in range(chips) for axis in "xyz"]
     if missing := [name for name in (*needed, *values) if name not in header]:
@@ -162,21 +162,21 @@ def sound_rows(
     needed: Callable[[np.ndarray], np.ndarray],
     notes: ConversionLog,
 ) -> tuple[list[tuple[int, list[str]]], np.ndarray]:
-    """Rows that hold plausible numbers, and the numbers; others are damage.
+    """Read the numbers of rows, and leave out rows without plausible numbers as damaged.
 
     Args:
-        path: of the file, for messages.
-        header: names of its columns.
-        rows: lines and fields.
-        columns: whose numbers are wanted.
-        needed: says of a mask (n, columns) of fields that are empty which of these may not be.
-        notes: that hear of damage.
+        path: The file, for messages.
+        header: Names of its columns.
+        rows: The number of each line, and its fields.
+        columns: Names of the columns to read.
+        needed: Takes the mask (n, columns) of empty fields, and returns the mask of fields that may not be empty.
+        notes: Log that refuses or counts damaged rows.
 
     Returns:
-        The rows that are left, and their numbers (n, columns), NaN where nothing stands.
+        The rows that are left, and their numbers (n, columns), NaN in empty fields.
 
     Raises:
-        DataError: a row is damaged, and may not be left out.
+        DataError: A row is damaged, and damaged rows may not be left out.
     """
     complete = []
     for number, cells in rows:
@@ -202,38 +202,38 @@ def sound_rows(
 
 
 def _problem(cell: str, column: str) -> str:
-    """What is wrong with a cell that holds no plausible number, and how to put it right."""
+    """Half a sentence on what is wrong with a cell without a plausible number, and what to do."""
     if cell.endswith(GROUPED_MARK):
         return "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
     if column != TIME or not (cell.endswith(NO_TIME_MARK) or re.search("[0-9][:./-][0-9]", cell)):
-        return "which is no such number; correct it"
+        return "which is not a plausible number; correct it"
     days = parse_number(as_written(cell))
     counted = " but may count days, as spreadsheets do" if days and EXCEL_DAYS[0] <= days < EXCEL_DAYS[1] else ""
     return f"which is no time in ISO 8601{counted}; write it as 2025-10-20 12:00:00.010, or in seconds"
 
 
 def names_in(header: list[str], cells: list[str], kind: str) -> str:
-    """The pad or session of a row.
+    """Find the pad or session of a row.
 
     Args:
-        header: names of the columns.
-        cells: of the row.
-        kind: of `NAME_COLUMNS`.
+        header: Names of the columns.
+        cells: Fields of the row.
+        kind: "pad" or "session".
 
     Returns:
-        Its name; the kind itself where it has none.
+        Its name; the kind itself where the row has no name.
     """
     return (cells[header.index(kind)] if kind in header else "").strip() or kind
 
 
 def beginning_of(header: list[str]) -> str:
-    """The first names of a table, for a sentence that refuses it.
+    """Describe the first line of a table, for a sentence that refuses it.
 
     Args:
-        header: names of its columns.
+        header: Names of its columns.
 
     Returns:
-        What its first line holds.
+        Half a sentence on what its first line holds.
     """
     if not header:
         return "it holds no name of a column"
@@ -246,7 +246,7 @@ def beginning_of(header: list[str]) -> str:
 
 
 def _numbers(texts: list[list[str]], columns: int) -> np.ndarray:
-    """(n, columns) numbers: NaN where nothing stands, infinite where no number does."""
+    """Numbers (n, columns): NaN for an empty text, infinite for a text that is not a number."""
     try:
         if "_" not in "".join(map("".join, texts)):  # NumPy reads 3_2 as 32
             return np.array([[text or "nan" for text in row] for row in texts], float).reshape(-1, columns)
@@ -261,42 +261,38 @@ def _number(text: str) -> float:
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:
-    try:
+    with os_errors_as_data_errors(path):
         yield from read_lines(path, encoding)
-    except OSError as error:
-        raise data_error(path, f"cannot be read ({error.strerror or error})") from error
 
 
 class _Beginning(NamedTuple):
-    """What stands before the first row of numbers, and how fields are separated."""
+    """The lines before the first row of numbers, and how fields are separated."""
 
-    names: list[str]  # of the columns, as stated
-    delimiter: str  # a space stands for any number of them
-    before: int  # lines up to the names
-    comments: int  # of these
-    titles: int  # of these, lines above the names that are none
-    sample: list[str]  # lines that follow and were read already
+    names: list[str]  # names of the columns as stated
+    delimiter: str  # a space stands for any number of spaces
+    before: int  # lines up to and with the names
+    comments: int  # comments among these lines
+    titles: int  # other lines above the names
+    sample: list[str]  # the following lines, which were read already
 
 
 class _Columns(NamedTuple):
     """Names and units of the columns that have a name."""
 
-    header: list[str]  # in our words
-    factors: list[float]  # by which numbers grow
-    stamps: bool  # times are dates, or times of day
-    texts: Sequence[str] = TEXT_COLUMNS  # columns that hold no numbers
+    header: list[str]  # our names
+    factors: list[float]  # factors from the stated units to ours
+    stamps: bool  # whether times are dates or times of day
+    texts: Sequence[str] = TEXT_COLUMNS  # columns without numbers
 
     def where(self, wanted: Callable[[str, float], bool]) -> list[int]:
-        """Columns whose name and factor are wanted."""
+        """Indices of the columns whose name and factor are wanted."""
         return [i for i, both in enumerate(zip(self.header, self.factors, strict=True)) if wanted(*both)]
 
 
 def _table(path: Path, as_named: bool = False, texts: Sequence[str] = ()) -> TableRows:
-    """Names of the columns, the rows in our words and units, and what was undone."""
-    try:
+    """The table under our names and in our units, with notes on what was changed."""
+    with os_errors_as_data_errors(path):
         encoding = encoding_of_file(path)
-    except OSError as error:
-        raise data_error(path, f"cannot be read ({error.strerror or error})") from error
     lines = _lines(path, encoding)
     begins = _beginning(lines, texts)
     parts = [cells for _, cells in _parsed(path, begins.sample, begins.delimiter, strict=False) if not _is_empty(cells)]
@@ -410,13 +406,13 @@ def _with_decimal_point(text: str) -> str:
 
 
 def _stamp(text: str) -> str:
-    """The seconds of a date or time of day; marked where it is none."""
+    """The seconds of a date or time of day; another text with a mark."""
     seconds = stamp_in_seconds(text)
     return text + NO_TIME_MARK if seconds == text and text.strip() else seconds
 
 
 def _is_decimal_time(cells: list[str]) -> bool:
-    """Test whether all times have three decimals: as thousands they would be whole seconds, as no program counts."""
+    """Test whether all times have three decimals: no program writes whole seconds with grouped thousands."""
     kinds = set(map(kind_of_number, cells))
     return len(cells) > 1 and len(kinds) == 1 and kinds.pop().startswith(MAYBE)
 
@@ -427,7 +423,7 @@ def _is_empty(cells: list[str]) -> bool:
 
 
 def _names_other_columns(words: list[str], names: list[str]) -> bool:
-    """Test for a line of names: half of them are known, or each column has another one."""
+    """Test for a line of names: half of them are names of columns, or each column has a name of its own."""
     words = [word.strip() for word in (re.split("[;\t|]", words[0]) if len(words) == 1 else words) if word.strip()]
     if len(words) < 2 or any(_is_number(word.replace(",", ".")) for word in words):
         return False
@@ -438,9 +434,10 @@ def _names_other_columns(words: list[str], names: list[str]) -> bool:
 
 
 def _beginning(lines: Iterator[str], texts: Sequence[str]) -> _Beginning:
-    """Read up to the names of the columns: the first line that is no comment, or, where that holds numbers alone, the
-    comment before it, as `numpy.savetxt` writes them, or the first of the lines below titles that names `texts`, or
-    two columns of ours.
+    """Read up to the names of the columns.
+
+    These are the first line that is not a comment. Where that line holds numbers alone, they are the comment before it,
+    as `numpy.savetxt` writes it. Below titles, they are the first line with all of `texts`, or with two of our columns.
     """
     before, comments, stated, comment, first = 0, 0, "", "", ""
     for line in lines:
@@ -480,7 +477,7 @@ def _beginning(lines: Iterator[str], texts: Sequence[str]) -> _Beginning:
 
 
 def _delimiter(names: str, rows: list[str]) -> str:
-    """What separates the names of the columns, and the fields of the first row likewise."""
+    """The delimiter that gives the line of names and the first row equally many fields."""
     row = next((line for line in rows if line.strip() and not line.startswith(COMMENT_MARK)), "")
     counts = {sign: len(_fields(names, sign)) for sign in DELIMITERS}
     alike = [sign for sign, count in counts.items() if count > 1 and (not row or count == len(_fields(row, sign)))]
@@ -489,14 +486,14 @@ def _delimiter(names: str, rows: list[str]) -> str:
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
-    """The fields of one line, of which a quoted one may hold the delimiter."""
+    """The fields of one line; a quoted field may hold the delimiter."""
     if delimiter == " ":
         return line.split()
     return next(csv.reader([line], delimiter=delimiter), [])
 
 
 def _notes_on(encoding: str, begins: _Beginning) -> list[str]:
-    """What was undone before the first row."""
+    """Sentences on the encoding and on lines before the first row."""
     notes = []
     if encoding != UTF_8:
         named = ENCODING_NAMES.get(encoding, encoding.upper())
@@ -512,8 +509,8 @@ def _notes_on(encoding: str, begins: _Beginning) -> list[str]:
 
 
 def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str]) -> _Columns:
-    """Columns in our words and units, by their names and the cells of the first rows that hold any."""
-    ours = _one_clock(stated, [_in_our_words(name) for name in stated])
+    """Columns under our names and in our units, by the stated names and the non-empty cells of the first rows."""
+    ours = _one_clock(stated, [_our_name(name) for name in stated])
     header, factors = [name for name, _ in ours], [factor for _, factor in ours]
     bare = next((i for i, name in enumerate(stated) if _plain_name(name).lstrip("%") in STAMPS), None)
     at = header.index(TIME) if TIME in header else bare
@@ -569,13 +566,13 @@ def _are_units(cells: list[str]) -> bool:
 
 
 def _with_unit(path: Path, name: str, unit: str = "") -> str:
-    """A column's name with the unit that stands below it, where it makes the name one that is understood; DataError
-    where the name has another unit.
+    """A column's name, with the unit below it where only both together are understood; raises DataError where the name
+    states another unit.
     """
     plain = UNIT_BRACKETS.sub("", unit)
     if _is_ours(name):
         stem, _, own = _plain_name(name).rpartition("_")
-        if plain and _in_our_words(f"{stem}_{plain}") != _in_our_words(name):
+        if plain and _our_name(f"{stem}_{plain}") != _our_name(name):
             raise DataError(f"{path}: column {name} has the unit {own} by its name and {plain} below it; correct one")
         return name
     both = f"{name}_{plain}"
@@ -584,7 +581,7 @@ def _with_unit(path: Path, name: str, unit: str = "") -> str:
 
 def _is_ours(name: str) -> bool:
     """Test for the name of a quantity with its unit."""
-    stem, _, unit = _in_our_words(name)[0].rpartition("_")
+    stem, _, unit = _our_name(name)[0].rpartition("_")
     quantity = "field" if FIELD_STEM.fullmatch(stem) else QUANTITY_OF.get(stem)
     return quantity is not None and unit == UNITS[quantity][0]
 
@@ -595,14 +592,14 @@ def _is_read(name: str) -> bool:
 
 
 def _is_field_or_ours(name: str) -> bool:
-    """Test for the name of a column, of which the unit may stand elsewhere."""
+    """Test for the name of a column that is read, with or without its unit."""
     return _is_read(name) or FIELD_STEM.fullmatch(_plain_name(name)) is not None
 
 
 def _parsed(
     path: Path, lines: Iterable[str], delimiter: str, before: int = 0, *, strict: bool = True
 ) -> Iterator[tuple[int, list[str]]]:
-    """Fields of each row that has any, and the number of its line, of which `before` were read already."""
+    """Number of the line and fields of each row that has any; `before` lines were read already."""
     if delimiter == " ":
         yield from ((before + k, line.split()) for k, line in enumerate(lines, 1) if line.strip())
         return
@@ -616,14 +613,14 @@ def _parsed(
 
 
 def _plain_name(name: str) -> str:
-    """A column's name in small letters, with its unit after a line: x_mm for X [mm], or x/mm."""
+    """A column's name in small letters, with its unit after an underscore: x_mm for X [mm] or x/mm."""
     plain = re.sub(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]$", r"_\1", name)
     plain = re.sub(r"\s*/\s*([^\s/]+)$", r"_\1", plain)
     return plain.translate(MICRO_SIGNS).replace(" ", "_").lower()
 
 
-def _in_our_words(name: str) -> tuple[str, float]:
-    """A column's name here, and the factor by which its numbers grow."""
+def _our_name(name: str) -> tuple[str, float]:
+    """Our name of a column, and the factor from its unit to ours."""
     plain = _plain_name(name)
     if plain in WORDS:
         return WORDS[plain], 1.0
@@ -639,8 +636,9 @@ def _in_our_words(name: str) -> tuple[str, float]:
 
 
 def _scaled(text: str, factor: float) -> str:
-    """A number in another unit; what is no number stays, and is judged later."""
-    return repr(factor * float(text)) if factor != 1 and _is_number(text) else text
+    """A number in another unit; a text that is not a number stays as it is, and is judged later."""
+    number = parse_number(text)
+    return text if number is None else repr(factor * number)
 
 
 def _is_number(text: str) -> bool:

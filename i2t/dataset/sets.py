@@ -14,7 +14,7 @@ from i2t.errors import DataError
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 from i2t.windows import PATCH_WINDOW, REACH, WIDE_PIXELS
 
-NOT_STATED = "not stated"  # of recordings in a layout that does not say whether they are real
+NOT_STATED = "not stated"  # source of recordings in a layout that does not say whether they are real
 SIMULATED_SOURCES = ("simulated", "mixed")
 SOURCES = (*SIMULATED_SOURCES, "real", NOT_STATED)
 INDICES = ("object", "pad", "session", "code")
@@ -149,19 +149,19 @@ def holds_simulated(source: str) -> bool:
     """Test whether any of a data set is known to be simulated.
 
     Args:
-        source: Of the data set.
+        source: The source of the data set, one of `SOURCES`.
 
     Returns:
-        False where it is real, and where nobody stated it.
+        True for "simulated" and "mixed"; False for "real" and "not stated".
     """
     return source in SIMULATED_SOURCES
 
 
 def source_words(source: str) -> str:
-    """The source of a data set for a person.
+    """Word the source of a data set for a sentence.
 
     Args:
-        source: Of the data set.
+        source: The source of the data set, one of `SOURCES`.
 
     Returns:
         "simulated", "real", "mixed" or "source not stated".

@@ -44,12 +44,12 @@ OTHER_KEYS = {
     "image_width": "width", "image_height": "height", "ppx": "cx", "ppy": "cy", "distortion_model": "model",
     "D": "coefficients", "d": "coefficients", "coeffs": "coefficients", "distortion_coefficients": "coefficients",
 }  # fmt: skip
-MATRIX_KEYS = ("K", "k", "camera_matrix", "intrinsic_matrix")  # 3 x 3, in any of which fx, fy, cx and cy stand
-PROJECTION_KEYS = ("P", "p", "projection_matrix")  # 3 x 4, of the rectified image
-ROTATION_KEYS = ("R", "r", "rectification_matrix")  # 3 x 3, of the rectification
-PART_KEYS = ("roi", "binning_x", "binning_y")  # of ROS, of images that are a part of the sensor's, or reduced
+MATRIX_KEYS = ("K", "k", "camera_matrix", "intrinsic_matrix")  # 3 x 3 matrix of fx, fy, cx and cy
+PROJECTION_KEYS = ("P", "p", "projection_matrix")  # 3 x 4 matrix of the rectified image
+ROTATION_KEYS = ("R", "r", "rectification_matrix")  # 3 x 3 rotation of the rectification
+PART_KEYS = ("roi", "binning_x", "binning_y")  # keys of ROS for cropped or binned images
 TEXT_KEYS = ("header", "camera_name", "frame_id")
-LENS_TOLERANCE = 1e-3  # by which focal lengths of two matrices of one lens may differ
+LENS_TOLERANCE = 1e-3  # largest relative difference between two matrices of one lens
 
 
 def read_view(path: str | Path) -> tuple[Camera, View]:
@@ -156,7 +156,7 @@ def _own_names(table: dict[str, Any]) -> dict[str, Any]:
         raise ValueError("R turns a rectified image; for a raw one leave out R and P")
     for key, value in parts:
         if _is_part(value, (0, 1, own.get("width"), own.get("height"))):
-            raise ValueError(f"{key} is {value}, of an image that is a part of the sensor's; give its own lens")
+            raise ValueError(f"{key} is {value}, so the image is cropped or binned; give the lens of that image")
     return own
 
 
@@ -173,7 +173,7 @@ def _numbers(key: str, value: Any) -> list[float]:
     try:
         return np.asarray(value, np.float64).ravel().tolist()
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{key} is no list of numbers; write it as ROS does, row after row") from error
+        raise ValueError(f"{key} is not a list of numbers; write it as ROS does, row after row") from error
 
 
 def _pinhole(key: str, matrix: list[float]) -> tuple[float, float, float, float]:

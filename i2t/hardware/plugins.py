@@ -84,10 +84,10 @@ def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> Devic
     given = f"{option or f'--{kind}'} {name}"
     found = _registered(kind, name)
     if not found and ":" not in name:
-        known = sorted({each.name for each in entry_points(group=GROUPS[kind])})
-        listed = ", ".join(known) or "none: install i2t again"
+        names = sorted({entry.name for entry in entry_points(group=GROUPS[kind])})
+        listed = ", ".join(names) or "none: install i2t again"
         remedy = f"give a name that an installed package registers ({listed}), or package.module:Class"
-        raise ValueError(f"{given} is not known; {did_you_mean(name, known, remedy)}")
+        raise ValueError(f"{given} is not known; {did_you_mean(name, names, remedy)}")
     if len(found) > 1:
         owners = ", ".join(each.value for each in found)
         raise ValueError(f"{given}: several packages register it ({owners}); give package.module:Class")

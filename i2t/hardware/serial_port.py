@@ -1,4 +1,4 @@
-"""Who else uses a serial port, and why one may not be opened, as far as the system tells.
+"""Which programs use a serial port, and why a port may not be opened, as far as the system shows it.
 
 A port may be open in several programs at once; each byte then reaches one of them. The lock that pyserial takes holds
 off only programs that ask for it; `TIOCEXCL` holds off all that are opened later (root's excepted). Programs that have
@@ -22,13 +22,13 @@ OFTEN_READ_PORTS = "ModemManager or a serial monitor"
 
 
 def users_of(port: str) -> dict[int, str]:
-    """Programs that have a port open.
+    """Find the programs that have a port open.
 
     Args:
-        port: Its name, or a link to it.
+        port: Name of the port, or a link to it.
 
     Returns:
-        Their names by process ids; without those that the system does not show to this user.
+        The names of the programs by process id, without those that the system does not show to this user.
     """
     target, users = os.path.realpath(port), {}
     for folder in PROCESSES.glob("[0-9]*"):
@@ -49,10 +49,10 @@ def other_users(port: str) -> str:
     """Name the other programs that have a port open.
 
     Args:
-        port: Its name, or a link to it.
+        port: Name of the port, or a link to it.
 
     Returns:
-        Such as "cat (process 12) and screen (process 34)"; "" where none is known.
+        A list such as "cat (process 12) and screen (process 34)"; "" where no other program is found.
     """
     others = {process: name for process, name in users_of(port).items() if process != os.getpid()}
     return " and ".join(f"{name} (process {process})" for process, name in sorted(others.items()))
@@ -62,8 +62,8 @@ def keep_others_out(line: Any, keep: bool = True) -> None:
     """Let no other program open a port that is open here; without effect where the system has no such thing.
 
     Args:
-        line: An open `serial.Serial`.
-        keep: False lets them in again.
+        line: The open port, a `serial.Serial`.
+        keep: Whether to keep other programs out; False lets them in again.
     """
     if termios is not None:
         with contextlib.suppress(OSError, ValueError, TypeError):  # closed already, or no terminal
@@ -74,7 +74,7 @@ def why_forbidden(port: str) -> str:
     """Say why this user may not open a port, and what to do.
 
     Args:
-        port: Its name.
+        port: Name of the port.
 
     Returns:
         A sentence without a full stop.

@@ -19,7 +19,7 @@ from i2t.objects.orientation import directed_edges, encloses, turned_outward
 from i2t.objects.solids import Mesh
 
 MERGE_M = 1e-8  # m
-MAX_DUST_SHARE = 1e-3  # of the area: of the largest piece for a grain of dust, of the mesh for all of them
+MAX_DUST_SHARE = 1e-3  # largest area of one grain of dust, of the largest piece, and of all dust, of the mesh
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class CleaningReport:
     faces: int  # kept
     vertices_merged: int
     degenerate: int  # faces without area, dropped
-    repeated: int  # faces given twice and walls between two bodies, dropped
+    repeated: int  # repeated faces and walls between two bodies, dropped
     pieces: int  # edge-connected pieces that were kept
     pieces_dropped: int  # dust, or all but the largest piece where only that was asked for
     area_dropped: float  # fraction of the area, in those pieces
@@ -135,7 +135,7 @@ def _merge_vertices(mesh: trimesh.Trimesh) -> None:
 
 
 def _dust(areas: NDArray) -> NDArray:
-    """Mask of pieces that are dust of a scan; none where small pieces add up to more, as the screws of a machine do."""
+    """Mask of pieces that are dust of a scan. Small pieces with much area together, such as screws, are not dust."""
     small = areas <= MAX_DUST_SHARE * areas.max()
     return small & (areas[small].sum() <= MAX_DUST_SHARE * areas.sum())
 
@@ -189,18 +189,17 @@ def _spare_walls(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Walls of repeated faces: the wall of each of these faces, and which walls may be spared and which are fins.
 
-    Repeated faces that are connected are a wall, and the edges of its rim have single faces. Where these are two at
-    each edge of the rim, the surface is closed without the wall. A wall with other edges that end in the air is a fin,
-    if it is small.
+    Connected repeated faces form a wall, and single faces meet it at its rim. Where each edge of the rim has an even
+    number of single faces, the surface is closed without the wall. If it is small and has other edges, it is a fin.
 
     Args:
         faces: (n, 3) faces, no two with the same corners.
-        repeated: Rows of those that were given more than once.
-        single: (n,) mask of the others.
-        areas: (n,) of the faces.
+        repeated: (k,) rows of the faces that were given more than once.
+        single: (n,) mask of the other faces.
+        areas: (n,) areas of the faces (m^2).
 
     Returns:
-        The wall (number) of each repeated face, and two masks of walls.
+        The number of the wall of each repeated face (k,), and masks of the walls that may be spared and of fins.
     """
     edge = np.unique(_edges(faces), axis=0, return_inverse=True)[1].reshape(3, -1)
     others = np.bincount(edge[:, single].ravel(), minlength=int(edge.max()) + 1)

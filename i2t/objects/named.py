@@ -31,16 +31,16 @@ def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bo
 
     if catalogue and name in NAMES:
         return
-    said, path = f"{flag} {name}".strip(), Path(name)
+    subject, path = f"{flag} {name}".strip(), Path(name)
     if not path.is_file():
         what = "is neither a mesh file nor an object of the catalogue" if catalogue else "is not a mesh file"
         if path.is_dir():
-            raise ValueError(f"{said}: {what} but a folder; name a file in it")
+            raise ValueError(f"{subject}: {what} but a folder; name a file in it")
         if path.suffix or len(path.parts) > 1:
-            raise ValueError(f"{said}: {what}, as there is no such file; check the name{_folder_hint(path)}")
-        raise ValueError(f"{said}: {what}" + (f"; {did_you_mean(name, NAMES, CATALOGUE_HINT)}" if catalogue else ""))
+            raise ValueError(f"{subject}: {what}, as there is no such file; check the name{_folder_hint(path)}")
+        raise ValueError(f"{subject}: {what}" + (f"; {did_you_mean(name, NAMES, CATALOGUE_HINT)}" if catalogue else ""))
     if unit is None:
-        raise ValueError(f"{said}: say in which unit the file is, for instance --unit mm")
+        raise ValueError(f"{subject}: say in which unit the file is, for instance --unit mm")
 
 
 def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> "Object":

@@ -18,15 +18,15 @@ from scipy.sparse.csgraph import connected_components
 
 from i2t.objects.solids import Mesh
 
-POINTS, MAX_POINTS = 9, 128  # of a part at least, and of all, beside which winding numbers are looked at
-NEAR = 1e-5  # of the mesh's size, from a face to the points beside it
-FAR = 3.0  # radii of a part, from where on it counts as one dipole
+POINTS, MAX_POINTS = 9, 128  # fewest points at which winding numbers are computed next to a part, and most in all
+NEAR = 1e-5  # distance of these points from their face, relative to the mesh's size
+FAR = 3.0  # distance, in radii of a part, from which the part counts as one dipole
 BLOCK = 2**14  # pairs of faces and points that are held at once
-MAX_JUDGED_PARTS = 2000  # beyond which closed parts are judged by their own volume alone, and open ones not at all
-MAX_HOLED_PARTS = 8  # beyond which each is judged by the mean number beside it alone
-MIN_EVIDENCE = 0.65  # from 0 (a sheet) to 1 (a closed body), for a part to be turned; half a sphere has 0.63
-MIN_OTHERS = 1.0  # by how much a part with holes makes the numbers beside all parts whole, to be turned
-NEGATIVE, NEGATIVE_SHARE = -0.9, 1e-3  # a winding number inside what is inside out; share of the area that counts
+MAX_JUDGED_PARTS = 2000  # with more parts, closed ones are judged by their own volume alone, and open ones not at all
+MAX_HOLED_PARTS = 8  # with more parts with holes, each is judged by the mean winding number next to it alone
+MIN_EVIDENCE = 0.65  # least evidence to turn a part, from 0 (a sheet) to 1 (a closed body); half a sphere has 0.63
+MIN_OTHERS = 1.0  # least gain in whole winding numbers next to all parts, for a part with holes to be turned
+NEGATIVE, NEGATIVE_SHARE = -0.9, 1e-3  # winding number below which a point lies inside out; least share of such area
 
 
 def turned_outward(mesh: Mesh) -> Mesh:
@@ -76,20 +76,20 @@ def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
     _, edge, uses = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(edge.reshape(-1), kind="stable")
     pairs = order[uses[edge.reshape(-1)[order]] == 2].reshape(-1, 2)
-    one, other = (pairs % n).T
+    left, right = (pairs % n).T
     alike = (directed[pairs[:, 0]] == directed[pairs[:, 1]]).all(1)  # then one of the two has to be turned
-    joined = np.concatenate([other + n * alike, other + n * ~alike])
-    graph = coo_array((np.ones(2 * len(one)), (np.concatenate([one, one + n]), joined)), (2 * n, 2 * n))
+    joined = np.concatenate([right + n * alike, right + n * ~alike])
+    graph = coo_array((np.ones(2 * len(left)), (np.concatenate([left, left + n]), joined)), (2 * n, 2 * n))
     _, half = connected_components(graph, directed=False)
     given = np.bincount(half[:n], areas, int(half.max()) + 1)
-    one, other = half[:n], half[n:]
-    turned = (given[one] < given[other]) | ((given[one] == given[other]) & (one > other))
-    part = np.unique(np.minimum(one, other), return_inverse=True)[1].reshape(-1)
+    kept, flipped = half[:n], half[n:]  # the halves that hold a face as it is, and turned
+    turned = (given[kept] < given[flipped]) | ((given[kept] == given[flipped]) & (kept > flipped))
+    part = np.unique(np.minimum(kept, flipped), return_inverse=True)[1].reshape(-1)
     count = int(part.max()) + 1
     closed = 2 * np.bincount(part[pairs[:, 0] % n], minlength=count) == 3 * np.bincount(part)
     holed = np.bincount(part[np.flatnonzero(uses[edge.reshape(-1)] == 1) % n], minlength=count) > 0
     halved = np.zeros(count, bool)
-    halved[part] = np.isclose(given[one], given[other])
+    halved[part] = np.isclose(given[kept], given[flipped])
     return np.where(turned[:, None], faces[:, ::-1], faces), _Parts(part, closed, holed, halved)
 
 

@@ -219,8 +219,8 @@ def _least(loss: Callable[[np.ndarray], float], starts: Sequence[np.ndarray], bo
         finite = all(np.isfinite(loss(start)) for start in starts)
     if not finite:
         raise ValueError("the log loss of these beliefs is not finite; look for probabilities that are not")
-    found: np.ndarray = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds).x
-    return found
+    best: np.ndarray = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds).x
+    return best
 
 
 def apply_platt(

@@ -131,8 +131,8 @@ def infer_patch(
         posterior.mean, posterior.mask_probability, jnp.quantile(posterior.patch, 0.9, axis=0)
     """
     if not validation.is_traced(force):
-        known = np.asarray(force, float)
-        validation.forces("force", known[np.isfinite(known)], measured=True)
+        forces = np.asarray(force, float)
+        validation.forces("force", forces[np.isfinite(forces)], measured=True)
     reading = jnp.atleast_2d(jnp.asarray(reading))
     force = jnp.atleast_1d(jnp.asarray(force, reading.dtype))
     made = jnp.all(jnp.isfinite(reading), axis=1) & jnp.isfinite(force)

@@ -63,8 +63,8 @@ def lag_between(labels: Float[np.ndarray, "n k"], readings: Float[np.ndarray, "n
     rows = thinned(n - 2 * max_lag, LAG_ROWS) + max_lag
     if len(rows) < MIN_LAG_ROWS:
         enough = MIN_LAG_ROWS + 2 * max_lag
-        said = f"A lag of the labels is not identifiable: {n} presses are too few ({enough} are enough)."
-        return Finding(LAG, said, False)
+        sentence = f"A lag of the labels is not identifiable: {n} presses are too few ({enough} are enough)."
+        return Finding(LAG, sentence, False)
     r2 = {lag: smooth_r2(labels[rows + lag], readings[rows]) for lag in range(-max_lag, max_lag + 1)}
     best = max(r2, key=lambda lag: r2[lag])
     near = [lag for lag in r2 if 0 < abs(lag - best) <= 3]
@@ -107,8 +107,7 @@ def find_height_axis(presses: RecordedPresses) -> Finding:
     if len(norm) < MIN_LAG_ROWS or np.ptp(depth) == 0 or np.ptp(norm) == 0:
         few = f"{len(norm)} presses are too few ({MIN_LAG_ROWS} are enough)"
         why = few if len(norm) < MIN_LAG_ROWS else "all heights, or all readings, are alike"
-        said = f"The direction of the height is not identifiable: {why}."
-        return Finding(HEIGHT_AXIS, said, False)
+        return Finding(HEIGHT_AXIS, f"The direction of the height is not identifiable: {why}.", False)
     ranks = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
     evidence = {"rank_correlation": ranks, "presses": len(norm)}
     found = f"(rank correlation with the depth {ranks:+.2f})"

@@ -98,7 +98,7 @@ def test_a_pad_is_found_again_from_presses_by_force_at_symmetric_places():
     fitted, start = fit(max_layer_presses=40, linearizations=6), fit(linearizations=0)
     np.testing.assert_allclose(fitted.layer.thickness, pad.thickness, rtol=0.02)
     np.testing.assert_allclose(fitted.layer.young, pad.young, rtol=0.05)
-    errors = [np.sum((readings - found.leave_one_out) ** 2) for found in (fitted, start)]
+    errors = [np.sum((readings - pad_fit.leave_one_out) ** 2) for pad_fit in (fitted, start)]
     assert errors[0] < 0.5 * errors[1]
 
 
@@ -120,9 +120,9 @@ def test_derivatives_of_designs_against_differences_in_double_precision(board, b
             design, coordinates = exact_design(board, tip, by_force)
             for row, (at, load) in enumerate(pairs):
                 run = partial(design, position=jnp.asarray(at, float), load=jnp.asarray(load))
-                for found, way in zip(changes[:, row], np.eye(coordinates), strict=True):
+                for derivative, way in zip(changes[:, row], np.eye(coordinates), strict=True):
                     difference = (np.asarray(run(step * way)) - run(-step * way)) / (2 * step)
-                    assert np.abs(found - difference).max() <= 2e-3 * np.abs(difference).max()
+                    assert np.abs(derivative - difference).max() <= 2e-3 * np.abs(difference).max()
 
 
 def exact_design(board, tip, by_force):

@@ -93,9 +93,9 @@ def test_a_chip_that_sends_zeros_costs_its_samples_and_no_more(tmp_path, capsys)
     mean = field.mean(1)
     mean[2] = field[2, heard].mean(0)
     np.testing.assert_allclose(touches.reading, mean.reshape(8, 15)[np.arange(8) != 5] - 1, atol=UT)
-    said = capsys.readouterr().out
-    assert "left out: 1 touches in which a chip did not answer" in said
-    assert "chip 4 in 1" in said
+    printed = capsys.readouterr().out
+    assert "left out: 1 touches in which a chip did not answer" in printed
+    assert "chip 4 in 1" in printed
 
 
 def test_objects_and_runs_keep_their_names_and_the_order_of_counting(tmp_path):
@@ -135,8 +135,8 @@ def test_a_hole_of_65535_is_no_surface_and_images_in_another_unit_are_noted(tmp_
     for file, image in zip(files, truth.depth, strict=True):
         tifffile.imwrite(file, np.where(image < 65535, 10 * image, image).astype(np.uint16))
     tenths = converted("imagine2touch", tmp_path / "src", tmp_path / "tenths").touches
-    said = capsys.readouterr().out
-    assert f"begins {1e3 * np.median(tenths.nearest):.3g} mm in front of the skin at the touches" in said
+    printed = capsys.readouterr().out
+    assert f"begins {1e3 * np.median(tenths.nearest):.3g} mm in front of the skin at the touches" in printed
 
 
 def test_what_was_not_recorded_is_unknown_and_said(tmp_path, capsys):
@@ -351,7 +351,7 @@ DAMAGE = [
     ("presses", TABLE, edit(b"b4z_uT", b"b4z_uT,a0x_uT"), "give all or none"),
     ("presses", TABLE, edit(b"b4z_uT", b"b4z_uT,b5x_uT,b5y_uT,b5z_uT"), "is of no chip of the board, which has 5"),
     ("presses", TABLE, lambda path: path.write_text(path.read_text() + "1,2\n"), "line 8 has not 18 fields"),
-    ("presses", TABLE, holds(b"\xff\xfe\x00"), "is no text"),
+    ("presses", TABLE, holds(b"\xff\xfe\x00"), "is not text"),
 ]
 LEFT = {"imagine2touch": (3, 3 + 11), "eflesh": (20, 20 + 19)}  # another run, and what is good of the damaged one
 
@@ -588,7 +588,7 @@ def test_a_small_difference_that_was_rounded_to_zero_is_a_press(tmp_path):
     assert len(converted("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4", "--as-stated")) == 60
 
 
-def test_ambient_of_a_silent_board_is_none_and_ambient_of_zero_subtracts_nothing(tmp_path):
+def test_ambient_of_zero_subtracts_nothing_unless_a_chip_or_row_alone_has_it(tmp_path, capsys):
     columns = presses_table(tmp_path / TABLE, n=20, ambient=True)
     words = (tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4", "--overwrite")
     ambient = ["a" + name[1:] for name in READING_NAMES]
@@ -597,6 +597,9 @@ def test_ambient_of_a_silent_board_is_none_and_ambient_of_zero_subtracts_nothing
     write_columns(tmp_path / TABLE, columns | dict.fromkeys(ambient, np.zeros(20)))
     raw = np.column_stack([columns[name] for name in READING_NAMES])
     np.testing.assert_allclose(converted("presses", *words, "--as-stated").touches.reading, raw, atol=UT)
+    write_columns(tmp_path / TABLE, columns | dict.fromkeys(ambient[:3], np.zeros(20)))
+    sentence = refused(capsys, "presses", *words)
+    assert "the ambient field of chip 0 is zero in every row; correct its columns a0x_uT" in sentence
 
 
 def test_what_a_column_says_of_the_source_no_option_denies(tmp_path, capsys):
@@ -736,10 +739,3 @@ def test_one_damaged_touch_costs_no_run(tmp_path, capsys, name, value):
     touches = converted(*words, tmp_path / "dst", "--skip-bad", "--as-stated").touches
     np.testing.assert_allclose(touches.reading, np.delete(truth.reading, 3, 0), atol=UT)
     assert np.isfinite(touches.force).all()
-
-
-def test_an_ambient_field_that_is_zero_for_one_chip_is_named_as_such(tmp_path, capsys):
-    zeros = dict.fromkeys(("a0x_uT", "a0y_uT", "a0z_uT"), np.zeros(6))
-    presses_table(path := tmp_path / "a.csv", ambient=True, **zeros)
-    sentence = refused(capsys, "presses", path, tmp_path / "out", "--indenter", "sphere:4")
-    assert "the ambient field of chip 0 is zero in every row; correct its columns a0x_uT" in sentence

@@ -20,28 +20,11 @@ SKIN = presses_of_a_skin(40)
 NAMES = ["x_mm", "y_mm", "depth_mm", *READING_NAMES]
 VALUES = np.column_stack([1e3 * SKIN.targets["position"], 1e3 * SKIN.targets["depth"], SKIN.readings])
 OPTIONS = ("--indenter", "sphere:4", "--window-mm", "40", "--as-stated")
+BARE = [name.rpartition("_")[0] for name in NAMES]
 
 
 def renamed(old, new):
     return [name.replace(old, new) for name in NAMES]
-
-
-WAYS = {
-    "semicolons and decimal commas": (NAMES, VALUES, lambda text: text.replace(",", ";").replace(".", ",")),
-    "tabs and a byte order mark": (NAMES, VALUES, lambda text: "\ufeff" + text.replace(",", "\t")),
-    "Windows lines": (NAMES, VALUES, lambda text: text.replace("\n", "\r\n")),
-    "capitals": ([name.upper() for name in NAMES], VALUES, lambda text: text),
-    "units in brackets": ([name.replace("_", " [") + "]" for name in NAMES], VALUES, lambda text: text),
-    "micro signs": (renamed("uT", "\u00b5T"), VALUES, lambda text: text),
-    "comments first": (NAMES, VALUES, lambda text: "# eFlesh, probe of 4 mm\n\n" + text),
-    "a column of row numbers": (["", *NAMES], np.column_stack([np.arange(40), VALUES]), lambda text: text),
-    "a comma after each row": (NAMES, VALUES, lambda text: text.replace("\n", ",\n")),
-    "metres": (renamed("_mm", "_m"), VALUES * np.r_[np.full(3, 1e-3), np.ones(15)], lambda text: text),
-    "gauss": (renamed("_uT", "_G"), VALUES * np.r_[np.ones(3), np.full(15, 1e-2)], lambda text: text),
-}
-
-
-BARE = [name.rpartition("_")[0] for name in NAMES]
 
 
 def commas(text, between=";"):
@@ -58,7 +41,18 @@ def repeated(text):
     return "\n".join([*lines[:20], lines[0], "# the second file", *lines[20:], ""])
 
 
-WAYS |= {
+WAYS = {
+    "semicolons and decimal commas": (NAMES, VALUES, commas),
+    "tabs and a byte order mark": (NAMES, VALUES, lambda text: "\ufeff" + text.replace(",", "\t")),
+    "Windows lines": (NAMES, VALUES, lambda text: text.replace("\n", "\r\n")),
+    "capitals": ([name.upper() for name in NAMES], VALUES, str),
+    "units in brackets": ([name.replace("_", " [") + "]" for name in NAMES], VALUES, str),
+    "micro signs": (renamed("uT", "\u00b5T"), VALUES, str),
+    "comments first": (NAMES, VALUES, lambda text: "# eFlesh, probe of 4 mm\n\n" + text),
+    "a column of row numbers": (["", *NAMES], np.column_stack([np.arange(40), VALUES]), str),
+    "a comma after each row": (NAMES, VALUES, lambda text: text.replace("\n", ",\n")),
+    "metres": (renamed("_mm", "_m"), VALUES * np.r_[np.full(3, 1e-3), np.ones(15)], str),
+    "gauss": (renamed("_uT", "_G"), VALUES * np.r_[np.ones(3), np.full(15, 1e-2)], str),
     "an Excel line that names the separator": (NAMES, VALUES, lambda text: "sep=;\n" + commas(text)),
     "quoted decimal commas": (NAMES, VALUES, quoted),
     "tabs and decimal commas": (NAMES, VALUES, lambda text: commas(text, "\t")),
@@ -68,11 +62,7 @@ WAYS |= {
     "units below the names": (BARE, VALUES, lambda text: text.replace("\n", "\nmm,mm,mm" + 15 * ",[uT]" + "\n", 1)),
     "units below names that have them": (NAMES, VALUES, lambda t: t.replace("\n", "\nmm,mm,mm" + 15 * ",uT" + "\n", 1)),
     "two files one after the other": (NAMES, VALUES, repeated),
-    "a comma after each row but the first": (
-        NAMES,
-        VALUES,
-        lambda text: text.replace("\n", ",\n").replace(",\n", "\n", 1),
-    ),
+    "a comma after rows but not names": (NAMES, VALUES, lambda t: t.replace("\n", ",\n").replace(",\n", "\n", 1)),
     "old Mac lines": (NAMES, VALUES, lambda text: text.replace("\n", "\r")),
 }
 
@@ -130,8 +120,8 @@ def as_npy(array):
         (pickle.dumps([1.0]), "is a Python pickle"),
         (b"\n<!DOCTYPE html><html>", "is a web page (HTML); download the file itself"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a Git LFS pointer"),
-        (b"x_mm,y_mm\n\x01\x02\x00\x03", "is no text but binary data"),
-        ("x_mm,\u529b\n1,2\n".encode("gbk") + b"\x81\n", "is no text in UTF-8 or Windows-1252"),
+        (b"x_mm,y_mm\n\x01\x02\x00\x03", "is binary data, not text"),
+        ("x_mm,\u529b\n1,2\n".encode("gbk") + b"\x81\n", "is not text in UTF-8 or Windows-1252"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -285,7 +275,7 @@ def whole_numbers(changes, between=";", rows=100):
     return between.join(NAMES) + "\n" + "".join(between.join(row) + "\n" for row in values)
 
 
-@pytest.mark.parametrize("between", [";", "\t", "|", " "])
+@pytest.mark.parametrize("between", [";", " "])
 @pytest.mark.parametrize(
     ("changes", "refused_row"),
     [
@@ -346,7 +336,7 @@ def test_rows_that_were_read_with_another_decimal_sign_end_the_reading(tmp_path)
 def test_signs_between_digits_are_no_part_of_a_number(tmp_path, capsys):
     path = tmp_path / "a.csv"
     path.write_text(whole_numbers({4: "3_2"}, ","))
-    assert "line 6 has '3_2' in column b0x_uT, which is no such number" in refused(
+    assert "line 6 has '3_2' in column b0x_uT, which is not a plausible number" in refused(
         capsys, "presses", path, tmp_path / "out", *OPTIONS
     )
     (recording,) = read_recordings(path)

@@ -73,12 +73,12 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
 def test_held_out_presses_are_never_in_a_pool():
     cfg = arguments.PRESETS["paper"]
     presses = read_presses(recording(600), "auto")
-    held, blocks = share_masks(600, presses.blocks(cfg.block_mm), cfg, 0)
+    held, blocks = share_masks(presses.blocks(cfg.block_mm), cfg, 0)
     assert held.sum() == 150
     cell = np.floor((1e3 * presses.position - (1e3 * presses.position).min(0)) / 6).astype(int)
     inside = {tuple(c) for c in cell[blocks]}
     assert inside.isdisjoint({tuple(c) for c in cell[~blocks]})
-    again, _ = share_masks(600, presses.blocks(cfg.block_mm), cfg, 0)
+    again, _ = share_masks(presses.blocks(cfg.block_mm), cfg, 0)
     np.testing.assert_array_equal(held, again)
     (split,) = hold_out(presses, cfg, 0, np.ones(600, bool), "set").splits
     np.testing.assert_array_equal(split.tests[RANDOM], np.flatnonzero(held))
@@ -169,10 +169,11 @@ def test_presses_left_out_in_turn_are_scored_as_one_test(monkeypatch):
 @pytest.mark.full
 @pytest.mark.parametrize("one_place", [False, True])
 def test_few_presses_are_calibrated_from_the_command_line(tmp_path, capsys, one_place):
-    made = recording(12)
+    recorded = recording(12)
     if one_place:
-        made = replace(made, touches=made.touches._replace(T_w_o=np.repeat(made.touches.T_w_o[:1], 12, axis=0)))
-    data.save_dataset(tmp_path / "set.h5", made)
+        T_w_o = np.repeat(recorded.touches.T_w_o[:1], 12, axis=0)
+        recorded = replace(recorded, touches=recorded.touches._replace(T_w_o=T_w_o))
+    data.save_dataset(tmp_path / "set.h5", recorded)
     assert command.main(["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out")]) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["held_out_in_turn"]

@@ -245,7 +245,7 @@ def test_a_90_percent_range_is_called_too_wide_where_chance_does_not_explain_it(
     score = heads.HeadScore(rows, rmse=0.2, median=0.1, r2=0.9, inside_90=inside / rows, unfamiliar=0.0)
     sentences = heads.missed_ranges("depth", {"random rows": score})
     assert bool(sentences) == too_wide
-    assert all(f"holds {100 * inside / rows:.0f} % of {rows} rows; it is too wide" in said for said in sentences)
+    assert all(f"holds {100 * inside / rows:.0f} % of {rows} rows; it is too wide" in text for text in sentences)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "uT"), (1e-3, "mT"), (0.01, "gauss")])

@@ -60,7 +60,7 @@ def test_several_files_are_groups_and_those_of_one_name_are_told_apart(tmp_path)
     ("text", "said"),
     [
         ("what,u\na,1\nb,\n", "line 3 lacks column u"),
-        ("what,u\na,1\nb,nan\n", "line 3 has 'nan' in column u, which is no number"),
+        ("what,u\na,1\nb,nan\n", "line 3 has 'nan' in column u, which is not a number"),
         ("what,u\na,1\nb,-1e31\n", "line 3 has '-1e31' in column u, which is beyond 1e\\+30"),
         ("what,u\na,soft\nb,2\n", "line 2 has 'soft' in column u"),
         ("what,u\na,1\n ,2\n", "line 3 has nothing in column what"),

@@ -188,15 +188,15 @@ def test_fewer_touches_than_asked_and_samples_of_one_touch_are_said_and_kept(tmp
     (tmp_path / "t.csv").write_text("\n".join(["what,grasp,a,b,c,d", *lines]) + "\n")
     words = ["recorded", "--readings", str(tmp_path / "t.csv"), "--label", "what", "--episodes", "1"]
     assert main([*words, "--ignore", "grasp", "--out", str(tmp_path / "rows")]) == 0
-    said = capsys.readouterr().out
-    assert "warning: 8" in said  # four in five rows follow a sample of the same grasp
-    assert "--touch COLUMN" in said
+    out = capsys.readouterr().out
+    assert "warning: 8" in out  # four in five rows follow a sample of the same grasp
+    assert "--touch COLUMN" in out
     assert main([*words, "--touch", "grasp", "--out", str(tmp_path / "touches")]) == 0
-    said = capsys.readouterr().out
-    assert "100 rows are samples of 20 touches, as column grasp says" in said
-    assert "episodes have 4 touches, and 10 were asked for (--max-touches): label x in group t has 10 touches" in said
-    found = json.loads((tmp_path / "touches" / "metrics.json").read_text())
-    assert (found["samples"], found["rows"], found["touches_asked"]) == (100, 20, 10)
-    assert found["splits"]["in file order"]["touches"] == 4
+    out = capsys.readouterr().out
+    assert "100 rows are samples of 20 touches, as column grasp says" in out
+    assert "episodes have 4 touches, and 10 were asked for (--max-touches): label x in group t has 10 touches" in out
+    metrics = json.loads((tmp_path / "touches" / "metrics.json").read_text())
+    assert (metrics["samples"], metrics["rows"], metrics["touches_asked"]) == (100, 20, 10)
+    assert metrics["splits"]["in file order"]["touches"] == 4
     assert main([*words, "--touch", "grasp", "--max-touches", "4", "--out", str(tmp_path / "as-asked")]) == 0
     assert "asked for" not in capsys.readouterr().out

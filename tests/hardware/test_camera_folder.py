@@ -97,7 +97,7 @@ def test_a_lens_that_is_given_twice_or_is_of_another_image_is_refused(tmp_path):
         (f"{ROS}d = {COEFFICIENTS}\n", "d gives coefficients a second time"),
         (ROS.replace("[391.2, 0.0,", "[391.2, 3.0,"), "K is .* without skew"),
         (ROS.replace("0.0, 0.0, 1.0]", "0.0]"), "K is .* give 9 numbers"),
-        (ROS.replace(MATRIX, '"wide"'), "K is no list of numbers"),
+        (ROS.replace(MATRIX, '"wide"'), "K is not a list of numbers"),
         (f"{ROS}P = {PROJECTION.replace('391.2', '350.0')}\n", "K and P are of two lenses"),
         (f"{ROS}R = [0, -1, 0, 1, 0, 0, 0, 0, 1]\n", "R turns a rectified image"),
         (f"{ROS}binning_x = 2\n", "binning_x is 2"),

@@ -132,16 +132,16 @@ while True:
 def test_a_port_that_another_program_reads_is_not_said_to_be_unplugged(tmp_path):
     link = tmp_path / "skin"  # of another name, as udev gives
     with started("--link", str(link)) as (port, _):
-        for lock, said in (False, r"is read by \S+ \(process %d\) too"), (True, r"in use by \S+ \(process %d\)"):
-            with reader_of(port, lock) as other, pytest.raises(DeviceError, match=said % other):
+        for lock, problem in (False, r"is read by \S+ \(process %d\) too"), (True, r"in use by \S+ \(process %d\)"):
+            with reader_of(port, lock) as other, pytest.raises(DeviceError, match=problem % other):
                 ReSkin(str(link)).connect()
         with ReSkin(port) as skin:
             skin.read(5, PATIENCE)
             with reader_of(port) as other:
-                said = failure(skin, f"(process {other})")
-            assert "close that program" in said
-            assert "plug" not in said
-            assert "cable" not in said
+                sentence = failure(skin, f"(process {other})")
+            assert "close that program" in sentence
+            assert "plug" not in sentence
+            assert "cable" not in sentence
         with ReSkin(port) as skin:
             skin.read(5, PATIENCE)
             refuse(DeviceError, [(ReSkin(port).connect, (), "open already in this very program")])
@@ -152,8 +152,8 @@ def test_a_second_reader_that_the_system_does_not_show_is_named_as_a_cause(tmp_p
     shared = OSError("device reports readiness to read but returned no data (device disconnected or multiple access?)")
     assert "is gone" in str(ReSkin(str(port))._lost(shared))
     port.touch()  # it is still there
-    said = str(ReSkin(str(port))._lost(shared))
-    assert "unplugged for a moment, or another program reads the port too" in said
+    sentence = str(ReSkin(str(port))._lost(shared))
+    assert "unplugged for a moment, or another program reads the port too" in sentence
     assert "is gone" in str(ReSkin(str(port))._lost(OSError(errno.EIO, "Input/output error")))
 
 

@@ -111,7 +111,7 @@ def test_files_that_are_none(tmp_path, capsys):
     file.write_bytes(b"\xff\xfe\x00")
     nowhere = (tmp_path / "nowhere.toml",)
     refuse(FileNotFoundError, [(Rig.read, nowhere, "no such file; write one to start from with python -m")])
-    refuse(ValueError, [(Rig.read, (tmp_path,), "is no file of its own but a folder"), (Rig.read, (file,), "UTF-8")])
+    refuse(ValueError, [(Rig.read, (tmp_path,), "is a folder, not a regular file"), (Rig.read, (file,), "UTF-8")])
     assert rigs.main([str(file)]) == 2
     assert rigs.main([str(file), "--example"]) == 2
     assert "exists already" in capsys.readouterr().err

@@ -12,9 +12,7 @@ BOX = (0.06, 0.04, 0.02)  # m
 
 
 def box(extents=BOX, at=(0.0, 0.0, 0.0)) -> Mesh:
-    made = trimesh.creation.box(extents)
-    made.apply_translation(at)
-    return plain(made)
+    return plain(trimesh.creation.box(extents).apply_translation(at))
 
 
 def turned(mesh: Mesh) -> Mesh:
@@ -182,8 +180,8 @@ def test_each_of_several_bodies_is_judged_by_itself(apart):
 
 
 def test_bodies_that_share_an_edge_alone_are_judged_by_themselves():
-    one, other = box((0.02, 0.02, 0.02), (0.01, 0.01, 0)), turned(box((0.02, 0.02, 0.02), (-0.01, -0.01, 0)))
-    mesh, _, _ = clean_mesh(joined(one, other))
+    outward, inward = box((0.02,) * 3, (0.01, 0.01, 0)), turned(box((0.02,) * 3, (-0.01, -0.01, 0)))
+    mesh, _, _ = clean_mesh(joined(outward, inward))
     assert whole(mesh).volume == pytest.approx(2 * 0.02**3)
 
 

@@ -36,6 +36,6 @@ def test_no_answer_to_a_wrong_name_lists_the_catalogue():
         for ask in (lambda name: require_object(name, None), make_object):
             with pytest.raises(ValueError, match=name) as caught:
                 ask(name)
-            assert sum(f" {known}" in str(caught.value) for known in NAMES) <= 2
+            assert sum(f" {listed}" in str(caught.value) for listed in NAMES) <= 2
     with pytest.raises(ValueError, match=r"no object is called 'hamer'; did you mean hammer\?"):
         make_object("hamer")

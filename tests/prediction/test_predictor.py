@@ -116,8 +116,8 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
         assert_same_predictions(loaded, made, patches, force=0.9, nearest=0.9e-3)
         many = loaded.predict(patches, nearest=0.9e-3)
         np.testing.assert_array_equal(many.mean, loaded.predict(patches, force=1.1, nearest=0.9e-3).mean)
-        one = loaded.predict(patches[2], nearest=0.9e-3)
-        np.testing.assert_allclose(one.mean, many.mean[2], rtol=1e-5, atol=1e-5)
+        single = loaded.predict(patches[2], nearest=0.9e-3)
+        np.testing.assert_allclose(single.mean, many.mean[2], rtol=1e-5, atol=1e-5)
         assert (many.std > 0).all()
 
 

@@ -128,11 +128,11 @@ def test_labels_that_are_all_right_or_all_wrong_are_at_most_one_trial_for_each(l
 
 
 def test_ten_labels_whose_episodes_are_one_and_the_same_set_are_ten_trials():
-    found = rate_interval(np.ones(1200), [np.repeat(np.arange(10), 120)])
-    assert (float(found.mean), round(float(found.low), 2), float(found.high)) == (1.0, 0.78, 1.0)
-    assert found == rate_interval(np.ones(10))
+    certain = rate_interval(np.ones(1200), [np.repeat(np.arange(10), 120)])
+    assert (float(certain.mean), round(float(certain.low), 2), float(certain.high)) == (1.0, 0.78, 1.0)
+    assert certain == rate_interval(np.ones(10))
     mirrored = rate_interval(np.zeros(1200), [np.repeat(np.arange(10), 120)])
-    assert (float(mirrored.low), float(mirrored.high)) == pytest.approx((0.0, 1 - float(found.low)))
+    assert (float(mirrored.low), float(mirrored.high)) == pytest.approx((0.0, 1 - float(certain.low)))
 
 
 def test_an_interval_widens_gradually_towards_certainty():
@@ -154,8 +154,8 @@ def coverage(rate: float, alike: float, labels: int, repeats: int, draws: int) -
     spread = (1 - alike) / alike
     own = rng.beta(rate * spread, (1 - rate) * spread, (labels, draws))
     hit = (rng.random((labels * repeats, draws)) < own[label]).astype(float)
-    found = rate_interval(hit, [label])
-    return float(np.mean((found.low <= rate) & (rate <= found.high)))
+    interval = rate_interval(hit, [label])
+    return float(np.mean((interval.low <= rate) & (rate <= interval.high)))
 
 
 def test_it_covers_rates_near_certainty_of_a_few_labels():

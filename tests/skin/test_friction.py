@@ -125,10 +125,10 @@ def test_derivatives_are_finite_where_all_sticks_in_the_program_that_presses():
         return shear(PAD._replace(friction=friction), pressure, jnp.asarray([1e-5, 0.0]), grid).traction
 
     run = jax.jit(lambda force: jax.jvp(lambda log: traction(0.6 * jnp.exp(log), force), (0.0,), (1.0,)))
-    found, slope = run(jnp.float32(0.5))
-    assert np.all(np.isfinite(found))
-    assert np.abs(found).max() > 0
-    np.testing.assert_allclose(slope, 0, atol=1e-6 * np.abs(found).max())  # what sticks does not ask for more friction
+    sheared, slope = run(jnp.float32(0.5))
+    assert np.all(np.isfinite(sheared))
+    assert np.abs(sheared).max() > 0
+    np.testing.assert_allclose(slope, 0, atol=1e-6 * np.abs(sheared).max())  # more friction changes nothing that sticks
 
 
 @pytest.mark.full

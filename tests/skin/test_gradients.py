@@ -142,16 +142,16 @@ def _along(dtype, forced, tolerance):
 def test_single_precision_is_enough_at_symmetric_places(forced):
     """The mount sinks a small contact nearly as a whole: nearly nothing of it is left where the force is given."""
     run, none = _along(jnp.float32, forced, contact.CONTACT_TOLERANCE), jnp.zeros(len(PARTS), jnp.float32)
-    slope = jax.jit(lambda way: jax.jvp(run, (none,), (way,)))
-    slopes = [slope(way) for way in jnp.eye(len(PARTS), dtype=jnp.float32)]
+    along = jax.jit(lambda way: jax.jvp(run, (none,), (way,)))
+    slopes = [along(way) for way in jnp.eye(len(PARTS), dtype=jnp.float32)]
     with jax.enable_x64(True):
         exact, step = jax.jit(_along(jnp.float64, forced, EXACT)), 1e-5
         ends = [[np.asarray(exact(sign * step * way)) for sign in (1, -1)] for way in np.eye(len(PARTS))]
-    for (pressure, found), (ahead, behind) in zip(slopes, ends, strict=True):
+    for (pressure, slope), (ahead, behind) in zip(slopes, ends, strict=True):
         assert np.all((ahead > 0) == (pressure > 0))  # the contact set is fixed, and that of single precision
         assert np.all((behind > 0) == (pressure > 0))
         difference = (ahead - behind) / (2 * step)
-        assert np.all(np.abs(found - difference).max((2, 3)) <= ASKED * np.abs(difference).max((2, 3)))
+        assert np.all(np.abs(slope - difference).max((2, 3)) <= ASKED * np.abs(difference).max((2, 3)))
 
 
 @pytest.mark.parametrize(("solve", "control"), [(contact.solve, 0.4e-3), (contact.solve_force, 0.7)])
@@ -170,5 +170,4 @@ def test_a_derivative_by_what_is_not_finite_is_not_finite():
     for solve, control in ((contact.solve, 0.4e-3), (contact.solve_force, 0.7)):
         way = jnp.zeros_like(height).at[10, 10].set(jnp.nan)
         run = jax.jit(lambda height, solve=solve, control=control: solve(PAD, height, control, SMALL).pressure)
-        found = jax.jvp(run, (height,), (way,))[1]
-        assert not np.isfinite(found).all()
+        assert not np.isfinite(jax.jvp(run, (height,), (way,))[1]).all()

@@ -24,9 +24,10 @@ from i2t.unknowns.labels import LAG
 def test_too_few_presses_say_how_many_are_enough(find, enough):
     rng = np.random.default_rng(0)
     place, depth, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
-    said = {n: find(RecordedPresses(place[:n], readings[:n], height=-depth[:n])).sentence for n in (enough - 1, enough)}
-    assert f"{enough - 1} presses are too few ({enough} are enough)" in said[enough - 1]
-    assert "too few" not in said[enough]
+    recorded = {n: RecordedPresses(place[:n], readings[:n], height=-depth[:n]) for n in (enough - 1, enough)}
+    sentences = {n: find(some).sentence for n, some in recorded.items()}
+    assert f"{enough - 1} presses are too few ({enough} are enough)" in sentences[enough - 1]
+    assert "too few" not in sentences[enough]
 
 
 def presses(recorded: Recorded) -> RecordedPresses:

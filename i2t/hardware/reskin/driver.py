@@ -259,13 +259,13 @@ class ReSkin(StreamedSkin):
 
     def _why_closed(self, port: str, error: OSError) -> str:
         """Sentence on a port that cannot be opened."""
-        code, said = error.errno, str(error)
-        if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in said:
+        code, message = error.errno, str(error)
+        if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in message:
             names = ", ".join(board.port for board in self.ports()) or "none"
             return f"there is no port {port} (USB serial ports here: {names}); plug the skin in or name its port"
-        if code == errno.EACCES or "PermissionError" in said:
+        if code == errno.EACCES or "PermissionError" in message:
             return why_forbidden(port)
-        if "exclusively lock" in said or code in (errno.EBUSY, errno.EAGAIN):
+        if "exclusively lock" in message or code in (errno.EBUSY, errno.EAGAIN):
             if os.getpid() in users_of(port):
                 return f"{port} is open already in this very program; name each skin's own port"
             others = other_users(port) or f"another program, such as {OFTEN_READ_PORTS}"
@@ -280,15 +280,15 @@ class ReSkin(StreamedSkin):
     def _lost(self, error: BaseException) -> DeviceError:
         port, others = self._port, other_users(self._port)
         if others:
-            said = f"the skin on {port} lost bytes to {others}, which reads the port too; {CLOSE_IT}"
+            problem = f"the skin on {port} lost bytes to {others}, which reads the port too; {CLOSE_IT}"
         elif "multiple access" in str(error) and os.path.exists(port):
-            said = (
+            problem = (
                 f"the skin on {port} broke off: it was unplugged for a moment, or another program reads the port too, "
                 f"such as {OFTEN_READ_PORTS}; check its cable, close such programs and connect again"
             )
         else:
-            said = f"the skin on {port} is gone ({error}); plug it in and connect again"
-        lost = DeviceError(said)
+            problem = f"the skin on {port} is gone ({error}); plug it in and connect again"
+        lost = DeviceError(problem)
         lost.__cause__ = error
         return lost
 

@@ -1,4 +1,4 @@
-"""What answers on the ports of a UR controller, and what a person has to change where one does not.
+"""Which ports of a UR controller answer, and what a person has to change where one does not.
 
 Sources: Universal Robots' manuals: security settings of PolyScope 5.10 (services, inbound access), RTDE guide (request
 "v" for the version of URControl, which is 10 and later on PolyScope X), release notes of PolyScope X (there is no
@@ -41,7 +41,7 @@ PORTS = (RTDE, DASHBOARD, SCRIPT)
 
 
 class Answer(enum.Enum):
-    """What came of an attempt to talk to a port, as what the controller does "on" that port."""
+    """Outcome of an attempt to talk to a port; the values are what the controller does "on" that port."""
 
     ANSWERS = "answers"
     REFUSED = "refuses connections"
@@ -52,19 +52,19 @@ class Answer(enum.Enum):
 
 
 def probe(host: str, port: Port, timeout: float = PROBE_TIMEOUT_S) -> Answer:
-    """Connect to a port and wait for its first words, where it has any.
+    """Connect to a port, and wait for its greeting if its service has one.
 
     Args:
         host: Address of the controller.
         port: One of `PORTS`.
-        timeout: s, of each step.
+        timeout: Seconds to wait for the connection, and again for the greeting.
 
     Returns:
-        What came of it.
+        The outcome of the attempt.
     """
     try:
         with socket.create_connection((host, port.number), timeout) as connection:
-            return _first_words(connection, port)
+            return _greeting(connection, port)
     except ConnectionRefusedError:
         return Answer.REFUSED
     except TimeoutError:
@@ -73,8 +73,8 @@ def probe(host: str, port: Port, timeout: float = PROBE_TIMEOUT_S) -> Answer:
         return Answer.NO_ROUTE
 
 
-def _first_words(connection: socket.socket, port: Port) -> Answer:
-    if port == SCRIPT:  # who connects there is sent states, or nothing at all
+def _greeting(connection: socket.socket, port: Port) -> Answer:
+    if port == SCRIPT:  # it sends states or nothing, so a connection is enough
         return Answer.ANSWERS
     try:
         if port == RTDE:
@@ -87,14 +87,14 @@ def _first_words(connection: socket.socket, port: Port) -> Answer:
 
 
 def controller_version(host: str, timeout: float = PROBE_TIMEOUT_S) -> tuple[int, ...]:
-    """Version of URControl, as RTDE tells it.
+    """Ask the RTDE server of a controller for the version of URControl.
 
     Args:
         host: Address of the controller.
-        timeout: s, of each step.
+        timeout: Seconds to wait for the connection, and again for each answer.
 
     Returns:
-        Major, minor, bug fix and build; empty where the controller does not tell.
+        The numbers major, minor, bug fix and build; an empty tuple where RTDE does not answer.
     """
     try:
         with socket.create_connection((host, RTDE.number), timeout) as connection:
@@ -108,7 +108,7 @@ def controller_version(host: str, timeout: float = PROBE_TIMEOUT_S) -> tuple[int
 
 
 def why_no_answer(host: str) -> str:
-    """Ask all ports of a controller of which one did not answer, and say what to change.
+    """Ask all ports of a controller that did not answer, and say what to change.
 
     Args:
         host: Address of the controller.
@@ -131,8 +131,8 @@ def explain(host: str, answers: Mapping[Port, Answer], version: tuple[int, ...] 
 
     Args:
         host: Address of the controller.
-        answers: Of every one of `PORTS`.
-        version: Of URControl, as `controller_version` gives it.
+        answers: The outcome for each of `PORTS`.
+        version: The version of URControl, as `controller_version` gives it.
 
     Returns:
         A sentence; "" where all ports answer.
@@ -155,27 +155,22 @@ def explain(host: str, answers: Mapping[Port, Answer], version: tuple[int, ...] 
 
 
 def _explain_all_alike(host: str, answer: Answer) -> str:
-    ports = _listed(list(PORTS))
-    match answer:
-        case Answer.REFUSED:
-            return (
-                f"The UR controller at {host} does not answer: a machine is there, and refuses connections on {ports}; "
-                "check that the address is the controller's, and that it has started."
-            )
-        case Answer.TIMED_OUT:
-            return (
-                f"The UR controller at {host} does not answer: nothing comes from that address on {ports}; check the "
-                "address, the cable, that the controller is on, and that no firewall is between."
-            )
-        case Answer.NO_ROUTE:
-            return (
-                f"The UR controller at {host} does not answer: this computer has no way to that address; check the "
-                "cable, and that this computer has an address in the controller's network."
-            )
-    return (
-        f"The UR controller at {host} does not answer: it {answer.value} on {ports}; check that the address is the "
-        "controller's, and wait until it has started."
-    )
+    ports, is_controller = _listed(list(PORTS)), "check that the address is the controller's"
+    problem, remedy = {
+        Answer.REFUSED: (
+            f"a machine is there, and refuses connections on {ports}",
+            f"{is_controller}, and that it has started",
+        ),
+        Answer.TIMED_OUT: (
+            f"nothing comes from that address on {ports}",
+            "check the address, the cable, that the controller is on, and that no firewall is between",
+        ),
+        Answer.NO_ROUTE: (
+            "this computer has no way to that address",
+            "check the cable, and that this computer has an address in the controller's network",
+        ),
+    }.get(answer, (f"it {answer.value} on {ports}", f"{is_controller}, and wait until it has started"))
+    return f"The UR controller at {host} does not answer: {problem}; {remedy}."
 
 
 def _remedy(port: Port, answer: Answer, older: bool) -> str:
