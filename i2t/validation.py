@@ -209,12 +209,12 @@ def random_key(name: str, value: Any) -> None:
         raise TypeError(f"{name}: is {_short(value)}, and no random key; give jax.random.key(0)")
 
 
-def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
+def round_tip(text: str, largest_mm: float = MAX_TIP_RADIUS_MM) -> tuple[str, float]:
     """Shape and radius of a round indenter from its name, such as `sphere:4`.
 
     Args:
         text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm; capitals do not matter.
-        largest_mm: The largest radius that makes sense, mm; more than `MAX_TIP_RADIUS_MM` never does.
+        largest_mm: The largest radius that makes sense, mm.
 
     Returns:
         "sphere" or "cylinder", and the radius in mm.
@@ -240,7 +240,6 @@ def round_tip(text: str, largest_mm: float) -> tuple[str, float]:
         raise ValueError(f"its radius is {size}, and must be positive, in mm")
     if radius < MIN_TIP_RADIUS_MM:
         raise ValueError(f"its radius of {size} mm is smaller than {MIN_TIP_RADIUS_MM:g} mm; give it in mm, not in m")
-    largest_mm = min(largest_mm, MAX_TIP_RADIUS_MM)
     if not radius <= largest_mm:
         raise ValueError(f"its radius of {size} mm is larger than {largest_mm:g} mm; give it in mm")
     return shape, radius

@@ -50,7 +50,6 @@ PRESS_SOURCES = ("real", "simulated")
 TURNED_SHARE = 0.9  # share of negative depths above which the sign of all depths is turned
 MIN_TURNED = 5  # rows with a depth that this share counts at least
 MM = 1e-3  # m
-MAX_RADIUS_MM = 1000.0  # largest radius of a round indenter
 
 
 def convert(
@@ -270,7 +269,7 @@ def _tip(indenter: str, unit: str | None, notes: ConversionLog) -> Tip:
             f"--indenter {indenter}: a mesh is named with its file, as mesh:{'FILE' if kind == 'mesh' else indenter}"
         )
     try:
-        shape, radius = validation.round_tip(indenter, MAX_RADIUS_MM)
+        shape, radius = validation.round_tip(indenter)
     except ValueError as error:
         kinds = "" if str(error).endswith("?") else "; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE"
         raise DataError(f"--indenter {indenter}: {error}{kinds}") from None

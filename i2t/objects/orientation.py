@@ -18,10 +18,11 @@ from scipy.sparse.csgraph import connected_components
 
 from i2t.objects.solids import Mesh
 
-POINTS, MAX_POINTS = 9, 128  # fewest points at which winding numbers are computed next to a part, and most in all
+POINTS, MANY_POINTS = 9, 64  # of a part, beside which winding numbers are looked at: at least, and of one of two
 NEAR = 1e-5  # distance of these points from their face, relative to the mesh's size
 FAR = 3.0  # distance, in radii of a part, from which the part counts as one dipole
 BLOCK = 2**14  # pairs of faces and points that are held at once
+ROUNDING = 1e-9
 MAX_JUDGED_PARTS = 2000  # with more parts, closed ones are judged by their own volume alone, and open ones not at all
 MAX_HOLED_PARTS = 8  # with more parts with holes, each is judged by the mean winding number next to it alone
 MIN_EVIDENCE = 0.65  # least evidence to turn a part, from 0 (a sheet) to 1 (a closed body); half a sphere has 0.63
@@ -93,65 +94,83 @@ def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
     return np.where(turned[:, None], faces[:, ::-1], faces), _Parts(part, closed, holed, halved)
 
 
-def _inside_out(corners: NDArray, given: _Parts) -> NDArray:
+class _Field(NamedTuple):
+    """Winding numbers at points close to the faces of every part, on both sides of them."""
+
+    owner: NDArray  # (k,) part of each point
+    weight: NDArray  # (k,) area (m^2) that each point stands for
+    shares: NDArray  # (parts, k) number that each part adds, as it is wound
+    volume: NDArray  # (parts,) signed volume of each part, where it is closed
+    parts: _Parts
+
+    def mean(self, values: NDArray) -> NDArray:
+        """Mean over the area of each part (parts,) of values at the points (k,)."""
+        count = len(self.shares)
+        return np.bincount(self.owner, self.weight * values, count) / np.bincount(self.owner, self.weight, count)
+
+
+def _inside_out(corners: NDArray, parts: _Parts) -> NDArray:
     """Mask (parts,) of those that are to be turned so that no part encloses a negative winding number.
 
     Starting from the parts as they are, and from all of them turned, the part with the most negative number beside its
-    faces is turned until none is left; of both results the one with fewer negative numbers is taken.
+    faces is turned until none is left. Of both results the one with fewer negative numbers is taken.
 
     Args:
         corners: (m, 3, 3) corners of the faces (m).
-        given: Parts of the faces.
+        parts: The parts of the faces.
 
     Returns:
         The mask.
     """
-    part, closed = given.of_face, given.closed
-    parts = len(closed)
-    areas = np.linalg.norm(_double_area(corners), axis=1) / 2
     middle = corners - 0.5 * (corners.min((0, 1)) + corners.max((0, 1)))
-    volume = np.bincount(part, np.linalg.det(middle), parts)
-    if (closed & (volume > 0)).all() or parts > MAX_JUDGED_PARTS:
-        return closed & (volume < 0)
-    points, owner, weight = _points_beside(corners, part, areas)
-    shares = _winding_numbers(corners, part, points)  # (parts, points)
-
-    own = np.bincount(owner, weight, parts)
-    holed = np.flatnonzero(given.holed)
-
-    def by_mean(sign: NDArray, number: NDArray) -> NDArray:
-        """How far each part is a body (1), a sheet (0) or inside out (-1), by the numbers beside it."""
-        mean = 2 * np.bincount(owner, weight * number, parts) / own
-        negative = np.bincount(owner, number < -0.5, parts) > 0  # else a closed part is a cavity
-        return np.where(closed, np.where((sign * volume < 0) & negative, -1.0, 1.0), mean)
-
-    def by_others(sign: NDArray, number: NDArray) -> NDArray:
-        """The same of each part with holes, by the numbers beside all parts, which two halves make whole."""
-        result, now = np.ones(parts), weight @ _implausible(number)
-        for part in holed:
-            result[part] = 2 * (weight @ _implausible(number - 2 * sign[part] * shares[part]) - now) / own[part]
-        return result
-
-    def settled(sign: NDArray) -> tuple[NDArray, float]:
-        number = sign @ shares
-        rules = [(by_mean, MIN_EVIDENCE)] + [(by_others, MIN_OTHERS)] * (len(holed) <= MAX_HOLED_PARTS)
-        for evidence, wanted in rules:
-            for _ in range(2 * parts):
-                least = evidence(sign, number)
-                worst = least.argmin()
-                if least[worst] >= -wanted:
-                    break
-                sign[worst] *= -1
-                number += 2 * sign[worst] * shares[worst]
-        enclosed = np.bincount(owner, number > 0.5, parts) == np.bincount(owner)
-        sign[closed & given.halved & enclosed] *= -1  # as given it says nothing, and cavities are more usual than cores
-        return sign, float(weight[number < NEGATIVE].sum() / weight.sum())
-
-    starts = [np.ones(parts), -np.ones(parts)]
-    if weight @ shares.sum(0) < -0.5 * MIN_EVIDENCE * weight.sum():
+    volume = np.bincount(parts.of_face, np.linalg.det(middle), len(parts.closed))
+    inward = parts.closed & (volume < 0)
+    plain = parts.closed.all() and (inward.all() or not inward.any()) and (len(inward) == 1 or not parts.halved.any())
+    if plain or len(inward) > MAX_JUDGED_PARTS:
+        return inward
+    points, owner, weight = _points_beside(corners, parts.of_face)
+    field = _Field(owner, weight, _winding_numbers(corners, parts.of_face, points), volume, parts)
+    starts = [np.ones(len(volume)), -np.ones(len(volume))]
+    if weight @ field.shares.sum(0) < -0.5 * MIN_EVIDENCE * weight.sum():
         starts.reverse()
-    (first, inner), (second, others_inner) = map(settled, starts)
-    return (second if others_inner < inner - NEGATIVE_SHARE else first) < 0
+    (first, negative), (second, second_negative) = (_settled(field, start) for start in starts)
+    return (second if second_negative < negative - NEGATIVE_SHARE else first) < 0
+
+
+def _settled(field: _Field, sign: NDArray) -> tuple[NDArray, float]:
+    """Signs (parts,) after the parts that are inside out were turned, and the share of area with negative numbers."""
+    number, parts = sign @ field.shares, field.parts
+    rules = [(_evidence_beside, MIN_EVIDENCE)]
+    if parts.holed.sum() <= MAX_HOLED_PARTS:
+        rules.append((_evidence_of_all, MIN_OTHERS))
+    for evidence, wanted in rules:
+        for _ in range(2 * len(sign)):
+            least = evidence(field, sign, number)
+            worst = least.argmin()
+            if least[worst] >= -wanted:
+                break
+            sign[worst] *= -1
+            number += 2 * sign[worst] * field.shares[worst]
+    # A part that was given half turned says nothing itself, and cavities are more usual than solids inside solids.
+    enclosed = field.mean(number > 0.5) > 1 - ROUNDING
+    sign[parts.closed & parts.halved & enclosed] *= -1
+    return sign, float(field.weight[number < NEGATIVE].sum() / field.weight.sum())
+
+
+def _evidence_beside(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
+    """How far each part is a body (1), a sheet (0) or inside out (-1), by the numbers beside it."""
+    inside_out = (sign * field.volume < 0) & (field.mean(number < -0.5) > 0)  # else a closed part is a cavity
+    return np.where(field.parts.closed, np.where(inside_out, -1.0, 1.0), 2 * field.mean(number))
+
+
+def _evidence_of_all(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
+    """The same of parts with holes, by the numbers beside all parts, which two halves of one body make whole."""
+    evidence, now = np.ones(len(sign)), field.weight @ _implausible(number)
+    own = np.bincount(field.owner, field.weight, len(sign))
+    for part in np.flatnonzero(field.parts.holed):
+        turned = field.weight @ _implausible(number - 2 * sign[part] * field.shares[part])
+        evidence[part] = 2 * (turned - now) / own[part]
+    return evidence
 
 
 def _implausible(number: NDArray) -> NDArray:
@@ -159,10 +178,11 @@ def _implausible(number: NDArray) -> NDArray:
     return np.abs(number - np.round(number)) + np.maximum(-number, 0)
 
 
-def _points_beside(corners: NDArray, part: NDArray, areas: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def _points_beside(corners: NDArray, part: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Points close to some faces of each part on both sides (k, 3), the part of each (k,), and the area it is for."""
+    areas = np.linalg.norm(_double_area(corners), axis=1) / 2
     points, owner, weight = [], [], []
-    count = max(POINTS, MAX_POINTS // (int(part.max()) + 1))
+    count = max(POINTS, 2 * MANY_POINTS // max(int(part.max()) + 1, 2))
     # The R2 sequence (M. Roberts, 2018), which fills a square evenly, folded to a triangle.
     root, along = np.sqrt((np.arange(count) * 0.7548776662 + 0.5) % 1), (np.arange(count) * 0.5698402910 + 0.5) % 1
     spread = np.stack([1 - root, root * (1 - along), root * along], 1)
