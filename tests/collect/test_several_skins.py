@@ -169,7 +169,7 @@ def rig(tmp_path):
 @pytest.mark.parametrize(("old", "new", "said"), [
     ('address = "/dev/ttyACM1"', "", "skins.right names no board; add its address or its serial_number"),
     ('pad = "right pad"', 'serial_number = "E6"', "skins.right has an address and a serial_number; keep one"),
-    ("  [1.0, 0.0, 0.0, 0.02]", "  [2.0, 0.0, 0.0, 0.02]", "skins.right.T_tool_skin holds no rotation"),
+    ("  [1.0, 0.0, 0.0, 0.02]", "  [2.0, 0.0, 0.0, 0.02]", "skins.right.T_tool_skin: is not a rigid motion"),
 ])  # fmt: skip
 def test_a_rig_with_skins_is_read_as_it_was_written_and_one_that_cannot_be_is_refused(rig, old, new, said):
     path = rig("reskin", "/dev/ttyACM1")
