@@ -38,6 +38,7 @@ MAX_MESH_BYTES = 2**28  # of a file of a mesh, and of the files that it names
 MARK_OF_TOUCHES = b"i2t-touches "  # with which a file of touches begins (`i2t.dataset.files`)
 TABLE_SUFFIXES, MESH_SUFFIXES = (".csv", ".tsv", ".txt"), (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 GZIP_MARK = b"\x1f\x8b"
+UNPACKED_AT_ONCE = 2**20  # bytes
 HEAD_BYTES = 2**16  # first bytes of a file, from which its kind and its encoding are detected
 EXPORT, UNPACK = "export what you need of it as CSV in UTF-8", "unpack it first"
 # First bytes of files that are not tables, by the specification of each format, and how their numbers become a table.
@@ -335,10 +336,7 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
             while line := text.readline(MAX_LINE_BYTES):
                 number, total = number + 1, total + len(line)
                 if total > most:
-                    raise DataError(
-                        f"{path}: unpacks to more than {_size(int(most))}, as no recording does; restore it from the "
-                        "source"
-                    )
+                    raise _unpacks_to_too_much(path, most)
                 if not line.strip("\0"):  # a power cut leaves zeros at the end of a log
                     continue
                 if len(line) == MAX_LINE_BYTES and not line.endswith("\n"):
@@ -353,6 +351,32 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
         finally:
             with contextlib.suppress(ValueError, OSError, EOFError, zlib.error):
                 text.detach()  # or it would close the file a second time
+
+
+def require_unpackable(path: str | Path) -> None:
+    """Refuse a gzip-ed text that unpacks to more than numbers ever do, before any of it is parsed.
+
+    Args:
+        path: The file, plain or gzip-ed.
+
+    Raises:
+        DataError: It unpacks to too much, is damaged, or is no regular file.
+        OSError: It is missing, or cannot be read.
+    """
+    with open_regular(path) as raw, _unpacking(path):
+        if not raw.peek(2).startswith(GZIP_MARK):
+            return
+        left, text = may_grow_to(os.fstat(raw.fileno()).st_size), _unzipped(raw)
+        while chunk := text.read(UNPACKED_AT_ONCE):
+            left -= len(chunk)
+            if left < 0:
+                raise _unpacks_to_too_much(path, may_grow_to(os.fstat(raw.fileno()).st_size))
+
+
+def _unpacks_to_too_much(path: str | Path, most: float) -> DataError:
+    return DataError(
+        f"{path}: unpacks to more than {_size(int(most))}, as no recording does; restore it from the source"
+    )
 
 
 def _unzipped(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:

@@ -30,7 +30,7 @@ from i2t.convert.cells import (
 from i2t.convert.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
 from i2t.convert.common import ConversionLog, os_errors_as_data_errors
 from i2t.errors import DataError
-from i2t.files import UTF_8, WINDOWS_1252, encoding_of_file, read_lines
+from i2t.files import UTF_8, WINDOWS_1252, encoding_of_file, read_lines, require_unpackable
 
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
 FIELD_COLUMN = re.compile("b[0-9]+[xyz]_uT")  # column of a chip's value under our name
@@ -102,6 +102,8 @@ def read_text_table(path: Path) -> TextTable:
     Raises:
         DataError: The file cannot be read, or is not a table.
     """
+    with os_errors_as_data_errors(path):
+        require_unpackable(path)
     table = _table(path)
     return TextTable(table.header, list(table.rows), table.notes)
 
