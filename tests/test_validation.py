@@ -104,8 +104,8 @@ def test_what_is_no_path_is_refused():
 
 
 def test_no_tip_is_larger_than_a_ball_of_20_cm():
-    assert validation.round_tip("sphere:100", 1000) == ("sphere", 100)
+    assert validation.round_tip("sphere:100") == ("sphere", 100)
     with pytest.raises(ValueError, match="500 mm is larger than 100 mm"):
-        validation.round_tip("sphere:500", 1000)
+        validation.round_tip("sphere:500")
     with pytest.raises(ValueError, match="60 mm is larger than 50 mm"):
         validation.round_tip("sphere:60", 50)
