@@ -81,7 +81,9 @@ def describe_placement(thing: "Object") -> str:
             "centred in x and y"
         )
     if thing.left_out is not None:
-        sentences.append(f"{len(thing.left_out.faces)} faces of other pieces are not touched, but kept clear of")
+        sentences.append(
+            f"{len(thing.left_out.faces)} faces of other pieces are not touched, and the arm keeps clear of them"
+        )
     return f"{thing.name}: {'; '.join(sentences)}" if sentences else ""
 
 

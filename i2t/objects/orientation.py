@@ -18,11 +18,12 @@ from scipy.sparse.csgraph import connected_components
 
 from i2t.objects.solids import Mesh
 
-POINTS, MANY_POINTS = 9, 64  # of a part, beside which winding numbers are looked at: at least, and of one of two
+MIN_POINTS = 9  # fewest points on each side of a part at which winding numbers are evaluated
+MAX_POINTS = 64  # most of them, where there are one or two parts
 NEAR = 1e-5  # distance of these points from their face, relative to the mesh's size
 FAR = 3.0  # distance, in radii of a part, from which the part counts as one dipole
 BLOCK = 2**14  # pairs of faces and points that are held at once
-ROUNDING = 1e-9
+ROUNDING = 1e-9  # relative error of sums of areas
 MAX_JUDGED_PARTS = 2000  # with more parts, closed ones are judged by their own volume alone, and open ones not at all
 MAX_HOLED_PARTS = 8  # with more parts with holes, each is judged by the mean winding number next to it alone
 MIN_EVIDENCE = 0.65  # least evidence to turn a part, from 0 (a sheet) to 1 (a closed body); half a sphere has 0.63
@@ -182,7 +183,7 @@ def _points_beside(corners: NDArray, part: NDArray) -> tuple[NDArray, NDArray, N
     """Points close to some faces of each part on both sides (k, 3), the part of each (k,), and the area it is for."""
     areas = np.linalg.norm(_double_area(corners), axis=1) / 2
     points, owner, weight = [], [], []
-    count = max(POINTS, 2 * MANY_POINTS // max(int(part.max()) + 1, 2))
+    count = max(MIN_POINTS, 2 * MAX_POINTS // max(int(part.max()) + 1, 2))
     # The R2 sequence (M. Roberts, 2018), which fills a square evenly, folded to a triangle.
     root, along = np.sqrt((np.arange(count) * 0.7548776662 + 0.5) % 1), (np.arange(count) * 0.5698402910 + 0.5) % 1
     spread = np.stack([1 - root, root * (1 - along), root * along], 1)
@@ -254,6 +255,6 @@ def encloses(corners: NDArray, inner: NDArray) -> bool:
     Returns:
         Whether the winding number at most of their centres is beyond 1/2.
     """
-    points = inner[:: -(-len(inner) // POINTS)].mean(1)
+    points = inner[:: -(-len(inner) // MIN_POINTS)].mean(1)
     numbers = _winding_numbers(corners, np.zeros(len(corners), int), points)[0]
     return float(np.mean(np.abs(numbers) > 0.5)) > 0.5
