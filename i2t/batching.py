@@ -191,8 +191,8 @@ def everywhere(values: PyTree) -> PyTree:
 
 
 def _here(values: PyTree) -> PyTree:
-    """Arrays on one device only, so that single computations do not run on all."""
-    return jax.device_put(values, jax.devices()[0]) if jax.device_count() > 1 else values
+    """Arrays and numbers on one device only, so that single computations do not run on all, and once for all calls."""
+    return jax.device_put(values, jax.devices()[0] if jax.device_count() > 1 else None)
 
 
 def _mesh() -> Mesh:

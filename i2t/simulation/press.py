@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from i2t.compiling import traced_floats
 from i2t.skin.contact import GRID, Grid
 from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
@@ -27,6 +28,7 @@ PressLaw = Callable[..., Press]  # (pad, height, indentation, *, grid) to a pres
 SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begins
 
 
+@traced_floats
 @dataclass(frozen=True)
 class PressLimits:
     """Limits of a press (the paper's values)."""

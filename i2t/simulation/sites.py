@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import validation
-from i2t.compiling import jit_quickly
+from i2t.compiling import jit_quickly, traced_floats
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface
@@ -34,7 +34,7 @@ MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the s
 CHECKED_AT_A_TIME = 64  # sites, at most: more take more memory
 MIN_FORWARD_COSINE = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
 
-
+traced_floats(SiteLimits)  # here, as its own module is without JAX
 COLLECTION_LIMITS = SiteLimits()
 RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 
@@ -401,7 +401,7 @@ def _first_free(
     return jax.lax.while_loop(too_few, check, (jnp.int32(0), jnp.zeros(len(frames), bool)))[1]
 
 
-_draw_sites = jit_quickly(sample_sites, static_argnames=("n", "limits"))
+_draw_sites = jit_quickly(sample_sites, static_argnames="n")
 
 
 def collect_sites(
