@@ -91,7 +91,8 @@ def spread(
             devices is found again by it.
         calls: Positional arguments that are each call's own, all of the same shapes. They are asked for as they are
             needed.
-        shared: Positional arguments that follow, the same for all calls.
+        shared: Positional arguments that follow, the same for all calls: arrays, numbers, and configurations of numbers
+            that are traced (`i2t.compiling.traced_floats`).
         static: Named arguments that are not arrays, the same for all calls.
 
     Yields:
