@@ -192,7 +192,7 @@ def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
 
 
 @jax.jit
-def _meet(key: Array, surface: Surface, tilt: tuple[float, float], limits: SiteLimits | None) -> Contacts:
+def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> Contacts:
     """A few sites of one surface, approached at a tilt."""
     count = SITES
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
