@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from i2t.compiling import traced_floats
 from i2t.skin.contact import GRID, Grid, solve
 from i2t.skin.dipoles import linear_response
 from i2t.skin.pad import Press
@@ -40,6 +41,7 @@ MAX_BRACKETING_TRIALS = 16
 MAX_READINGS = 8  # by the law; a search that is still further off ends there
 
 
+@traced_floats
 @dataclass(frozen=True)
 class PressLimits:
     """Limits of a press (the paper's values)."""
