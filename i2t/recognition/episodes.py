@@ -27,7 +27,7 @@ from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
 from i2t.simulation import touches as simulation
-from i2t.simulation.press import PressLaw, PressLimits
+from i2t.simulation.press import PadResponse, PressLaw, PressLimits, pad_response
 from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches
@@ -184,8 +184,10 @@ class EpisodeSimulator:
             full, which = np.resize(rows, size), int(self.truth[episode[rows[0]]])
             return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
 
+        limits = self.config.limits
         made = spread(
-            _touch_many, map(call, batches), shared=(self.pad, self.config.press_errors, self.config.limits),
+            _touch_many, map(call, batches),
+            shared=(self.pad, self.config.press_errors, limits, pad_response(self.pad, limits.final)),
             law=self.config.law,
         )  # fmt: skip
         for rows, batch in zip(batches, made, strict=True):
@@ -277,6 +279,7 @@ def _touch_many(
     pad: Pad,
     errors: SimulationErrors,
     limits: PressLimits,
+    response: PadResponse,
     *,
     law: PressLaw,
 ) -> Touches:
@@ -284,8 +287,9 @@ def _touch_many(
 
     def one(key: Array, T: Array, session: SessionErrors) -> Touches:
         return simulation.simulate_touch(
-            key, surface, jnp.eye(4), T, session=session, pad=pad, errors=errors, limits=limits, law=law
-        )
+            key, surface, jnp.eye(4), T,
+            session=session, pad=pad, errors=errors, limits=limits, law=law, response=response,
+        )  # fmt: skip
 
     made = jax.vmap(one)(keys, T, sessions)
     blank = jnp.zeros((len(drawn), 0))

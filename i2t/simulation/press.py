@@ -14,15 +14,19 @@ Metres, newtons, microtesla.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from i2t.batching import map_batches
 from i2t.compiling import traced_floats
 from i2t.skin.contact import GRID, Grid, solve
-from i2t.skin.dipoles import linear_response
+from i2t.skin.dipoles import CELL_NODES, linear_response
+from i2t.skin.dipoles import response as skin_response
+from i2t.skin.lanes import by_lanes
 from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode
@@ -38,6 +42,8 @@ FLAT_EXCESS_TOLERANCE = 1e-4  # where the excess hardly grows, so that the inden
 FLAT_SLOPE = 0.3
 SLOPES = (0.1, 6.0)  # of the excess by the logarithm of the indentation, that a secant step believes
 MAX_BRACKETING_TRIALS = 16
+FINE_SHEETS = 2  # of dipoles that are as fine as the cells of a final grid finer than GRID: readings within 0.04 uT
+FIELDS_AT_A_TIME = 6  # on such a grid
 MAX_READINGS = 8  # by the law; a search that is still further off ends there
 
 
@@ -67,6 +73,93 @@ class PressResult(NamedTuple):
     pressure: Float[Array, "g g"]  # Pa
 
 
+class PadResponse(NamedTuple):
+    """Derivatives of a pad's reading, by which its presses are simulated quickly."""
+
+    linear: Float[Array, "c g g"]  # uT/Pa at rest, by the pressure on the cells of `GRID`
+    deep: (
+        Float[Array, "c f f"] | None
+    )  # uT/Pa, by which deep sheets of few dipoles err on the final grid; None: on GRID
+
+
+@partial(jax.jit, static_argnames="final")
+def pad_response(pad: Pad, final: Grid = GRID) -> PadResponse:
+    """Work out the derivatives of a pad's reading, once for all of its presses.
+
+    Args:
+        pad: the skin.
+        final: grid of the last press, `PressLimits.final`.
+
+    Returns:
+        The derivatives.
+    """
+    dipoles = _final_dipoles(final)
+    if dipoles is None:
+        return PadResponse(linear_response(pad), None)
+    deep = partial(linear_response, pad, final, first_sheet=FINE_SHEETS)
+    missing = deep() - deep(dipoles=GRID)
+    return PadResponse(linear_response(pad), missing)
+
+
+def _final_dipoles(final: Grid) -> tuple[Grid, ...] | None:
+    """Grids of the dipoles under a finer grid, deep sheets of which feel no sharp edges; None where there is no finer
+    grid of the same period.
+    """
+    finer = final.cells > GRID.cells and final.modes * final.spacing == GRID.modes * GRID.spacing
+    return (final,) * FINE_SHEETS + (GRID,) * (CELL_NODES - FINE_SHEETS) if finer else None
+
+
+def press_finally(
+    pad: Pad,
+    height: Float[Array, "f f"],
+    indentation: Float[Array, ""],
+    stop: PressResult,
+    *,
+    final: Grid,
+    law: PressLaw = press_pad,
+    response: PadResponse | None = None,
+) -> PressResult:
+    """The end of a press once more, on a finer grid.
+
+    The upper sheets of the skin have a dipole under each cell of that grid. Those of `GRID` are enough for the deep
+    ones, and their error is taken to be linear in the pressure.
+
+    Args:
+        pad: the skin.
+        height: m, the surface behind its nearest point over the cells of `final`.
+        indentation: m past first touch, of that nearest point.
+        stop: the end of the press on `GRID`.
+        final: the finer grid.
+        law: what a press of the pad gives.
+        response: the pad's `pad_response` for this grid.
+
+    Returns:
+        `stop` with other force and reading.
+    """
+    dipoles = _final_dipoles(final)
+    if law is not press_pad or dipoles is None:
+        pressed = law(pad, height, indentation, grid=final)
+        return stop._replace(force=pressed.force, reading=pressed.reading)
+    deep = (pad_response(pad, final) if response is None else response).deep
+    start = jax.image.resize(stop.pressure, height.shape, "linear")
+    contact = solve(pad, height, indentation, final, start=start, tolerance=CLOSE_TOLERANCE)
+    reading = _reading_in_turn(final, dipoles)(pad, contact.pressure[None])[0]
+    return stop._replace(force=contact.force, reading=reading + jnp.einsum("cij,ij->c", deep, contact.pressure))
+
+
+@lru_cache
+def _reading_in_turn(grid: Grid, dipoles: tuple[Grid, ...]) -> Callable[..., Array]:
+    """The reading of pressures, a few at a time: fields of all presses of a session outgrow the caches."""
+
+    def reading(pad: Pad, pressures: Float[Array, "lanes f f"]) -> Float[Array, "lanes c"]:
+        def field(pressure: Array) -> Array:
+            return skin_response(pad, pressure, grid, dipoles=dipoles)
+
+        return map_batches(field, pressures, FIELDS_AT_A_TIME)
+
+    return by_lanes(reading)
+
+
 def press_to_stop(
     pad: Pad,
     height: Float[Array, "g g"],
@@ -74,7 +167,7 @@ def press_to_stop(
     overshoot: Float[Array, ""] | float = 0.0,
     *,
     law: PressLaw = press_pad,
-    linear: Float[Array, "c g g"] | None = None,
+    response: PadResponse | None = None,
 ) -> PressResult:
     """Press until the skin change or the force first crosses its limit, which is met within 0.05 %.
 
@@ -86,13 +179,13 @@ def press_to_stop(
         limits: of skin change, force and indentation.
         overshoot: fraction by which both limits are raised.
         law: what a press of the pad gives.
-        linear: uT/Pa, the pad's `i2t.skin.dipoles.linear_response`, which is worked out anew where it is not given.
+        response: the pad's `pad_response`, which is worked out anew where it is not given.
 
     Returns:
         The end of the press. Its code SKIN or WRENCH says which limit came first; UNDEFINED means that the deepest
         allowed indentation crossed neither.
     """
-    linear = linear_response(pad) if linear is None else linear
+    linear = (pad_response(pad) if response is None else response).linear
     world = _World(pad, height, limits, jnp.asarray(overshoot), law, linear)
     return _approach_stop(world, _bracket(world))
 
@@ -224,8 +317,8 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
 
     def read(now: _Approach) -> _Approach:
         """Two secant steps, and the law's reading where they end."""
-        trial, _ = step(now.trial, now)
-        trial, felt = step(trial, now)
+        steps = jax.lax.fori_loop(0, 2, lambda _, last: step(last[0], now), (now.trial, jnp.zeros_like(now.remainder)))
+        trial, felt = steps
         pressed = world.law(world.pad, world.height, jnp.exp(trial.x), grid=GRID, start=trial.pressure)
         true = jnp.append(pressed.reading, pressed.force)
         f, code = world.excess(true)

@@ -34,13 +34,13 @@ from i2t.batching import select_rows, spread
 from i2t.compiling import jit_quickly, traced_floats
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.press import PressLaw, PressLimits, press_to_stop
+from i2t.simulation.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
 from i2t.skin import faults
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, add_sensor_noise
-from i2t.skin.pad import friction_response
+from i2t.skin.pad import Press, friction_response
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 from i2t.views import WideView, camera_view, centre, pixels_on_skin
@@ -166,6 +166,7 @@ def simulate_touch(
     errors: SimulationErrors,
     limits: PressLimits,
     law: PressLaw = press_pad,
+    response: PadResponse | None = None,
 ) -> Touches:
     """One touch at a site chosen on the believed object: approach along the site's z, press, look.
 
@@ -179,6 +180,7 @@ def simulate_touch(
         errors: sizes of the errors that each touch draws anew.
         limits: when the press ends.
         law: what a press of the pad gives; another one makes a world whose physics is another.
+        response: the pad's `i2t.simulation.press.pad_response`, which is worked out anew where it is not given.
 
     Returns:
         One touch. Its reading is still that of an ideal sensor (see `apply_sensor_model`), and its indices are left 0
@@ -192,7 +194,7 @@ def simulate_touch(
     overshoot = limits.overshoot * jnp.abs(overrun)
     press = _press(
         surface, pad, approach,
-        overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits, law=law,
+        overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits, law=law, response=response,
     )  # fmt: skip
 
     advanced = jnp.linalg.norm(approach.T_o_t[:3, 3] - approach.start[:3, 3]) - limits.approach_distance
@@ -251,6 +253,7 @@ def _press(
     errors: SimulationErrors,
     limits: PressLimits,
     law: PressLaw,
+    response: PadResponse | None,
 ) -> _Press:
     """Press past first contact to the limits, once more on the final grid where that is another, and with friction.
 
@@ -258,15 +261,17 @@ def _press(
     standard deviations.
     """
     met, hit = approach.met, approach.hit
-    stop = press_to_stop(pad, met.depth, limits, overshoot, law=law)
+    stop = press_to_stop(pad, met.depth, limits, overshoot, law=law, response=response)
+    pressed = None
+    if law is press_pad:
+        pressed = Press(stop.reading, stop.force, stop.indentation, stop.pressure, jnp.asarray(True))
+    slide = errors.slant * stop.indentation * slant
+    friction = friction_response(pad, met.depth, stop.indentation, slide, pressed=pressed)
     if limits.final != GRID:
         heights = render_heights(surface, geometry.inverse(approach.T_o_t), PAD_WINDOW, limits.final.cells)
         nearest = jnp.min(heights)
         deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
-        press = law(pad, heights - nearest, deeper, grid=limits.final)
-        stop = stop._replace(force=press.force, reading=press.reading)
-    slide = errors.slant * stop.indentation * slant
-    friction = friction_response(pad, met.depth, stop.indentation, slide)
+        stop = press_finally(pad, heights - nearest, deeper, stop, final=limits.final, law=law, response=response)
     # The grid of the pad meets a point between its cells a little late; that distance is counted, so that nearest and
     # depth agree.
     sinking = jnp.where(hit, met.nearest + stop.indentation, 0.0)
@@ -336,7 +341,9 @@ def touch_simulator(
     """
     key_session, key_touches = jax.random.split(key)
     session = _draw_session(key_session, errors=errors)
-    stated = {"session": session, "pad": pad, "errors": errors, "limits": limits or PressLimits()}
+    limits = limits or PressLimits()
+    response = pad_response(pad, limits.final)
+    stated = {"session": session, "pad": pad, "errors": errors, "limits": limits, "response": response}
     believed = np.eye(4, dtype=np.float32) if T_w_o is None else np.asarray(T_w_o, np.float32)
     numbers = itertools.count()
 
@@ -365,6 +372,7 @@ def _simulate_session(
     errors: SimulationErrors,
     limits: PressLimits,
     sites: touch_sites.SiteLimits,
+    response: PadResponse,
     *,
     n: int,
     law: PressLaw = press_pad,
@@ -380,6 +388,7 @@ def _simulate_session(
         errors: of the lab.
         limits: when a press ends.
         sites: which sites are safe.
+        response: the pad's `pad_response`.
         n: touches.
         law: what a press of the pad gives.
 
@@ -393,8 +402,9 @@ def _simulate_session(
     def touch(key: Key[Array, ""], T_o_site: Float[Array, "4 4"]) -> Touches:
         T_w_site = T_w_o @ T_o_site
         return simulate_touch(
-            key, surface, T_w_o, T_w_site, session=session, pad=pad, errors=errors, limits=limits, law=law
-        )
+            key, surface, T_w_o, T_w_site,
+            session=session, pad=pad, errors=errors, limits=limits, law=law, response=response,
+        )  # fmt: skip
 
     touches = jax.vmap(touch)(jax.random.split(key_touches, n), chosen.T_w_t)
     touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
@@ -469,7 +479,7 @@ def simulate_touches(
 
     made = spread(
         _simulate_many if len(sessions) > MANY_SESSIONS else _simulate_few,
-        calls(), shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites),
+        calls(), shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final)),
         n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []

@@ -372,9 +372,7 @@ def _onto_simplex(p: Float[Array, "*cells lanes"]) -> Float[Array, "*cells lanes
     return jnp.maximum(p - t, 0)
 
 
-def _contact(
-    pad: Pad, state: _Solution, scale: Array, indentation: Array, grid: Grid, tolerance: float
-) -> Contact:
+def _contact(pad: Pad, state: _Solution, scale: Array, indentation: Array, grid: Grid, tolerance: float) -> Contact:
     pressure = state.pressure * scale * pad.young
     return Contact(
         pressure=pressure,

@@ -114,9 +114,7 @@ def shear(
     start = jnp.zeros_like(given) if before is None else jax.lax.stop_gradient(before.traction / (pad.young * scale))
     shared = (lanes.vector_convolution(fixed_kernels, grid), (jnp.min(fixed_kernels), jnp.max(fixed_kernels)))
     solver = _solver(grid, tolerance, max_steps)
-    state: _Descended = jax.tree.map(
-        lambda row: row[0], solver(shared, given[None], fixed_limit[None], start[None])
-    )
+    state: _Descended = jax.tree.map(lambda row: row[0], solver(shared, given[None], fixed_limit[None], start[None]))
     traction, slip = _tracked(kernels, limit, wanted, state.traction, state.slip, grid)
     return Shear(
         traction=traction * scale * pad.young,

@@ -226,9 +226,7 @@ def product(
     left: Array | np.ndarray, right: Array, left_sum: tuple[int], right_sum: tuple[int], shared: tuple[int, ...]
 ) -> Array:
     """A batch of matrix products in full float32; shared axes come first, then those left of `left` and `right`."""
-    return jax.lax.dot_general(
-        jnp.asarray(left), right, ((left_sum, right_sum), (shared, shared)), precision=HIGHEST
-    )
+    return jax.lax.dot_general(jnp.asarray(left), right, ((left_sum, right_sum), (shared, shared)), precision=HIGHEST)
 
 
 def by_lanes(solver: Callable[..., Any]) -> Callable[..., Any]:

@@ -16,7 +16,7 @@ from i2t import validation
 from i2t.errors import did_you_mean
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
-from i2t.skin.dipoles import pressed_field, response, rest_field
+from i2t.skin.dipoles import response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import Shear, rest, shear
 from i2t.types import Board, Pad, in_one_line
