@@ -104,7 +104,9 @@ class TrainConfig:
     epochs: int = 200  # at most, over which the learning rate falls
     batch_size: int = 128
     learning_rate: float = 1e-3
-    patience: int = 30  # epochs without a better one after which a training ends
+    # Epochs without a better one after which a training ends. On nine simulated sets (three pads, three seeds) the
+    # paper's networks were as good as with 30, by R2 on six objects that neither train nor test; with 7 they lost.
+    patience: int = 10
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""
