@@ -107,7 +107,7 @@ def tabulate(
     return params._replace(table=OutcomeTable(stacked, T_w_o))
 
 
-@partial(jax.jit, static_argnames=("config",))
+@jax.jit
 def _touch_all(
     keys: Array, surface: Surface, T_w_o: Array, params: EnvironmentParams, config: EnvironmentConfig
 ) -> TouchOutcome:

@@ -62,19 +62,12 @@ class EpisodeConfig:
     presses_before: int = 1000  # of the pad, before an episode: a skin that was trained with is no longer new
 
     @property
-    def touch_errors(self) -> SimulationErrors:
-        """Errors of single touches: those of a session are 0, so that worlds that differ in them alone share what is
-        compiled.
-        """
-        return replace(self.errors, placement=0.0, placement_angle=0.0, hand_eye=0.0, hand_eye_angle=0.0)
-
-    @property
     def press_errors(self) -> SimulationErrors:
-        """Errors of single touches without the sensor's, which are added later: worlds that differ in those alone share
-        what is compiled, too.
+        """Errors without the sensor's, which are added later: worlds that differ in those alone share what is compiled,
+        their whole numbers included.
         """
         none = SimulationErrors.none()
-        return replace(self.touch_errors, noise=none.noise, faults=none.faults)
+        return replace(self.errors, noise=none.noise, faults=none.faults)
 
 
 class Episodes(NamedTuple):
@@ -192,8 +185,8 @@ class EpisodeSimulator:
             return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
 
         made = spread(
-            _touch_many, map(call, batches), shared=(self.pad,),
-            errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
+            _touch_many, map(call, batches), shared=(self.pad, self.config.press_errors, self.config.limits),
+            law=self.config.law,
         )  # fmt: skip
         for rows, batch in zip(batches, made, strict=True):
             yield rows, jax.tree.map(np.asarray, batch)
@@ -208,10 +201,10 @@ class EpisodeSimulator:
         made = jax.tree.map(lambda *x: np.stack(x, axis=1), *self.touches)
         missing = self.config.touches - len(self.touches)
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(np.zeros_like(x[:, :1]), missing, 1)], 1), made)
-        before, errors = self.config.presses_before, self.config.touch_errors
+        shared = self.pad, self.config.errors, self.config.presses_before
         parts = filled_batches(np.arange(len(self.truth)), OBSERVED_BATCH)
         calls = ((self.reading_keys[rows], select_rows(full, rows)) for rows in parts)
-        read = list(spread(_add_sensor_errors, calls, shared=(self.pad, before), errors=errors))
+        read = list(spread(_add_sensor_errors, calls, shared=shared))
         reading = np.concatenate(read)[: len(self.truth)]
         T_w_site = self.T_w_site[np.stack(self.chosen, 1)]
         moved = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
@@ -275,16 +268,16 @@ def run_episodes(
     return simulator.episodes()
 
 
-@partial(jax.jit, static_argnames=("errors", "limits", "law"))
+@partial(jax.jit, static_argnames="law")
 def _touch_many(
     drawn: Array,
     surface: Surface,
     T: Array,
     sessions: SessionErrors,
     pad: Pad,
-    *,
     errors: SimulationErrors,
     limits: PressLimits,
+    *,
     law: PressLaw,
 ) -> Touches:
     keys = jax.random.wrap_key_data(drawn)
@@ -299,9 +292,9 @@ def _touch_many(
     return made._replace(patch=blank, wide=blank, truth=None)
 
 
-@partial(jax.jit, static_argnames=("errors",))
+@jax.jit
 def _add_sensor_errors(
-    drawn: Array, touches: Touches, pad: Pad, before: Int[Array, ""] | int, errors: SimulationErrors
+    drawn: Array, touches: Touches, pad: Pad, errors: SimulationErrors, before: Int[Array, ""] | int
 ) -> Array:
     keys = jax.random.wrap_key_data(drawn)
     read = partial(simulation.apply_sensor_model, pad=pad, errors=errors, presses_before=before)

@@ -320,9 +320,9 @@ def _position_errors(positions: _Positions, softness: float, limits: PressLimits
     return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
 
 
-@partial(jit_quickly, static_argnames=("overtravel",))
+@jit_quickly
 def _predict_end(
-    surface: Surface, found: PoseEstimate, T_w_t: Array, force: Array, layer: Layer, *, overtravel: float
+    surface: Surface, found: PoseEstimate, T_w_t: Array, force: Array, layer: Layer, *, overtravel: float | Array
 ) -> PredictedContact:
     def one(T: Array, f: Array) -> PredictedContact:
         twist = jnp.zeros(6)

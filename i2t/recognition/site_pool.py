@@ -167,7 +167,7 @@ def safe_sites(
     return np.stack([np.asarray(_are_safe(surface, sites.T_w_t, limits)) for surface in surfaces], axis=1)
 
 
-@partial(jax.jit, static_argnames="limits")
+@jax.jit
 def _are_safe(surface: Surface, T_w_t: Array, limits: touch_sites.SiteLimits) -> Array:
     return jax.vmap(partial(touch_sites.is_safe, surface, limits=limits))(T_w_t)
 
@@ -238,7 +238,7 @@ def _predict_on_layer(
     rows = filled_batches(np.arange(len(T)), each)
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    made = spread(_predict, calls, shared=(twist, list(models)), overtravel=overtravel)
+    made = spread(_predict, calls, shared=(twist, list(models), overtravel))
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, made, strict=True):
         if result is None:
@@ -252,9 +252,9 @@ def _predict_on_layer(
     return result
 
 
-@partial(jax.jit, static_argnames=("overtravel",))
+@jax.jit
 def _predict(
-    surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
+    surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], overtravel: Array
 ) -> list[PredictedTouch]:
     def one(T: Array, x: Array) -> list[PredictedTouch]:
         first = reading_models[0]
@@ -404,6 +404,6 @@ def _draw_sites(
     return np.concatenate(found)[:count]
 
 
-@partial(jax.jit, static_argnames=("limits",))
+@jax.jit
 def _draw_batch(key: Array, surface: Surface, limits: touch_sites.SiteLimits) -> touch_sites.Sites:
     return touch_sites.sample_sites(key, surface, DRAWN_SITES, limits, CANDIDATES_PER_SITE)

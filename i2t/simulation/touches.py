@@ -31,7 +31,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry, validation
 from i2t.batching import select_rows, spread
-from i2t.compiling import jit_quickly
+from i2t.compiling import jit_quickly, traced_floats
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PressLaw, PressLimits, press_to_stop
@@ -51,6 +51,7 @@ MANY_SESSIONS = 40  # from so many on, compiling them well pays
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
 
+@traced_floats
 @dataclass(frozen=True)
 class SimulationErrors:
     """Standard deviations of the lab's errors about the true world (metres, radians, newtons)."""
@@ -127,9 +128,9 @@ def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors
     shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
     z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
     z = z + errors.depth_noise * drawn[2]
-    if errors.depth_quantum > 0:
-        z = jnp.round((z + CAMERA_DISTANCE_M) / errors.depth_quantum) * errors.depth_quantum - CAMERA_DISTANCE_M
-    return camera_view(z)
+    step = jnp.where(errors.depth_quantum > 0, errors.depth_quantum, 1.0)
+    rounded = jnp.round((z + CAMERA_DISTANCE_M) / step) * step - CAMERA_DISTANCE_M
+    return camera_view(jnp.where(errors.depth_quantum > 0, rounded, z))
 
 
 class _Approach(NamedTuple):
@@ -346,8 +347,8 @@ def touch_simulator(
     return touch
 
 
-_draw_session = jax.jit(sample_session_errors, static_argnames="errors")
-_touch_once = jit_quickly(simulate_touch, static_argnames=("errors", "limits"))
+_draw_session = jax.jit(sample_session_errors)
+_touch_once = jit_quickly(simulate_touch)
 
 
 def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
@@ -361,10 +362,10 @@ def _simulate_session(
     presses_before: Int[Array, ""],
     T_w_o: Float[Array, "4 4"],
     pad: Pad,
-    *,
     errors: SimulationErrors,
     limits: PressLimits,
     sites: touch_sites.SiteLimits,
+    *,
     n: int,
     law: PressLaw = press_pad,
 ) -> Touches:
@@ -400,7 +401,7 @@ def _simulate_session(
     return apply_sensor_model(key_skin, touches, pad, errors, presses_before=presses_before)
 
 
-OF_SESSION = ("errors", "limits", "sites", "n", "law")  # static
+OF_SESSION = ("n", "law")  # static
 _simulate_many = jax.jit(_simulate_session, static_argnames=OF_SESSION)
 _simulate_few = jit_quickly(_simulate_session, static_argnames=OF_SESSION)
 
@@ -468,8 +469,8 @@ def simulate_touches(
 
     made = spread(
         _simulate_many if len(sessions) > MANY_SESSIONS else _simulate_few,
-        calls(), shared=(np.eye(4, dtype=np.float32), pad),
-        errors=errors, limits=limits, sites=sites, n=touches_per_session, law=law,
+        calls(), shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites),
+        n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []
     for session, ((i, kept), part) in enumerate(zip(sessions, made, strict=True)):

@@ -81,6 +81,22 @@ def response(
     return pad.gains * pad.board.to_board(change)
 
 
+@partial(jax.jit, static_argnames=("grid", "dipoles"))
+def linear_response(pad: Pad, grid: Grid = GRID, *, dipoles: Grid | None = None) -> Float[Array, "c n n"]:
+    """The derivative of `response` by the pressure at rest: what it is as long as the skin moves little.
+
+    Args:
+        pad: the skin on its board.
+        grid: of the pressure.
+        dipoles: as for `response`.
+
+    Returns:
+        uT/Pa, for each value of a reading and each cell.
+    """
+    rest = jnp.zeros((grid.cells, grid.cells))
+    return jax.jacrev(lambda pressure: response(pad, pressure, grid, dipoles=dipoles))(rest)
+
+
 @partial(jax.jit, static_argnames=("grid", "dipoles", "nodes"))
 def pressed_field(
     pad: Pad,
@@ -206,9 +222,11 @@ def _at_chips(pad: Pad, positions: Array, moments: Array) -> Array:
 
 def _field(point: Array, positions: Array, moments: Array) -> Array:
     """Field at one point of dipoles whose components are on the first axis."""
-    away = point.reshape(3, *[1] * (positions.ndim - 1)) - positions
-    inverse = jax.lax.rsqrt(jnp.sum(away * away, axis=0, keepdims=True))
+    # Components are written out: XLA makes a slow loop of a sum over three of them.
+    away = [point[i] - positions[i] for i in range(3)]
+    inverse = jax.lax.rsqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
     square = inverse * inverse
     cube = square * inverse
-    along = 3 * square * jnp.sum(moments * away, axis=0, keepdims=True)
-    return MU0_OVER_4PI * jnp.sum(cube * (along * away - moments), axis=tuple(range(1, positions.ndim)))
+    along = 3 * square * (moments[0] * away[0] + moments[1] * away[1] + moments[2] * away[2])
+    parts = jnp.stack([cube * (along * a - m) for a, m in zip(away, moments, strict=True)])
+    return MU0_OVER_4PI * jnp.sum(parts.reshape(3, -1), axis=1)
