@@ -57,7 +57,7 @@ class PatchNetwork(TouchModel):
         if images.shape[1] != self.cfg.pixels:
             raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {self.cfg.pixels}")
         conditions = touches.conditions(model.conditions_of(self.cfg))
-        inputs = Inputs(np.float32(images), np.float32(conditions))
+        inputs = Inputs(*jax.device_put((np.float32(images), np.float32(conditions))))
         mean, std = _predict(self.cfg, self.params, self.normalisation, inputs)
         return Reading(np.asarray(mean), np.asarray(std))
 
@@ -218,7 +218,8 @@ def _warn_of_lost_epochs(history: list[list[float]], title: str, how: TrainConfi
 def _batch(cfg: PaperConfig, images: np.ndarray, touches: Touches, rows: np.ndarray) -> Batch:
     """The touches in `rows` as a network is trained on them."""
     conditions = np.float32(stacked(touches, model.conditions_of(cfg))[rows])
-    return jax.device_put(Batch(Inputs(images[rows], conditions), touches.reading[rows]))
+    seen, given, readings = jax.device_put((images[rows], conditions, touches.reading[rows]))
+    return Batch(Inputs(seen, given), readings)
 
 
 @partial(jax.jit, static_argnums=0)
