@@ -63,7 +63,7 @@ def select_rows(tree: PyTree, rows: Any) -> PyTree:
 
     def some(leaf: Any) -> Any:
         found = np.asarray(leaf)[rows]
-        return jnp.asarray(found) if isinstance(leaf, jax.Array) else found
+        return jax.device_put(found) if isinstance(leaf, jax.Array) else found
 
     return jax.tree.map(some, tree)
 
