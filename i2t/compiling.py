@@ -21,7 +21,7 @@ from jax.extend.core import get_opaque_trace_state
 Config = TypeVar("Config")
 _traced: set[type] = {float}  # types of fields, with the configurations themselves
 
-QUICKLY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+QUICKLY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 2}
 
 
 def traced_floats(kind: type[Config]) -> type[Config]:

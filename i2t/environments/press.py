@@ -21,7 +21,7 @@ from i2t.simulation.press import PressLimits
 from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import solve
-from i2t.skin.dipoles import response
+from i2t.skin.dipoles import linear_response
 from i2t.skin.elasticity import Grid
 from i2t.types import Pad, Surface
 from i2t.windows import PAD_WINDOW
@@ -73,8 +73,7 @@ def response_map(pad: Pad) -> Float[Array, "c n n"]:
     Returns:
         uT per Pa.
     """
-    still = jnp.zeros((TOUCH_GRID.cells, TOUCH_GRID.cells))
-    return jax.jacrev(lambda pressure: response(pad, pressure, TOUCH_GRID))(still)
+    return linear_response(pad, TOUCH_GRID)
 
 
 @full_precision

@@ -119,6 +119,7 @@ class EpisodeSimulator:
         # The same keys at every touch: a sensor's errors depend on the touches before.
         self.reading_keys = np.asarray(jax.random.key_data(jax.random.split(key_reading, len(truth))))
         self.surfaces, self.truth, self.pad, self.config = surfaces, truth, pad, config
+        self._response = pad_response(pad, config.limits.final)
         self.T_w_site = np.asarray(sites.T_w_t)
         sample = jax.vmap(partial(simulation.sample_session_errors, errors=config.errors))
         self.sessions = sample(jax.random.split(key_sessions, len(truth)))
@@ -187,7 +188,7 @@ class EpisodeSimulator:
         limits = self.config.limits
         made = spread(
             _touch_many, map(call, batches),
-            shared=(self.pad, self.config.press_errors, limits, pad_response(self.pad, limits.final)),
+            shared=(self.pad, self.config.press_errors, limits, self._response),
             law=self.config.law,
         )  # fmt: skip
         for rows, batch in zip(batches, made, strict=True):

@@ -305,8 +305,9 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
     """From a trial near it to the stop."""
     deepest = world.deepest
 
-    def step(trial: _Trial, now: _Approach) -> tuple[_Trial, Array]:
+    def step(now: _Approach, last: tuple[_Trial, Array]) -> tuple[_Trial, Array]:
         """One secant step, and what is felt there by the linear reading alone."""
+        trial, _ = last
         x = jnp.minimum(trial.x - jnp.clip(trial.f / trial.slope, -1.0, 1.0), deepest)
         pressure, felt = world.press_linearly(x, trial.pressure * jnp.exp(x - trial.x), CLOSE_TOLERANCE)
         f, _ = world.excess(felt + now.remainder * jnp.exp(2 * (x - now.measured_at)))
@@ -316,9 +317,10 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         return _Trial(x, f, slope, pressure), felt
 
     def read(now: _Approach) -> _Approach:
-        """Two secant steps, and the law's reading where they end."""
-        steps = jax.lax.fori_loop(0, 2, lambda _, last: step(last[0], now), (now.trial, jnp.zeros_like(now.remainder)))
-        trial, felt = steps
+        """Two secant steps, one where nothing is known of the law yet, and the law's reading where they end."""
+        steps = jnp.where(now.readings == 0, 1, 2)
+        first = now.trial, jnp.zeros_like(now.remainder)
+        trial, felt = jax.lax.fori_loop(0, steps, lambda _, last: step(now, last), first)
         pressed = world.law(world.pad, world.height, jnp.exp(trial.x), grid=GRID, start=trial.pressure)
         true = jnp.append(pressed.reading, pressed.force)
         f, code = world.excess(true)

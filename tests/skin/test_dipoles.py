@@ -16,6 +16,7 @@ from i2t.skin.pad import nominal_pad, sample_pad
 from tests.helpers.round_tips import round_tip
 
 PAD = nominal_pad()
+LOADS, COARSE = Grid(16, 32), Grid(8, 16)
 response, pressed = jax.jit(field.response), jax.jit(field.pressed_field)
 sample = jax.jit(sample_pad)
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
@@ -145,3 +146,15 @@ def test_reading_has_converged(pads):
     assert _change(pads, tips, np.full(5, 0.8, np.float32), coarse, fine) < 0.02
     two, coarse, fine = jax.tree.map(lambda leaf: leaf[:2], pads), (FINE_GRID, 5), (Grid(160, 256), 5)
     assert _change(two, [_disc, _tee], np.ones(2, np.float32), coarse, fine) < 0.02
+
+
+@pytest.mark.parametrize(("dipoles", "first_sheet"), [(None, 0), (COARSE, 0), ((LOADS,) * 2 + (COARSE,) * 3, 1)])
+def test_the_linear_response_is_the_derivative_at_rest(dipoles, first_sheet):
+    pad = sample_pad(jax.random.key(1))._replace(mount_compliance=jnp.asarray(1e-4))
+
+    def reading(pressure):
+        return field.response(pad, pressure, LOADS, dipoles=dipoles, first_sheet=first_sheet)
+
+    wanted = jax.jacrev(reading)(jnp.zeros((LOADS.cells, LOADS.cells)))
+    linear = field.linear_response(pad, LOADS, dipoles=dipoles, first_sheet=first_sheet)
+    np.testing.assert_allclose(linear, wanted, atol=1e-5 * np.abs(wanted).max())
