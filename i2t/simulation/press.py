@@ -40,7 +40,7 @@ CLOSE_TOLERANCE = 1e-4  # of contacts in secant steps
 EXCESS_TOLERANCE = 5e-4  # of the press's own excess, at which the search ends
 FLAT_EXCESS_TOLERANCE = 1e-4  # where the excess hardly grows, so that the indentation is met as well
 FLAT_SLOPE = 0.3
-SLOPES = (0.1, 6.0)  # of the excess by the logarithm of the indentation, that a secant step believes
+SLOPES = (0.1, 50.0)  # of the excess by the logarithm of the indentation: a second tip that arrives makes it steep
 MAX_BRACKETING_TRIALS = 16
 FINE_SHEETS = 2  # of dipoles that are as fine as the cells of a final grid finer than GRID: readings within 0.04 uT
 FIELDS_AT_A_TIME = 6  # on such a grid
@@ -296,6 +296,9 @@ class _Approach(NamedTuple):
     trial: _Trial
     measured_at: Array  # log indentation of the last reading by the law
     remainder: Array  # (c + 1,) of that reading and its force, less the linear ones
+    low: Array  # deepest log indentation whose reading by the law is below the limits
+    high: Array  # shallowest one whose reading is above them, or the deepest allowed
+    nearest: Array  # smallest size of an excess by the law
     stop: PressResult
     done: Array
     readings: Array
@@ -308,7 +311,7 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
     def step(now: _Approach, last: tuple[_Trial, Array]) -> tuple[_Trial, Array]:
         """One secant step, and what is felt there by the linear reading alone."""
         trial, _ = last
-        x = jnp.minimum(trial.x - jnp.clip(trial.f / trial.slope, -1.0, 1.0), deepest)
+        x = jnp.clip(trial.x - jnp.clip(trial.f / trial.slope, -1.0, 1.0), now.low, now.high)
         pressure, felt = world.press_linearly(x, trial.pressure * jnp.exp(x - trial.x), CLOSE_TOLERANCE)
         f, _ = world.excess(felt + now.remainder * jnp.exp(2 * (x - now.measured_at)))
         run = x - trial.x
@@ -328,8 +331,18 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         beyond = (trial.x >= deepest) & (f < 0)
         code = jnp.where(beyond, ReturnCode.UNDEFINED, code)
         stop = PressResult(jnp.exp(trial.x), pressed.force, pressed.reading, code, trial.pressure)
-        done = beyond | (jnp.abs(f) < tolerance)
-        return _Approach(trial._replace(f=f), trial.x, true - felt, stop, done, now.readings + 1)
+        nearer = beyond | (jnp.abs(f) <= now.nearest)
+        return _Approach(
+            trial=trial._replace(f=f),
+            measured_at=trial.x,
+            remainder=true - felt,
+            low=jnp.where(f < 0, jnp.maximum(now.low, trial.x), now.low),
+            high=jnp.where(f < 0, now.high, jnp.minimum(now.high, trial.x)),
+            nearest=jnp.minimum(now.nearest, jnp.abs(f)),
+            stop=jax.tree.map(lambda new, old: jnp.where(nearer, new, old), stop, now.stop),
+            done=beyond | (jnp.abs(f) < tolerance),
+            readings=now.readings + 1,
+        )
 
     slope = jnp.clip((bracket.f_high - bracket.f_low) / (bracket.high - bracket.low), *SLOPES)
     slope = jnp.where(jnp.isfinite(slope), slope, 1.0)
@@ -338,7 +351,8 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         jnp.zeros(()), jnp.zeros(()), jnp.zeros(channels), jnp.asarray(ReturnCode.UNDEFINED), bracket.pressure
     )
     start = _Approach(
-        _Trial(bracket.x, bracket.f, slope, bracket.pressure), bracket.x, jnp.zeros(channels + 1), nothing,
-        jnp.asarray(False), jnp.asarray(0),
+        _Trial(bracket.x, bracket.f, slope, bracket.pressure), bracket.x, jnp.zeros(channels + 1),
+        low=jnp.asarray(-jnp.inf), high=deepest, nearest=jnp.asarray(jnp.inf), stop=nothing, done=jnp.asarray(False),
+        readings=jnp.asarray(0),
     )  # fmt: skip
     return jax.lax.while_loop(lambda now: ~now.done & (now.readings < MAX_READINGS), read, start).stop

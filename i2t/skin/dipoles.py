@@ -20,7 +20,7 @@ Tool frame; metres, A/m, A m2, tesla; readings in microtesla in the board's orde
 """
 
 from collections.abc import Iterator, Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import TypeAlias
 
 import jax
@@ -121,7 +121,7 @@ def linear_response(
         return jnp.sum(jax.lax.map(sheet, magnets), axis=0)
 
     dipoles = grid if dipoles is None else dipoles
-    change = sum(response_of(*group) for group in _groups(pad, dipoles, CELL_NODES, first_sheet))
+    change = _total([response_of(*group) for group in _groups(pad, dipoles, CELL_NODES, first_sheet)])
     to_board = jax.vmap(pad.board.to_board, -1, -1)(change.reshape(*change.shape[:2], -1))
     return (pad.gains[:, None] * to_board).reshape(-1, *rest.shape)
 
@@ -164,7 +164,8 @@ def pressed_field(
         # One sheet after the other: a batch of all of them at once would outgrow the caches.
         return jnp.sum(jax.lax.map(sheet, magnets), axis=0)
 
-    return sum(field_of(*group) for group in _groups(pad, grid if dipoles is None else dipoles, nodes, first_sheet))
+    groups = _groups(pad, grid if dipoles is None else dipoles, nodes, first_sheet)
+    return _total([field_of(*group) for group in groups])
 
 
 @partial(jax.jit, static_argnames=("dipoles", "nodes", "first_sheet"))
@@ -190,7 +191,11 @@ def rest_field(
 
         return jnp.sum(jax.lax.map(sheet, magnets), axis=0)
 
-    return sum(field_of(*group) for group in _groups(pad, dipoles, nodes, first_sheet))
+    return _total([field_of(*group) for group in _groups(pad, dipoles, nodes, first_sheet)])
+
+
+def _total(parts: list[Array]) -> Array:
+    return reduce(jnp.add, parts)
 
 
 def _groups(pad: Pad, dipoles: Dipoles, nodes: int, first_sheet: int) -> Iterator[tuple[Grid, tuple[Array, Array]]]:
