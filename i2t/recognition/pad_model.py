@@ -289,7 +289,7 @@ def _register_session(
     """The object's pose by the contacts that met it, or by some of them."""
     return registration.register_by_touch(
         key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
-        translation_std=errors.placement, rotation_std=errors.placement_angle,
+        translation_std=errors.placement, rotation_std=errors.placement_angle, often=True,
     )  # fmt: skip
 
 

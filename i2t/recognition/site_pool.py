@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import filled_batches, spread
+from i2t.compiling import jit_quickly
 from i2t.paper import loop
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, outcomes
@@ -167,7 +168,7 @@ def safe_sites(
     return np.stack([np.asarray(_are_safe(surface, sites.T_w_t, limits)) for surface in surfaces], axis=1)
 
 
-@partial(jax.jit, static_argnames="limits")
+@partial(jit_quickly, static_argnames="limits")
 def _are_safe(surface: Surface, T_w_t: Array, limits: touch_sites.SiteLimits) -> Array:
     return jax.vmap(partial(touch_sites.is_safe, surface, limits=limits))(T_w_t)
 
