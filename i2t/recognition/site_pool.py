@@ -31,6 +31,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface, in_one_line
 
 BATCH_TOUCHES = 512  # predicted at a time
+FEW_BATCHES = 12  # of no more, compiling them quickly pays
 DRAWN_SITES = 256  # at a time
 CANDIDATES_PER_SITE = 2  # drawn for each site that is wanted; about half of them are safe
 MIN_SAFE_SHARE = 1 / 64  # of candidates: an object on which fewer are safe has too few sites
@@ -204,6 +205,8 @@ def predict_outcomes(
 ) -> list[PredictedTouch]:
     """Predict a touch of every object in every pose at every site.
 
+    More than `FEW_BATCHES` batches are compiled with all optimisations; last digits may differ from those of fewer.
+
     Args:
         surfaces: Of the objects.
         twist: Of the pose particles (m).
@@ -239,7 +242,8 @@ def _predict_on_layer(
     rows = filled_batches(np.arange(len(T)), each)
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    made = spread(_predict, calls, shared=(twist, list(models)), overtravel=overtravel)
+    predict = _predict_few if len(batches) <= FEW_BATCHES else _predict_many
+    made = spread(predict, calls, shared=(twist, list(models)), overtravel=overtravel)
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, made, strict=True):
         if result is None:
@@ -253,7 +257,6 @@ def _predict_on_layer(
     return result
 
 
-@partial(jax.jit, static_argnames=("overtravel",))
 def _predict(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
 ) -> list[PredictedTouch]:
@@ -265,6 +268,10 @@ def _predict(
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
+
+
+_predict_many = jax.jit(_predict, static_argnames="overtravel")
+_predict_few = jit_quickly(_predict, static_argnames="overtravel")
 
 
 def plan_random_touches(

@@ -132,7 +132,7 @@ def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
     Returns:
         The library, on the host.
     """
-    pressure, indentation = press_batches(nominal_pad(), contacts.coarse, LIBRARY_LOADS_N)
+    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), LIBRARY_LOADS_N)
     newtons = pressure.reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
     total = np.maximum(newtons.sum(-1, keepdims=True), 1e-9)
     x, y = np.meshgrid(CELL_GRID.centres, CELL_GRID.centres)
@@ -179,7 +179,7 @@ def in_batches(
         Its results for all rows, on the host.
     """
     batches = filled_batches(np.arange(len(rows[0])), BATCH)
-    parts = spread(function, ([each[some] for each in rows] for some in batches), shared=shared)
+    parts = spread(function, (tuple(each[some] for each in rows) for some in batches), shared=shared)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
 
 
@@ -261,8 +261,9 @@ def _heights(surface: Surface, T_t_o: Array) -> tuple[Array, Array, Array]:
     lengths along x and y scaled to the patch's pixels.
     """
     pitch = PATCH_WINDOW / PATCH_PIXELS
-    scales = np.float32([1.0, pitch / GRID.spacing, pitch / CELL_GRID.spacing])
-    maps = jnp.stack([scales, scales, np.ones(3, np.float32), np.ones(3, np.float32)], 1)[:, :, None] * T_t_o
+    scales = [1.0, pitch / GRID.spacing, pitch / CELL_GRID.spacing]
+    stretch = np.asarray([[scale, scale, 1.0, 1.0] for scale in scales], np.float32)
+    maps = stretch[:, :, None] * T_t_o[None]
     patch, fine, coarse = jax.vmap(lambda A: render_heights(surface, A, PATCH_WINDOW, PATCH_PIXELS))(maps)
     return patch, centre(fine, GRID.cells), centre(coarse, CELL_GRID.cells)
 

@@ -55,17 +55,16 @@ def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelih
     by_slant = (np.stack(slanted, 2) - reading[rows][:, :, None]) / SLIDING_SLANT / loads[None, :, None, None]
     sliding = _ridge(newtons[rows] / loads[None, :, None], by_slant, newtons)
     variance, vectors = np.linalg.eigh(noise_covariance(pad.board, Noise()))
-    axes = np.float32(vectors.T)
-    model = PressModel(
-        loads=loads,
-        reading=np.einsum("dc,nlc->ldn", axes, reading),
-        sliding=np.einsum("dc,nlic->lidn", axes, sliding),
-        travel=(indentation + loads[None] / np.float32(STIFFNESS_N_PER_M)).T,
-        axes=axes,
-        noise=np.float32(np.maximum(variance, 0)),
+    axes = np.asarray(vectors.T, np.float32)
+    return PressModel(
+        loads=jnp.asarray(loads),
+        reading=jnp.asarray(np.einsum("dc,nlc->ldn", axes, reading)),
+        sliding=jnp.asarray(np.einsum("dc,nlic->lidn", axes, sliding)),
+        travel=jnp.asarray((indentation + loads[None] / np.float32(STIFFNESS_N_PER_M)).T),
+        axes=jnp.asarray(axes),
+        noise=jnp.asarray(np.maximum(variance, 0), jnp.float32),
         likelihood=likelihood or PatchLikelihood(),
     )
-    return jax.device_put(model)
 
 
 def noise_covariance(board: Board, noise: Noise) -> Float[np.ndarray, "c c"]:
