@@ -412,6 +412,6 @@ def _draw_sites(
     return np.concatenate(found)[:count]
 
 
-@partial(jax.jit, static_argnames=("limits",))
+@partial(jit_quickly, static_argnames=("limits",))
 def _draw_batch(key: Array, surface: Surface, limits: touch_sites.SiteLimits) -> touch_sites.Sites:
     return touch_sites.sample_sites(key, surface, DRAWN_SITES, limits, CANDIDATES_PER_SITE)
