@@ -63,7 +63,7 @@ def select_rows(tree: PyTree, rows: Any) -> PyTree:
 
     def some(leaf: Any) -> Any:
         found = np.asarray(leaf)[rows]
-        return jnp.asarray(found) if isinstance(leaf, jax.Array) else found
+        return jax.device_put(found) if isinstance(leaf, jax.Array) else found
 
     return jax.tree.map(some, tree)
 
@@ -91,7 +91,8 @@ def spread(
             devices is found again by it.
         calls: Positional arguments that are each call's own, all of the same shapes. They are asked for as they are
             needed.
-        shared: Positional arguments that follow, the same for all calls.
+        shared: Positional arguments that follow, the same for all calls: arrays, numbers, and configurations of numbers
+            that are traced (`i2t.compiling.traced_floats`).
         static: Named arguments that are not arrays, the same for all calls.
 
     Yields:
@@ -191,8 +192,8 @@ def everywhere(values: PyTree) -> PyTree:
 
 
 def _here(values: PyTree) -> PyTree:
-    """Arrays on one device only, so that single computations do not run on all."""
-    return jax.device_put(values, jax.devices()[0]) if jax.device_count() > 1 else values
+    """Arrays and numbers on one device only, so that single computations do not run on all, and once for all calls."""
+    return jax.device_put(values, jax.devices()[0] if jax.device_count() > 1 else None)
 
 
 def _mesh() -> Mesh:

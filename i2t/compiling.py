@@ -1,4 +1,7 @@
-"""Programs that take longer to compile than they run, compiled with fewer optimisations.
+"""Fewer programs to compile, and less time for those that take longer to compile than they run.
+
+A configuration whose floats are traced (`traced_floats`) is an argument like an array: other sizes of an error or other
+limits of a press run the program that was compiled before.
 
 On a CPU, XLA's fusion emitters hand LLVM much code, and LLVM spends most of the time on optimising it. Without the
 emitters and at LLVM's first level a session of simulated touches is compiled in half the time, and runs 8 % longer
@@ -6,15 +9,55 @@ emitters and at LLVM's first level a session of simulated touches is compiled in
 pressures take 1.6 times as long, a decision where to touch 2.7 times. So it is chosen for each program.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
 from functools import cache, wraps
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 import jax
 from jax.extend.core import get_opaque_trace_state
 
+Config = TypeVar("Config")
+_traced: set[type] = {float}  # types of fields, with the configurations themselves
+
 QUICKLY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+
+
+def traced_floats(kind: type[Config]) -> type[Config]:
+    """Make the floats of a configuration leaves of a tree, so that compiled functions trace them; a class decorator.
+
+    Everything else is static: whole numbers, texts, truth values, grids, and floats that decide the shape of an array
+    (`field(metadata={"static": True})`). Fields that are such configurations themselves belong to the tree. Outside
+    compiled functions the floats stay Python's, so that configurations are compared, hashed and written as before.
+    What JAX takes apart and puts together again is not checked by `__post_init__` a second time.
+
+    Args:
+        kind: A frozen dataclass.
+
+    Returns:
+        The same class.
+    """
+    hints = get_type_hints(kind)
+    leaves: list[str] = []
+    static: list[str] = []
+    for field in fields(kind):  # type: ignore[arg-type]
+        traced = hints[field.name] in _traced and not field.metadata.get("static")
+        (leaves if traced else static).append(field.name)
+
+    def flatten(config: Config) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+        children = [(jax.tree_util.GetAttrKey(name), getattr(config, name)) for name in leaves]
+        return children, tuple(getattr(config, name) for name in static)
+
+    def unflatten(rest: tuple[Any, ...], children: Iterable[Any]) -> Config:
+        config = object.__new__(kind)
+        for name, value in zip((*leaves, *static), (*children, *rest), strict=True):
+            object.__setattr__(config, name, value)
+        return config
+
+    jax.tree_util.register_pytree_with_keys(kind, flatten, unflatten)
+    _traced.add(kind)
+    return kind
 
 
 def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[str, ...] = ()) -> Callable[..., Any]:

@@ -104,7 +104,9 @@ class TrainConfig:
     epochs: int = 200  # at most, over which the learning rate falls
     batch_size: int = 128
     learning_rate: float = 1e-3
-    patience: int = 30  # epochs without a better one after which a training ends
+    # Epochs without a better one after which a training ends. Chosen on three simulated pads with three seeds each, by
+    # R2 on six objects outside the default preset: as good as 30, in 0.63 of the epochs; 7 lost 0.003 on masks.
+    patience: int = 10
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""

@@ -4,7 +4,6 @@ at run time.
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `experiments` has it
@@ -18,6 +17,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 import jax
 import pytest
 from filelock import FileLock
+from helpers.debug_run import COMMAND
 from xdist.scheduler import LoadFileScheduling
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -107,14 +107,14 @@ def pytest_runtest_teardown(item, nextitem):
 
 @pytest.fixture(scope="session")
 def trained_run(tmp_path_factory) -> Path:
-    """A finished run of `experiments.train` on its debug preset, one for all workers. A process of its own makes it:
+    """A finished run of `experiments.train` (`helpers.debug_run`), one for all workers. A process of its own makes it:
     within this one the compiler sees other programs, and the last digits differ from those of a command.
     """
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
     out = folder / "trained" / "debug"
-    words = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(out)]
+    words = [*COMMAND, "--out", str(out)]
     environment = {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "MPLBACKEND": "agg"}
     out.parent.mkdir(exist_ok=True)
     with FileLock(folder / "trained.lock"):

@@ -1,6 +1,5 @@
 """Shapes that presses meet, split by object, and the presses of simulated skins into them."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -122,7 +121,7 @@ def press_parts(
     return trials
 
 
-@partial(jax.jit, static_argnames=("errors",))
+@jax.jit
 def press_all(keys: Array, pad: Pad, heights: Array, errors: SimulationErrors) -> PressCurve:
     """Press a pad onto every surface, with two stops."""
 

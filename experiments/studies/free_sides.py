@@ -194,14 +194,21 @@ class FreeSides:
         self.motion = jnp.asarray(table.motion, jnp.float32)
 
     def __call__(
-        self, pad: Pad, height: Float[Array, "n n"], indentation: Float[Array, ""] | float, grid: Grid = GRID
+        self,
+        pad: Pad,
+        height: Float[Array, "n n"],
+        indentation: Float[Array, ""] | float,
+        grid: Grid = GRID,
+        start: Float[Array, "n n"] | None = None,
     ) -> Press:
         """A press to an indentation, as `i2t.skin.pad.press`."""
-        pressure, converged = self._contact(pad, height, indentation, grid)
+        pressure, converged = self._contact(pad, height, indentation, grid, start)
         force = jnp.sum(pressure) * grid.spacing**2
         return Press(self._reading(pad, pressure, grid), force, jnp.asarray(indentation), pressure, converged)
 
-    def _contact(self, pad: Pad, height: Array, indentation: Array | float, grid: Grid) -> tuple[Array, Array]:
+    def _contact(
+        self, pad: Pad, height: Array, indentation: Array | float, grid: Grid, start: Array | None
+    ) -> tuple[Array, Array]:
         """Pressure (Pa), as `i2t.skin.contact.solve` with the sides' sinking, in its units."""
         gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
         scale = jnp.maximum(jnp.max(-gap), MIN_STRAIN)
@@ -216,11 +223,13 @@ class FreeSides:
         spread = 1.5 * grid.cells / self.cells  # at least the largest weight of the cells' interpolation, squared
         most = jnp.max(kernel) + mount * jnp.sum(shape**2) + spread**2 * self.largest * area / pad.thickness
         bounds = jnp.min(kernel), most
+        start = -gap / scale / bounds[1] if start is None else start / (pad.young * scale)
         state = descend(
-            deflect, gap / scale, lambda p: jnp.maximum(p, 0), level=lambda p, gap: jnp.zeros_like(scale),
-            start=-gap / scale / bounds[1], bounds=bounds, tolerance=CONTACT_TOLERANCE, max_steps=MAX_STEPS,
+            lambda p: deflect(p[..., 0])[..., None], gap[..., None] / scale, lambda p: jnp.maximum(p, 0),
+            level=lambda p, gap: jnp.zeros_like(scale), start=start[..., None], bounds=bounds,
+            tolerance=CONTACT_TOLERANCE, max_steps=MAX_STEPS,
         )  # fmt: skip
-        return state.point * scale * pad.young, state.residual <= CONTACT_TOLERANCE
+        return state.point[..., 0] * scale * pad.young, state.residual.squeeze() <= CONTACT_TOLERANCE
 
     def extra_indentation(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
         """Extra sinking of the surface over the bonded layer's.

@@ -12,10 +12,14 @@ from i2t.types import Pad
 
 
 def winkler_press(
-    pad: Pad, height: Float[Array, "n n"], indentation: Float[Array, ""] | float, grid: Grid = GRID
+    pad: Pad,
+    height: Float[Array, "n n"],
+    indentation: Float[Array, ""] | float,
+    grid: Grid = GRID,
+    start: Float[Array, "n n"] | None = None,
 ) -> Press:
     """A press in which each column is shortened evenly by as far as the surface reaches into it, p = E u / h, and moves
-    its magnets straight down.
+    its magnets straight down. Its pressure needs no `start`.
     """
     compression = jnp.maximum(indentation - height, 0.0)
     pressure = pad.young / pad.thickness * compression

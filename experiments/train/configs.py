@@ -65,7 +65,7 @@ PRESETS: dict[str, TrainExperiment] = {
             touches_per_session=12,
             limits=PressLimits(),
         ),
-        methods=tuple(name for name in METHODS if name not in ("paper-mask", "paper-mask-force", "pressure-network")),
+        methods=tuple(name for name in METHODS if name not in (*WITH_FORCE, "paper-mask", "pressure-network")),
         training=TrainConfig(epochs=12, batch_size=16),
     ),
     "study": TrainExperiment(

@@ -162,7 +162,7 @@ class SpringPlane:
 
 
 # Compiled once, whichever seed.
-_draw_errors = jax.jit(sample_session_errors, static_argnames="errors")
+_draw_errors = jax.jit(sample_session_errors)
 
 
 class ObjectScene:

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from i2t.compiling import traced_floats
 from i2t.environments.press import TouchOutcome, touch_outcome
 from i2t.geometry import random_motion
 from i2t.recognition import belief as beliefs
@@ -40,6 +41,7 @@ from i2t.types import Board, Pad, Surface
 HOME_HEIGHT_M = 0.15  # of the tool above the world's origin before the first touch
 
 
+@traced_floats
 @dataclass(frozen=True)
 class EnvironmentConfig:
     """The rules of an environment."""
@@ -335,10 +337,9 @@ def sensor_noise(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array
     """
     chips = board.chips.shape[-2]
     drawn = jax.random.normal(key, (3 * chips + 3,))
-    white = np.sqrt((1 - noise.common) * (1 / noise.contact_samples + 1 / noise.ambient_samples))
-    size = np.sqrt(2 * noise.common) * np.array([noise.xy, noise.xy, noise.z], np.float32)
-    field_of_room = jnp.broadcast_to(size * drawn[-3:], (chips, 3))
-    return white * np.float32(noise.sigma(chips)) * drawn[:-3] + board.to_board(field_of_room)
+    white = jnp.sqrt((1 - noise.common) * (1 / noise.contact_samples + 1 / noise.ambient_samples))
+    field_of_room = jnp.broadcast_to(jnp.sqrt(2 * noise.common) * noise.sigma(1) * drawn[-3:], (chips, 3))
+    return white * noise.sigma(chips) * drawn[:-3] + board.to_board(field_of_room)
 
 
 def _home() -> Float[Array, "4 4"]:

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Key
 
 from i2t.environments.core import (
     EnvironmentObservation,
@@ -39,7 +40,7 @@ class SingleTouchEnv(gymnasium.Env):
     def __init__(
         self, environment: TouchEnvironment | None = None, params: EnvironmentParams | None = None, **making: Any
     ) -> None:
-        """Compile an environment.
+        """Wrap an environment, which is compiled at its first reset and step, once for all of the same rules.
 
         Args:
             environment: its rules; by default it is made.
@@ -50,7 +51,6 @@ class SingleTouchEnv(gymnasium.Env):
             environment, params = make_environment(**({"objects": DEFAULT_OBJECTS} | making))
         self.environment, self.params = environment, params
         self.observation_space, self.action_space = observation_space(params), action_space(params)
-        self._reset, self._step = jax.jit(environment.reset), jax.jit(environment.step_env)
         self._state: EnvironmentState | None = None
         self._key = jax.random.key(0)
 
@@ -68,7 +68,7 @@ class SingleTouchEnv(gymnasium.Env):
         """
         super().reset(seed=seed)
         self._key, key = jax.random.split(jax.random.key(int(self.np_random.integers(2**31))))
-        obs, self._state = self._reset(key, self.params)
+        obs, self._state = _reset(self.environment, key, self.params)
         return _as_dict(obs), {}
 
     def step(self, action: dict[str, Any]) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
@@ -83,7 +83,9 @@ class SingleTouchEnv(gymnasium.Env):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("step before reset; call reset first")
         self._key, key = jax.random.split(self._key)
-        obs, self._state, reward, done, info = self._step(key, self._state, _as_action(action), self.params)
+        obs, self._state, reward, done, info = _step(
+            self.environment, key, self._state, _as_action(action), self.params
+        )
         return _as_dict(obs), float(reward), bool(done), False, {name: np.asarray(info[name]) for name in INFOS}
 
 
@@ -136,6 +138,24 @@ def register_environments() -> str:
     """
     gymnasium.register(ENVIRONMENT_ID, entry_point=SingleTouchEnv)
     return ENVIRONMENT_ID
+
+
+@partial(jax.jit, static_argnums=0)
+def _reset(
+    environment: TouchEnvironment, key: Key[Array, ""], params: EnvironmentParams
+) -> tuple[EnvironmentObservation, EnvironmentState]:
+    return environment.reset(key, params)
+
+
+@partial(jax.jit, static_argnums=0)
+def _step(
+    environment: TouchEnvironment,
+    key: Key[Array, ""],
+    state: EnvironmentState,
+    action: TouchAction,
+    params: EnvironmentParams,
+) -> tuple[EnvironmentObservation, EnvironmentState, Array, Array, dict[str, Any]]:
+    return environment.step_env(key, state, action, params)
 
 
 def _as_action(action: dict[str, Any]) -> TouchAction:

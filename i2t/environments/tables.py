@@ -6,7 +6,6 @@ episode meets the same error of the arm twice.
 """
 
 from collections.abc import Sequence
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -115,7 +114,7 @@ def _response_maps(pads: Pad) -> Array:
     return jax.lax.map(response_map, pads)
 
 
-@partial(jax.jit, static_argnames=("config",))
+@jax.jit
 def _touch_all(
     keys: Array, surface: Surface, T_w_o: Array, params: EnvironmentParams, config: EnvironmentConfig
 ) -> TouchOutcome:

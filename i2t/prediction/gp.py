@@ -204,7 +204,7 @@ def condition(
     Raises:
         ValueError: The hyperparameters cannot be chosen (see `choose_hyperparameters`).
     """
-    values = jnp.asarray(readings)
+    values = jax.device_put(readings)
     hyper, _ = choose_hyperparameters(touches, values, groups, seed=seed)
     return jax.jit(fit)(hyper, touches, values)
 
@@ -241,24 +241,21 @@ def choose_hyperparameters(
             or no pressure at all).
     """
     touches, readings, ends = _by_fold(touches, readings, groups, folds=folds, limit=limit, seed=seed)
-    linear = inner_products(f := features(touches), f)
-    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
-    standard = readings / (jnp.sqrt(jnp.mean(readings**2, axis=0, keepdims=True)) + 1e-6)
-
-    path, errors = _descend(linear, unit, touches.load, standard, ends=ends, steps=steps)
-    if not bool(jnp.any(jnp.isfinite(errors))):
+    path, errors = jax.device_get(_descend(touches, readings, ends=ends, steps=steps))
+    finite = np.isfinite(errors)
+    if not finite.any():
         raise ValueError(
-            f"cross-validation of the Gaussian process has no finite score on {len(standard)} touches; "
+            f"cross-validation of the Gaussian process has no finite score on {len(readings)} touches; "
             "look for contact pressures or readings that are not finite, or zero throughout"
         )
-    if lost := int(jnp.sum(~jnp.isfinite(errors))):
+    if lost := int(np.sum(~finite)):
         warnings.warn(
-            f"the score of the Gaussian process is not finite in {lost} of {steps} steps on {len(standard)} touches; "
+            f"the score of the Gaussian process is not finite in {lost} of {steps} steps on {len(readings)} touches; "
             "its hyperparameters are the best of the others",
             stacklevel=2,
         )
-    best = jnp.nanargmin(jnp.where(jnp.isfinite(errors), errors, jnp.nan))
-    return _hyperparameters(jax.tree.map(lambda values: values[best], path)), 1 - errors
+    best = int(np.argmin(np.where(finite, errors, np.inf)))
+    return jax.device_put((jax.tree.map(lambda values: values[best], path), 1 - errors))
 
 
 def _by_fold(
@@ -285,10 +282,15 @@ def _by_fold(
 
 @partial(jit_quickly, static_argnames=("ends", "steps"))
 def _descend(
-    linear: Array, unit: Array, load: Array, standard: Array, *, ends: tuple[int, ...], steps: int
-) -> tuple[dict[str, Array], Float[Array, " steps"]]:
-    """The path of Adam, and the share of variance that folds, which end at rows `ends`, leave unexplained along it."""
-    blocks = [slice(start, end) for start, end in zip((0, *ends), ends, strict=False)]
+    touches: ContactPressure, readings: Array, *, ends: tuple[int, ...], steps: int
+) -> tuple[GPHyperparameters, Float[Array, " steps"]]:
+    """The hyperparameters along the path of Adam, and the share of variance that folds, which end at rows `ends`, leave
+    unexplained with them.
+    """
+    linear = inner_products(f := features(touches), f)
+    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+    standard = readings / (jnp.sqrt(jnp.mean(readings**2, axis=0, keepdims=True)) + 1e-6)
+    load, blocks = touches.load, [slice(start, end) for start, end in zip((0, *ends), ends, strict=False)]
 
     def unexplained(free: dict[str, Array]) -> Float[Array, ""]:
         now = _hyperparameters(free)
@@ -301,11 +303,13 @@ def _descend(
 
     optimizer = optax.adam(0.25)
 
-    def step(state: tuple[dict, optax.OptState], _: None) -> tuple[tuple[dict, optax.OptState], tuple[dict, Array]]:
+    def step(
+        state: tuple[dict, optax.OptState], _: None
+    ) -> tuple[tuple[dict, optax.OptState], tuple[GPHyperparameters, Array]]:
         free, opt_state = state
         error, gradient = jax.value_and_grad(unexplained)(free)
         updates, opt_state = optimizer.update(gradient, opt_state)
-        return (optax.apply_updates(free, updates), opt_state), (free, error)
+        return (optax.apply_updates(free, updates), opt_state), (_hyperparameters(free), error)
 
     start = {
         "weights": jnp.zeros(len(LENGTHS_MM)),

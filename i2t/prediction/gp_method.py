@@ -35,7 +35,7 @@ class GPModel(TouchModel):
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `TouchModel.predict_batch`."""
-        mean, std = _readings(self.gp, touches.pressures(self.pressure))
+        mean, std = predict_readings(self.gp, touches.pressures(self.pressure))
         return Reading(np.asarray(mean), np.asarray(std))
 
 
@@ -69,6 +69,4 @@ def fit_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: 
     return gp.condition(select_rows(pressure, rows), readings[rows], split.groups[rows], seed=seed)
 
 
-@jax.jit
-def _readings(fitted: GP, pressure: ContactPressure) -> tuple[Array, Array]:
-    return gp.predict(fitted, pressure)
+predict_readings = jax.jit(gp.predict)

@@ -8,11 +8,11 @@ from functools import partial
 from typing import ClassVar, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
 from i2t import training
+from i2t.compiling import jit_quickly
 from i2t.dataset import Split
 from i2t.paper.config import ImageKind, PaperConfig
 from i2t.paper.network import Params
@@ -57,7 +57,7 @@ class PatchNetwork(TouchModel):
         if images.shape[1] != self.cfg.pixels:
             raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {self.cfg.pixels}")
         conditions = touches.conditions(model.conditions_of(self.cfg))
-        inputs = Inputs(jnp.float32(images), jnp.float32(conditions))
+        inputs = Inputs(*jax.device_put((np.float32(images), np.float32(conditions))))
         mean, std = _predict(self.cfg, self.params, self.normalisation, inputs)
         return Reading(np.asarray(mean), np.asarray(std))
 
@@ -111,7 +111,7 @@ class NetworkMethod(Method):
         )
         model.check(train, cfg, "training")
         model.check(validation, cfg, "validation")
-        norm = model.normalisation(train)
+        norm = _normalisation(train)
         train, validation = (_prepared(cfg, norm, batch) for batch in (train, validation))
 
         state, epoch = _start(key, learner, how, n), training.compiled(learner, how)
@@ -119,7 +119,7 @@ class NetworkMethod(Method):
         with progress(total=how.epochs, desc=f"training {self.title}", unit="epoch") as bar:
             while not training.finished(state, how):
                 state, info = epoch(state, train, validation)
-                history.append([float(np.mean(losses.squared)) for losses in info])
+                history.append([float(np.asarray(losses.squared).mean()) for losses in info])
                 bar.update(1)
                 if len(history) % EPOCHS_BETWEEN_CHECKS == 0:
                     _check_finite(state, how)
@@ -189,9 +189,11 @@ class OnPressure(NetworkMethod):
         return replace(self.cfg, conditions=known, **sizes), images, made
 
 
-_start = jax.jit(training.init, static_argnums=(1, 2, 3))
-_prepared = jax.jit(model.prepared, static_argnums=0)
-_with_residual = jax.jit(model.with_residual, static_argnums=1)
+# Each runs once for a network.
+_normalisation = jit_quickly(model.normalisation)
+_start = jit_quickly(training.init, static_argnames=("learner", "cfg", "touches"))
+_prepared = jit_quickly(model.prepared, static_argnames="cfg")
+_with_residual = jit_quickly(model.with_residual, static_argnames="cfg")
 
 
 def _check_finite(state: training.TrainState, how: TrainConfig) -> None:
@@ -215,8 +217,9 @@ def _warn_of_lost_epochs(history: list[list[float]], title: str, how: TrainConfi
 
 def _batch(cfg: PaperConfig, images: np.ndarray, touches: Touches, rows: np.ndarray) -> Batch:
     """The touches in `rows` as a network is trained on them."""
-    conditions = stacked(touches, model.conditions_of(cfg))[rows]
-    return Batch(Inputs(jnp.asarray(images[rows]), jnp.float32(conditions)), jnp.asarray(touches.reading[rows]))
+    conditions = np.float32(stacked(touches, model.conditions_of(cfg))[rows])
+    seen, given, readings = jax.device_put((images[rows], conditions, touches.reading[rows]))
+    return Batch(Inputs(seen, given), readings)
 
 
 @partial(jax.jit, static_argnums=0)

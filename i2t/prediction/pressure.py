@@ -12,7 +12,7 @@ conventions, a pressing force that it counts negative and a height that its dept
 configuration, so that a predictor takes the numbers that its recording has.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
 
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from i2t.compiling import traced_floats
 from i2t.prediction import smoothing, user_input
 from i2t.prediction.gp import CELL_MM, ContactPressure
 from i2t.skin.contact import Grid, solve, solve_force
@@ -37,16 +38,18 @@ _WEIGHTS = np.array(
 )
 
 
+@traced_floats
 @dataclass(frozen=True)
 class PressureModelConfig:
     """Options of the pressure model. Metres, radians, newtons."""
 
     pitch: float  # m, edge of a pixel of the view
-    window: float = PAD_WINDOW  # m, edge of the square that can carry load
+    window: float = field(default=PAD_WINDOW, metadata={"static": True})  # m, edge of the square that can carry load
     smooth: bool = True  # off for views without noise
     tilt: float = 0.6 * np.pi / 180  # standard deviation of the tilt that the view does not show, about each axis
     control: Literal["force", "depth"] = "force"  # what the press is known by
-    cell: float = 0.5e-3  # m, edge of a cell of the contact grid; divides 1 mm
+    # m, edge of a cell of the contact grid; divides 1 mm
+    cell: float = field(default=0.5e-3, metadata={"static": True})
     iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
     force_sign: float = 1.0  # -1 where the recording counts a pressing force negative
@@ -110,8 +113,7 @@ def predict_pressure(
         Pressure (N on each 1 mm cell) and its load (N).
     """
     grid = cfg.grid
-    if cfg.softness != 1:
-        pad = pad._replace(young=pad.young / cfg.softness)
+    pad = pad._replace(young=pad.young / cfg.softness)
     height = heights(cfg, view)
     x, y = jnp.meshgrid(grid.centres, grid.centres)
 
@@ -131,8 +133,14 @@ def predict_pressure(
             max_steps=cfg.iterations,
         ).pressure
 
-    nodes, weights = (_NODES, _WEIGHTS) if cfg.tilt > 0 else (np.zeros((1, 2)), np.ones(1))
-    pressure = jnp.einsum("t,tij->ij", jnp.float32(weights), jax.lax.map(press, jnp.float32(nodes)))
+    # Without a tilt the middle node is pressed alone.
+    tilted, middle, nodes = cfg.tilt > 0, len(_NODES) // 2, jnp.float32(_NODES)
+    first, last = jnp.where(tilted, 0, middle), jnp.where(tilted, len(_NODES), middle + 1)
+    pressures = jax.lax.fori_loop(
+        first, last, lambda i, some: some.at[i].set(press(nodes[i])), jnp.zeros((len(_NODES), grid.cells, grid.cells))
+    )
+    weights = jnp.where(tilted, jnp.float32(_WEIGHTS), jnp.arange(len(_NODES)) == middle)
+    pressure = jnp.einsum("t,tij->ij", weights, pressures)
     coarse = round(CELL_MM * 1e-3 / grid.spacing)
     cells = pressure.shape[0] // coarse
     newtons = pressure.reshape(cells, coarse, cells, coarse).sum((1, 3)) * grid.spacing**2
@@ -160,6 +168,6 @@ def predict_pressures(
     return jax.tree.map(lambda *found: jnp.asarray(np.concatenate(found)[: len(views)]), *parts)
 
 
-@partial(jax.jit, static_argnums=0)
+@jax.jit
 def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, depth: Array) -> ContactPressure:
     return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, depth)

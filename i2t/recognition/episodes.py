@@ -28,7 +28,7 @@ from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
 from i2t.simulation import touches as simulation
-from i2t.simulation.press import PressLaw, PressLimits
+from i2t.simulation.press import PadResponse, PressLaw, PressLimits, pad_response
 from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches
@@ -64,19 +64,12 @@ class EpisodeConfig:
     presses_before: int = 1000  # of the pad, before an episode: a skin that was trained with is no longer new
 
     @property
-    def touch_errors(self) -> SimulationErrors:
-        """Errors of single touches: those of a session are 0, so that worlds that differ in them alone share what is
-        compiled.
-        """
-        return replace(self.errors, placement=0.0, placement_angle=0.0, hand_eye=0.0, hand_eye_angle=0.0)
-
-    @property
     def press_errors(self) -> SimulationErrors:
-        """Errors of single touches without the sensor's, which are added later: worlds that differ in those alone share
-        what is compiled, too.
+        """Errors without the sensor's, which are added later: worlds that differ in those alone share what is compiled,
+        their whole numbers included.
         """
         none = SimulationErrors.none()
-        return replace(self.touch_errors, noise=none.noise, faults=none.faults)
+        return replace(self.errors, noise=none.noise, faults=none.faults)
 
 
 class Episodes(NamedTuple):
@@ -193,10 +186,11 @@ class EpisodeSimulator:
             full, which = np.resize(rows, size), int(self.truth[episode[rows[0]]])
             return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
 
-        few = len(self.truth) * self.config.touches <= FEW_TOUCHES
+        few, limits = len(self.truth) * self.config.touches <= FEW_TOUCHES, self.config.limits
         made = spread(
-            _touch_few if few else _touch_many, map(call, batches), shared=(self.pad,),
-            errors=self.config.press_errors, limits=self.config.limits, law=self.config.law,
+            _touch_few if few else _touch_many, map(call, batches),
+            shared=(self.pad, self.config.press_errors, limits, pad_response(self.pad, limits.final)),
+            law=self.config.law,
         )  # fmt: skip
         for rows, batch in zip(batches, made, strict=True):
             yield rows, jax.tree.map(np.asarray, batch)
@@ -211,10 +205,10 @@ class EpisodeSimulator:
         made = jax.tree.map(lambda *x: np.stack(x, axis=1), *self.touches)
         missing = self.config.touches - len(self.touches)
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(np.zeros_like(x[:, :1]), missing, 1)], 1), made)
-        before, errors = self.config.presses_before, self.config.touch_errors
+        shared = self.pad, self.config.errors, self.config.presses_before
         parts = filled_batches(np.arange(len(self.truth)), OBSERVED_BATCH)
         calls = ((self.reading_keys[rows], select_rows(full, rows)) for rows in parts)
-        read = list(spread(_add_sensor_errors, calls, shared=(self.pad, before), errors=errors))
+        read = list(spread(_add_sensor_errors, calls, shared=shared))
         reading = np.concatenate(read)[: len(self.truth)]
         T_w_site = self.T_w_site[np.stack(self.chosen, 1)]
         moved = made.T_w_t[..., :3, 3] - T_w_site[..., :3, 3]
@@ -284,30 +278,32 @@ def _simulate_touches(
     T: Array,
     sessions: SessionErrors,
     pad: Pad,
-    *,
     errors: SimulationErrors,
     limits: PressLimits,
+    response: PadResponse,
+    *,
     law: PressLaw,
 ) -> Touches:
     keys = jax.random.wrap_key_data(drawn)
 
     def one(key: Array, T: Array, session: SessionErrors) -> Touches:
         return simulation.simulate_touch(
-            key, surface, jnp.eye(4), T, session=session, pad=pad, errors=errors, limits=limits, law=law
-        )
+            key, surface, jnp.eye(4), T,
+            session=session, pad=pad, errors=errors, limits=limits, law=law, response=response,
+        )  # fmt: skip
 
     made = jax.vmap(one)(keys, T, sessions)
     blank = jnp.zeros((len(drawn), 0))
     return made._replace(patch=blank, wide=blank, truth=None)
 
 
-_touch_many = jax.jit(_simulate_touches, static_argnames=("errors", "limits", "law"))
-_touch_few = jit_quickly(_simulate_touches, static_argnames=("errors", "limits", "law"))
+_touch_many = jax.jit(_simulate_touches, static_argnames="law")
+_touch_few = jit_quickly(_simulate_touches, static_argnames="law")
 
 
-@partial(jit_quickly, static_argnames=("errors",))
+@jit_quickly
 def _add_sensor_errors(
-    drawn: Array, touches: Touches, pad: Pad, before: Int[Array, ""] | int, errors: SimulationErrors
+    drawn: Array, touches: Touches, pad: Pad, errors: SimulationErrors, before: Int[Array, ""] | int
 ) -> Array:
     keys = jax.random.wrap_key_data(drawn)
     read = partial(simulation.apply_sensor_model, pad=pad, errors=errors, presses_before=before)

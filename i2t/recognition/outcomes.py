@@ -102,7 +102,7 @@ def predict_contact(
     T_w_site: Float[Array, "4 4"],
     loads: Float[Array, " l"],
     *,
-    overtravel: float,
+    overtravel: float | Float[Array, ""],
     layer: Layer = NOMINAL_LAYER,
 ) -> PredictedContact:
     """Predict the contact of the skin with an object and the distribution of a few loads over it.
@@ -158,7 +158,7 @@ def approach(
     T_w_o: Float[Array, "4 4"],
     twist: Float[Array, "6"],
     T_w_site: Float[Array, "4 4"],
-    overtravel: float,
+    overtravel: float | Float[Array, ""],
 ) -> tuple[tuple[Float[Array, ""], tuple[Float[Array, "4 4"], Bool[Array, ""]]], Float[Array, "6"]]:
     """First contact of the skin with an object along z of a site; arguments are those of `predict_contact`.
 
@@ -175,7 +175,7 @@ def approach(
 
 @full_precision
 def _approach_distance(
-    surface: Surface, T_w_o: Array, twist: Array, T_w_site: Array, overtravel: float
+    surface: Surface, T_w_o: Array, twist: Array, T_w_site: Array, overtravel: float | Array
 ) -> tuple[Array, tuple[Array, Array]]:
     """Distance (m) from the site to first contact, and the contact (T_o_t, hit)."""
     T_o_w = inverse(T_w_o @ from_twist(twist))

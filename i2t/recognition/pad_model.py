@@ -332,7 +332,7 @@ class _Pressed(NamedTuple):
     newtons: Float[Array, "n cells"]  # on each cell
 
 
-@partial(jit_quickly, static_argnames=("overtravel",))
+@jit_quickly
 @full_precision
 def _press(
     surface: Surface,
@@ -342,7 +342,7 @@ def _press(
     layer: Layer,
     at_once: bool | Array,
     *,
-    overtravel: float,
+    overtravel: float | Array,
 ) -> _Pressed:
     """Press a layer where it meets an object along z of each pose, or at the pose itself (`at_once`): one compilation
     serves both.

@@ -169,7 +169,7 @@ def safe_sites(
     return np.stack([np.asarray(_are_safe(surface, sites.T_w_t, limits)) for surface in surfaces], axis=1)
 
 
-@partial(jit_quickly, static_argnames="limits")
+@jit_quickly
 def _are_safe(surface: Surface, T_w_t: Array, limits: touch_sites.SiteLimits) -> Array:
     return jax.vmap(partial(touch_sites.is_safe, surface, limits=limits))(T_w_t)
 
@@ -243,7 +243,7 @@ def _predict_on_layer(
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
     predict = _predict_few if len(batches) <= FEW_BATCHES else _predict_many
-    made = spread(predict, calls, shared=(twist, list(models)), overtravel=overtravel)
+    made = spread(predict, calls, shared=(twist, list(models), overtravel))
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, made, strict=True):
         if result is None:
@@ -258,7 +258,7 @@ def _predict_on_layer(
 
 
 def _predict(
-    surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], *, overtravel: float
+    surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], overtravel: Array
 ) -> list[PredictedTouch]:
     def one(T: Array, x: Array) -> list[PredictedTouch]:
         first = reading_models[0]
@@ -270,8 +270,8 @@ def _predict(
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
 
 
-_predict_many = jax.jit(_predict, static_argnames="overtravel")
-_predict_few = jit_quickly(_predict, static_argnames="overtravel")
+_predict_many = jax.jit(_predict)
+_predict_few = jit_quickly(_predict)
 
 
 def plan_random_touches(
@@ -412,6 +412,6 @@ def _draw_sites(
     return np.concatenate(found)[:count]
 
 
-@partial(jit_quickly, static_argnames=("limits",))
+@jit_quickly
 def _draw_batch(key: Array, surface: Surface, limits: touch_sites.SiteLimits) -> touch_sites.Sites:
     return touch_sites.sample_sites(key, surface, DRAWN_SITES, limits, CANDIDATES_PER_SITE)

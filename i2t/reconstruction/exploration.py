@@ -12,7 +12,6 @@ policy chooses among the rest; where nothing is left, nothing is chosen and the 
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
@@ -183,7 +182,7 @@ def safe_sites(
     return finite & clear & _unoccluded(estimate, T_o_t, limits)
 
 
-@partial(jax.jit, static_argnums=2)
+@jax.jit
 def _stand_clear(here: jax.Array, end: jax.Array, limits: SiteLimits) -> jax.Array:
     """Test tilt, mount and flange against the limits at contact and at the end of the overtravel."""
 

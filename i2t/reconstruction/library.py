@@ -11,7 +11,6 @@ Metres, newtons, radians; frames as in `i2t.types`.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -229,8 +228,8 @@ def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
     return sized
 
 
-@partial(jit_quickly, static_argnames=("tilt", "limits"))
-def _meet(key: Array, surface: Surface, tilt: tuple[float, float], limits: SiteLimits | None) -> Contacts:
+@jit_quickly
+def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> Contacts:
     """A few sites of one surface, approached at a tilt."""
     count = SITES
     key_sites, key_tilt, key_about = jax.random.split(key, 3)

@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
 from i2t.batching import map_batches
-from i2t.compiling import jit_quickly
+from i2t.compiling import jit_quickly, traced_floats
 from i2t.geometry import from_twist, full_precision, inverse
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
@@ -46,6 +46,7 @@ DRAWS_AT_A_TIME = 16  # whose densities are found together
 CANDIDATE_STDS = 3.0  # of the prior: how far the object may move before other faces come nearest
 
 
+@traced_floats
 @dataclass(frozen=True)
 class TouchRegistrationConfig:
     """Options of pose search by touches."""
@@ -118,7 +119,7 @@ def register_by_touch(
         rotation_std: Standard deviation (rad) of the belief about each axis.
         contact_std: Standard deviation (m) of a contact, which counts the arm, the skin's tilt times its half edge, and
             the object's shape.
-        config: How to search; static.
+        config: How to search; its whole numbers are static.
         often: Compile with all optimisations, which pays from about twenty registrations on; last digits may differ.
 
     Returns:
@@ -176,8 +177,8 @@ def _register(
     )
 
 
-_register_once = jit_quickly(_register, static_argnames="config")
-_register_often = jax.jit(_register, static_argnames="config")
+_register_once = jit_quickly(_register)
+_register_often = jax.jit(_register)
 
 
 def _check_contacts(T_w_o: Array, T_w_contact: Array, weight: Array) -> None:
@@ -308,7 +309,7 @@ def importance_covariance(
     return jax.lax.scan(adapt, (mode, covariance), draws)[0]
 
 
-def _touch_problem(contacts: _Contacts, half_edge: float) -> LeastSquares:
+def _touch_problem(contacts: _Contacts, half_edge: float | Array) -> LeastSquares:
     """Problem of the most probable z."""
     n = len(contacts.weight)
     return LeastSquares(
@@ -319,7 +320,7 @@ def _touch_problem(contacts: _Contacts, half_edge: float) -> LeastSquares:
     )
 
 
-def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float) -> _Linearised:
+def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float | Array) -> _Linearised:
     """Residuals of all contacts and their derivatives; those of no weight have no effect."""
     one = jax.vmap(_linearise_one, (None, 0, 0, None))
     seen = one(contacts.prior_std * z, contacts.T_t_o, contacts.corners, half_edge)
@@ -332,7 +333,7 @@ def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float) -> _
 
 
 def _linearise_one(
-    twist: Float[Array, "6"], T_t_o: Float[Array, "4 4"], corners: Float[Array, "3 3 k"], half_edge: float
+    twist: Float[Array, "6"], T_t_o: Float[Array, "4 4"], corners: Float[Array, "3 3 k"], half_edge: float | Array
 ) -> _Linearised:
     """One contact's residual and its derivative by the twist."""
     gaps = _gaps(corners, T_t_o @ from_twist(twist), half_edge)

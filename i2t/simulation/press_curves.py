@@ -15,12 +15,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Key
 
-from i2t.simulation.press import PressLimits, press_to_stop
+from i2t.simulation.press import PressLimits, pad_response, press_to_stop
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import CELL_GRID, CONTACT_NEWTONS, GRID, Grid, solve
+from i2t.skin.contact import CELL_GRID, CONTACT_NEWTONS, GRID
 from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import Press, friction_response
-from i2t.skin.pad import press as press_pad
 from i2t.types import Array, Pad
 
 SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four times it
@@ -70,16 +69,14 @@ def simulate_press_curve(
     # First contact is missed by the arm's repeatability once, each stop by it again.
     missed = errors.repeatability * jax.random.normal(key_travel, (stops + 1,))
 
-    def stop(skin_change: Array, key: Array) -> tuple[Array, ...]:
-        def law(pad: Pad, height: Array, indentation: Array, *, grid: Grid) -> Press:
-            pressed = press_pad(pad, height, indentation, grid=grid)
-            return pressed._replace(reading=pressed.reading / skin_change)
+    response = pad_response(pad)
 
-        # In units of the change at which it stops, so that one compilation serves all stops.
-        end = press_to_stop(pad, height, replace(limits, skin_change=1.0), law=law)
-        friction = friction_response(pad, height, end.indentation, slant * end.indentation)
-        read = add_sensor_noise(key, skin_change * end.reading + friction, pad.board, errors.noise)
-        pressure = solve(pad, height, end.indentation, GRID).pressure * GRID.spacing**2
+    def stop(limits: PressLimits, key: Array) -> tuple[Array, ...]:
+        end = press_to_stop(pad, height, limits, response=response)
+        pressed = Press(end.reading, end.force, end.indentation, end.pressure, jnp.asarray(True))
+        friction = friction_response(pad, height, end.indentation, slant * end.indentation, pressed=pressed)
+        read = add_sensor_noise(key, end.reading + friction, pad.board, errors.noise)
+        pressure = end.pressure * GRID.spacing**2
         cells = pressure.reshape(CELL_GRID.cells, 2, CELL_GRID.cells, 2).sum((1, 3))
         x, y = jnp.sum(pressure, axis=0) @ GRID.centres, jnp.sum(pressure, axis=1) @ GRID.centres
         centre = jnp.stack([x, y]) / jnp.maximum(jnp.sum(pressure), 1e-9)
@@ -87,9 +84,10 @@ def simulate_press_curve(
         return read, end.force, travel, cells.reshape(-1), centre
 
     keys = jax.random.split(key_sensor, stops)
+    at_stops = [replace(limits, skin_change=change) for change in SKIN_CHANGES_UT]
     # One stop after the other, so that one of them is compiled.
     reading, force, travel, newtons, centre = jax.lax.map(
-        lambda each: stop(*each), (jnp.asarray(SKIN_CHANGES_UT, jnp.float32), keys)
+        lambda each: stop(*each), (jax.tree.map(lambda *sizes: jnp.asarray(sizes), *at_stops), keys)
     )
     measured = jnp.maximum(force + force_error, 0)
     return PressCurve(reading, measured, travel + missed[0] + missed[1:], newtons, centre)

@@ -14,7 +14,6 @@ Frames as in `i2t.types`: the surface is given in W (an object frame serves as W
 made); lengths in metres. Degenerate faces, which pad a surface to its size class, are never drawn and never met.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import jax
@@ -23,8 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import validation
-from i2t.batching import map_batches
-from i2t.compiling import jit_quickly
+from i2t.compiling import jit_quickly, traced_floats
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface
@@ -33,9 +31,10 @@ from i2t.types import Surface, in_one_line
 from i2t.windows import PAD_WINDOW, STANDOFF
 
 MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the sides of the square
+CHECKED_AT_A_TIME = 64  # sites, at most: more take more memory
 MIN_FORWARD_COSINE = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
 
-
+traced_floats(SiteLimits)  # here, as its own module is without JAX
 COLLECTION_LIMITS = SiteLimits()
 RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 
@@ -367,18 +366,42 @@ def sample_sites(
     points, normals = sample_points(key_points, surface, oversample * n, wanted)
     spins = jax.random.uniform(key_spin, (oversample * n,), maxval=2 * jnp.pi)
     frames = jax.vmap(contact_frame)(points, normals, spins)
-    batch = math.gcd(len(frames), 64)  # bounds memory, and leaves no rest to compile apart
+    plausible = jax.vmap(lambda T_w_t: is_upward(T_w_t, limits) & is_above_table(T_w_t, limits))(frames)
+    order = jnp.argsort(~plausible, stable=True)
+    free = _first_free(surface, frames[order], jnp.sum(plausible), n, limits=limits, obstacles=obstacles)
+    rank = jnp.argsort(~free, stable=True)[:n]
+    return Sites(jnp.where(free[rank][:, None, None], frames[order[rank]], jnp.nan), free[rank])
+
+
+def _first_free(
+    surface: Surface,
+    frames: Float[Array, "m 4 4"],
+    count: Int[Array, ""],
+    n: int,
+    *,
+    limits: SiteLimits,
+    obstacles: Surface | None,
+) -> Bool[Array, " m"]:
+    """Which of the first `count` frames are unoccluded, the dear check, until n are; frames after those stay false."""
+    batch = min(n, CHECKED_AT_A_TIME)
 
     def is_free(T_w_t: Float[Array, "4 4"]) -> Bool[Array, ""]:
-        safe = is_safe(surface, T_w_t, limits)
-        return safe if obstacles is None else safe & is_unoccluded(obstacles, T_w_t, limits)
+        free = is_unoccluded(surface, T_w_t, limits)
+        return free if obstacles is None else free & is_unoccluded(obstacles, T_w_t, limits)
 
-    safe = map_batches(is_free, frames, batch_size=batch)
-    first = jnp.argsort(~safe, stable=True)[:n]
-    return Sites(jnp.where(safe[first][:, None, None], frames[first], jnp.nan), safe[first])
+    def too_few(state: tuple[Array, Array]) -> Bool[Array, ""]:
+        start, free = state
+        return (start < count) & (jnp.sum(free) < n)
+
+    def check(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        start, free = state
+        rows = jnp.minimum(start + jnp.arange(batch), len(frames) - 1)
+        return start + batch, free.at[rows].set(jax.vmap(is_free)(frames[rows]) & (rows < count))
+
+    return jax.lax.while_loop(too_few, check, (jnp.int32(0), jnp.zeros(len(frames), bool)))[1]
 
 
-_draw_sites = jit_quickly(sample_sites, static_argnames=("n", "limits"))
+_draw_sites = jit_quickly(sample_sites, static_argnames="n")
 
 
 def collect_sites(

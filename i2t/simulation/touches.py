@@ -31,16 +31,16 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry, validation
 from i2t.batching import select_rows, spread
-from i2t.compiling import jit_quickly
+from i2t.compiling import jit_quickly, traced_floats
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.press import PressLaw, PressLimits, press_to_stop
+from i2t.simulation.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
 from i2t.skin import faults
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, add_sensor_noise
-from i2t.skin.pad import friction_response
+from i2t.skin.pad import Press, friction_response
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 from i2t.views import WideView, camera_view, centre, pixels_on_skin
@@ -51,6 +51,7 @@ MANY_SESSIONS = 40  # from so many on, compiling them well pays
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
 
+@traced_floats
 @dataclass(frozen=True)
 class SimulationErrors:
     """Standard deviations of the lab's errors about the true world (metres, radians, newtons)."""
@@ -127,9 +128,9 @@ def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors
     shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
     z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
     z = z + errors.depth_noise * drawn[2]
-    if errors.depth_quantum > 0:
-        z = jnp.round((z + CAMERA_DISTANCE_M) / errors.depth_quantum) * errors.depth_quantum - CAMERA_DISTANCE_M
-    return camera_view(z)
+    step = jnp.where(errors.depth_quantum > 0, errors.depth_quantum, 1.0)
+    rounded = jnp.round((z + CAMERA_DISTANCE_M) / step) * step - CAMERA_DISTANCE_M
+    return camera_view(jnp.where(errors.depth_quantum > 0, rounded, z))
 
 
 class _Approach(NamedTuple):
@@ -165,6 +166,7 @@ def simulate_touch(
     errors: SimulationErrors,
     limits: PressLimits,
     law: PressLaw = press_pad,
+    response: PadResponse | None = None,
 ) -> Touches:
     """One touch at a site chosen on the believed object: approach along the site's z, press, look.
 
@@ -178,6 +180,7 @@ def simulate_touch(
         errors: sizes of the errors that each touch draws anew.
         limits: when the press ends.
         law: what a press of the pad gives; another one makes a world whose physics is another.
+        response: the pad's `i2t.simulation.press.pad_response`, which is worked out anew where it is not given.
 
     Returns:
         One touch. Its reading is still that of an ideal sensor (see `apply_sensor_model`), and its indices are left 0
@@ -191,7 +194,7 @@ def simulate_touch(
     overshoot = limits.overshoot * jnp.abs(overrun)
     press = _press(
         surface, pad, approach,
-        overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits, law=law,
+        overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits, law=law, response=response,
     )  # fmt: skip
 
     advanced = jnp.linalg.norm(approach.T_o_t[:3, 3] - approach.start[:3, 3]) - limits.approach_distance
@@ -250,6 +253,7 @@ def _press(
     errors: SimulationErrors,
     limits: PressLimits,
     law: PressLaw,
+    response: PadResponse | None,
 ) -> _Press:
     """Press past first contact to the limits, once more on the final grid where that is another, and with friction.
 
@@ -257,15 +261,17 @@ def _press(
     standard deviations.
     """
     met, hit = approach.met, approach.hit
-    stop = press_to_stop(pad, met.depth, limits, overshoot, law=law)
+    stop = press_to_stop(pad, met.depth, limits, overshoot, law=law, response=response)
+    pressed = None
+    if law is press_pad:
+        pressed = Press(stop.reading, stop.force, stop.indentation, stop.pressure, jnp.asarray(True))
+    slide = errors.slant * stop.indentation * slant
+    friction = friction_response(pad, met.depth, stop.indentation, slide, pressed=pressed)
     if limits.final != GRID:
         heights = render_heights(surface, geometry.inverse(approach.T_o_t), PAD_WINDOW, limits.final.cells)
         nearest = jnp.min(heights)
         deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
-        press = law(pad, heights - nearest, deeper, grid=limits.final)
-        stop = stop._replace(force=press.force, reading=press.reading)
-    slide = errors.slant * stop.indentation * slant
-    friction = friction_response(pad, met.depth, stop.indentation, slide)
+        stop = press_finally(pad, heights - nearest, deeper, stop, final=limits.final, law=law, response=response)
     # The grid of the pad meets a point between its cells a little late; that distance is counted, so that nearest and
     # depth agree.
     sinking = jnp.where(hit, met.nearest + stop.indentation, 0.0)
@@ -335,7 +341,9 @@ def touch_simulator(
     """
     key_session, key_touches = jax.random.split(key)
     session = _draw_session(key_session, errors=errors)
-    stated = {"session": session, "pad": pad, "errors": errors, "limits": limits or PressLimits()}
+    limits = limits or PressLimits()
+    response = pad_response(pad, limits.final)
+    stated = {"session": session, "pad": pad, "errors": errors, "limits": limits, "response": response}
     believed = np.eye(4, dtype=np.float32) if T_w_o is None else np.asarray(T_w_o, np.float32)
     numbers = itertools.count()
 
@@ -346,8 +354,8 @@ def touch_simulator(
     return touch
 
 
-_draw_session = jax.jit(sample_session_errors, static_argnames="errors")
-_touch_once = jit_quickly(simulate_touch, static_argnames=("errors", "limits"))
+_draw_session = jax.jit(sample_session_errors)
+_touch_once = jit_quickly(simulate_touch)
 
 
 def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
@@ -361,10 +369,11 @@ def _simulate_session(
     presses_before: Int[Array, ""],
     T_w_o: Float[Array, "4 4"],
     pad: Pad,
-    *,
     errors: SimulationErrors,
     limits: PressLimits,
     sites: touch_sites.SiteLimits,
+    response: PadResponse,
+    *,
     n: int,
     law: PressLaw = press_pad,
 ) -> Touches:
@@ -379,6 +388,7 @@ def _simulate_session(
         errors: of the lab.
         limits: when a press ends.
         sites: which sites are safe.
+        response: the pad's `pad_response`.
         n: touches.
         law: what a press of the pad gives.
 
@@ -392,15 +402,16 @@ def _simulate_session(
     def touch(key: Key[Array, ""], T_o_site: Float[Array, "4 4"]) -> Touches:
         T_w_site = T_w_o @ T_o_site
         return simulate_touch(
-            key, surface, T_w_o, T_w_site, session=session, pad=pad, errors=errors, limits=limits, law=law
-        )
+            key, surface, T_w_o, T_w_site,
+            session=session, pad=pad, errors=errors, limits=limits, law=law, response=response,
+        )  # fmt: skip
 
     touches = jax.vmap(touch)(jax.random.split(key_touches, n), chosen.T_w_t)
     touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
     return apply_sensor_model(key_skin, touches, pad, errors, presses_before=presses_before)
 
 
-OF_SESSION = ("errors", "limits", "sites", "n", "law")  # static
+OF_SESSION = ("n", "law")  # static
 _simulate_many = jax.jit(_simulate_session, static_argnames=OF_SESSION)
 _simulate_few = jit_quickly(_simulate_session, static_argnames=OF_SESSION)
 
@@ -468,8 +479,8 @@ def simulate_touches(
 
     made = spread(
         _simulate_many if len(sessions) > MANY_SESSIONS else _simulate_few,
-        calls(), shared=(np.eye(4, dtype=np.float32), pad),
-        errors=errors, limits=limits, sites=sites, n=touches_per_session, law=law,
+        calls(), shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final)),
+        n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []
     for session, ((i, kept), part) in enumerate(zip(sessions, made, strict=True)):

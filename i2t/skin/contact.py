@@ -22,13 +22,14 @@ Arrays over the pad have row i along tool y and column j along tool x, at cell c
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from i2t.skin import lanes
 from i2t.skin.elasticity import CELL_GRID as CELL_GRID
 from i2t.skin.elasticity import FINE_GRID as FINE_GRID
 from i2t.skin.elasticity import GRID, Grid, clamped_shape, compliance, convolve
@@ -84,20 +85,9 @@ def solve(
     gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
     # The problem is homogeneous, so that its scale is no part of the derivative.
     scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(-gap), MIN_STRAIN))
-    soft, offset = _softness(pad, grid), gap / scale
-    bounds = _bounds(soft, grid)
-    state = descend(
-        partial(_deflect, jax.lax.stop_gradient(soft), grid=grid),
-        offset,
-        lambda p: jnp.maximum(p, 0),
-        level=lambda p, gap: jnp.zeros_like(scale),
-        start=-offset / bounds[1] if start is None else start / (pad.young * scale),
-        bounds=bounds,
-        tolerance=tolerance,
-        max_steps=max_steps,
-    )
-    pressure, gap, level = _tracked(soft, offset, state.point, state.gap, state.level, grid, False)
-    return _contact(pad, state, pressure, gap - level, scale, jnp.asarray(indentation), grid, tolerance)
+    start = None if start is None else start / (pad.young * scale)
+    state = _solution(pad, gap / scale, start, grid=grid, forced=False, tolerance=tolerance, max_steps=max_steps)
+    return _contact(pad, state, scale, jnp.asarray(indentation), grid, tolerance)
 
 
 @partial(jax.jit, static_argnames=("grid", "tolerance", "max_steps"))
@@ -128,20 +118,63 @@ def solve_force(
     height = jnp.minimum(height, MAX_HEIGHT_M)
     nearest = jax.lax.stop_gradient(jnp.min(height))  # an origin, and as such no part of the derivative
     scale = jnp.maximum(force / (grid.spacing**2 * pad.young), MIN_STRAIN)
-    soft, offset = _softness(pad, grid), (height - nearest) / (pad.thickness * scale)
-    bounds = _bounds(soft, grid)
-    state = descend(
-        partial(_deflect, jax.lax.stop_gradient(soft), grid=grid),
-        offset,
-        _onto_simplex,
-        level=lambda p, gap: jnp.sum(p * gap),
-        start=-offset / bounds[1] if start is None else start / (pad.young * scale),
-        bounds=bounds,
-        tolerance=tolerance,
-        max_steps=max_steps,
-    )
-    pressure, gap, level = _tracked(soft, offset, state.point, state.gap, state.level, grid, True)
-    return _contact(pad, state, pressure, gap - level, scale, nearest + level * scale * pad.thickness, grid, tolerance)
+    offset = (height - nearest) / (pad.thickness * scale)
+    start = None if start is None else start / (pad.young * scale)
+    state = _solution(pad, offset, start, grid=grid, forced=True, tolerance=tolerance, max_steps=max_steps)
+    return _contact(pad, state, scale, nearest + state.level * scale * pad.thickness, grid, tolerance)
+
+
+class _Solution(NamedTuple):
+    """A solved contact problem, or some of them, in units of E and of h times its scale."""
+
+    pressure: Array
+    gap: Array
+    level: Array
+    residual: Array
+    steps: Array
+
+
+def _solution(
+    pad: Pad, offset: Array, start: Array | None, *, grid: Grid, forced: bool, tolerance: float, max_steps: int
+) -> _Solution:
+    """Solve min p.Kp/2 + p.offset over p >= 0, or over those that sum to 1 (`forced`), with its derivatives."""
+    soft = _softness(pad, grid)
+    fixed, given = jax.lax.stop_gradient((soft, offset))
+    _, longest = _bounds(fixed, grid)
+    start = -given / longest if start is None else jax.lax.stop_gradient(start)
+    shared = (lanes.convolution(fixed.kernel, grid), fixed)
+    solver = _solver(grid, forced, tolerance, max_steps)
+    solution: _Solution = jax.tree.map(lambda row: row[0], solver(shared, given[None], start[None]))
+    pressure, gap, level = _tracked(soft, offset, *solution[:3], grid, forced)
+    return solution._replace(pressure=pressure, gap=gap, level=level)
+
+
+@lru_cache
+def _solver(grid: Grid, forced: bool, tolerance: float, max_steps: int) -> Callable[..., _Solution]:
+    """The solver of contact problems on lanes."""
+
+    def solver(shared: tuple[Array, _Softness], offset: Array, start: Array) -> _Solution:
+        matrices, soft = shared
+        shape = lanes.to_quadrants(clamped_shape(grid, offset.dtype)[None])
+
+        def deflect(p: Array) -> Array:
+            return lanes.convolve(matrices, p, grid) + soft.mount * lanes.total(shape * p) * shape
+
+        state = descend(
+            deflect,
+            lanes.to_quadrants(offset),
+            _onto_simplex if forced else lambda p: jnp.maximum(p, 0),
+            level=lambda p, gap: lanes.total(p * gap) if forced else jnp.zeros((), gap.dtype),
+            start=lanes.to_quadrants(start),
+            bounds=_bounds(soft, grid),
+            tolerance=tolerance,
+            max_steps=max_steps,
+        )
+        point, gap = lanes.from_quadrants(state.point), lanes.from_quadrants(state.gap)
+        level = jnp.broadcast_to(state.level, state.steps.shape)
+        return _Solution(point, gap, *(number.reshape(-1) for number in (level, state.residual, state.steps)))
+
+    return lanes.by_lanes(solver)
 
 
 class _Softness(NamedTuple):
@@ -248,7 +281,7 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
 
 
 class ContactState(NamedTuple):
-    """State of a descent."""
+    """State of a descent on lanes. Numbers of a lane have axes of length 1 for the cells."""
 
     point: Array  # within the allowed set
     gap: Array  # the gradient there, K x + offset
@@ -261,20 +294,21 @@ class ContactState(NamedTuple):
 
 def descend(
     deflect: Callable[[Array], Array],
-    offset: Array,
+    offset: Float[Array, "*cells lanes"],
     project: Callable[[Array], Array],
     *,
     level: Callable[[Array, Array], Array],
-    start: Array,
+    start: Float[Array, "*cells lanes"],
     bounds: tuple[Array, Array],
     tolerance: float,
     max_steps: int,
 ) -> ContactState:
-    """Minimise x.Kx/2 + x.offset over a convex set by spectral projected gradients. Not differentiated.
+    """Minimise x.Kx/2 + x.offset over a convex set by spectral projected gradients, each lane for itself. Not
+    differentiated.
 
     Args:
         deflect: x to K x, symmetric and positive.
-        offset: the linear term.
+        offset: the linear term; the last axis counts lanes.
         project: the nearest point of the set.
         level: from point and gap, the constant of the gap that the set's own conditions leave free.
         start: where to begin.
@@ -283,81 +317,68 @@ def descend(
         max_steps: applications of K after which it is given up.
 
     Returns:
-        Where the descent has come to.
+        Where the descent has come to. A lane stays where it has met the tolerance.
     """
-    offset, start = jax.lax.stop_gradient((offset, start))
-    shortest, longest = (1 / jax.lax.stop_gradient(bound) for bound in bounds[::-1])
+    shortest, longest = (1 / bound for bound in bounds[::-1])
 
     def state(x: Array, gap: Array, length: Array, steps: Array) -> ContactState:
         # Taking the level off changes nothing in exact arithmetic (directions of constant force sum to zero); it saves
         # the digits below it.
         reached = level(x, gap)
         target = project(x - length * (gap - reached))
-        deflection = positive(jnp.max(jnp.abs(gap - offset)))
-        moved = jnp.max(jnp.abs(target - x))
+        deflection = positive(lanes.largest(gap - offset))
+        moved = lanes.largest(target - x)
         # Where nothing may move (no friction), length times deflection may be too small a number to divide by.
         residual = jnp.where(moved > 0, moved / jnp.where(moved > 0, length * deflection, 1), 0)
-        return ContactState(
-            point=x,
-            gap=gap,
-            level=reached,
-            target=target,
-            length=length,
-            residual=residual,
-            steps=steps,
-        )
-
-    def step(now: ContactState) -> ContactState:
-        d = now.target - now.point
-        change = deflect(d)
-        dd, dk, kk = (positive(jnp.sum(product)) for product in (d * d, d * change, change * change))
-        fraction = jnp.clip(-jnp.sum((now.gap - now.level) * d) / dk, 0, 1)
-        length = jnp.where(now.steps % 2 == 0, dk / kk, dd / dk)  # Barzilai and Borwein's two, in turn
-        x = (1 - fraction) * now.point + fraction * now.target  # between two points of the set, so within it
-        return state(x, now.gap + fraction * change, jnp.clip(length, shortest, longest), now.steps + 1)
+        return ContactState(x, gap, reached, target, length, residual, steps)
 
     def unfinished(now: ContactState) -> Array:
         return (now.residual > tolerance) & (now.steps < max_steps)
 
+    def step(now: ContactState) -> ContactState:
+        going = unfinished(now)
+        d = now.target - now.point
+        change = deflect(d)
+        dd, dk, kk = (positive(lanes.total(product)) for product in (d * d, d * change, change * change))
+        fraction = jnp.clip(-lanes.total((now.gap - now.level) * d) / dk, 0, 1)
+        fraction = jnp.where(going, fraction, 0)
+        length = jnp.where(now.steps % 2 == 0, dk / kk, dd / dk)  # Barzilai and Borwein's two, in turn
+        length = jnp.where(going, jnp.clip(length, shortest, longest), now.length)
+        x = (1 - fraction) * now.point + fraction * now.target  # between two points of the set, so within it
+        return state(x, now.gap + fraction * change, length, now.steps + going)
+
     start = project(start)
-    first = state(start, deflect(start) + offset, shortest, jnp.asarray(1))
-    return jax.lax.while_loop(unfinished, step, first)
+    lengths = jnp.full_like(lanes.total(offset), shortest)
+    first = state(start, deflect(start) + offset, lengths, jnp.ones_like(lengths, int))
+    return jax.lax.while_loop(lambda now: jnp.any(unfinished(now)), step, first)
 
 
-def _onto_simplex(p: Array) -> Array:
-    """The nearest array >= 0 that sums to 1: max(p - t, 0). Newton's method finds t: from anywhere its first step ends
-    at or below it, and from there t rises and cells only leave; once none leaves, t is exact.
+def _onto_simplex(p: Float[Array, "*cells lanes"]) -> Float[Array, "*cells lanes"]:
+    """The nearest array >= 0 whose lanes sum to 1: max(p - t, 0). Newton's method finds t: from anywhere its first step
+    ends at or below it, and from there t rises and cells only leave; once none leaves, t is exact.
     """
 
     def newton(t: Array) -> tuple[Array, Array]:
         above = p > t
-        count = jnp.sum(above)
-        return t + (jnp.sum(jnp.where(above, p - t, 0)) - 1) / jnp.maximum(count, 1), count
+        count = lanes.total(above.astype(p.dtype))
+        return t + (lanes.total(jnp.where(above, p - t, 0)) - 1) / jnp.maximum(count, 1), count
 
-    most = jnp.max(p)
+    most = jnp.max(p, lanes.cell_axes(p), keepdims=True)
     # Near the solution p sums to about 1, and t is about 0.
     t, _ = newton(jnp.where(most > 0, 0, most - 1))
-    first = t, jnp.asarray(p.size + 1), jnp.asarray(p.size + 2)
-    t, *_ = jax.lax.while_loop(lambda now: now[1] < now[2], lambda now: (*newton(now[0]), now[1]), first)
+    size = p[..., 0].size
+    first = t, jnp.full_like(t, size + 1), jnp.full_like(t, size + 2)
+    t, *_ = jax.lax.while_loop(lambda now: jnp.any(now[1] < now[2]), lambda now: (*newton(now[0]), now[1]), first)
     return jnp.maximum(p - t, 0)
 
 
-def _contact(
-    pad: Pad,
-    state: ContactState,
-    pressure: Array,
-    gap: Array,
-    scale: Array,
-    indentation: Array,
-    grid: Grid,
-    tolerance: float,
-) -> Contact:
-    pressure = pressure * scale * pad.young
+def _contact(pad: Pad, state: _Solution, scale: Array, indentation: Array, grid: Grid, tolerance: float) -> Contact:
+    pressure = state.pressure * scale * pad.young
     return Contact(
         pressure=pressure,
         force=jnp.sum(pressure) * grid.spacing**2,
         indentation=indentation,
-        gap=gap * scale * pad.thickness,
+        gap=(state.gap - state.level) * scale * pad.thickness,
         residual=state.residual,
         steps=state.steps,
         converged=state.residual <= tolerance,

@@ -19,8 +19,9 @@ needs no trigonometry.
 Tool frame; metres, A/m, A m2, tesla; readings in microtesla in the board's order and the chips' own axes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +34,7 @@ from i2t.types import Pad
 CELL_NODES = 5  # across the thickness; `tests/skin/test_dipoles.py` refines them and the cells
 MU0_OVER_4PI = 1e-7  # T m/A
 MICROTESLA = 1e6
+Dipoles: TypeAlias = Grid | tuple[Grid, ...]  # of all sheets, or of each from the surface down; all of one period
 
 
 def dipole_field(
@@ -51,15 +53,16 @@ def dipole_field(
     return jax.vmap(_field, (0, None, None))(points, positions.T, moments.T)
 
 
-@partial(jax.jit, static_argnames=("grid", "dipoles", "nodes"))
+@partial(jax.jit, static_argnames=("grid", "dipoles", "nodes", "first_sheet"))
 def response(
     pad: Pad,
     pressure: Float[Array, "n n"],
     grid: Grid = GRID,
     *,
-    dipoles: Grid | None = None,
+    dipoles: Dipoles | None = None,
     nodes: int = CELL_NODES,
     traction: Float[Array, "2 n n"] | None = None,
+    first_sheet: int = 0,
 ) -> Float[Array, " c"]:
     """The noise-free reading under a load: gains times the change of field, in the chips' axes.
 
@@ -67,29 +70,72 @@ def response(
         pad: the skin on its board.
         pressure: Pa, on the cells of `grid`.
         grid: of the loads.
-        dipoles: a coarser grid of the same period, with fewer dipoles than one under each cell of `grid`.
+        dipoles: a coarser grid of the same period, with fewer dipoles than one under each cell of `grid`, or one grid
+            for each sheet from the surface down.
         nodes: sheets of dipoles across the thickness.
         traction: Pa, along x and y.
+        first_sheet: sheets above this one, counted from the surface, are left out.
 
     Returns:
         The reading in uT.
     """
     dipoles = grid if dipoles is None else dipoles
-    change = pressed_field(pad, pressure, grid, dipoles=dipoles, nodes=nodes, traction=traction) - rest_field(
-        pad, dipoles, nodes
-    )
+    part = {"dipoles": dipoles, "nodes": nodes, "first_sheet": first_sheet}
+    change = pressed_field(pad, pressure, grid, traction=traction, **part) - rest_field(pad, **part)
     return pad.gains * pad.board.to_board(change)
 
 
-@partial(jax.jit, static_argnames=("grid", "dipoles", "nodes"))
+@partial(jax.jit, static_argnames=("grid", "dipoles", "first_sheet"))
+def linear_response(
+    pad: Pad, grid: Grid = GRID, *, dipoles: Dipoles | None = None, first_sheet: int = 0
+) -> Float[Array, "c n n"]:
+    """The derivative of `response` by the pressure at rest: what it is as long as the skin moves little.
+
+    Args:
+        pad: the skin on its board.
+        grid: of the pressure.
+        dipoles: as for `response`.
+        first_sheet: as for `response`.
+
+    Returns:
+        uT/Pa, for each value of a reading and each cell.
+    """
+    rest = jnp.zeros((grid.cells, grid.cells), pad.thickness.dtype)
+
+    def response_of(dipoles: Grid, magnets: tuple[Array, Array]) -> Array:
+        def sheet(magnets: tuple[Array, Array]) -> Array:
+            depth, moments = magnets
+
+            def field(motion: Array) -> Array:
+                return _fields(pad, _places(depth, dipoles) + motion[:3], turn(motion[3:], moments))
+
+            def move(pressure: Array) -> Array:
+                return jnp.concatenate(interior(pad, load(pad, pressure, None, grid, dipoles), depth, dipoles))
+
+            still = jnp.zeros((6, dipoles.cells, dipoles.cells), rest.dtype)
+            along = jnp.broadcast_to(jnp.eye(6)[:, :, None, None], (6, *still.shape))
+            # Of each chip and component, by the motion and turn of each dipole; then by what moves the dipoles.
+            slopes = jnp.moveaxis(jax.vmap(lambda way: jax.jvp(field, (still,), (way,))[1])(along), 0, 2)
+            return jax.vmap(jax.vmap(lambda slope: jax.linear_transpose(move, rest)(slope)[0]))(slopes)
+
+        return jnp.sum(jax.lax.map(sheet, magnets), axis=0)
+
+    dipoles = grid if dipoles is None else dipoles
+    change = sum(response_of(*group) for group in _groups(pad, dipoles, CELL_NODES, first_sheet))
+    to_board = jax.vmap(pad.board.to_board, -1, -1)(change.reshape(*change.shape[:2], -1))
+    return (pad.gains[:, None] * to_board).reshape(-1, *rest.shape)
+
+
+@partial(jax.jit, static_argnames=("grid", "dipoles", "nodes", "first_sheet"))
 def pressed_field(
     pad: Pad,
     pressure: Float[Array, "n n"],
     grid: Grid = GRID,
     *,
-    dipoles: Grid | None = None,
+    dipoles: Dipoles | None = None,
     nodes: int = CELL_NODES,
     traction: Float[Array, "2 n n"] | None = None,
+    first_sheet: int = 0,
 ) -> Float[Array, "chips 3"]:
     """Field of the pad's magnets at the chips under a load.
 
@@ -97,43 +143,63 @@ def pressed_field(
         pad: The skin on its board.
         pressure: Pa, on the cells of `grid`.
         grid: Of the loads.
-        dipoles: A coarser grid of the same period, with fewer dipoles than one under each cell of `grid`.
+        dipoles: A coarser grid of the same period, with fewer dipoles than one under each cell of `grid`, or one grid
+            for each sheet from the surface down.
         nodes: Sheets of dipoles across the thickness.
         traction: Pa, along x and y.
+        first_sheet: sheets above this one, counted from the surface, are left out.
 
     Returns:
         uT, tool axes.
     """
-    dipoles = grid if dipoles is None else dipoles
-    loaded = load(pad, pressure, traction, grid, dipoles)
 
-    def sheet(magnets: tuple[Array, Array]) -> Array:
-        depth, moments = magnets
-        displacement, rotation = interior(pad, loaded, depth, dipoles)
-        return _at_chips(pad, _places(depth, dipoles) + displacement, turn(rotation, moments))
+    def field_of(dipoles: Grid, magnets: tuple[Array, Array]) -> Array:
+        loaded = load(pad, pressure, traction, grid, dipoles)
 
-    # One sheet after the other: a batch of all of them at once would outgrow the caches.
-    return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
+        def sheet(magnets: tuple[Array, Array]) -> Array:
+            depth, moments = magnets
+            displacement, rotation = interior(pad, loaded, depth, dipoles)
+            return _at_chips(pad, _places(depth, dipoles) + displacement, turn(rotation, moments))
+
+        # One sheet after the other: a batch of all of them at once would outgrow the caches.
+        return jnp.sum(jax.lax.map(sheet, magnets), axis=0)
+
+    return sum(field_of(*group) for group in _groups(pad, grid if dipoles is None else dipoles, nodes, first_sheet))
 
 
-@partial(jax.jit, static_argnames=("dipoles", "nodes"))
-def rest_field(pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES) -> Float[Array, "chips 3"]:
+@partial(jax.jit, static_argnames=("dipoles", "nodes", "first_sheet"))
+def rest_field(
+    pad: Pad, dipoles: Dipoles = GRID, nodes: int = CELL_NODES, first_sheet: int = 0
+) -> Float[Array, "chips 3"]:
     """Field of the pad's magnets at the chips when nothing touches it.
 
     Args:
         pad: The skin on its board.
-        dipoles: Grid with one dipole under each cell.
+        dipoles: Grid with one dipole under each cell, or one for each sheet from the surface down.
         nodes: Sheets of dipoles across the thickness.
+        first_sheet: Sheets above this one, counted from the surface, are left out.
 
     Returns:
         uT, tool axes.
     """
 
-    def sheet(magnets: tuple[Array, Array]) -> Array:
-        depth, moments = magnets
-        return _at_chips(pad, _places(depth, dipoles), moments)
+    def field_of(dipoles: Grid, magnets: tuple[Array, Array]) -> Array:
+        def sheet(magnets: tuple[Array, Array]) -> Array:
+            depth, moments = magnets
+            return _at_chips(pad, _places(depth, dipoles), moments)
 
-    return jnp.sum(jax.lax.map(sheet, sheets(pad, dipoles, nodes)), axis=0)
+        return jnp.sum(jax.lax.map(sheet, magnets), axis=0)
+
+    return sum(field_of(*group) for group in _groups(pad, dipoles, nodes, first_sheet))
+
+
+def _groups(pad: Pad, dipoles: Dipoles, nodes: int, first_sheet: int) -> Iterator[tuple[Grid, tuple[Array, Array]]]:
+    """The sheets of each grid, with their depths and moments."""
+    grids = [dipoles] * nodes if isinstance(dipoles, Grid) else list(dipoles)
+    for grid in dict.fromkeys(grids[first_sheet:]):
+        depths, moments = sheets(pad, grid, nodes)
+        rows = np.array([i for i in range(first_sheet, nodes) if grids[i] == grid])
+        yield grid, (depths[rows], moments[rows])
 
 
 def sheets(
@@ -204,11 +270,22 @@ def _at_chips(pad: Pad, positions: Array, moments: Array) -> Array:
     return MICROTESLA * jnp.stack([_field(chip, positions, moments) for chip in jnp.asarray(pad.board.chips)])
 
 
+def _fields(pad: Pad, positions: Float[Array, "3 n n"], moments: Float[Array, "3 n n"]) -> Float[Array, "chips 3 n n"]:
+    """Part of each dipole in the field at each chip, uT."""
+    return MICROTESLA * jax.vmap(_fields_at, (0, None, None))(jnp.asarray(pad.board.chips), positions, moments)
+
+
 def _field(point: Array, positions: Array, moments: Array) -> Array:
     """Field at one point of dipoles whose components are on the first axis."""
-    away = point.reshape(3, *[1] * (positions.ndim - 1)) - positions
-    inverse = jax.lax.rsqrt(jnp.sum(away * away, axis=0, keepdims=True))
+    return jnp.sum(_fields_at(point, positions, moments).reshape(3, -1), axis=1)
+
+
+def _fields_at(point: Array, positions: Array, moments: Array) -> Array:
+    """Field at one point of each dipole."""
+    # Components are written out: XLA makes a slow loop of a sum over three of them.
+    away = [point[i] - positions[i] for i in range(3)]
+    inverse = jax.lax.rsqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
     square = inverse * inverse
-    cube = square * inverse
-    along = 3 * square * jnp.sum(moments * away, axis=0, keepdims=True)
-    return MU0_OVER_4PI * jnp.sum(cube * (along * away - moments), axis=tuple(range(1, positions.ndim)))
+    cube = MU0_OVER_4PI * square * inverse
+    along = 3 * square * (moments[0] * away[0] + moments[1] * away[1] + moments[2] * away[2])
+    return jnp.stack([cube * (along * a - m) for a, m in zip(away, moments, strict=True)])

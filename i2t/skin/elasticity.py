@@ -294,9 +294,7 @@ def spectrum(
         Coefficients (modes, modes), rows along y.
     """
     series = grid if series is None else series
-    k = series.wavenumbers
-    lone = (k == 0) | (k == np.max(grid.wavenumbers))  # constant and shortest waves have no partner of their wavenumber
-    waves = basis(series, grid.centres)[0] * np.where(lone, 1, 2)[:, None] / grid.modes
+    waves = basis(series, grid.centres)[0] * _weights(grid, series)[:, None]
     return _product(waves, pressure, waves)
 
 
@@ -345,6 +343,26 @@ def basis(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cosine, sine = np.cos(k * coordinates[None]), np.sin(k * coordinates[None])
     even = np.arange(grid.modes)[:, None] < grid.modes // 2
     return np.where(even, cosine, sine), k * np.where(even, -sine, cosine)
+
+
+def half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """The series' waves along one axis on the cells of its outer half, by parity.
+
+    Args:
+        grid: Of cells and waves.
+
+    Returns:
+        Values (2, modes / 2, cells / 2) of cosines and sines, and the same with the weights that `spectrum` gives them.
+    """
+    waves = basis(grid, grid.centres[grid.cells // 2 :])[0].reshape(2, grid.modes // 2, grid.cells // 2)
+    return waves, waves * _weights(grid, grid).reshape(2, grid.modes // 2, 1)
+
+
+def _weights(grid: Grid, series: Grid) -> np.ndarray:
+    """Weight (modes,) of each wave of `series` in the coefficients of the series of `grid`."""
+    k = series.wavenumbers
+    lone = (k == 0) | (k == np.max(grid.wavenumbers))  # constant and shortest waves have no partner of their wavenumber
+    return np.where(lone, 1, 2) / grid.modes
 
 
 def _slope(waves: Array, axis: int, grid: Grid) -> Array:

@@ -21,6 +21,7 @@ world, z up. Functions of one reading are lifted by `vmap`.
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +29,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry
+from i2t.compiling import traced_floats
 from i2t.types import Board
 
 EARTH_DIP_RAD = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)
@@ -40,7 +42,10 @@ HOLD_TIME_S = 1.0  # s, mean time from contact to the reading
 LAYER_SHARE = 0.2  # part of a press that the layer takes up and not the arm; see `creep`
 WARMING_SPREAD = 0.12  # of the warming: chips warmed by 10 K lie up to 2.4 K apart, as recorded
 
+Size: TypeAlias = float | Float[Array, ""]  # of a fault; traced where `Faults` is
 
+
+@traced_floats
 @dataclass(frozen=True)
 class Faults:
     """Sizes of the faults of one board and session; zero switches one off, and all are off by default."""
@@ -153,7 +158,7 @@ def _warmed(
 
 
 def mullins_softening(
-    reading: Float[Array, " c"], presses: Int[Array, ""] | int, size: float = 0.1
+    reading: Float[Array, " c"], presses: Int[Array, ""] | int, size: Size = 0.1
 ) -> Float[Array, " c"]:
     """At a given force a used layer yields more: readings grow towards 1 + `size` times as presses wear the pad.
 
@@ -172,7 +177,7 @@ def mullins_softening(
     return reading * (1 + size * (1 - jnp.exp(-presses / WEAR_PRESSES)))
 
 
-def stress_left(seconds: Float[Array, ""] | float, size: float = 0.05) -> Float[Array, ""]:
+def stress_left(seconds: Size, size: Size = 0.05) -> Float[Array, ""]:
     """Part of the layer's stress that is left after a hold: a Prony series of shares size / 3 at PRONY_TIMES.
 
     Args:
@@ -187,8 +192,8 @@ def stress_left(seconds: Float[Array, ""] | float, size: float = 0.05) -> Float[
 
 def creep(
     reading: Float[Array, " c"],
-    seconds: Float[Array, ""] | float,
-    size: float = 0.05,
+    seconds: Size,
+    size: Size = 0.05,
     yielding: float = LAYER_SHARE,
 ) -> Float[Array, " c"]:
     """Growth of a reading while the touch is held and the stress in the layer relaxes.
@@ -211,7 +216,7 @@ def creep(
     return reading / (1 - yielding * (1 - stress_left(seconds, size)))
 
 
-def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: float = 0.3) -> Float[Array, "n c"]:
+def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: Size = 0.3) -> Float[Array, "n c"]:
     """Hysteresis: one chip, drawn for the board, adds a part of the press before to each reading.
 
     On a real ReSkin board one chip was up to 35 uT off after a press, where a strong press is 107 uT (p95);
@@ -232,7 +237,7 @@ def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: f
     return readings + size * jnp.where(chip[None], before, 0.0)
 
 
-def ambient_field(key: Key[Array, ""], earth: float = 48.0, room: float = 10.0) -> Float[Array, "3"]:
+def ambient_field(key: Key[Array, ""], earth: Size = 48.0, room: Size = 10.0) -> Float[Array, "3"]:
     """The uniform field of a place: the earth's, at its dip and an unknown compass bearing, and the room's.
 
     48 uT is central Europe's (IGRF-13, 2020). Iron in walls, table and robot adds tens of microtesla; 10 uT for each
@@ -285,7 +290,7 @@ def subtract_ambient(values: Float[Array, "n c"], before: Float[Array, "n c"], e
 
 
 def temperature_drift(
-    key: Key[Array, ""], touches: int, chips: int, size: float = 10.0, lag: float = 0.0
+    key: Key[Array, ""], touches: int, chips: int, size: Size = 10.0, lag: Size = 0.0
 ) -> Float[Array, "n chips"]:
     """Warming of each chip at each touch of a session that begins cold: all but a twentieth of `size` by its end.
 
@@ -340,7 +345,7 @@ def apply_warming(
 
 
 def saturate(
-    reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: float = RANGE_XY_UT, range_z: float = RANGE_Z_UT
+    reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: Size = RANGE_XY_UT, range_z: Size = RANGE_Z_UT
 ) -> Float[Array, " c"]:
     """A change of field where each axis ends at its full scale.
 
@@ -356,7 +361,8 @@ def saturate(
     Returns:
         The change (uT) that is read.
     """
-    limit = np.tile([range_xy or np.inf, range_xy or np.inf, range_z or np.inf], reading.shape[-1] // 3)
+    limit = jnp.tile(jnp.array([range_xy, range_xy, range_z]), reading.shape[-1] // 3)
+    limit = jnp.where(limit > 0, limit, jnp.inf)
     # Written as a correction, so that a reading in range is left as it is and not rounded to the field at rest.
     total = rest + reading
     over = total - jnp.clip(total, -limit, limit)

@@ -19,13 +19,15 @@ C dq + ... = 0 on the first, and on the second the traction turns towards the ch
 friction. Tool frame; metres, pascals, newtons.
 """
 
-from functools import partial
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from i2t.skin import lanes
 from i2t.skin.contact import MAX_STEPS, MIN_STRAIN, conjugate_gradients, descend, positive
 from i2t.skin.elasticity import (
     GRID,
@@ -108,35 +110,68 @@ def shear(
     # The problem is homogeneous, so that its scale is no part of the derivative.
     scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(wanted)), MIN_STRAIN))
     wanted, limit = wanted / scale, pad.friction * pressure[None] / (pad.young * scale)
-    fixed_kernels, fixed_limit = jax.lax.stop_gradient((kernels, limit))
-
-    def onto_discs(q: Array) -> Array:
-        # Nothing is divided by a size of zero, however small a number stands for it: the limit is a quotient, and a
-        # compiler that divides by the product of both divisors takes that product for zero.
-        size = _size(q)
-        outside = (size > fixed_limit) & (fixed_limit > 0)
-        shrunk = jnp.where(outside, fixed_limit / jnp.where(outside, size, 1), 1)
-        return jnp.where(fixed_limit > 0, q * shrunk, 0)
-
-    state = descend(
-        partial(_yielding, fixed_kernels, grid=grid),
-        -wanted,
-        onto_discs,
-        level=lambda q, slip: jnp.zeros_like(scale),
-        start=jnp.zeros_like(wanted) if before is None else before.traction / (pad.young * scale),
-        bounds=(jnp.min(kernels), jnp.max(kernels)),
-        tolerance=tolerance,
-        max_steps=max_steps,
-    )
-    traction, slip = _tracked(kernels, limit, wanted, state.point, state.gap, grid)
+    fixed_kernels, fixed_limit, given = jax.lax.stop_gradient((kernels, limit, wanted))
+    start = jnp.zeros_like(given) if before is None else jax.lax.stop_gradient(before.traction / (pad.young * scale))
+    shared = (lanes.vector_convolution(fixed_kernels, grid), (jnp.min(fixed_kernels), jnp.max(fixed_kernels)))
+    solver = _solver(grid, tolerance, max_steps)
+    state: _Descended = jax.tree.map(lambda row: row[0], solver(shared, given[None], fixed_limit[None], start[None]))
+    traction, slip = _tracked(kernels, limit, wanted, state.traction, state.slip, grid)
     return Shear(
         traction=traction * scale * pad.young,
         displacement=(slip + wanted) * scale * pad.thickness + spreading,
-        slipping=_slipping(state.point, limit)[0],
+        slipping=_slipping(state.traction, limit)[0],
         residual=state.residual,
         steps=state.steps,
         converged=state.residual <= tolerance,
     )
+
+
+class _Descended(NamedTuple):
+    """A solved problem of friction, or some of them, in units of E and of h times its scale."""
+
+    traction: Array
+    slip: Array
+    residual: Array
+    steps: Array
+
+
+@lru_cache
+def _solver(grid: Grid, tolerance: float, max_steps: int) -> Callable[..., _Descended]:
+    """The solver of problems of friction on lanes."""
+
+    def solver(shared: tuple[Array, tuple[Array, Array]], wanted: Array, limit: Array, start: Array) -> _Descended:
+        matrices, bounds = shared
+        limit = lanes.to_quadrants(limit[:, 0])
+
+        def onto_discs(q: Array) -> Array:
+            # Nothing is divided by a size of zero, however small a number stands for it: the limit is a quotient, and a
+            # compiler that divides by the product of both divisors takes that product for zero.
+            size = _size(q)[0]
+            outside = (size > limit) & (limit > 0)
+            factor = jnp.where(limit > 0, jnp.where(outside, limit / jnp.where(outside, size, 1), 1), 0)
+            return jnp.stack([q[0] * factor, q[1] * factor])
+
+        state = descend(
+            lambda q: lanes.convolve_vectors(matrices, q, grid),
+            -_quadrants(wanted),
+            onto_discs,
+            level=lambda q, slip: jnp.zeros((), slip.dtype),
+            start=_quadrants(start),
+            bounds=bounds,
+            tolerance=tolerance,
+            max_steps=max_steps,
+        )
+        traction, slip = (
+            jnp.stack([lanes.from_quadrants(part) for part in parts], axis=1) for parts in (state.point, state.gap)
+        )
+        return _Descended(traction, slip, state.residual.reshape(-1), state.steps.reshape(-1))
+
+    return lanes.by_lanes(solver)
+
+
+def _quadrants(vectors: Float[Array, "lanes 2 n n"]) -> Float[Array, "2 2 h 2 h lanes"]:
+    """Both components, split into quadrants."""
+    return jnp.stack([lanes.to_quadrants(vectors[:, i]) for i in range(2)])
 
 
 def _yielding(kernels: Array, q: Array, grid: Grid) -> Array:
@@ -146,7 +181,8 @@ def _yielding(kernels: Array, q: Array, grid: Grid) -> Array:
 
 
 def _size(vectors: Array) -> Array:
-    return jnp.sqrt(jnp.sum(vectors * vectors, axis=0, keepdims=True))
+    # Written out: XLA makes a loop of a sum over two components, ten times as slow.
+    return jnp.sqrt(vectors[:1] * vectors[:1] + vectors[1:] * vectors[1:])
 
 
 def _slipping(traction: Array, limit: Array) -> Array:

@@ -11,15 +11,18 @@ Readings are microtesla in the board's order and the chips' own axes. Each funct
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from i2t.compiling import traced_floats
 from i2t.types import Board
 
 
+@traced_floats
 @dataclass(frozen=True)
 class Noise:
     """Sizes of the sensor's errors (uT); zero switches one off."""
@@ -49,7 +52,7 @@ class Noise:
         """
         return replace(self, xy=factor * self.xy, z=factor * self.z, drift=factor * self.drift)
 
-    def sigma(self, chips: int) -> np.ndarray:
+    def sigma(self, chips: int) -> Float[Any, " c"]:
         """Standard deviation of one sample at rest.
 
         Args:
@@ -58,9 +61,9 @@ class Noise:
         Returns:
             (3 chips,) uT.
         """
-        return np.tile([self.xy, self.xy, self.z], chips)
+        return _of_axes(self.xy, self.z, chips)
 
-    def steps(self, chips: int) -> np.ndarray:
+    def steps(self, chips: int) -> Float[Any, " c"]:
         """Steps of the converter.
 
         Args:
@@ -69,7 +72,13 @@ class Noise:
         Returns:
             (3 chips,) uT.
         """
-        return np.tile([self.step_xy, self.step_xy, self.step_z], chips)
+        return _of_axes(self.step_xy, self.step_z, chips)
+
+
+def _of_axes(xy: Any, z: Any, chips: int) -> Float[Any, " c"]:
+    """A value of each axis of each chip: NumPy's of numbers, JAX's where one is traced."""
+    xp = jnp if isinstance(xy, jax.Array) or isinstance(z, jax.Array) else np
+    return xp.tile(xp.array([xy, xy, z]), chips)
 
 
 def add_sensor_noise(
@@ -114,7 +123,7 @@ def sample_burst(
     key_ambient, key_white = jax.random.split(key)
     field = reading + ambient(key_ambient, board, noise)
     sigma = noise.sigma(board.num_chips)[None]
-    own = sigma * np.sqrt(1 - noise.common) * jax.random.normal(key_white, (samples, board.num_readings))
+    own = sigma * jnp.sqrt(1 - noise.common) * jax.random.normal(key_white, (samples, board.num_readings))
     return quantise(field[None] + own, noise)
 
 
@@ -129,8 +138,7 @@ def ambient(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array, " c
     Returns:
         A reading in uT.
     """
-    size = np.sqrt(noise.common) * np.array([noise.xy, noise.xy, noise.z])
-    field = size * jax.random.normal(key, (3,))
+    field = jnp.sqrt(noise.common) * noise.sigma(1) * jax.random.normal(key, (3,))
     return board.to_board(jnp.broadcast_to(field, (board.num_chips, 3)))
 
 
@@ -146,7 +154,7 @@ def quantise(readings: Float[Array, "*n c"], noise: Noise) -> Float[Array, "*n c
     """
     channels = readings.shape[-1]
     steps = noise.steps(channels // 3).reshape((1,) * (readings.ndim - 1) + (channels,))
-    safe = np.where(steps > 0, steps, 1)
+    safe = jnp.where(steps > 0, steps, 1)
     return jnp.where(steps > 0, jnp.round(readings / safe) * safe, readings)
 
 

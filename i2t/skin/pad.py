@@ -17,7 +17,7 @@ from i2t.compiling import jit_quickly
 from i2t.errors import did_you_mean
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
-from i2t.skin.dipoles import pressed_field, response, rest_field
+from i2t.skin.dipoles import response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import Shear, rest, shear
 from i2t.types import Board, Pad, in_one_line
@@ -34,6 +34,8 @@ EDGE_CLAMPED_FRACTION = 1 / 3  # of skins are
 MAGNETIZATION_A_PER_M = 2e4  # root mean square of one component of a random magnetization; see `sample_pad`
 MAX_RANGE_FRACTION = 0.85  # of the converter's range, which no axis exceeds at rest
 FIRST_PAD_SEED = 1000  # of pad 0 of `numbered_pad`
+PATH_TOLERANCE = 1e-4  # of the contacts on the way of `friction_response`
+TRACTION_TOLERANCE = 1e-3  # of its tractions, of the largest displacement
 MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and whole cells to each of 4 poles
 
 
@@ -121,10 +123,12 @@ def friction_response(
     *,
     grid: Grid = GRID,
     increments: int = 3,
+    pressed: Press | None = None,
 ) -> Float[Array, " c"]:
     """Friction's part in the reading of a press whose surface slides evenly on its way; see `i2t.skin.friction`.
 
-    Not zero without a slide: friction also holds what pressure would spread.
+    Not zero without a slide: friction also holds what pressure would spread. Contacts and tractions on the way are
+    solved to `PATH_TOLERANCE` and `TRACTION_TOLERANCE`, which moves the result by about 5 nT.
 
     Args:
         pad: the skin.
@@ -133,23 +137,24 @@ def friction_response(
         slide: m, along x and y of the skin, from first touch to the indentation.
         grid: of the contact.
         increments: equal steps of the path.
+        pressed: `press` of the same pad, height, indentation and grid, where it is known.
 
     Returns:
         The change of the reading in uT.
     """
+    pressed = press(pad, height, indentation, grid=grid) if pressed is None else pressed
 
-    def advance(
-        now: tuple[Float[Array, "n n"], Shear], part: Float[Array, ""]
-    ) -> tuple[tuple[Float[Array, "n n"], Shear], None]:
-        pressure = solve(pad, height, part * indentation, grid, start=now[0]).pressure
-        return (pressure, shear(pad, pressure, slide / increments, grid, before=now[1])), None
+    def advance(before: Shear, number: Float[Array, ""]) -> tuple[Shear, None]:
+        part = number / increments
+        start = part * pressed.pressure
+        pressure = solve(pad, height, part * indentation, grid, start=start, tolerance=PATH_TOLERANCE).pressure
+        begun = before._replace(traction=before.traction * number / jnp.maximum(number - 1, 1))
+        state = shear(pad, pressure, slide / increments, grid, before=begun, tolerance=TRACTION_TOLERANCE)
+        return state, None
 
-    untouched = jnp.zeros_like(height)
-    parts = jnp.asarray(np.arange(1, increments + 1) / increments, height.dtype)
-    (pressure, state), _ = jax.lax.scan(advance, (untouched, rest(pad, untouched, grid)), parts)
-    tractions = jnp.stack([state.traction, jnp.zeros_like(state.traction)])  # with and without, compiled once for both
-    held, free = jax.lax.map(lambda traction: pressed_field(pad, pressure, grid, traction=traction), tractions)
-    return pad.gains * pad.board.to_board(held - free)
+    numbers = jnp.arange(1, increments + 1, dtype=pressed.pressure.dtype)
+    state, _ = jax.lax.scan(advance, rest(pad, jnp.zeros_like(pressed.pressure), grid), numbers)
+    return response(pad, pressed.pressure, grid, traction=state.traction) - pressed.reading
 
 
 def nominal_pad(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.compilations import compilations
 from helpers.environments import OBJECTS, random_environment
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -25,3 +26,6 @@ def test_the_same_seed_is_the_same_episode_and_a_step_needs_a_reset():
         env.reset(seed=5)
         runs.append(env.step({"action": 1, "prediction": np.zeros(OBJECTS, np.float32)})[0]["reading"])
     np.testing.assert_array_equal(*runs)
+    with compilations() as compiled:
+        gym.SingleTouchEnv(*random_environment()).reset(seed=5)
+    assert "jit(_reset)" not in compiled

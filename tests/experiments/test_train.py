@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import time
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.baselines import bare_dataset, placed_dataset, round_tip
+from helpers.debug_run import COMMAND
 
 import i2t
 from experiments.train import __main__ as command
@@ -94,7 +94,7 @@ def test_killed_and_resumed_equals_uninterrupted(trained_run, tmp_path, capsys):
     out.mkdir()
     for name in ("config.json", "data.h5"):
         shutil.copy(trained_run / name, out)
-    words = [sys.executable, "-m", "experiments.train", "--preset", "debug", "--out", str(out), "--resume"]
+    words = [*COMMAND, "--out", str(out), "--resume"]
     environment = {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "MPLBACKEND": "agg"}  # as of the finished run
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
     time.sleep(5)

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compilations import compilations
 
-from i2t.prediction.pressure import PressureModelConfig, heights, predict_pressure
+from i2t.prediction.pressure import PressureModelConfig, heights, predict_pressure, predict_pressures
 from i2t.skin.contact import solve, solve_force
 from i2t.skin.pad import nominal_pad
 
@@ -16,7 +17,7 @@ PIXELS, PITCH = 54, 0.5e-3  # a view of 27 mm
 CFG = PressureModelConfig(pitch=PITCH, smooth=False, tilt=0.0, cell=1e-3)
 PAD = nominal_pad()
 SOLVER = 1e-3  # tolerance of the contact solver, relative to the deepest deflection
-run = jax.jit(predict_pressure, static_argnums=0)
+run = jax.jit(predict_pressure)
 X, Y = np.meshgrid(*[(np.arange(PIXELS) - (PIXELS - 1) / 2) * PITCH] * 2)
 BOWL = (X**2 + Y**2) / 40e-3
 TILTED = replace(CFG, tilt=0.008)
@@ -47,6 +48,17 @@ def test_the_load_is_the_measured_force_and_a_symmetric_view_gives_a_symmetric_p
     assert (pressure >= 0).all()
     for image in (pressure[::-1], pressure[:, ::-1], pressure.T):
         close(image, pressure)
+
+
+def test_other_numbers_of_the_model_compile_nothing_and_without_a_tilt_one_press_is_the_mean():
+    views, force, depth = np.float32(BOWL)[None], np.float32([2.0]), np.float32([0.2e-3])
+    predict_pressures(CFG, views, force, depth)
+    with compilations() as compiled:
+        changes = {"tilt": 0.01, "pitch": 0.9 * PITCH, "floor": 0.1, "force_sign": -1.0, "softness": 2.0}
+        predict_pressures(replace(CFG, **changes), views, force, depth)
+        slightly = predict_pressures(replace(CFG, tilt=1e-9), views, force, depth)
+    assert compiled == []
+    close(np.asarray(slightly.pressure), np.asarray(predict_pressures(CFG, views, force, depth).pressure))
 
 
 @pytest.mark.full

@@ -81,14 +81,12 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
             episodes_from_dataset(data, names, count)
 
 
-def test_errors_of_a_session_and_of_the_sensor_are_none_of_a_press():
+def test_errors_of_the_sensor_are_none_of_a_press():
     """Worlds that differ in these alone share what is compiled."""
     none, usual = SimulationErrors.none(), SimulationErrors()
-    session = {name: getattr(usual, name) for name in ("placement", "placement_angle", "hand_eye", "hand_eye_angle")}
-    config = EpisodeConfig(replace(none, **session, force=0.1), PressLimits(), 2)
-    assert config.touch_errors == config.press_errors == replace(none, force=0.1)
-    noisy = replace(config, errors=replace(config.errors, noise=usual.noise, faults=usual.faults))
-    assert noisy.press_errors == config.press_errors != noisy.touch_errors
+    assert EpisodeConfig(usual, PressLimits(), 2).press_errors == replace(usual, noise=none.noise, faults=none.faults)
+    often = replace(usual, faults=replace(usual.faults, ambient_every=10))
+    assert EpisodeConfig(often, PressLimits(), 2).press_errors == EpisodeConfig(usual, PressLimits(), 2).press_errors
 
 
 class CountingSimulator(EpisodeSimulator):

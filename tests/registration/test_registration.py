@@ -3,6 +3,7 @@ depth images: made by Embree with a millimetre of noise, on a table, and of real
 """
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from depth.test_patches import image
+from helpers.compilations import compilations
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
@@ -172,6 +174,18 @@ def test_faces_that_fill_up_a_surface_are_no_candidates():
     assert len(surface.triangles) > 12
     corners = touch._candidates(surface, jnp.eye(4).at[2, 3].set(0.02), touch.TouchRegistrationConfig(), 3e-3, 0.03)
     assert (touch_sites.double_areas(jnp.moveaxis(corners, -1, 0).swapaxes(1, 2)) > 1e-4).all()
+
+
+@pytest.mark.full
+def test_another_edge_of_the_skin_compiles_nothing():
+    surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
+    T_w_contact = np.diag([1.0, -1.0, -1.0, 1.0])[None] + np.eye(4)[3] * [[0.0], [0.0], [0.021], [0.0]]
+    config = touch.TouchRegistrationConfig(num_starts=1, annealing_steps=2, steps=1, draws=16, rounds=1)
+    told = surface, np.eye(4), T_w_contact, np.ones(1)
+    register_by_touch(jax.random.key(0), *told, **prior, config=config)
+    with compilations() as compiled:
+        register_by_touch(jax.random.key(0), *told, **prior, config=replace(config, half_edge=5e-3))
+    assert compiled == []
 
 
 def test_steps_follow_the_gradient_of_students_t_log_density():

@@ -18,6 +18,7 @@ from manifold3d import Manifold
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from i2t.batching import map_batches
 from i2t.geometry import contact_frame, inverse, transform
 from i2t.objects import make_object, transform_mesh
 from i2t.objects.drawing import mesh_from_solid
@@ -238,6 +239,40 @@ def test_what_fills_up_is_no_pose_and_too_few_sites_are_said():
     fallen = prepare_surface(turned(pyramid, Rotation.from_euler("x", 45, degrees=True), [0, 0, 50e-3]))
     with pytest.raises(ValueError, match=r"^the pyramid has too few safe sites: 0 of 20"):
         collect_sites(jax.random.key(0), fallen, 20, upright, "the pyramid", rounds=2)
+
+
+@partial(jax.jit, static_argnums=(2, 3))
+def all_candidates_checked(keys, surface, n, limits, obstacles):
+    """The sites of each key by all three checks of every candidate, batch by batch."""
+
+    def check(T_w_t):
+        free = touch_sites.is_unoccluded(obstacles, T_w_t, limits)
+        return free & touch_sites.is_safe(surface, T_w_t, limits)
+
+    def draw(key):
+        key_points, key_spin = jax.random.split(key)
+        wanted = touch_sites.face_normals(surface)[:, 2] > limits.min_cos
+        points, normals = sample_points(key_points, surface, 8 * n, wanted)
+        frames = jax.vmap(contact_frame)(points, normals, jax.random.uniform(key_spin, (8 * n,), maxval=2 * jnp.pi))
+        safe = map_batches(check, frames, 64)
+        first = jnp.argsort(~safe, stable=True)[:n]
+        return jnp.where(safe[first][:, None, None], frames[first], jnp.nan), safe[first]
+
+    return jax.lax.map(draw, keys)
+
+
+# Batches of fewer than the sites, and candidates that run out.
+@pytest.mark.parametrize(("name", "n"), [("star", 80), ("stamp-triangle", 40)])
+def test_occlusion_of_fewer_candidates_is_checked_for_the_same_sites(name, n):
+    rod = mesh_from_solid(Manifold.cube((6, 6, 120), True))
+    obstacles = prepare_surface(transform_mesh(rod, transform(np.eye(3), np.array([18e-3, 0, 0]))))
+    surface = of_hammer_s_size(make_object(name).mesh)
+    keys = jax.random.split(jax.random.key(3), 4)
+    wanted = all_candidates_checked(keys, surface, n, SiteLimits(), obstacles)
+    assert (wanted[1].sum() == 4 * n) == (name == "star")
+    assert wanted[1].any()
+    made = jax.jit(jax.vmap(lambda key: sample_sites(key, surface, n, SiteLimits(), 8, obstacles)))
+    jax.tree.map(np.testing.assert_array_equal, tuple(made(jax.random.clone(keys))), wanted)
 
 
 def test_touch_sites_of_a_mesh_are_safe_contacts_on_its_surface():

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from helpers.compilations import compilations
 from helpers.field_types import wrong_fields
 from helpers.random_touches import assert_equal
 from scipy import stats
@@ -167,6 +168,29 @@ def test_a_press_ends_past_first_contact_by_indentation_and_compliance_and_what_
             assert abs(-ahead - touches.depth[i]) < ROUNDING
             late = -ahead - touches.truth.indentation[i] - touches.truth.force[i] / LIMITS.stiffness
             assert -ROUNDING < late < LATE
+
+
+def test_only_whole_numbers_and_grids_of_a_world_decide_which_program_it_runs():
+    structure = jax.tree.structure
+    assert structure(SimulationErrors()) == structure(SimulationErrors.none().scaled(2.0))
+    assert structure(PressLimits()) == structure(PressLimits(force=3.0, overshoot=0.0)) != structure(LIMITS)
+    assert structure(sites.SiteLimits()) == structure(sites.SiteLimits(min_cos=0.5))
+    assert structure(Faults()) == structure(Faults.typical()) != structure(Faults(ambient_every=10))
+
+
+@pytest.mark.full
+def test_other_errors_and_limits_compile_nothing(touches, solids, pad):
+    limits, safety = replace(LIMITS, skin_change=20.0, force=5.0), sites.SiteLimits(min_cos=0.4, max_rise=2e-3)
+    with compilations() as compiled:
+        other = many(jax.random.key(SEED), solids[:1], pad, errors=SimulationErrors(), n=3, limits=limits, sites=safety)
+    assert compiled == []
+    met = other.code == ReturnCode.SKIN
+    assert met.any()
+    assert (
+        np.abs(np.linalg.norm(other.truth.reading[met], axis=1) / limits.skin_change - 1).max()
+        < 5 * limits.overshoot + WITHIN
+    )
+    assert np.linalg.norm(other.reading - other.truth.reading, axis=1).min() > 1  # uT, of the chips' noise
 
 
 @pytest.mark.full

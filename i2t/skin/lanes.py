@@ -1,0 +1,259 @@
+"""Many contacts of one pad, solved side by side: the layout and the convolution of a batch.
+
+Solvers of `i2t.skin` work on lanes: the contacts of a batch are the last axis of every array, so that a number of a
+contact is a row vector, sums over cells are sums of rows, and the convolution with the layer's compliance is three
+matrix products without a transpose. `by_lanes` gives such a solver a rule for `jax.vmap`: instead of being batched, it
+takes more lanes.
+
+Cells are split into four quadrants about the pad's centre, each counted outwards: shape (2, h, 2, h, lanes) for the
+halves x > 0 and x < 0, the h cells of a half, and both again along y. Sums and differences of mirrored cells are the
+parts that are even and odd along each axis. Cosines see the even part and sines the odd one, which halves the products.
+With E the waves on the outer half, S the same with the weights of the series, G the kernel, b and a the parities along
+x and y, and n and m the waves along y and x of these parities:
+
+    result = E[b].T X2,   X2[b, m, a] = T[b, m, a] X1[b, m, a],   X1 = S[b] part,
+    T[b, m, a] = sum over n of E[a, n].T G[(a, n), (b, m)] S[a, n].
+
+T is computed once for a pad.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Float
+
+from i2t.skin.elasticity import Grid, half_waves
+
+HIGHEST = jax.lax.Precision.HIGHEST
+
+
+def to_quadrants(values: Float[Array, "lanes n n"]) -> Float[Array, "2 h 2 h lanes"]:
+    """Split arrays over the pad into quadrants, lanes last.
+
+    Args:
+        values: One array (rows along y) for each lane.
+
+    Returns:
+        The quadrants.
+    """
+    lanes, n, _ = values.shape
+    halves = jnp.transpose(values, (2, 1, 0)).reshape(2, n // 2, 2, n // 2, lanes)
+    along_x = jnp.stack([halves[1], halves[0, ::-1]])
+    return jnp.stack([along_x[:, :, 1], along_x[:, :, 0, ::-1]], axis=2)
+
+
+def from_quadrants(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "lanes n n"]:
+    """Join quadrants, the inverse of `to_quadrants`.
+
+    Args:
+        quadrants: As `to_quadrants` gives them.
+
+    Returns:
+        One array (rows along y) for each lane.
+    """
+    _, h, _, _, lanes = quadrants.shape
+    along_y = jnp.stack([quadrants[:, :, 1, ::-1], quadrants[:, :, 0]], axis=2)
+    both = jnp.stack([along_y[1, ::-1], along_y[0]])
+    return jnp.transpose(both.reshape(2 * h, 2 * h, lanes), (2, 1, 0))
+
+
+def fold(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "2 h 2 h lanes"]:
+    """Sums and differences of mirrored cells along x and y; of parts that are even and odd, the cells they sum to.
+
+    Args:
+        quadrants: Of cells, or of parts by their parity.
+
+    Returns:
+        Parts by their parity (even first), or cells.
+    """
+    along_x = jnp.stack([quadrants[0] + quadrants[1], quadrants[0] - quadrants[1]])
+    return jnp.stack([along_x[:, :, 0] + along_x[:, :, 1], along_x[:, :, 0] - along_x[:, :, 1]], axis=2)
+
+
+def convolution(kernel: Float[Array, "k k"], grid: Grid) -> Float[Array, "2 m 2 h h"]:
+    """The matrices T of a kernel.
+
+    Args:
+        kernel: One factor for each wave.
+        grid: Of cells and waves.
+
+    Returns:
+        One matrix (h, h) for each wave and parity along x and each parity along y.
+    """
+    waves, weighted = (jnp.asarray(part, kernel.dtype) for part in half_waves(grid))
+    half = grid.modes // 2
+    pairs = waves[:, :, :, None] * weighted[:, :, None, :]
+    kernel = kernel.reshape(2, half, 2, half)
+    return jnp.einsum("anjk,anbm->bmajk", pairs, kernel, precision=HIGHEST)
+
+
+def convolve(
+    matrices: Float[Array, "2 m 2 h h"], quadrants: Float[Array, "2 h 2 h lanes"], grid: Grid
+) -> Float[Array, "2 h 2 h lanes"]:
+    """Convolve each lane with the kernel of `matrices`, as `i2t.skin.elasticity.convolve`.
+
+    Args:
+        matrices: Of the kernel, from `convolution`.
+        quadrants: Cells of each lane.
+        grid: Of cells and waves.
+
+    Returns:
+        The convolved cells.
+    """
+    waves, weighted = (jnp.asarray(part, quadrants.dtype) for part in half_waves(grid))
+    along_x = product(weighted, fold(quadrants), (2,), (1,), (0,))
+    along_y = product(matrices, along_x, (4,), (3,), (0, 1, 2))
+    return fold(product(waves, along_y, (1,), (1,), (0,)))
+
+
+def vector_convolution(kernels: Float[Array, "2 k k"], grid: Grid) -> Float[Array, "2 m1 2 n n"]:
+    """The matrices of a kernel of vectors that has one factor along each wave and another one across it.
+
+    A wave of number m along x that is even or odd as b, and as a along y, has vectors whose x component is of these
+    parities and whose y component of the opposite ones, because the derivatives that couple them change both.
+
+    Args:
+        kernels: Factors along and across each wave.
+        grid: Of cells and waves.
+
+    Returns:
+        One matrix (2 h, 2 h), of the cells of both components, for each wave number 0 ... modes / 2 and parity along x
+        and each parity along y.
+    """
+    along, across = (_by_number(kernel, grid) for kernel in kernels)
+    waves, weighted = (jnp.asarray(part, kernels.dtype) for part in numbered_half_waves(grid))
+    k = np.append(grid.wavenumbers[: grid.modes // 2], grid.wavenumbers[-1])
+    ky, kx = k[:, None], k[None, :]
+    steep = (along - across) / np.where(kx**2 + ky**2 == 0, np.inf, kx**2 + ky**2)
+    # The shortest wave's slope vanishes at the cell centres.
+    slope = np.where(k == k[-1], 0, k)
+    mixed = -steep * (slope[:, None] * slope[None, :])
+
+    def matrices(left: Array, middle: Array, right: Array) -> Array:
+        """(a, m, i, j): left and right waves (a, n, cells) along y, and a factor (n, m) between them."""
+        return jnp.einsum("anij,nm->amij", left[:, :, :, None] * right[:, :, None, :], middle, precision=HIGHEST)
+
+    other, other_weighted = waves[::-1], weighted[::-1]  # of the opposite parity
+    sign = jnp.asarray([1, -1], kernels.dtype)[:, None, None, None]
+    rows = []
+    for parity_sign in (1, -1):
+        upper = [matrices(waves, across + steep * kx**2, weighted),
+                 parity_sign * sign * matrices(waves, mixed, other_weighted)]  # fmt: skip
+        lower = [parity_sign * sign * matrices(other, mixed, weighted),
+                 matrices(other, across + steep * ky**2, other_weighted)]  # fmt: skip
+        rows.append(jnp.block([[upper[0], upper[1]], [lower[0], lower[1]]]))
+    return jnp.swapaxes(jnp.stack(rows), 1, 2)
+
+
+def convolve_vectors(
+    matrices: Float[Array, "2 m1 2 n n"], quadrants: Float[Array, "2 2 h 2 h lanes"], grid: Grid
+) -> Float[Array, "2 2 h 2 h lanes"]:
+    """Convolve the vectors of each lane with the kernel of `matrices`.
+
+    Args:
+        matrices: Of the kernel, from `vector_convolution`.
+        quadrants: Components along x and y of each lane.
+        grid: Of cells and waves.
+
+    Returns:
+        The convolved vectors.
+    """
+    waves, weighted = (jnp.asarray(part, quadrants.dtype) for part in numbered_half_waves(grid))
+    along_x = [
+        product(weighted, fold(quadrants[0]), (2,), (1,), (0,)),
+        product(weighted[::-1], fold(quadrants[1])[::-1, :, ::-1], (2,), (1,), (0,)),
+    ]
+    along_y = product(matrices, jnp.concatenate(along_x, axis=3), (4,), (3,), (0, 1, 2))
+    half = grid.cells // 2
+    x = product(waves, along_y[:, :, :, :half], (1,), (1,), (0,))
+    y = product(waves[::-1], along_y[:, :, :, half:], (1,), (1,), (0,))
+    return jnp.stack([fold(x), fold(y[::-1, :, ::-1])])
+
+
+def numbered_half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """As `half_waves`, by wave numbers 0 ... modes / 2 of both parities: zero where there is no such cosine or sine."""
+    waves, weighted = (np.pad(part, ((0, 0), (0, 1), (0, 0))) for part in half_waves(grid))
+    return tuple(np.stack([part[0], np.roll(part[1], 1, axis=0)]) for part in (waves, weighted))  # type: ignore[return-value]
+
+
+def _by_number(kernel: Float[Array, "k k"], grid: Grid) -> Float[Array, "m1 m1"]:
+    """A kernel that depends on wave numbers alone, by the numbers 0 ... modes / 2 along y and x."""
+    rows = np.append(np.arange(grid.modes // 2), grid.modes - 1)
+    return kernel[rows[:, None], rows[None, :]]
+
+
+def cell_axes(values: Float[Array, "*cells lanes"]) -> tuple[int, ...]:
+    """All axes but that of the lanes.
+
+    Args:
+        values: Of any cells.
+
+    Returns:
+        Their numbers.
+    """
+    return tuple(range(values.ndim - 1))
+
+
+def total(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
+    """Sum of each lane.
+
+    Args:
+        values: Of any cells.
+
+    Returns:
+        Sums, with axes of length 1 for the cells.
+    """
+    return jnp.sum(values, cell_axes(values), keepdims=True)
+
+
+def largest(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
+    """Largest absolute value of each lane.
+
+    Args:
+        values: Of any cells.
+
+    Returns:
+        The values, with axes of length 1 for the cells.
+    """
+    return jnp.max(jnp.abs(values), cell_axes(values), keepdims=True)
+
+
+def product(
+    left: Array | np.ndarray, right: Array, left_sum: tuple[int], right_sum: tuple[int], shared: tuple[int, ...]
+) -> Array:
+    """A batch of matrix products in full float32; shared axes come first, then those left of `left` and `right`."""
+    return jax.lax.dot_general(jnp.asarray(left), right, ((left_sum, right_sum), (shared, shared)), precision=HIGHEST)
+
+
+def by_lanes(solver: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a solver on lanes a batching rule: `jax.vmap` adds lanes.
+
+    Args:
+        solver: Takes a tree of arrays that all lanes share, then arrays and trees whose leading axis counts lanes, and
+            gives a tree of such arrays. It is not differentiated.
+
+    Returns:
+        The solver. Where a batch gives each of its items another shared tree, it is batched as usual.
+    """
+    batched = custom_vmap(solver)
+
+    @batched.def_vmap
+    def add_lanes(size: int, in_batched: list[Any], shared: Any, *rows: Any) -> tuple[Any, Any]:
+        if any(jax.tree.leaves(in_batched[0])):
+            axes = jax.tree.map(lambda is_batched: 0 if is_batched else None, in_batched)
+            result = jax.vmap(solver, tuple(axes), axis_size=size)(shared, *rows)
+        else:
+            spread = jax.tree.map(
+                lambda row, is_batched: row if is_batched else jnp.broadcast_to(row, (size, *row.shape)),
+                list(rows), in_batched[1:],
+            )  # fmt: skip
+            merged = jax.tree.map(lambda row: row.reshape(size * row.shape[1], *row.shape[2:]), spread)
+            result = batched(shared, *merged)
+            result = jax.tree.map(lambda row: row.reshape(size, -1, *row.shape[1:]), result)
+        return result, jax.tree.map(lambda _: True, result)
+
+    return batched
