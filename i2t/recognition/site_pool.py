@@ -31,7 +31,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface, in_one_line
 
 BATCH_TOUCHES = 512  # predicted at a time
-FEW_BATCHES = 12  # of no more, compiling them quickly pays
+FEW_BATCHES = 48  # of no more, compiling them quickly pays
 DRAWN_SITES = 256  # at a time
 CANDIDATES_PER_SITE = 2  # drawn for each site that is wanted; about half of them are safe
 MIN_SAFE_SHARE = 1 / 64  # of candidates: an object on which fewer are safe has too few sites

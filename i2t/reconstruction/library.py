@@ -267,6 +267,6 @@ def _heights(surface: Surface, T_t_o: Array) -> tuple[Array, Array, Array]:
     return patch, centre(fine, GRID.cells), centre(coarse, CELL_GRID.cells)
 
 
-@jax.jit
+@jit_quickly
 def _chains(heights: Array, pad: Pad, loads: Array) -> tuple[Array, Array]:
     return jax.vmap(lambda height: pressure_chain(pad, height, loads))(heights)

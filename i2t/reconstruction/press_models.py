@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from i2t.compiling import jit_quickly
 from i2t.reconstruction.library import in_batches, press_batches
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.skin.contact import CELL_GRID
@@ -84,7 +85,7 @@ def noise_covariance(board: Board, noise: Noise) -> Float[np.ndarray, "c c"]:
     return np.diag(own) + seen @ seen.T
 
 
-@jax.jit
+@jit_quickly
 def _read(pressure: Array, indentation: Array, pad: Pad, slant: Array) -> Array:
     """Readings (n, l, c) of pressures (n, l, g, g), pressed in turn with a slant of the press."""
 

@@ -180,9 +180,9 @@ def nominal_pad(
     validation.number("strength", strength, "A/m")
     board = reskin_board() if board is None else board
     return Pad(
-        thickness=jnp.asarray(THICKNESS_M),
-        young=jnp.asarray(YOUNG_PA),
-        poisson=jnp.asarray(POISSON_RATIO),
+        thickness=jnp.float32(THICKNESS_M),  # typed as those of `sample_pad`, so that programs serve both
+        young=jnp.float32(YOUNG_PA),
+        poisson=jnp.float32(POISSON_RATIO),
         magnetization=strength * magnetization_pattern(pattern),
         gains=jnp.ones(board.num_readings),
         board=_at_depth(board, jnp.asarray(THICKNESS_M + CHIP_GAP_M)),
