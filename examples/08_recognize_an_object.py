@@ -13,8 +13,10 @@ from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.types import ReturnCode
 
+FEW = RecognizerConfig(num_sites=12, num_particles=32)  # of each object; half of the default, to start sooner
 
-def main(training_touches: int = 72, config: RecognizerConfig | None = None) -> str | None:
+
+def main(training_touches: int = 36, config: RecognizerConfig | None = None) -> str | None:
     """Fit a pad model on the hexagon, recognise a hidden object among three, and return its name."""
     pad, errors, limits = i2t.sample_pad(jax.random.key(0)), SimulationErrors(), PressLimits()
     hexagon = i2t.prepare_surface(i2t.make_object("hexagon").mesh)
@@ -23,7 +25,7 @@ def main(training_touches: int = 72, config: RecognizerConfig | None = None) -> 
     model = fit_pad_model(jax.random.key(2), dataset, rows, {"hexagon": hexagon}, errors=errors, limits=limits)
 
     meshes = {name: i2t.make_object(name).mesh for name in ("star", "cylinder", "hammer")}
-    recognizer = i2t.ObjectRecognizer(jax.random.key(3), model, meshes, config=config or RecognizerConfig())
+    recognizer = i2t.ObjectRecognizer(jax.random.key(3), model, meshes, config=config or FEW)
     hidden = i2t.prepare_surface(meshes["cylinder"])  # your robot touches the real one
     touch = touch_simulator(jax.random.key(4), hidden, pad, errors=errors, limits=limits)
     state, info = recognizer.init(), None

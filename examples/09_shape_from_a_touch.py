@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 import i2t
+from i2t.compiling import jit_quickly
 from i2t.reconstruction import build_library, imagine_presses, infer_patch, sample_contacts
 from i2t.simulation.press import PressLimits
 from i2t.simulation.press_curves import simulate_press_curve
@@ -25,8 +26,8 @@ def main(patches: int = 512, presses: int = 16) -> tuple[float, float]:
 
     star = i2t.prepare_surface(i2t.make_object("star").mesh)
     contacts, _ = sample_contacts(jax.random.key(3), [star], presses)
-    curve = jax.jit(partial(simulate_press_curve, errors=SimulationErrors(), limits=PressLimits()))
-    infer = jax.jit(infer_patch, static_argnames=("samples",))
+    curve = jit_quickly(partial(simulate_press_curve, errors=SimulationErrors(), limits=PressLimits()))
+    infer = jit_quickly(infer_patch, static_argnames=("samples",))
     before = np.mean(library.patch, axis=0, dtype=np.float32)
     errors = []
     for key, heights, met in zip(

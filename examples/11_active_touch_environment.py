@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array
 
 import i2t
-from i2t.environments.core import EnvironmentConfig, EnvironmentState, TouchAction
+from i2t.compiling import jit_quickly
+from i2t.environments.core import EnvironmentConfig, EnvironmentParams, EnvironmentState, TouchAction
 from i2t.environments.tables import make_environment
 
 
@@ -18,16 +19,20 @@ def main(touches: int = 4) -> np.ndarray:
     config = EnvironmentConfig(touches=touches)
     environment, params = make_environment(("star", "hexagon"), config=config, sites=4, pads=1)
 
-    def touch_at_random(state: EnvironmentState, key: Array) -> tuple[EnvironmentState, tuple[Array, Array]]:
-        key_site, key_touch = jax.random.split(key)
-        site = jax.random.randint(key_site, (), 0, params.sites)
-        action = TouchAction(site, prediction=jnp.zeros(params.objects))
-        obs, state, reward, _, _ = environment.step_env(key_touch, state, action, params)
-        return state, (obs.force, reward)
+    @jit_quickly
+    def episode(key: Array, params: EnvironmentParams) -> tuple[Array, Array]:
+        def touch_at_random(state: EnvironmentState, key: Array) -> tuple[EnvironmentState, tuple[Array, Array]]:
+            key_site, key_touch = jax.random.split(key)
+            site = jax.random.randint(key_site, (), 0, params.sites)
+            action = TouchAction(site, prediction=jnp.zeros(params.objects))
+            obs, state, reward, _, _ = environment.step_env(key_touch, state, action, params)
+            return state, (obs.force, reward)
 
-    key_reset, key_steps = jax.random.split(jax.random.key(0))
-    _, state = environment.reset(key_reset, params)
-    _, (force, reward) = jax.lax.scan(touch_at_random, state, jax.random.split(key_steps, touches))
+        key_reset, key_steps = jax.random.split(key)
+        _, state = environment.reset(key_reset, params)
+        return jax.lax.scan(touch_at_random, state, jax.random.split(key_steps, touches))[1]
+
+    force, reward = episode(jax.random.key(0), params)
     print("forces:", ", ".join(f"{f:.2f} N" for f in force), "- rewards:", ", ".join(f"{r:.2f}" for r in reward))
     return np.asarray(reward)
 

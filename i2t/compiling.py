@@ -5,8 +5,9 @@ limits of a press run the program that was compiled before.
 
 On a CPU, XLA's fusion emitters hand LLVM much code, and LLVM spends most of the time on optimising it. Without the
 emitters and at LLVM's first level a session of simulated touches is compiled in half the time, and runs 8 % longer
-(`python -m experiments.benchmark.programs` says what programs take). Other programs lose more: predicted contact
-pressures take 1.6 times as long, a decision where to touch 2.7 times. So it is chosen for each program.
+(`python -m experiments.benchmark.programs` says what programs take). Other programs lose more: contact pressures
+predicted from views take twice as long, registrations by touch three times. So it is chosen for each program, and for
+some by how much there is to do.
 """
 
 from collections.abc import Callable, Iterable

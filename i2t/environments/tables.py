@@ -6,7 +6,6 @@ episode meets the same error of the arm twice.
 """
 
 from collections.abc import Sequence
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from i2t.batching import map_batches
+from i2t.compiling import jit_quickly
 from i2t.environments.core import (
     EnvironmentConfig,
     EnvironmentParams,
@@ -28,7 +28,7 @@ from i2t.recognition.site_pool import SitePool, prepare_surfaces, safe_sites, sa
 from i2t.rendering.ops import element
 from i2t.rendering.render import stack_surfaces
 from i2t.skin.pad import numbered_pad
-from i2t.types import Board, Surface
+from i2t.types import Board, Pad, Surface
 
 SAFE_CANDIDATES_PER_SITE = 4  # drawn for each that is wanted: it has to be safe on every object
 TABULATED_BATCH = 32  # approaches at a time, each pressed with every pad
@@ -70,11 +70,13 @@ def make_environment(
     names = [item if isinstance(item, str) else f"object {i}" for i, item in enumerate(objects)]
     surfaces = prepare_surfaces([make_object(item).mesh if isinstance(item, str) else item for item in objects])
     pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, config=config)
-    skins = jax.tree.map(lambda *x: jnp.stack(x), *(numbered_pad(first_pad + i, board=board) for i in range(pads)))
+    skins = jax.tree.map(
+        lambda *x: jnp.asarray(np.stack(x)), *(numbered_pad(first_pad + i, board=board) for i in range(pads))
+    )
     params = EnvironmentParams(
         surfaces=jax.tree.map(jnp.asarray, stack_surfaces(surfaces)),
         pads=skins,
-        response=jax.jit(partial(jax.lax.map, response_map))(skins),
+        response=_response_maps(skins),
         T_w_site=jnp.asarray(pool.T_w_t),
         owner=jnp.asarray(pool.owner),
         allowed=jnp.ones(len(pool.owner), bool),
@@ -105,6 +107,11 @@ def tabulate(
         columns.append(jax.device_get(_touch_all(keys, element(params.surfaces, i), T_w_o, params, config)))
     stacked = jax.tree.map(lambda *x: jnp.asarray(np.stack(x, axis=1)), *columns)
     return params._replace(table=OutcomeTable(stacked, T_w_o))
+
+
+@jit_quickly
+def _response_maps(pads: Pad) -> Array:
+    return jax.lax.map(response_map, pads)
 
 
 @jax.jit

@@ -28,6 +28,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from i2t.batching import select_rows
+from i2t.compiling import jit_quickly
 from i2t.types import in_one_line
 
 LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, of the maps g_c: from below a skin's thickness to beyond its edge
@@ -279,7 +280,7 @@ def _by_fold(
     return *select_rows((touches, readings), order), tuple(ends.tolist())
 
 
-@partial(jax.jit, static_argnames=("ends", "steps"))
+@partial(jit_quickly, static_argnames=("ends", "steps"))
 def _descend(
     touches: ContactPressure, readings: Array, *, ends: tuple[int, ...], steps: int
 ) -> tuple[GPHyperparameters, Float[Array, " steps"]]:

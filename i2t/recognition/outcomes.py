@@ -119,16 +119,13 @@ def predict_contact(
     Returns:
         Contact, distance to it and its Jacobian, indentations and newtons; zeros where nothing is met.
     """
-    (distance, (T_o_t, hit)), jacobian = jax.value_and_grad(_approach_distance, argnums=2, has_aux=True)(
-        surface, T_w_o, twist, T_w_site, overtravel
-    )
-    indentation, newtons = contact_pressures(surface, jax.lax.stop_gradient(T_o_t), loads, layer)
+    (distance, (T_o_t, hit)), jacobian = approach(surface, T_w_o, twist, T_w_site, overtravel)
+    indentation, newtons = contact_pressures(surface, T_o_t, loads, layer)
     hit = hit & jnp.isfinite(indentation[0])
-    smooth = hit & jnp.all(jnp.isfinite(jacobian))
     return PredictedContact(
         hit=hit,
         approach_distance=distance,
-        jacobian=jnp.where(smooth, jacobian, 0.0),
+        jacobian=jnp.where(hit, jacobian, 0.0),
         indentation=jnp.where(hit, indentation, 0.0),
         newtons=jnp.where(hit, newtons, 0.0),
     )
@@ -154,6 +151,26 @@ def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> Pre
         reading=reading,
         variance=variance,
     )
+
+
+def approach(
+    surface: Surface,
+    T_w_o: Float[Array, "4 4"],
+    twist: Float[Array, "6"],
+    T_w_site: Float[Array, "4 4"],
+    overtravel: float | Float[Array, ""],
+) -> tuple[tuple[Float[Array, ""], tuple[Float[Array, "4 4"], Bool[Array, ""]]], Float[Array, "6"]]:
+    """First contact of the skin with an object along z of a site; arguments are those of `predict_contact`.
+
+    Returns:
+        Distance (m) from the site, the contact (T_o_t, and whether there is one), and the distance's Jacobian along the
+        twist, zero where it is not finite.
+    """
+    (distance, contact), jacobian = jax.value_and_grad(_approach_distance, argnums=2, has_aux=True)(
+        surface, T_w_o, twist, T_w_site, overtravel
+    )
+    smooth = jnp.all(jnp.isfinite(jacobian))
+    return (distance, jax.lax.stop_gradient(contact)), jnp.where(smooth, jacobian, 0.0)
 
 
 @full_precision

@@ -31,7 +31,7 @@ from i2t.prediction.gp import ContactPressure
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
-from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, Layer, LinearReadingModel, PredictedContact
+from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, Layer, LinearReadingModel
 from i2t.recognition.reading_model import (
     CHOOSING_TOUCHES,
     LAYERS,
@@ -109,8 +109,8 @@ def fit_pad_model(
     register = partial(_register_session, errors=errors)
     found = a_few_at_a_time(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
     sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
-    layer = LAYERS[_choose_layer(sessions, touches, dataset.board)]
-    used, nominal, pressed = _pressed_touches(sessions, touches, layer)
+    layer = LAYERS[_choose_layer(sessions, touches, dataset.board, limits.overtravel)]
+    used, nominal, pressed = _pressed_touches(sessions, touches, layer, limits.overtravel)
     load = np.asarray(pressed.pressure.load)
     depth = touches.depth[used] - load / limits.stiffness
     if not (np.isfinite(nominal * depth).all() and nominal.any()):
@@ -249,18 +249,19 @@ class _Session(NamedTuple):
 
 
 def _pressed_touches(
-    sessions: Sequence[_Session], touches: Touches, layer: Layer
+    sessions: Sequence[_Session], touches: Touches, layer: Layer, overtravel: float
 ) -> tuple[np.ndarray, np.ndarray, PressedTouches]:
     """Press a layer onto the registered objects: rows of the touches that met one, the layer's indentations (m), and
     the touches.
     """
     calls = (
-        (each.surface, each.found.T_w_o, each.contacts.T_w_contact, each.contacts.touches.force, layer)
+        (each.surface, each.found.T_w_o, each.contacts.T_w_contact, each.contacts.touches.force, layer, True)
         for each in sessions
     )
+    press = partial(_press, overtravel=overtravel)
     parts = [
-        (each.rows, indentation[: each.contacts.own, 0], newtons[: each.contacts.own, 0])
-        for each, (indentation, newtons) in zip(sessions, a_few_at_a_time(_press, calls), strict=True)
+        (each.rows, pressed.indentation[: each.contacts.own], pressed.newtons[: each.contacts.own])
+        for each, pressed in zip(sessions, a_few_at_a_time(press, calls), strict=True)
     ]
     rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
     met = np.isfinite(nominal)
@@ -270,12 +271,12 @@ def _pressed_touches(
     return rows[met], nominal[met], PressedTouches(pressed, touches.reading[rows[met]])
 
 
-def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board) -> int:
+def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board, overtravel: float) -> int:
     """Choose the layer on some sessions, as every layer presses their touches."""
     shuffled = [sessions[i] for i in np.random.default_rng(0).permutation(len(sessions))]
     enough = int(np.searchsorted(np.cumsum([len(each.rows) for each in shuffled]), CHOOSING_TOUCHES)) + 1
     some = shuffled[:enough]
-    return choose_layer([_pressed_touches(some, touches, layer)[2] for layer in LAYERS], LAYERS, board)
+    return choose_layer([_pressed_touches(some, touches, layer, overtravel)[2] for layer in LAYERS], LAYERS, board)
 
 
 def _register_session(
@@ -289,7 +290,7 @@ def _register_session(
     """The object's pose by the contacts that met it, or by some of them."""
     return registration.register_by_touch(
         key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
-        translation_std=errors.placement, rotation_std=errors.placement_angle,
+        translation_std=errors.placement, rotation_std=errors.placement_angle, often=True,
     )  # fmt: skip
 
 
@@ -302,14 +303,15 @@ def _left_out_positions(
     # The same starts and draws in every fold, so that they differ in their touches alone.
     key = jax.random.clone(key)
     found = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors)
-    force = jnp.maximum(contacts.touches.force, MIN_LOAD_N)
-    predicted = _predict_end(surface, found, contacts.touches.T_w_t, force, layer, overtravel=limits.overtravel)
+    force = np.maximum(contacts.touches.force, np.float32(MIN_LOAD_N))
+    T_w_t, overtravel = contacts.touches.T_w_t, limits.overtravel
+    predicted = jax.device_get(_press(surface, found.T_w_o, T_w_t, force, layer, False, overtravel=overtravel))
     # A press ends at the pose it reports, which is its site here: contact lies as far before it.
-    indentation = -predicted.approach_distance - force / limits.stiffness
-    variance = jnp.einsum("ni,ij,nj->n", predicted.jacobian, found.covariance, predicted.jacobian)
+    indentation = -predicted.distance - force / limits.stiffness
+    variance = np.einsum("ni,ij,nj->n", predicted.jacobian, np.asarray(found.covariance), predicted.jacobian)
     rows = np.asarray(contacts.met) & (fold == which)
-    found_here = (indentation, predicted.indentation[:, 0], variance, predicted.hit)
-    return _Positions(*(np.asarray(values)[rows] for values in found_here))
+    nominal = np.where(predicted.hit, predicted.indentation, 0.0)
+    return _Positions(indentation[rows], nominal[rows], variance[rows], predicted.hit[rows])
 
 
 def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:
@@ -320,22 +322,40 @@ def _position_errors(positions: _Positions, softness: float, limits: PressLimits
     return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
 
 
-@jit_quickly
-def _predict_end(
-    surface: Surface, found: PoseEstimate, T_w_t: Array, force: Array, layer: Layer, *, overtravel: float | Array
-) -> PredictedContact:
-    def one(T: Array, f: Array) -> PredictedContact:
-        twist = jnp.zeros(6)
-        return outcomes.predict_contact(surface, found.T_w_o, twist, T, f[None], overtravel=overtravel, layer=layer)
+class _Pressed(NamedTuple):
+    """Presses of a layer on an object."""
 
-    return jax.vmap(one)(T_w_t, force)._replace(newtons=jnp.zeros(()))
+    distance: Float[Array, " n"]  # m, from the pose to first contact
+    jacobian: Float[Array, "n 6"]  # of that along the twist of the object's pose
+    hit: Bool[Array, " n"]  # whether the object is there
+    indentation: Float[Array, " n"]  # m, infinite where there is nothing to press on
+    newtons: Float[Array, "n cells"]  # on each cell
 
 
 @jit_quickly
 @full_precision
-def _press(surface: Surface, T_w_o: Array, T_w_t: Array, force: Array, layer: Layer) -> tuple[Array, Array]:
-    T_o_t = inverse(T_w_o)[None] @ T_w_t
-    return jax.vmap(lambda T, f: outcomes.contact_pressures(surface, T, f[None], layer))(T_o_t, force)
+def _press(
+    surface: Surface,
+    T_w_o: Array,
+    T_w_t: Array,
+    force: Array,
+    layer: Layer,
+    at_once: bool | Array,
+    *,
+    overtravel: float | Array,
+) -> _Pressed:
+    """Press a layer where it meets an object along z of each pose, or at the pose itself (`at_once`): one compilation
+    serves both.
+    """
+
+    def one(T: Array, f: Array) -> _Pressed:
+        (distance, (T_o_t, hit)), jacobian = outcomes.approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
+        T_o_t = jnp.where(at_once, inverse(T_w_o) @ T, T_o_t)
+        indentation, newtons = outcomes.contact_pressures(surface, T_o_t, f[None], layer)
+        met = hit & jnp.isfinite(indentation[0])
+        return _Pressed(distance, jnp.where(met, jacobian, 0.0), met, indentation[0], newtons[0])
+
+    return jax.vmap(one)(T_w_t, force)
 
 
 def _pad_model(fitted: FittedReadings, recorded: np.ndarray, position: ScaleMixture, limits: PressLimits) -> PadModel:

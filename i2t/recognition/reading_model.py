@@ -35,6 +35,7 @@ from threadpoolctl import threadpool_limits
 
 from i2t.batching import map_batches, select_rows, usable_cores
 from i2t.calibration import physics
+from i2t.compiling import jit_quickly
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure, GPHyperparameters
 from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, Layer, LinearReadingModel
@@ -187,7 +188,7 @@ def _maps(chips: bytes, rotations: bytes, poisson: float, young: float) -> np.nd
     return np.asarray(found, np.float64)
 
 
-@jax.jit
+@jit_quickly
 def _cell_features(board: Board, poisson: Array, young: Array) -> Float[Array, "x c k"]:
     layer = jax.tree.map(jnp.float32, physics.layer_prior().median)
     pad = physics.make_pad(layer._replace(young=young), board)._replace(

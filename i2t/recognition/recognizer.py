@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
+from i2t.compiling import jit_quickly
 from i2t.geometry import from_twist, inverse, nearest_rigid
 from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, outcomes
@@ -426,7 +427,7 @@ class ObjectRecognizer:
         return named * (1 - float(unknown[0]))
 
 
-@jax.jit
+@jit_quickly
 def _update(
     now: Belief, touch: TouchObservation, table: PredictedTouch, number: int | Array, likelihood: Likelihood
 ) -> tuple[Belief, Array]:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import filled_batches, spread
+from i2t.compiling import jit_quickly
 from i2t.paper import loop
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, outcomes
@@ -30,6 +31,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface, in_one_line
 
 BATCH_TOUCHES = 512  # predicted at a time
+FEW_BATCHES = 48  # of no more, compiling them quickly pays
 DRAWN_SITES = 256  # at a time
 CANDIDATES_PER_SITE = 2  # drawn for each site that is wanted; about half of them are safe
 MIN_SAFE_SHARE = 1 / 64  # of candidates: an object on which fewer are safe has too few sites
@@ -167,7 +169,7 @@ def safe_sites(
     return np.stack([np.asarray(_are_safe(surface, sites.T_w_t, limits)) for surface in surfaces], axis=1)
 
 
-@jax.jit
+@jit_quickly
 def _are_safe(surface: Surface, T_w_t: Array, limits: touch_sites.SiteLimits) -> Array:
     return jax.vmap(partial(touch_sites.is_safe, surface, limits=limits))(T_w_t)
 
@@ -202,6 +204,8 @@ def predict_outcomes(
     bar: Progress | None = None,
 ) -> list[PredictedTouch]:
     """Predict a touch of every object in every pose at every site.
+
+    More than `FEW_BATCHES` batches are compiled with all optimisations; last digits may differ from those of fewer.
 
     Args:
         surfaces: Of the objects.
@@ -238,7 +242,8 @@ def _predict_on_layer(
     rows = filled_batches(np.arange(len(T)), each)
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    made = spread(_predict, calls, shared=(twist, list(models), overtravel))
+    predict = _predict_few if len(batches) <= FEW_BATCHES else _predict_many
+    made = spread(predict, calls, shared=(twist, list(models), overtravel))
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, made, strict=True):
         if result is None:
@@ -252,7 +257,6 @@ def _predict_on_layer(
     return result
 
 
-@jax.jit
 def _predict(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], overtravel: Array
 ) -> list[PredictedTouch]:
@@ -264,6 +268,10 @@ def _predict(
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
+
+
+_predict_many = jax.jit(_predict)
+_predict_few = jit_quickly(_predict)
 
 
 def plan_random_touches(
@@ -404,6 +412,6 @@ def _draw_sites(
     return np.concatenate(found)[:count]
 
 
-@jax.jit
+@jit_quickly
 def _draw_batch(key: Array, surface: Surface, limits: touch_sites.SiteLimits) -> touch_sites.Sites:
     return touch_sites.sample_sites(key, surface, DRAWN_SITES, limits, CANDIDATES_PER_SITE)

@@ -10,15 +10,16 @@ Metres, newtons, radians; frames as in `i2t.types`.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Key, PyTree
 
-from i2t.batching import map_batches
+from i2t.batching import filled_batches, map_batches, spread
+from i2t.compiling import jit_quickly
 from i2t.geometry import contact_frame, inverse, so3_exp
 from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
@@ -27,6 +28,7 @@ from i2t.simulation.site_limits import SiteLimits
 from i2t.skin.contact import CELL_GRID, GRID, solve_force
 from i2t.skin.pad import nominal_pad
 from i2t.types import Pad, Surface
+from i2t.views import centre
 from i2t.windows import PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 
 LIBRARY_LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
@@ -34,7 +36,7 @@ TILT_RANGE_RAD = (math.radians(1.0), math.radians(6.0))
 CHAIN_TOLERANCE = 1e-3  # of contacts: far below what separates two patches of a library
 CHAIN_STEPS = 40
 BATCH = 64
-FEW_FACES = 256  # shapes of no more are stacked apart from larger ones, which would slow them down
+FEW_FACES = 512  # the size class of shapes of no more faces; larger ones, which would slow them down, have another
 SITE_CANDIDATES = 4  # for each safe site
 SITES = 16  # of a shape at a time, so that any number of them compiles once
 
@@ -129,9 +131,8 @@ def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
     Returns:
         The library, on the host.
     """
-    height = jnp.asarray(contacts.coarse, jnp.float32)
-    pressure, indentation = _pressures(nominal_pad(), height, jnp.asarray(LIBRARY_LOADS_N, jnp.float32))
-    newtons = np.asarray(pressure).reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
+    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), LIBRARY_LOADS_N)
+    newtons = pressure.reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
     total = np.maximum(newtons.sum(-1, keepdims=True), 1e-9)
     x, y = np.meshgrid(CELL_GRID.centres, CELL_GRID.centres)
     places = np.stack([x.ravel(), y.ravel()], -1)
@@ -144,6 +145,41 @@ def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
         indentation=np.asarray(indentation, np.float32),
         centre=np.asarray((newtons @ places) / total, np.float32),
     )
+
+
+def press_batches(
+    pad: Pad, heights: Float[np.ndarray, "n g g"], loads: Sequence[float] | Float[np.ndarray, " l"]
+) -> tuple[Float[np.ndarray, "n l g g"], Float[np.ndarray, "n l"]]:
+    """Press a pad onto many surfaces as of `pressure_chain`, in batches of one size: one compilation serves all.
+
+    Args:
+        pad: The skin.
+        heights: m, of the surfaces over cells of 1 mm, beyond the plane of first contact.
+        loads: N, ascending.
+
+    Returns:
+        Pressures (Pa), and indentations (m) past first contact, on the host.
+    """
+    heights, shared = np.asarray(heights, np.float32), (pad, np.asarray(loads, np.float32))
+    return in_batches(_chains, heights, shared=shared)
+
+
+def in_batches(
+    function: Callable[..., PyTree], *rows: Float[np.ndarray, "n ..."], shared: tuple[PyTree, ...]
+) -> PyTree:
+    """A compiled function of patches, `BATCH` of them at a time.
+
+    Args:
+        function: Of some rows and what is shared by all; axis 0 of its results counts the rows.
+        rows: Its first arguments.
+        shared: Those that follow.
+
+    Returns:
+        Its results for all rows, on the host.
+    """
+    batches = filled_batches(np.arange(len(rows[0])), BATCH)
+    parts = spread(function, (tuple(each[some] for each in rows) for some in batches), shared=shared)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
 
 
 def pressure_chain(
@@ -179,19 +215,20 @@ def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
         surfaces: Prepared surfaces of any sizes.
 
     Returns:
-        The same, those of few faces alike in size and those of many.
+        The same, those of few faces padded to `FEW_FACES` and those of many alike in size.
     """
     small = [len(surface.triangles) <= FEW_FACES for surface in surfaces]
     sized: list[Surface] = list(surfaces)
-    for group in ([i for i, is_small in enumerate(small) if is_small == wanted] for wanted in (True, False)):
+    for wanted in (True, False):
+        group = [i for i, is_small in enumerate(small) if is_small == wanted]
         if group:
-            stacked = stack_surfaces([surfaces[i] for i in group])
+            stacked = stack_surfaces([surfaces[i] for i in group], faces=FEW_FACES)
             for row, i in enumerate(group):
                 sized[i] = jax.tree.map(lambda field, row=row: field[row], stacked)
     return sized
 
 
-@jax.jit
+@jit_quickly
 def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> Contacts:
     """A few sites of one surface, approached at a tilt."""
     count = SITES
@@ -211,16 +248,25 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
         turn = jnp.eye(4).at[:3, :3].set(so3_exp(angle * axis))
         start = T_o_site @ turn @ jnp.eye(4).at[2, 3].set(-STANDOFF)
         T_o_t, hit = touch_sites.press_along(surface, start, start[:3, 2])
-        T_t_o = inverse(T_o_t)
-        patch = render_heights(surface, T_t_o, PATCH_WINDOW, PATCH_PIXELS)
-        height = render_heights(surface, T_t_o, PAD_WINDOW, GRID.cells)
-        coarse = render_heights(surface, T_t_o, PAD_WINDOW, CELL_GRID.cells)
+        patch, height, coarse = _heights(surface, inverse(T_o_t))
         return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
 
     contacts = map_batches(lambda each: meet(*each), (frames, angle, about), batch_size=count)
     return contacts._replace(met=contacts.met & safe)
 
 
-@jax.jit
-def _pressures(pad: Pad, heights: Array, loads: Array) -> tuple[Array, Array]:
-    return map_batches(lambda height: pressure_chain(pad, height, loads), heights, batch_size=BATCH)
+def _heights(surface: Surface, T_t_o: Array) -> tuple[Array, Array, Array]:
+    """Heights (m) over the pixels of a patch and the cells of both grids: one compiled renderer draws all three, with
+    lengths along x and y scaled to the patch's pixels.
+    """
+    pitch = PATCH_WINDOW / PATCH_PIXELS
+    scales = [1.0, pitch / GRID.spacing, pitch / CELL_GRID.spacing]
+    stretch = np.asarray([[scale, scale, 1.0, 1.0] for scale in scales], np.float32)
+    maps = stretch[:, :, None] * T_t_o[None]
+    patch, fine, coarse = jax.vmap(lambda A: render_heights(surface, A, PATCH_WINDOW, PATCH_PIXELS))(maps)
+    return patch, centre(fine, GRID.cells), centre(coarse, CELL_GRID.cells)
+
+
+@jit_quickly
+def _chains(heights: Array, pad: Pad, loads: Array) -> tuple[Array, Array]:
+    return jax.vmap(lambda height: pressure_chain(pad, height, loads))(heights)

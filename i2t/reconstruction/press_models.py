@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from i2t.batching import map_batches
-from i2t.reconstruction.library import BATCH, pressure_chain
+from i2t.compiling import jit_quickly
+from i2t.reconstruction.library import in_batches, press_batches
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.skin.contact import CELL_GRID
 from i2t.skin.dipoles import response
@@ -28,7 +28,8 @@ LOOSE_FRICTION = 3e-2  # of the largest displacement: 1 % of a reading
 FRICTION_STEPS = 15
 SLIDING_PATCHES = 256
 SLIDING_SLANT = 0.0175  # m/m, at which the effect of a slant is computed: a degree
-SLANTS = SLIDING_SLANT * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], np.float32)  # none, along x, along y
+SLANTS = SLIDING_SLANT * np.eye(2, dtype=np.float32)  # along x, along y
+NO_SLANT = np.zeros(2, np.float32)
 SLIDING_RIDGE = 0.1  # of the mean square of the pressures
 
 
@@ -46,20 +47,22 @@ def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelih
     Example:
         model = imagine_presses(i2t.nominal_pad(), library)
     """
-    heights, loads = jnp.asarray(library.height), jnp.asarray(library.loads)
-    newtons, indentation, reading = _press_all(pad, heights, loads, SLANTS[:1])
-    rows = np.random.default_rng(0).permutation(len(heights))[:SLIDING_PATCHES]
-    some = _press_all(pad, heights[rows], loads, SLANTS)[2]
-    by_slant = (some[:, :, 1:] - some[:, :, :1]) / SLIDING_SLANT / loads[None, :, None, None]
+    loads = np.asarray(library.loads, np.float32)
+    pressure, indentation = press_batches(pad, np.asarray(library.height), loads)
+    newtons = pressure.reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
+    rows = np.random.default_rng(0).permutation(len(newtons))[:SLIDING_PATCHES]
+    reading = in_batches(_read, pressure, indentation, shared=(pad, NO_SLANT))
+    slanted = [in_batches(_read, pressure[rows], indentation[rows], shared=(pad, slant)) for slant in SLANTS]
+    by_slant = (np.stack(slanted, 2) - reading[rows][:, :, None]) / SLIDING_SLANT / loads[None, :, None, None]
     sliding = _ridge(newtons[rows] / loads[None, :, None], by_slant, newtons)
     variance, vectors = np.linalg.eigh(noise_covariance(pad.board, Noise()))
-    axes = jnp.asarray(vectors.T, jnp.float32)
+    axes = np.asarray(vectors.T, np.float32)
     return PressModel(
-        loads=loads,
-        reading=jnp.einsum("dc,nlc->ldn", axes, reading[:, :, 0]),
-        sliding=jnp.einsum("dc,nlic->lidn", axes, sliding),
-        travel=(indentation + loads[None] / STIFFNESS_N_PER_M).T,
-        axes=axes,
+        loads=jnp.asarray(loads),
+        reading=jnp.asarray(np.einsum("dc,nlc->ldn", axes, reading)),
+        sliding=jnp.asarray(np.einsum("dc,nlic->lidn", axes, sliding)),
+        travel=jnp.asarray((indentation + loads[None] / np.float32(STIFFNESS_N_PER_M)).T),
+        axes=jnp.asarray(axes),
         noise=jnp.asarray(np.maximum(variance, 0), jnp.float32),
         likelihood=likelihood or PatchLikelihood(),
     )
@@ -82,22 +85,16 @@ def noise_covariance(board: Board, noise: Noise) -> Float[np.ndarray, "c c"]:
     return np.diag(own) + seen @ seen.T
 
 
-@jax.jit
-def _press_all(pad: Pad, heights: Array, loads: Array, slants: Array) -> tuple[Array, Array, Array]:
-    """Newtons on each cell (n, l, cells), indentations (n, l) and readings by each slant of the press (n, l, k, c)."""
+@jit_quickly
+def _read(pressure: Array, indentation: Array, pad: Pad, slant: Array) -> Array:
+    """Readings (n, l, c) of pressures (n, l, g, g), pressed in turn with a slant of the press."""
 
-    def one(height: Array) -> tuple[Array, Array, Array]:
-        pressure, indentation = pressure_chain(pad, height, loads)
+    def one(pressure: Array, indentation: Array) -> Array:
         way = jnp.diff(indentation - indentation[0], prepend=-indentation[:1])
+        traction = _friction(pad, pressure, way[:, None] * slant[None])
+        return jax.lax.map(lambda each: response(pad, each[0], CELL_GRID, traction=each[1]), (pressure, traction))
 
-        def read(slant: Array) -> Array:
-            traction = _friction(pad, pressure, way[:, None] * slant[None])
-            return jax.lax.map(lambda each: _reading(pad, *each), (pressure, traction))
-
-        newtons = pressure.reshape(len(loads), -1) * CELL_GRID.spacing**2
-        return newtons, indentation, jnp.moveaxis(jax.lax.map(read, slants), 0, 1)
-
-    return map_batches(one, heights, batch_size=BATCH)
+    return jax.vmap(one)(pressure, indentation)
 
 
 def _friction(pad: Pad, pressure: Array, slide: Array) -> Array:
@@ -111,18 +108,13 @@ def _friction(pad: Pad, pressure: Array, slide: Array) -> Array:
     return jax.lax.scan(follow, rest(pad, jnp.zeros_like(pressure[0]), CELL_GRID), (pressure, slide))[1]
 
 
-def _reading(pad: Pad, pressure: Array, traction: Array) -> Array:
-    return response(pad, pressure, CELL_GRID, traction=traction)
-
-
-@jax.jit
-def _ridge(seen: Array, target: Array, all_of: Array) -> Array:
+def _ridge(seen: np.ndarray, target: np.ndarray, all_of: np.ndarray) -> np.ndarray:
     """A linear map from pressures (n, l, cells) to targets (n, l, 2, c), one for each load, applied to all."""
 
-    def one(x: Array, y: Array, new: Array) -> Array:
+    def one(x: np.ndarray, y: np.ndarray, new: np.ndarray) -> np.ndarray:
         gram = x @ x.T
-        system = gram + SLIDING_RIDGE * jnp.trace(gram) * jnp.eye(len(x)) / len(x)
-        return (new @ x.T) @ jnp.linalg.solve(system, y.reshape(len(x), -1))
+        system = gram + SLIDING_RIDGE * np.trace(gram) * np.eye(len(x), dtype=x.dtype) / len(x)
+        return (new @ x.T) @ np.linalg.solve(system, y.reshape(len(x), -1))
 
-    found = jax.vmap(one, in_axes=1, out_axes=1)(seen, target, all_of)
-    return found.reshape(*all_of.shape[:2], *target.shape[2:])
+    by_load = [one(seen[:, i], target[:, i], all_of[:, i]) for i in range(seen.shape[1])]
+    return np.stack(by_load, 1).reshape(*all_of.shape[:2], *target.shape[2:])

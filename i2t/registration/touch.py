@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
 from i2t.batching import map_batches
-from i2t.compiling import traced_floats
+from i2t.compiling import jit_quickly, traced_floats
 from i2t.geometry import from_twist, full_precision, inverse
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
@@ -105,6 +105,7 @@ def register_by_touch(
     rotation_std: float | Float[Array, ""],
     contact_std: float | Float[Array, ""] = 0.1e-3,
     config: TouchRegistrationConfig = TouchRegistrationConfig(),
+    often: bool = False,
 ) -> PoseEstimate:
     """The mean pose of an object that was met at known tool poses.
 
@@ -119,6 +120,7 @@ def register_by_touch(
         contact_std: Standard deviation (m) of a contact, which counts the arm, the skin's tilt times its half edge, and
             the object's shape.
         config: How to search; its whole numbers are static.
+        often: Compile with all optimisations, which pays from about twenty registrations on; last digits may differ.
 
     Returns:
         The estimate; its residuals, weights and cost are those of the most probable pose.
@@ -141,10 +143,10 @@ def register_by_touch(
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
     _check_contacts(T_w_o, T_w_contact, weight)
     stds = (jnp.asarray(std, jnp.float32) for std in (translation_std, rotation_std, contact_std))
-    return _register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
+    register = _register_often if often else _register_once
+    return register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
 
 
-@jax.jit
 @full_precision
 def _register(
     key: Key[Array, ""],
@@ -173,6 +175,10 @@ def _register(
         weight=_t_weights(linearised.residual, weight, noise),
         cost=cost,
     )
+
+
+_register_once = jit_quickly(_register)
+_register_often = jax.jit(_register)
 
 
 def _check_contacts(T_w_o: Array, T_w_contact: Array, weight: Array) -> None:

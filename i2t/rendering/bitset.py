@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Int, UInt
 
 WORD_BITS = 32
+HALF_BITS = 16
 
 
 def as_uint32(value: int) -> np.uint32:
@@ -59,16 +60,22 @@ def bitwise_or_reduce(words: list[Array]) -> Array:
     return total
 
 
-def pack_bits(flags: list[Array]) -> Array:
+def pack_bits(flags: Array, axis: int = -1) -> Array:
     """Pack flags into words.
 
     Args:
-        flags: Arrays of booleans, one for each bit.
+        flags: Booleans, a word's bits along one axis.
+        axis: Which.
 
     Returns:
-        Words whose bit i is flags[i].
+        Words, without that axis, whose bit i is flag i.
     """
-    return bitwise_or_reduce([flag.astype(jnp.uint32) << as_uint32(i) for i, flag in enumerate(flags)])
+    # A product with powers of two takes XLA a tenth of the instructions of shifts; float32 holds half a word exactly.
+    bit = np.arange(WORD_BITS)
+    weights = np.zeros((2, WORD_BITS), np.float32)
+    weights[bit // HALF_BITS, bit] = 2.0 ** (bit % HALF_BITS)
+    halves = jnp.tensordot(flags.astype(jnp.float32), weights, (axis, 1), precision="highest").astype(jnp.uint32)
+    return halves[..., 0] | halves[..., 1] << as_uint32(HALF_BITS)
 
 
 def cumulative_popcounts(words: UInt[Array, "p n"]) -> Int[Array, "p n"]:

@@ -43,18 +43,20 @@ def build_bvh(triangles: np.ndarray) -> Surface:
     return layout_clusters(triangles[order].astype(np.float32), size, _power_of_two(-(-clusters // CLUSTERS_PER_GROUP)))
 
 
-def pad_to_same_size(surfaces: Sequence[Surface]) -> list[Surface]:
+def pad_to_same_size(surfaces: Sequence[Surface], faces: int = 1) -> list[Surface]:
     """Bring surfaces to one size class, the largest among them.
 
     Args:
         surfaces: Of `build_bvh`.
+        faces: For which the class has room at least.
 
     Returns:
         Surfaces whose arrays have the same shapes.
     """
     sizes = [len(surface.triangles) // (len(np.asarray(surface.boxes)) * CLUSTERS_PER_GROUP) for surface in surfaces]
-    groups = [-(-len(surface.triangles) // (max(sizes) * CLUSTERS_PER_GROUP)) for surface in surfaces]
-    return [layout_clusters(np.asarray(surface.triangles), max(sizes), max(groups)) for surface in surfaces]
+    most = max(faces, *(len(surface.triangles) for surface in surfaces))
+    groups = -(-most // (max(sizes) * CLUSTERS_PER_GROUP))
+    return [layout_clusters(np.asarray(surface.triangles), max(sizes), groups) for surface in surfaces]
 
 
 def layout_clusters(triangles: np.ndarray, size: int, groups: int) -> Surface:

@@ -140,7 +140,7 @@ def cast_dense(
         low = jnp.where(i == 0, -jnp.inf, slab)[:, None]
         high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None]
         wanted = (fronts <= high) & (fronts < jnp.inf) & (low < high)
-        words = pack_bits([wanted[:, k * row : (k + 1) * row] for k in range(WORD_BITS)])
+        words = pack_bits(wanted.reshape(len(wanted), WORD_BITS, row), 1)
         sums = cumulative_popcounts(words)
 
         def group_pass(number: Array, best: Hits) -> Hits:

@@ -207,7 +207,7 @@ def _cast_listed(
 
     seen, _ = _in_view(groups.swapaxes(0, 1), broadcast_view(view, 1), grid.half)
     row = groups.shape[2] // WORD_BITS
-    words = pack_bits([seen[:, i * row : (i + 1) * row] for i in range(WORD_BITS)])
+    words = pack_bits(seen.reshape(poses, WORD_BITS, row), 1)
     sums = cumulative_popcounts(words)
 
     def group_pass(number: Array, carry: tuple[Hits, Scratch]) -> tuple[Hits, Scratch]:
@@ -270,7 +270,7 @@ def _draw_layers(
         low = jnp.where(i == 0, -jnp.inf, slab)[:, None, None]
         high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None, None]
         wanted = (fronts > low) & (fronts <= high) & (fronts < jnp.inf)
-        words = pack_bits([wanted[..., k] for k in range(CLUSTERS_PER_GROUP)])
+        words = pack_bits(wanted)
         sums = cumulative_popcounts(words)
         draw = partial(draw_clusters, ClusterList(ids, words, sums), clusters, view, grid, slots)
         return jax.lax.fori_loop(0, jnp.max(-(-sums[:, -1] // slots)), draw, carry)

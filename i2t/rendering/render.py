@@ -78,11 +78,12 @@ def prepare_surface(mesh: Any) -> Surface:
     return build_bvh(vertices[faces])
 
 
-def stack_surfaces(surfaces: Sequence[Surface]) -> Surface:
+def stack_surfaces(surfaces: Sequence[Surface], *, faces: int = 1) -> Surface:
     """Bring surfaces to one size class, the largest among them, and stack them along a new first axis, for `vmap`.
 
     Args:
         surfaces: Prepared surfaces.
+        faces: For which the size class has room at least.
 
     Returns:
         One surface whose arrays have a leading axis.
@@ -95,7 +96,7 @@ def stack_surfaces(surfaces: Sequence[Surface]) -> Surface:
     return Surface(
         *(
             np.stack(field)
-            for field in zip(*pad_to_same_size([_prepared(surface) for surface in surfaces]), strict=True)
+            for field in zip(*pad_to_same_size([_prepared(surface) for surface in surfaces], faces), strict=True)
         )
     )
 

@@ -294,7 +294,7 @@ def _clusters_of_tiles(
         mine = i * WORD_BITS + indices(WORD_BITS)[None]
         block = rows.at[:, jnp.minimum(share.begins[:, None] + mine, slots * poses - 1)].get(mode="promise_in_bounds")
         block = jnp.where((mine < share.counts[:, None])[None], block, as_uint32(0))
-        bits = pack_bits([(block[:, :, b][:, None] >> column) & as_uint32(1) for b in range(WORD_BITS)])
+        bits = pack_bits((block[:, None] >> column[..., None]) & as_uint32(1))
         return dynamic_update(tile_words, bits.reshape(1, grid.tiles, poses).swapaxes(1, 2).reshape(1, -1), (i, 0))
 
     tile_words = jnp.zeros((slots // WORD_BITS, poses * grid.tiles), jnp.uint32)

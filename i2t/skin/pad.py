@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
+from i2t.compiling import jit_quickly
 from i2t.errors import did_you_mean
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
@@ -179,9 +180,9 @@ def nominal_pad(
     validation.number("strength", strength, "A/m")
     board = reskin_board() if board is None else board
     return Pad(
-        thickness=jnp.asarray(THICKNESS_M),
-        young=jnp.asarray(YOUNG_PA),
-        poisson=jnp.asarray(POISSON_RATIO),
+        thickness=jnp.float32(THICKNESS_M),  # typed as those of `sample_pad`, so that programs serve both
+        young=jnp.float32(YOUNG_PA),
+        poisson=jnp.float32(POISSON_RATIO),
         magnetization=strength * magnetization_pattern(pattern),
         gains=jnp.ones(board.num_readings),
         board=_at_depth(board, jnp.asarray(THICKNESS_M + CHIP_GAP_M)),
@@ -225,7 +226,12 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
     validation.number(
         "spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", least=0
     )
-    board = reskin_board() if board is None else board
+    return _sample_pad(key, spread, reskin_board() if board is None else board)
+
+
+@jit_quickly
+def _sample_pad(key: Key[Array, ""], spread: float | Array, board: Board) -> Pad:
+    """`sample_pad` of what was checked."""
     names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
     keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
     clamped = jax.random.uniform(keys["clamped"]) < EDGE_CLAMPED_FRACTION

@@ -21,7 +21,7 @@ from i2t.rendering.render import render_heights
 from i2t.simulation.press import PressLimits
 from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
-from i2t.windows import PAD_WINDOW
+from i2t.windows import PAD_WINDOW, PATCH_WINDOW, REACH
 
 TRUE = 7
 INFER = jax.jit(infer_patch, static_argnames=("samples",))
@@ -157,3 +157,17 @@ def test_imagined_readings_are_those_of_the_full_physics():
         missed[stop] += np.sum((model.axes.T @ imagined - reading) ** 2)
         read[stop] += np.sum(reading**2)
     assert (np.sqrt(missed / read) < 0.2).all(), np.sqrt(missed / read)
+
+
+@pytest.mark.full
+def test_one_renderer_draws_a_patch_and_both_grids_as_three_would():
+    surface = i2t.prepare_surface(i2t.make_object("hammer").mesh)
+    contacts, _ = sample_contacts(jax.random.key(0), [surface], 4)
+    rendered = {"patch": (PATCH_WINDOW, 48), "height": (PAD_WINDOW, 40), "coarse": (PAD_WINDOW, 20)}
+    for name, (window, pixels) in rendered.items():
+        ours = np.asarray(getattr(contacts, name))
+        for T, heights in zip(contacts.T_o_t, ours, strict=True):
+            theirs = np.asarray(render_heights(surface, jnp.linalg.inv(T), window, pixels))
+            theirs = np.clip(theirs, 0, REACH) if name == "patch" else theirs
+            close = np.isclose(heights, theirs, atol=1e-6) | (np.isinf(heights) & np.isinf(theirs))
+            assert close.mean() > 0.999, name  # a ray on an edge may meet the other face

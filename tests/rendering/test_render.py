@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t.objects.catalogue import make_object
+from i2t.rendering.bitset import pack_bits
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
 from i2t.rendering.raycast import GROUPS_PER_PASS
 from i2t.rendering.render import contact_mask, prepare_surface, render_heights, render_patch, stack_surfaces
@@ -269,3 +270,18 @@ def test_contact_mask():
     np.testing.assert_array_equal(contact_mask(depth), [[1, 1], [0, 0]])
     np.testing.assert_array_equal(contact_mask(depth, 2e-3), [[1, 1], [1, 0]])
     np.testing.assert_array_equal(contact_mask(depth + 1e-2, 0.1e-3), [[1, 0], [0, 0]])
+
+
+def test_bits_are_packed_as_by_numpy():
+    flags = np.random.default_rng(0).random((5, 32, 7)) < 0.5
+    words = np.packbits(flags, axis=1, bitorder="little").swapaxes(1, 2).copy().view("<u4")[..., 0]
+    np.testing.assert_array_equal(pack_bits(jnp.asarray(flags), 1), words)
+    np.testing.assert_array_equal(pack_bits(jnp.ones((1, 32), bool)), [2**32 - 1])
+
+
+def test_a_size_class_with_room_for_more_faces_shows_the_same():
+    surface = prepare_surface(make_object("star").mesh)
+    roomy = jax.tree.map(lambda field: field[0], stack_surfaces([surface], faces=300))
+    assert len(surface.triangles) < 300 <= len(roomy.triangles)
+    T = on_surface(make_object("star").mesh, 1, 0)[0]
+    np.testing.assert_array_equal(render_heights(roomy, jnp.asarray(T)), render_heights(surface, jnp.asarray(T)))
