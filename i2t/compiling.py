@@ -4,7 +4,7 @@ A configuration whose floats are traced (`traced_floats`) is an argument like an
 limits of a press run the program that was compiled before.
 
 On a CPU, XLA's fusion emitters hand LLVM much code, and LLVM spends most of the time on optimising it. Without the
-emitters and at LLVM's first level a session of simulated touches is compiled in half the time, and runs 8 % longer
+emitters and at LLVM's second level a session of simulated touches is compiled in 60 % of the time, and runs 4 % longer
 (`python -m experiments.benchmark.programs` says what programs take). Other programs lose more: contact pressures
 predicted from views take twice as long, registrations by touch three times. So it is chosen for each program, and for
 some by how much there is to do.

@@ -160,7 +160,14 @@ def approach(
     T_w_site: Float[Array, "4 4"],
     overtravel: float | Float[Array, ""],
 ) -> tuple[tuple[Float[Array, ""], tuple[Float[Array, "4 4"], Bool[Array, ""]]], Float[Array, "6"]]:
-    """First contact of the skin with an object along z of a site; arguments are those of `predict_contact`.
+    """First contact of the skin with an object along z of a site.
+
+    Args:
+        surface: Of the object, in its frame.
+        T_w_o: Pose of the object.
+        twist: Its error, in the world (m and rad), by which the distance is differentiated.
+        T_w_site: Contact pose of the tool.
+        overtravel: m beyond the site after which nothing was met.
 
     Returns:
         Distance (m) from the site, the contact (T_o_t, and whether there is one), and the distance's Jacobian along the

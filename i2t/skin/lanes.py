@@ -105,9 +105,9 @@ def convolve(
         The convolved cells.
     """
     waves, weighted = (jnp.asarray(part, quadrants.dtype) for part in half_waves(grid))
-    along_x = product(weighted, fold(quadrants), (2,), (1,), (0,))
-    along_y = product(matrices, along_x, (4,), (3,), (0, 1, 2))
-    return fold(product(waves, along_y, (1,), (1,), (0,)))
+    along_x = _product(weighted, fold(quadrants), (2,), (1,), (0,))
+    along_y = _product(matrices, along_x, (4,), (3,), (0, 1, 2))
+    return fold(_product(waves, along_y, (1,), (1,), (0,)))
 
 
 def vector_convolution(kernels: Float[Array, "2 k k"], grid: Grid) -> Float[Array, "2 m1 2 n n"]:
@@ -125,7 +125,7 @@ def vector_convolution(kernels: Float[Array, "2 k k"], grid: Grid) -> Float[Arra
         and each parity along y.
     """
     along, across = (_by_number(kernel, grid) for kernel in kernels)
-    waves, weighted = (jnp.asarray(part, kernels.dtype) for part in numbered_half_waves(grid))
+    waves, weighted = (jnp.asarray(part, kernels.dtype) for part in _numbered_half_waves(grid))
     k = np.append(grid.wavenumbers[: grid.modes // 2], grid.wavenumbers[-1])
     ky, kx = k[:, None], k[None, :]
     steep = (along - across) / np.where(kx**2 + ky**2 == 0, np.inf, kx**2 + ky**2)
@@ -162,19 +162,19 @@ def convolve_vectors(
     Returns:
         The convolved vectors.
     """
-    waves, weighted = (jnp.asarray(part, quadrants.dtype) for part in numbered_half_waves(grid))
+    waves, weighted = (jnp.asarray(part, quadrants.dtype) for part in _numbered_half_waves(grid))
     along_x = [
-        product(weighted, fold(quadrants[0]), (2,), (1,), (0,)),
-        product(weighted[::-1], fold(quadrants[1])[::-1, :, ::-1], (2,), (1,), (0,)),
+        _product(weighted, fold(quadrants[0]), (2,), (1,), (0,)),
+        _product(weighted[::-1], fold(quadrants[1])[::-1, :, ::-1], (2,), (1,), (0,)),
     ]
-    along_y = product(matrices, jnp.concatenate(along_x, axis=3), (4,), (3,), (0, 1, 2))
+    along_y = _product(matrices, jnp.concatenate(along_x, axis=3), (4,), (3,), (0, 1, 2))
     half = grid.cells // 2
-    x = product(waves, along_y[:, :, :, :half], (1,), (1,), (0,))
-    y = product(waves[::-1], along_y[:, :, :, half:], (1,), (1,), (0,))
+    x = _product(waves, along_y[:, :, :, :half], (1,), (1,), (0,))
+    y = _product(waves[::-1], along_y[:, :, :, half:], (1,), (1,), (0,))
     return jnp.stack([fold(x), fold(y[::-1, :, ::-1])])
 
 
-def numbered_half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+def _numbered_half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """As `half_waves`, by wave numbers 0 ... modes / 2 of both parities: zero where there is no such cosine or sine."""
     waves, weighted = (np.pad(part, ((0, 0), (0, 1), (0, 0))) for part in half_waves(grid))
     return tuple(np.stack([part[0], np.roll(part[1], 1, axis=0)]) for part in (waves, weighted))  # type: ignore[return-value]
@@ -222,7 +222,7 @@ def largest(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]
     return jnp.max(jnp.abs(values), cell_axes(values), keepdims=True)
 
 
-def product(
+def _product(
     left: Array | np.ndarray, right: Array, left_sum: tuple[int], right_sum: tuple[int], shared: tuple[int, ...]
 ) -> Array:
     """A batch of matrix products in full float32; shared axes come first, then those left of `left` and `right`."""
