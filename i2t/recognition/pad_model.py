@@ -52,6 +52,7 @@ POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
 POSITION_FOLDS = 3  # of a session's touches, each predicted from the others
 EM_STEPS = 300
 PRIOR_TOUCHES = 0.5  # of each standard deviation, as if they had been seen: no tail is impossible
+FEW_SESSIONS = 5  # of no more, compiling their registrations quickly pays; last digits may differ from those of more
 REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
 
 
@@ -106,7 +107,8 @@ def fit_pad_model(
         here = np.flatnonzero(rows & (touches.session == session))
         surface = surfaces[dataset.objects[int(touches.object[here[0]])]]
         seen.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
-    register = partial(_register_session, errors=errors)
+    often = len(seen) > FEW_SESSIONS
+    register = partial(_register_session, errors=errors, often=often)
     found = a_few_at_a_time(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
     sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
     layer = LAYERS[_choose_layer(sessions, touches, dataset.board, limits.overtravel)]
@@ -119,7 +121,7 @@ def fit_pad_model(
             "finite, and give some that press a known object"
         )
     softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
-    left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits)
+    left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits, often=often)
     folds = a_few_at_a_time(left_out, product(sessions, range(POSITION_FOLDS)))
     positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
     position = _position_errors(positions, softness, limits)
@@ -286,23 +288,24 @@ def _register_session(
     met: Bool[np.ndarray, " m"],
     *,
     errors: SimulationErrors,
+    often: bool,
 ) -> PoseEstimate:
     """The object's pose by the contacts that met it, or by some of them."""
     return registration.register_by_touch(
         key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
-        translation_std=errors.placement, rotation_std=errors.placement_angle, often=True,
+        translation_std=errors.placement, rotation_std=errors.placement_angle, often=often,
     )  # fmt: skip
 
 
 def _left_out_positions(
-    session: _Session, which: int, *, layer: Layer, errors: SimulationErrors, limits: PressLimits
+    session: _Session, which: int, *, layer: Layer, errors: SimulationErrors, limits: PressLimits, often: bool
 ) -> _Positions:
     """Ends of the touches of one fold of a session that met something, predicted from those of the other folds."""
     _, key, surface, contacts, _ = session
     fold = np.arange(len(contacts.met)) % POSITION_FOLDS
     # The same starts and draws in every fold, so that they differ in their touches alone.
     key = jax.random.clone(key)
-    found = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors)
+    found = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors, often=often)
     force = np.maximum(contacts.touches.force, np.float32(MIN_LOAD_N))
     T_w_t, overtravel = contacts.touches.T_w_t, limits.overtravel
     predicted = jax.device_get(_press(surface, found.T_w_o, T_w_t, force, layer, False, overtravel=overtravel))
