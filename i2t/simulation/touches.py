@@ -129,7 +129,8 @@ def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors
     z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
     z = z + errors.depth_noise * drawn[2]
     step = jnp.where(errors.depth_quantum > 0, errors.depth_quantum, 1.0)
-    rounded = jnp.round((z + CAMERA_DISTANCE_M) / step) * step - CAMERA_DISTANCE_M
+    # A product, because a compiler makes one of a quotient or not: a pixel between two quanta would be here or there.
+    rounded = jnp.round((z + CAMERA_DISTANCE_M) * jax.lax.optimization_barrier(1 / step)) * step - CAMERA_DISTANCE_M
     return camera_view(jnp.where(errors.depth_quantum > 0, rounded, z))
 
 
