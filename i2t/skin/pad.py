@@ -36,6 +36,8 @@ MAX_RANGE_FRACTION = 0.85  # of the converter's range, which no axis exceeds at 
 FIRST_PAD_SEED = 1000  # of pad 0 of `numbered_pad`
 PATH_TOLERANCE = 1e-4  # of the contacts on the way of `friction_response`
 TRACTION_TOLERANCE = 1e-3  # of its tractions, of the largest displacement
+# What `sample_pad` draws, each from a key of its own.
+DRAWN = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
 MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and whole cells to each of 4 poles
 
 
@@ -226,27 +228,30 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
     validation.number(
         "spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", least=0
     )
-    return _sample_pad(key, spread, reskin_board() if board is None else board)
+    board = reskin_board() if board is None else board
+    # Apart from the rest: gains name a board (`i2t.skin.faults.board_key`), and fused with it they end in other bits.
+    key_gains = jax.random.split(key, len(DRAWN))[DRAWN.index("gains")]
+    gains = 1 + spread * 0.05 * jax.random.truncated_normal(key_gains, -3.0, 3.0, (board.num_readings,))
+    return _sample_pad(key, spread, board, gains)
 
 
 @jit_quickly
-def _sample_pad(key: Key[Array, ""], spread: float | Array, board: Board) -> Pad:
-    """`sample_pad` of what was checked."""
-    names = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
-    keys = dict(zip(names, jax.random.split(key, len(names)), strict=True))
+def _sample_pad(key: Key[Array, ""], spread: float | Array, board: Board, gains: Float[Array, " c"]) -> Pad:
+    """`sample_pad` of what was checked, with the gains of its board."""
+    keys = dict(zip(DRAWN, jax.random.split(key, len(DRAWN)), strict=True))
     clamped = jax.random.uniform(keys["clamped"]) < EDGE_CLAMPED_FRACTION
     compliance = spread * MOUNT_COMPLIANCE_M_PER_N * jnp.exp(0.6 * jax.random.normal(keys["compliance"]))
     strength = MAGNETIZATION_A_PER_M * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"]))
     thickness = THICKNESS_M + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
     gap = CHIP_GAP_M + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
     low, high = POISSON_RATIO_RANGE  # drawn from a key of its own, so that what else is drawn of a key stays
-    poisson = jax.random.uniform(jax.random.fold_in(key, len(names)), minval=low, maxval=high)
+    poisson = jax.random.uniform(jax.random.fold_in(key, len(DRAWN)), minval=low, maxval=high)
     pad = Pad(
         thickness=thickness,
         young=YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
         poisson=POISSON_RATIO + spread * (poisson - POISSON_RATIO),
         magnetization=strength * sample_magnetization(keys["map"], spread),
-        gains=1 + spread * 0.05 * jax.random.truncated_normal(keys["gains"], -3.0, 3.0, (board.num_readings,)),
+        gains=gains,
         board=_at_depth(board, thickness + gap),
         friction=FRICTION_COEFFICIENT * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
         mount_compliance=jnp.where(clamped, compliance, 0.0),
