@@ -232,7 +232,7 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
     # Apart from the rest: gains name a board (`i2t.skin.faults.board_key`), and fused with it they end in other bits.
     key_gains = jax.random.split(key, len(DRAWN))[DRAWN.index("gains")]
     gains = 1 + spread * 0.05 * jax.random.truncated_normal(key_gains, -3.0, 3.0, (board.num_readings,))
-    return _sample_pad(key, spread, board, gains)
+    return _sample_pad(jax.random.clone(key), spread, board, gains)
 
 
 @jit_quickly
