@@ -4,10 +4,10 @@ A configuration whose floats are traced (`traced_floats`) is an argument like an
 limits of a press run the program that was compiled before.
 
 On a CPU, XLA's fusion emitters hand LLVM much code, and LLVM spends most of the time on optimising it. Without the
-emitters and at LLVM's second level a session of simulated touches is compiled in 60 % of the time, and runs 4 % longer
+emitters and at LLVM's second level a session of simulated touches is compiled in half the time, and runs a tenth longer
 (`python -m experiments.benchmark.programs` says what programs take). Other programs lose more: contact pressures
-predicted from views take twice as long, registrations by touch three times. So it is chosen for each program, and for
-some by how much there is to do.
+predicted from views and decisions where to touch take twice as long, registrations by touch three times. So it is
+chosen for each program, and for some by how much there is to do.
 """
 
 from collections.abc import Callable, Iterable
@@ -85,6 +85,25 @@ def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[st
 
     call.compiler_options = _options  # type: ignore[attr-defined]  # for `i2t.batching`
     return call
+
+
+def jit_by_amount(
+    function: Callable[..., Any], few: int, *, static_argnames: str | tuple[str, ...] = ()
+) -> Callable[[int], Callable[..., Any]]:
+    """A program that is compiled quickly where there is little to do, and with all optimisations where there is much;
+    last digits may differ between the two.
+
+    Args:
+        function: Pure.
+        few: Largest amount of work for which compiling quickly pays.
+        static_argnames: As of `jax.jit`.
+
+    Returns:
+        A function that takes the amount of work and returns the compiled function for it.
+    """
+    quick = jit_quickly(function, static_argnames=static_argnames)
+    usual = jax.jit(function, static_argnames=static_argnames)
+    return lambda amount: quick if amount <= few else usual
 
 
 @cache

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from i2t.batching import everywhere, filled_batches, map_batches, select_rows, spread, spread_rows
-from i2t.compiling import jit_quickly
+from i2t.compiling import jit_by_amount, jit_quickly
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
@@ -33,7 +33,7 @@ from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches
 
-FEW_TOUCHES = 1440  # of no more, compiling them quickly pays; last digits may differ from those of more
+FEW_TOUCHES = 16_000  # of no more, compiling them quickly pays; last digits may differ from those of more
 OBSERVED_BATCH = 16  # simulated at a time: fewer fill up the last batch less, and fit the caches
 TouchNumber: TypeAlias = tuple[int, int, int]  # which touch of which episode, and its site
 
@@ -187,9 +187,9 @@ class EpisodeSimulator:
             full, which = np.resize(rows, size), int(self.truth[episode[rows[0]]])
             return keys[full], self.surfaces[which], self.T_w_site[where[full]], element(self.sessions, episode[full])
 
-        few, limits = len(self.truth) * self.config.touches <= FEW_TOUCHES, self.config.limits
+        limits = self.config.limits
         made = spread(
-            _touch_few if few else _touch_many, map(call, batches),
+            _touch(len(self.truth) * self.config.touches), map(call, batches),
             shared=(self.pad, self.config.press_errors, limits, self._response),
             law=self.config.law,
         )  # fmt: skip
@@ -298,8 +298,7 @@ def _simulate_touches(
     return made._replace(patch=blank, wide=blank, truth=None)
 
 
-_touch_many = jax.jit(_simulate_touches, static_argnames="law")
-_touch_few = jit_quickly(_simulate_touches, static_argnames="law")
+_touch = jit_by_amount(_simulate_touches, FEW_TOUCHES, static_argnames="law")
 
 
 @jit_quickly

@@ -25,7 +25,6 @@ from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import map_batches
-from i2t.compiling import jit_quickly
 from i2t.recognition.belief import (
     Belief,
     Likelihood,
@@ -225,7 +224,7 @@ def draw_site(key: Key[Array, ""], weight: Float[Array, " sites"], allowed: Bool
     return jnp.where(jnp.any(allowed), jax.random.categorical(key, jnp.log(some)), NO_SITE)
 
 
-@jit_quickly
+@jax.jit
 def choose_informative_site(
     key: Key[Array, ""],
     belief: Belief,

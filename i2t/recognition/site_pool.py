@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import filled_batches, spread
-from i2t.compiling import jit_quickly
+from i2t.compiling import jit_by_amount, jit_quickly
 from i2t.paper import loop
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, outcomes
@@ -242,8 +242,7 @@ def _predict_on_layer(
     rows = filled_batches(np.arange(len(T)), each)
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    predict = _predict_few if len(batches) <= FEW_BATCHES else _predict_many
-    made = spread(predict, calls, shared=(twist, list(models), overtravel))
+    made = spread(_predict_touches(len(batches)), calls, shared=(twist, list(models), overtravel))
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, made, strict=True):
         if result is None:
@@ -270,8 +269,7 @@ def _predict(
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
 
 
-_predict_many = jax.jit(_predict)
-_predict_few = jit_quickly(_predict)
+_predict_touches = jit_by_amount(_predict, FEW_BATCHES)
 
 
 def plan_random_touches(

@@ -70,16 +70,20 @@ class PressResult(NamedTuple):
     force: Float[Array, ""]  # N
     reading: Float[Array, " c"]  # uT, noise free
     code: Int[Array, ""]
-    pressure: Float[Array, "g g"]  # Pa
+    pressure: Float[Array, "g g"]  # Pa, of the pad's own physics, whatever the law
+
+    @property
+    def press(self) -> Press:
+        """The last press."""
+        return Press(self.reading, self.force, self.indentation, self.pressure, jnp.asarray(True))
 
 
 class PadResponse(NamedTuple):
     """Derivatives of a pad's reading, by which its presses are simulated quickly."""
 
     linear: Float[Array, "c g g"]  # uT/Pa at rest, by the pressure on the cells of `GRID`
-    deep: (
-        Float[Array, "c f f"] | None
-    )  # uT/Pa, by which deep sheets of few dipoles err on the final grid; None: on GRID
+    # uT/Pa, by the pressure on the cells of a finer final grid: what deep sheets of fewer dipoles leave out
+    deep: Float[Array, "c f f"] | None
 
 
 @partial(jax.jit, static_argnames="final")

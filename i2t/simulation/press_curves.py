@@ -19,7 +19,7 @@ from i2t.simulation.press import PressLimits, pad_response, press_to_stop
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import CELL_GRID, CONTACT_NEWTONS, GRID
 from i2t.skin.noise import add_sensor_noise
-from i2t.skin.pad import Press, friction_response
+from i2t.skin.pad import friction_response
 from i2t.types import Array, Pad
 
 SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four times it
@@ -73,8 +73,7 @@ def simulate_press_curve(
 
     def stop(limits: PressLimits, key: Array) -> tuple[Array, ...]:
         end = press_to_stop(pad, height, limits, response=response)
-        pressed = Press(end.reading, end.force, end.indentation, end.pressure, jnp.asarray(True))
-        friction = friction_response(pad, height, end.indentation, slant * end.indentation, pressed=pressed)
+        friction = friction_response(pad, height, end.indentation, slant * end.indentation, pressed=end.press)
         read = add_sensor_noise(key, end.reading + friction, pad.board, errors.noise)
         pressure = end.pressure * GRID.spacing**2
         cells = pressure.reshape(CELL_GRID.cells, 2, CELL_GRID.cells, 2).sum((1, 3))

@@ -31,7 +31,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry, validation
 from i2t.batching import select_rows, spread
-from i2t.compiling import jit_quickly, traced_floats
+from i2t.compiling import jit_by_amount, jit_quickly, traced_floats
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
@@ -40,14 +40,14 @@ from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, add_sensor_noise
-from i2t.skin.pad import Press, friction_response
+from i2t.skin.pad import friction_response
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 from i2t.views import WideView, camera_view, centre, pixels_on_skin
 from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 POSE_ERRORS = 7  # the first of `SimulationErrors`
-MANY_SESSIONS = 40  # from so many on, compiling them well pays
+FEW_SESSIONS = 400  # of no more, compiling them quickly pays
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
 
@@ -263,9 +263,7 @@ def _press(
     """
     met, hit = approach.met, approach.hit
     stop = press_to_stop(pad, met.depth, limits, overshoot, law=law, response=response)
-    pressed = None
-    if law is press_pad:
-        pressed = Press(stop.reading, stop.force, stop.indentation, stop.pressure, jnp.asarray(True))
+    pressed = stop.press if law is press_pad else None
     slide = errors.slant * stop.indentation * slant
     friction = friction_response(pad, met.depth, stop.indentation, slide, pressed=pressed)
     if limits.final != GRID:
@@ -413,8 +411,7 @@ def _simulate_session(
 
 
 OF_SESSION = ("n", "law")  # static
-_simulate_many = jax.jit(_simulate_session, static_argnames=OF_SESSION)
-_simulate_few = jit_quickly(_simulate_session, static_argnames=OF_SESSION)
+_simulate = jit_by_amount(_simulate_session, FEW_SESSIONS, static_argnames=OF_SESSION)
 
 
 def simulate_touches(
@@ -432,7 +429,7 @@ def simulate_touches(
 ) -> Touches:
     """Simulated touches on objects, in sessions, with the errors of a real lab.
 
-    More than `MANY_SESSIONS` sessions are compiled with all optimisations; last bits may differ from those of fewer.
+    More than `FEW_SESSIONS` sessions are compiled with all optimisations; last bits may differ from those of fewer.
 
     Args:
         key: random key.
@@ -479,7 +476,7 @@ def simulate_touches(
             presses += kept
 
     made = spread(
-        _simulate_many if len(sessions) > MANY_SESSIONS else _simulate_few,
+        _simulate(len(sessions)),
         calls(), shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final)),
         n=touches_per_session, law=law,
     )  # fmt: skip

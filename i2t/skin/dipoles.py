@@ -203,7 +203,7 @@ def _groups(pad: Pad, dipoles: Dipoles, nodes: int, first_sheet: int) -> Iterato
     grids = [dipoles] * nodes if isinstance(dipoles, Grid) else list(dipoles)
     for grid in dict.fromkeys(grids[first_sheet:]):
         depths, moments = sheets(pad, grid, nodes)
-        rows = np.array([i for i in range(first_sheet, nodes) if grids[i] == grid])
+        rows = np.array([sheet for sheet in range(first_sheet, nodes) if grids[sheet] == grid])
         yield grid, (depths[rows], moments[rows])
 
 

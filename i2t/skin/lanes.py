@@ -14,7 +14,7 @@ x and y, and n and m the waves along y and x of these parities:
     result = E[b].T X2,   X2[b, m, a] = T[b, m, a] X1[b, m, a],   X1 = S[b] part,
     T[b, m, a] = sum over n of E[a, n].T G[(a, n), (b, m)] S[a, n].
 
-T is computed once for a pad.
+T depends on the pad and its grid alone.
 """
 
 from collections.abc import Callable
