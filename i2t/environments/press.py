@@ -2,9 +2,8 @@
 
 The physics is that of `i2t.simulation.touches`, made quick enough to be learned in. Contacts are solved on cells of
 1 mm; the reading is linear in the pressure (`response_map`, one product instead of a field of displaced dipoles), which
-holds while the skin moves little next to its distance from the chips; and the end of the press is sought by secants
-whose contacts begin from the one before, where `i2t.simulation.press` scans. There is no camera, no friction and no
-memory of the skin. Against the whole physics, tests/environments/test_press.py measures how much that changes.
+holds while the skin moves little next to its distance from the chips. There is no camera, no friction and no memory of
+the skin. Against the whole physics, tests/environments/test_press.py measures how much that changes.
 
 Metres, newtons, microtesla; frames as in `i2t.types`.
 """
@@ -17,21 +16,15 @@ from jaxtyping import Array, Bool, Float, Key
 
 from i2t.geometry import full_precision, inverse, random_motion
 from i2t.rendering.render import render_heights
-from i2t.simulation.press import PressLimits
+from i2t.simulation.press import PadResponse, PressLimits, press_to_stop
 from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import solve
 from i2t.skin.dipoles import linear_response
 from i2t.skin.elasticity import Grid
 from i2t.types import Pad, Surface
 from i2t.windows import PAD_WINDOW
 
 TOUCH_GRID = Grid(cells=20, modes=32)  # cells of 1 mm
-SHALLOWEST_FRACTION = 1e-3  # of the deepest indentation, at which no press ends sooner
-TRIALS = 6  # presses by which the end is sought
-EXPECTED_SLOPE = 1.3  # of the logarithms of reading and force by that of the indentation, before two trials tell
-SLOPES = (0.6, 4.0)  # that a contact may have
-TOUCH_TOLERANCE = 1e-3  # of the deepest deflection
 
 
 class TouchOutcome(NamedTuple):
@@ -49,19 +42,6 @@ class TouchGeometry(NamedTuple):
     height: Float[Array, "n n"]  # m, behind the nearest point, over the pad's cells
     nearest: Float[Array, ""]  # m, of that point along the approach, from the site
     contact: Bool[Array, ""]
-
-
-class _Search(NamedTuple):
-    """The last trial and the one before."""
-
-    at: Array  # log indentation
-    excess: Array
-    before: Array
-    excess_before: Array
-    slope: Array
-    force: Array
-    reading: Array
-    pressure: Array
 
 
 def response_map(pad: Pad) -> Float[Array, "c n n"]:
@@ -130,30 +110,9 @@ def press(
     Returns:
         The end of the press; where neither limit is met it ends at the deepest allowed indentation.
     """
-    deepest = jnp.log(limits.indentation * pad.thickness)
-    shallowest = deepest + jnp.log(SHALLOWEST_FRACTION)
-
-    def trial(at: Array, start: Array | None) -> tuple[Array, Array, Array, Array]:
-        """Excess over the limits (a logarithm), force, reading and pressure of a press at a log indentation."""
-        found = solve(pad, geometry.height, jnp.exp(at), TOUCH_GRID, start=start, tolerance=TOUCH_TOLERANCE)
-        reading = jnp.einsum("cij,ij->c", response_of_pad, found.pressure)
-        size = jnp.maximum(jnp.linalg.norm(reading) / limits.skin_change, found.force / limits.force)
-        return jnp.log(jnp.maximum(size / (1 + overshoot), 1e-6)), found.force, reading, found.pressure
-
-    def step(_: Array, state: _Search) -> _Search:
-        run = state.at - state.before
-        slope = jnp.where(jnp.abs(run) > 1e-4, (state.excess - state.excess_before) / run, state.slope)
-        slope = jnp.clip(slope, *SLOPES)
-        at = jnp.clip(state.at - state.excess / slope, shallowest, deepest)
-        start = state.pressure * jnp.exp(at - state.at)
-        excess, *touch = trial(at, start)
-        return _Search(at, excess, state.at, state.excess, slope, *touch)
-
-    middle = 0.5 * (shallowest + deepest)
-    excess, *touch = trial(middle, None)
-    first = _Search(middle, excess, middle, excess, jnp.asarray(EXPECTED_SLOPE), *touch)
-    end = jax.lax.fori_loop(0, TRIALS - 1, step, first)
-    advance = geometry.nearest + jnp.exp(end.at) + end.force / limits.stiffness
+    response = PadResponse(response_of_pad, None)
+    end = press_to_stop(pad, geometry.height, limits, overshoot, law=None, response=response, grid=TOUCH_GRID)
+    advance = geometry.nearest + end.indentation + end.force / limits.stiffness
     return TouchOutcome(
         reading=jnp.where(geometry.contact, end.reading, 0.0),
         force=jnp.where(geometry.contact, end.force, 0.0),

@@ -170,8 +170,9 @@ def press_to_stop(
     limits: PressLimits,
     overshoot: Float[Array, ""] | float = 0.0,
     *,
-    law: PressLaw = press_pad,
+    law: PressLaw | None = press_pad,
     response: PadResponse | None = None,
+    grid: Grid = GRID,
 ) -> PressResult:
     """Press until the skin change or the force first crosses its limit, which is met within 0.05 %.
 
@@ -182,15 +183,16 @@ def press_to_stop(
         height: m, the surface behind its nearest point over the pad's cells.
         limits: of skin change, force and indentation.
         overshoot: fraction by which both limits are raised.
-        law: what a press of the pad gives.
+        law: what a press of the pad gives; with None, its reading is the linear one.
         response: the pad's `pad_response`, which is worked out anew where it is not given.
+        grid: cells of the contact, of `height` and of `response`.
 
     Returns:
         The end of the press. Its code SKIN or WRENCH says which limit came first; UNDEFINED means that the deepest
         allowed indentation crossed neither.
     """
-    linear = (pad_response(pad) if response is None else response).linear
-    world = _World(pad, height, limits, jnp.asarray(overshoot), law, linear)
+    linear = linear_response(pad, grid) if response is None else response.linear
+    world = _World(pad, height, limits, jnp.asarray(overshoot), law, linear, grid)
     return _approach_stop(world, _bracket(world))
 
 
@@ -201,8 +203,9 @@ class _World(NamedTuple):
     height: Array
     limits: PressLimits
     overshoot: Array
-    law: PressLaw
+    law: PressLaw | None
     linear: Array
+    grid: Grid
 
     @property
     def deepest(self) -> Array:
@@ -211,9 +214,15 @@ class _World(NamedTuple):
 
     def press_linearly(self, x: Array, start: Array, tolerance: float) -> tuple[Array, Array]:
         """Pressure at the log indentation x, and its force and linear reading: (c + 1,)."""
-        contact = solve(self.pad, self.height, jnp.exp(x), GRID, start=start, tolerance=tolerance)
+        contact = solve(self.pad, self.height, jnp.exp(x), self.grid, start=start, tolerance=tolerance)
         reading = jnp.einsum("cij,ij->c", self.linear, contact.pressure)
         return contact.pressure, jnp.append(reading, contact.force)
+
+    def press_by_law(self, x: Array, pressure: Array) -> Array:
+        """Reading and force at the log indentation x, sought from `pressure`, as the law says: (c + 1,)."""
+        assert self.law is not None
+        pressed = self.law(self.pad, self.height, jnp.exp(x), grid=self.grid, start=pressure)
+        return jnp.append(pressed.reading, pressed.force)
 
     def excess(self, felt: Array) -> tuple[Array, Array]:
         """Excess of a reading and force (c + 1,) over the limits, and the code of the limit that it is about."""
@@ -328,13 +337,12 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         steps = jnp.where(now.readings == 0, 1, 2)
         first = now.trial, jnp.zeros_like(now.remainder)
         trial, felt = jax.lax.fori_loop(0, steps, lambda _, last: step(now, last), first)
-        pressed = world.law(world.pad, world.height, jnp.exp(trial.x), grid=GRID, start=trial.pressure)
-        true = jnp.append(pressed.reading, pressed.force)
+        true = felt if world.law is None else world.press_by_law(trial.x, trial.pressure)
         f, code = world.excess(true)
         tolerance = jnp.where(trial.slope < FLAT_SLOPE, FLAT_EXCESS_TOLERANCE, EXCESS_TOLERANCE)
         beyond = (trial.x >= deepest) & (f < 0)
         code = jnp.where(beyond, ReturnCode.UNDEFINED, code)
-        stop = PressResult(jnp.exp(trial.x), pressed.force, pressed.reading, code, trial.pressure)
+        stop = PressResult(jnp.exp(trial.x), true[-1], true[:-1], code, trial.pressure)
         nearer = beyond | (jnp.abs(f) <= now.nearest)
         return _Approach(
             trial=trial._replace(f=f),
