@@ -218,9 +218,12 @@ class _World(NamedTuple):
         reading = jnp.einsum("cij,ij->c", self.linear, contact.pressure)
         return contact.pressure, jnp.append(reading, contact.force)
 
-    def press_by_law(self, x: Array, pressure: Array) -> Array:
-        """Reading and force at the log indentation x, sought from `pressure`, as the law says: (c + 1,)."""
-        assert self.law is not None
+    def read(self, x: Array, pressure: Array, felt: Array) -> Array:
+        """Reading and force by the law (c + 1,), at the log indentation x whose linear ones and pressure are known."""
+        if self.law is None:
+            return felt
+        if self.law is press_pad:
+            return jnp.append(skin_response(self.pad, pressure, self.grid), felt[-1])
         pressed = self.law(self.pad, self.height, jnp.exp(x), grid=self.grid, start=pressure)
         return jnp.append(pressed.reading, pressed.force)
 
@@ -337,7 +340,7 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         steps = jnp.where(now.readings == 0, 1, 2)
         first = now.trial, jnp.zeros_like(now.remainder)
         trial, felt = jax.lax.fori_loop(0, steps, lambda _, last: step(now, last), first)
-        true = felt if world.law is None else world.press_by_law(trial.x, trial.pressure)
+        true = world.read(trial.x, trial.pressure, felt)
         f, code = world.excess(true)
         tolerance = jnp.where(trial.slope < FLAT_SLOPE, FLAT_EXCESS_TOLERANCE, EXCESS_TOLERANCE)
         beyond = (trial.x >= deepest) & (f < 0)

@@ -146,16 +146,19 @@ def friction_response(
     """
     pressed = press(pad, height, indentation, grid=grid) if pressed is None else pressed
 
-    def advance(before: Shear, number: Float[Array, ""]) -> tuple[Shear, None]:
-        part = number / increments
+    def pressure_after(part: Float[Array, ""]) -> Float[Array, "n n"]:
         start = part * pressed.pressure
-        pressure = solve(pad, height, part * indentation, grid, start=start, tolerance=PATH_TOLERANCE).pressure
+        return solve(pad, height, part * indentation, grid, start=start, tolerance=PATH_TOLERANCE).pressure
+
+    def advance(before: Shear, reached: tuple[Array, Array]) -> tuple[Shear, None]:
+        number, pressure = reached
         begun = before._replace(traction=before.traction * number / jnp.maximum(number - 1, 1))
         state = shear(pad, pressure, slide / increments, grid, before=begun, tolerance=TRACTION_TOLERANCE)
         return state, None
 
     numbers = jnp.arange(1, increments + 1, dtype=pressed.pressure.dtype)
-    state, _ = jax.lax.scan(advance, rest(pad, jnp.zeros_like(pressed.pressure), grid), numbers)
+    pressures = jnp.append(jax.vmap(pressure_after)(numbers[:-1] / increments), pressed.pressure[None], axis=0)
+    state, _ = jax.lax.scan(advance, rest(pad, jnp.zeros_like(pressed.pressure), grid), (numbers, pressures))
     return response(pad, pressed.pressure, grid, traction=state.traction) - pressed.reading
 
 
