@@ -215,14 +215,19 @@ def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _Syste
     reading = np.asarray(touches.reading, np.float64)
     square = np.sum(reading**2, axis=0)
     scale = np.sqrt((square + POOLING_TOUCHES * square.mean() / len(reading)) / (len(reading) + POOLING_TOUCHES)) + 1e-6
-    f = gp.features(touches.pressure)
-    linear = gp.inner_products(f, f)
-    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
-    covariance = gp.gram(DISCREPANCY, unit, linear, touches.pressure.load, touches.pressure.load)
-    values, vectors = np.linalg.eigh(np.asarray(covariance, np.float64))
+    covariance, unit = jax.device_get(_covariance(touches.pressure))
+    values, vectors = np.linalg.eigh(covariance.astype(np.float64))
     newtons = np.asarray(touches.pressure.pressure, np.float64).reshape(len(reading), -1)
     features = np.tensordot(vectors.T @ newtons, maps, 1) / scale[:, None]
-    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, np.asarray(unit))
+    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, unit)
+
+
+@jit_quickly
+def _covariance(pressure: ContactPressure) -> tuple[Float[Array, "n n"], Float[Array, " lengths"]]:
+    """Covariance of the discrepancy between touches, and the mean variances it is relative to (N^2)."""
+    linear = gp.inner_products(f := gp.features(pressure), f)
+    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+    return gp.gram(DISCREPANCY, unit, linear, pressure.load, pressure.load), unit
 
 
 def _posterior(system: _System, at: _Hyperparameters, square: Float[np.ndarray, "k k"] | None = None) -> _Posterior:

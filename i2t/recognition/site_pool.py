@@ -353,14 +353,19 @@ def plan_informative_touches(
     Returns:
         The plan; its sites are those touched.
     """
-    weight = pool_informativeness(pools)
-    key_object, key_site = jax.random.split(key)
-    shape = (len(pool), touches)
-    which = np.asarray(jax.random.randint(key_object, shape, 0, weight.shape[1]))
-    weights = jnp.log(weight[pool[:, None], which])
-    site = np.asarray(jax.random.categorical(key_site, weights))
+    which, site = jax.device_get(_draw_informative(key, pool_informativeness(pools), pool, touches=touches))
     T = pools.T_w_t[pool[:, None], which, site].reshape(-1, 4, 4)
-    return TouchPlan(SitePool(jnp.asarray(T), which.reshape(-1)), np.arange(len(T)).reshape(shape), pool)
+    return TouchPlan(SitePool(jnp.asarray(T), which.reshape(-1)), np.arange(len(T)).reshape(which.shape), pool)
+
+
+@partial(jit_quickly, static_argnames="touches")
+def _draw_informative(
+    key: Key[Array, ""], weight: Float[Array, "pools objects each"], pool: Int[Array, " e"], *, touches: int
+) -> tuple[Int[Array, "e t"], Int[Array, "e t"]]:
+    """Objects and their sites, as the weights have it."""
+    key_object, key_site = jax.random.split(key)
+    which = jax.random.randint(key_object, (len(pool), touches), 0, weight.shape[1])
+    return which, jax.random.categorical(key_site, jnp.log(weight[pool[:, None], which]))
 
 
 def pool_informativeness(pools: SitePools) -> Float[np.ndarray, "pools objects each"]:
