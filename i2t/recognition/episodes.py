@@ -381,7 +381,7 @@ def usable_touches(made: Touches) -> dict[int, Int[np.ndarray, " t"]]:
     return {int(session): np.flatnonzero(usable & (made.session == session)) for session in np.unique(made.session)}
 
 
-@jax.jit
+@jit_quickly
 def posteriors(
     site: Int[Array, "e t"],
     observations: TouchObservation,

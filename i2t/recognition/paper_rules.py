@@ -164,7 +164,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     Returns:
         Beliefs after each touch, by rule.
     """
-    return {rule: loop.beliefs(distance, rule) for rule in rules.RULES}
+    return jax.device_get(_beliefs(distance))
 
 
 def paper_rules(
@@ -242,6 +242,11 @@ def run_loop(
     made = loop.run(key, touch, score, weight, count=count, rule=rule, progress=progress)
     rows = [row(*one) for one in zip(made.hypothesis.T, made.site.T, strict=True)]
     return made._replace(site=np.stack(rows, axis=1))
+
+
+@jax.jit
+def _beliefs(distance: Array) -> dict[str, Array]:
+    return {name: jax.vmap(rule)(distance) for name, rule in rules.RULES.items()}
 
 
 # --- views ---

@@ -244,6 +244,9 @@ def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _Syste
     return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, unit)
 
 
+_stiffening = jit_quickly(gp.stiffening)
+
+
 @jit_quickly
 def _covariance(pressure: ContactPressure) -> tuple[Float[Array, "n n"], Float[Array, " lengths"]]:
     """Covariance of the discrepancy between touches, and the mean variances it is relative to (N^2)."""
@@ -332,7 +335,7 @@ def _linear_maps(
         spread = np.einsum("m,mxc,mzc->xz", shares, apart, apart, optimize=True) / channels
         return middle, np.einsum("m,mxz->xz", shares, variance) + spread
 
-    factors = np.asarray(gp.stiffening(DISCREPANCY, jnp.float32(loads), pressure.load), np.float64)
+    factors = np.asarray(_stiffening(DISCREPANCY, jnp.float32(loads), pressure.load), np.float64)
     with ThreadPoolExecutor(usable_cores()) as pool:
         means, variances = zip(*pool.map(at_load, factors), strict=True)
     return np.stack(means), np.stack(variances)
