@@ -299,7 +299,7 @@ def _weigh_hyperparameters(
     system = _system(touches, maps)
     grid = [_Hyperparameters(a, r, v) for r, v, a in product(DISCREPANCIES, NOISES, AMPLITUDES)]
     with ThreadPoolExecutor(usable_cores()) as pool:
-        densities = pool.map(lambda at: _densities(system, *at, AMPLITUDES), product(DISCREPANCIES, NOISES))
+        densities = pool.map(lambda at: _densities(system, at[0], at[1], AMPLITUDES), product(DISCREPANCIES, NOISES))
         log_share = DENSITY_EXPONENT * np.concatenate(list(densities))
     share = np.exp(log_share - logsumexp(log_share))
     kept = sorted(i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max())
