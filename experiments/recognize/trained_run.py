@@ -29,7 +29,7 @@ class TrainedRun(NamedTuple):
 
     dataset: Dataset
     rows: np.ndarray  # (n,) bool, of the touches that it trained on
-    surfaces: dict[str, Surface]  # of the catalogue's objects in the data set, by name
+    surfaces: dict[str, Surface]  # of the catalogue's objects that it trained on, by name
     predictor: Predictor
     pad: Pad
     pad_model: PadModel
@@ -51,7 +51,8 @@ def load_trained_run(key: jax.Array, folder: Path, errors: SimulationErrors, lim
         ValueError: The run did not simulate its touches, so that there is no pad to simulate others with.
     """
     dataset, predictor, pad = read_simulated_run(folder)
-    rows, surfaces = _training_rows(dataset, folder), _catalogue_surfaces(dataset)
+    rows = _training_rows(dataset, folder)
+    surfaces = _touched_surfaces(dataset, rows)
     pad_model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=limits)
     return TrainedRun(dataset, rows, surfaces, predictor, pad, pad_model)
 
@@ -120,6 +121,8 @@ def _training_rows(dataset: Dataset, folder: Path) -> np.ndarray:
     return np.isin(dataset.touches.object, [dataset.objects.index(name) for name in names])
 
 
-def _catalogue_surfaces(dataset: Dataset) -> dict[str, Surface]:
-    names = [name for name in dataset.objects if name in catalogue.NAMES]
+def _touched_surfaces(dataset: Dataset, rows: np.ndarray) -> dict[str, Surface]:
+    """Surfaces of the catalogue's objects that the rows touch; others' size class may cost many times their work."""
+    touched = [dataset.objects[i] for i in np.unique(dataset.touches.object[rows])]
+    names = [name for name in touched if name in catalogue.NAMES]
     return dict(zip(names, prepare_surfaces([catalogue.make_object(name).mesh for name in names]), strict=True))

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+@jax.jit
 def distances(
     readings: Float[Array, "n c"], predicted: Float[Array, "n objects c"], std: Float[Array, " c"]
 ) -> Float[Array, "n objects"]:

@@ -117,14 +117,12 @@ class EpisodeSimulator:
         """
         self.made_before = made_before
         self.batch_size: int | None = None  # of simulated touches, fixed at the first
-        key_sessions, self.key_touch, key_reading = jax.random.split(key, 3)
+        self.key_touch, *drawn = _begin_episodes(key, config.errors, count=len(truth))
         # The same keys at every touch: a sensor's errors depend on the touches before.
-        self.reading_keys = np.asarray(jax.random.key_data(jax.random.split(key_reading, len(truth))))
+        self.reading_keys, self.sessions = jax.device_get(drawn)
         self.surfaces, self.truth, self.pad, self.config = surfaces, truth, pad, config
         self._response = pad_response(pad, config.limits.final)
         self.T_w_site = np.asarray(sites.T_w_t)
-        sample = jax.vmap(partial(simulation.sample_session_errors, errors=config.errors))
-        self.sessions = sample(jax.random.split(key_sessions, len(truth)))
         self.touches: list[Touches] = []
         self.chosen: list[np.ndarray] = []
 
@@ -141,7 +139,7 @@ class EpisodeSimulator:
         if (np.asarray(site) < 0).any():
             raise ValueError("an episode has no site to touch: none was chosen")
         n, episodes = site.shape[1], len(self.truth)
-        keys = self._touch_keys(n)
+        keys = np.asarray(_touch_keys(self.key_touch, len(self.touches), n=n, episodes=episodes))
         episode, where = np.repeat(np.arange(episodes), n), site.reshape(-1)
         numbers = [(len(self.touches) + i % n, int(episode[i]), int(where[i])) for i in range(len(where))]
         known = {} if self.made_before is None else self.made_before
@@ -159,16 +157,6 @@ class EpisodeSimulator:
         whole = jax.tree.map(lambda x: x.reshape(episodes, n, *x.shape[1:]), whole)
         self.touches += [jax.tree.map(lambda x, i=i: x[:, i], whole) for i in range(n)]
         self.chosen += list(np.asarray(site).T)
-
-    def _touch_keys(self, n: int) -> np.ndarray:
-        """Keys of the next n touches of every episode, in the order of episodes, as data: their rows fill up batches
-        more than once.
-        """
-        before, episodes = len(self.touches), len(self.truth)
-        keys = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(self.key_touch, i), episodes), out_axes=1)(
-            before + jnp.arange(n)
-        )
-        return np.asarray(jax.random.key_data(keys.reshape(-1)))
 
     def _simulate(
         self, keys: np.ndarray, episode: np.ndarray, where: np.ndarray, missing: np.ndarray
@@ -273,6 +261,27 @@ def run_episodes(
     return simulator.episodes()
 
 
+@partial(jit_quickly, static_argnames="count")
+def _begin_episodes(
+    key: Key[Array, ""], errors: SimulationErrors, *, count: int
+) -> tuple[Key[Array, ""], Array, SessionErrors]:
+    """Key of the touches, keys of the episodes' readings as data, and the errors of their sessions."""
+    key_sessions, key_touch, key_reading = jax.random.split(key, 3)
+    sample = jax.vmap(partial(simulation.sample_session_errors, errors=errors))
+    sessions = sample(jax.random.split(key_sessions, count))
+    return key_touch, jax.random.key_data(jax.random.split(key_reading, count)), sessions
+
+
+@partial(jit_quickly, static_argnames=("n", "episodes"))
+def _touch_keys(key: Key[Array, ""], before: Int[Array, ""] | int, *, n: int, episodes: int) -> Array:
+    """Keys of the next n touches of every episode, in the order of episodes, as data: their rows fill up batches more
+    than once.
+    """
+    steps = before + jnp.arange(n)
+    keys = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(key, i), episodes), out_axes=1)(steps)
+    return jax.random.key_data(keys.reshape(-1))
+
+
 def _simulate_touches(
     drawn: Array,
     surface: Surface,
@@ -372,7 +381,7 @@ def usable_touches(made: Touches) -> dict[int, Int[np.ndarray, " t"]]:
     return {int(session): np.flatnonzero(usable & (made.session == session)) for session in np.unique(made.session)}
 
 
-@jax.jit
+@jit_quickly
 def posteriors(
     site: Int[Array, "e t"],
     observations: TouchObservation,
@@ -493,7 +502,7 @@ def believe(
     total = len(surfaces) * len(twist) * most * len(chunks)
     with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
         for rows, (where, of_touch) in zip(chunks, touched, strict=True):
-            some: Episodes = jax.tree.map(lambda x, rows=rows: x[rows], episodes)
+            some: Episodes = select_rows(episodes, rows)
             tables = predict_outcomes(
                 surfaces, twist, T[np.resize(where, most)], reading_models,
                 overtravel=overtravel, bar=bar,

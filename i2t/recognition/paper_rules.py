@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from i2t.batching import map_batches
+from i2t.batching import filled_batches, spread
 from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
 from i2t.prediction.baselines import MeanReading
@@ -126,7 +126,7 @@ def reading_distances(
         rows = np.arange(start, min(start + VIEWS, n))
         full = np.resize(rows, VIEWS)
         for i, surface in enumerate(surfaces):
-            wide, seen = jax.device_get(_views(surface, jnp.asarray(touches.T_w_t[full], jnp.float32)))
+            wide, seen = jax.device_get(_views(surface, touches.T_w_t[full].astype(np.float32)))
             for name, predictor in ready.items():
                 pitch, depth = predictor.window / PATCH_PIXELS, np.full(VIEWS, predictor.default_depth, np.float32)
                 pressed = TouchBatch(centre(wide, PATCH_PIXELS), wide, pitch, force[full], 0 * depth, depth)
@@ -147,9 +147,9 @@ def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> 
         Distances in millimetres.
     """
     point = np.asarray(touches.T_w_t[:, :3, 3], np.float32)
-    full = jnp.asarray(np.resize(point, (-(-len(point) // VIEWS) * VIEWS, 3)))
-    distance = np.stack([np.asarray(_nearest_distances(full, surface)) for surface in surfaces], -1)
-    return distance[: len(point)] / BASELINE_LENGTH_M
+    calls = ((point[rows], surface) for surface in surfaces for rows in filled_batches(np.arange(len(point)), VIEWS))
+    distance = np.concatenate(list(spread(_nearest_distances, calls))).reshape(len(surfaces), -1)
+    return distance[:, : len(point)].T / BASELINE_LENGTH_M
 
 
 # --- rules ---
@@ -164,7 +164,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     Returns:
         Beliefs after each touch, by rule.
     """
-    return {rule: loop.beliefs(distance, rule) for rule in rules.RULES}
+    return jax.device_get(_beliefs(distance))
 
 
 def paper_rules(
@@ -244,12 +244,17 @@ def run_loop(
     return made._replace(site=np.stack(rows, axis=1))
 
 
+@jax.jit
+def _beliefs(distance: Array) -> dict[str, Array]:
+    return {name: jax.vmap(rule)(distance) for name, rule in rules.RULES.items()}
+
+
 # --- views ---
 
 
 @jax.jit
 def _nearest_distances(points: Array, surface: Surface) -> Array:
-    return map_batches(lambda point: loop.nearest_distance(point, surface), points, batch_size=VIEWS)
+    return jax.vmap(lambda point: loop.nearest_distance(point, surface))(points)
 
 
 @jax.jit

@@ -22,7 +22,7 @@ NumPy in double precision, on the host. n touches, c channels, x cells of 1 mm, 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
-from itertools import product
+from itertools import groupby, product
 from typing import NamedTuple
 
 import jax
@@ -98,12 +98,30 @@ class _System(NamedTuple):
     unit: Float[np.ndarray, " lengths"]  # N^2, per length of k the mean variance of the touches
 
 
-class _Posterior(NamedTuple):
-    """Weights of the magnetization under some hyperparameters."""
+class _Weighted(NamedTuple):
+    """Touches weighted by the precision of discrepancy and noise, which no amplitude `a` changes."""
 
-    precision: Float[np.ndarray, " n"]  # of discrepancy and noise, in the system's coordinates
+    precision: Float[np.ndarray, " n"]  # in the system's coordinates
+    vectors: Float[np.ndarray, "n n"]
+    features: Float[np.ndarray, "n c k"]  # of the touches themselves
+    square: Float[np.ndarray, "k k"]  # what touches add to the weights' precision where `a` is 1
+    towards: Float[np.ndarray, " k"]  # the weights' precision times their mean there
+
+
+class _Posterior(NamedTuple):
+    """Weights of the magnetization under some amplitude."""
+
+    a: float
     factor: Float[np.ndarray, "k k"]  # lower Cholesky factor of the weights' precision
     mean: Float[np.ndarray, " k"]
+
+
+class _Models(NamedTuple):
+    """Models that differ in their amplitude alone."""
+
+    r: float
+    precision: Float[np.ndarray, " n"]  # as of `_Weighted`
+    posteriors: Sequence[_Posterior]
 
 
 # Factors of a thousand rows are too small to share: threads that wait in BLAS cost more than they give, and several
@@ -130,11 +148,15 @@ def fit_readings(
     maps = magnetization_maps(board, layer)
     models, shares = _weigh_hyperparameters(_some(touches), maps)
     system = _system(touches, maps)
+    groups, errors = [], []
     with ThreadPoolExecutor(usable_cores()) as pool:
-        posteriors = list(pool.map(partial(_posterior, system), models))
-        errors = [left_out for left_out, _ in pool.map(partial(_left_out, system), models, posteriors)]
+        for (r, v), some in groupby(models, lambda at: (at.r, at.v)):
+            weighted = _weigh(system, r, v)
+            posteriors = [_posterior(weighted, at.a) for at in some]
+            errors += [left_out for left_out, _ in pool.map(partial(_left_out, system, weighted), posteriors)]
+            groups.append(_Models(r, weighted.precision, posteriors))
     left_out = np.einsum("m,mnc->nc", shares, errors) * system.scale
-    mean, variance = _linear_maps(touches.pressure, system, maps, models, posteriors, shares, loads)
+    mean, variance = _linear_maps(touches.pressure, system, maps, groups, shares, loads)
     model = LinearReadingModel(
         loads=jnp.float32(loads),
         mean=jnp.float32(mean * system.scale),
@@ -161,7 +183,7 @@ def choose_layer(pressed: Sequence[PressedTouches], layers: Sequence[Layer], boa
     middle, densities = _Hyperparameters(*MIDDLE), []
     for touches, layer in zip(pressed, layers, strict=True):
         system = _system(_some(touches), magnetization_maps(board, layer))
-        densities.append(_left_out(system, middle, _posterior(system, middle))[1])
+        densities += _densities(system, middle.r, middle.v, [middle.a])
     return int(np.argmax(densities))
 
 
@@ -215,43 +237,48 @@ def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _Syste
     reading = np.asarray(touches.reading, np.float64)
     square = np.sum(reading**2, axis=0)
     scale = np.sqrt((square + POOLING_TOUCHES * square.mean() / len(reading)) / (len(reading) + POOLING_TOUCHES)) + 1e-6
-    f = gp.features(touches.pressure)
-    linear = gp.inner_products(f, f)
-    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
-    covariance = gp.gram(DISCREPANCY, unit, linear, touches.pressure.load, touches.pressure.load)
-    values, vectors = np.linalg.eigh(np.asarray(covariance, np.float64))
+    covariance, unit = jax.device_get(_covariance(touches.pressure))
+    values, vectors = np.linalg.eigh(covariance.astype(np.float64))
     newtons = np.asarray(touches.pressure.pressure, np.float64).reshape(len(reading), -1)
     features = np.tensordot(vectors.T @ newtons, maps, 1) / scale[:, None]
-    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, np.asarray(unit))
+    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, unit)
 
 
-def _posterior(system: _System, at: _Hyperparameters, square: Float[np.ndarray, "k k"] | None = None) -> _Posterior:
-    """The posterior; `square` is that of `_square`, where it is known."""
-    precision = 1 / (at.r * system.values + at.v)
-    square = _square(system, at) if square is None else square
-    factor = cholesky(at.a**2 * square + np.eye(len(square)), lower=True)
-    told = at.a * np.tensordot(system.features, precision[:, None] * system.reading, ((0, 1), (0, 1)))
-    half = solve_triangular(factor, told, lower=True)
-    return _Posterior(precision, factor, solve_triangular(factor, half, lower=True, trans="T"))
+_stiffening = jit_quickly(gp.stiffening)
 
 
-def _square(system: _System, at: _Hyperparameters) -> Float[np.ndarray, "k k"]:
-    """What touches tell of the weights, which no amplitude `a` changes but by a factor."""
-    weighted = np.sqrt(1 / (at.r * system.values + at.v))[:, None, None] * system.features
-    rows = weighted.reshape(-1, weighted.shape[-1])
-    return rows.T @ rows
+@jit_quickly
+def _covariance(pressure: ContactPressure) -> tuple[Float[Array, "n n"], Float[Array, " lengths"]]:
+    """Covariance of the discrepancy between touches, and the mean variances it is relative to (N^2)."""
+    linear = gp.inner_products(f := gp.features(pressure), f)
+    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+    return gp.gram(DISCREPANCY, unit, linear, pressure.load, pressure.load), unit
 
 
-def _left_out(system: _System, at: _Hyperparameters, found: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
+def _weigh(system: _System, r: float, v: float) -> _Weighted:
+    precision = 1 / (r * system.values + v)
+    vectors, k = system.vectors * precision, system.features.shape[-1]
+    features = (vectors @ system.features.reshape(len(vectors), -1)).reshape(system.features.shape)
+    rows = (np.sqrt(precision)[:, None, None] * system.features).reshape(-1, k)
+    towards = np.tensordot(system.features, precision[:, None] * system.reading, ((0, 1), (0, 1)))
+    return _Weighted(precision, vectors, features, rows.T @ rows, towards)
+
+
+def _posterior(weighted: _Weighted, a: float) -> _Posterior:
+    factor = cholesky(a**2 * weighted.square + np.eye(len(weighted.square)), lower=True)
+    half = solve_triangular(factor, a * weighted.towards, lower=True)
+    return _Posterior(a, factor, solve_triangular(factor, half, lower=True, trans="T"))
+
+
+def _left_out(system: _System, weighted: _Weighted, posterior: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
     """Errors of each touch as predicted from all others, in units of the channels' signals, and their log density: what
     is left out of a normal distribution of precision K^-1 is [K^-1]_tt^-1 [K^-1 y]_t (Rasmussen and Williams, 5.12).
     """
-    n, c, k = system.features.shape
-    weighted = system.vectors * found.precision
-    alpha = weighted @ (system.reading - at.a * system.features @ found.mean)
-    own = np.sum(weighted * system.vectors, axis=1)
-    cross = at.a * (weighted @ system.features.reshape(n, -1)).reshape(-1, k)
-    half = solve_triangular(found.factor, cross.T, lower=True).T.reshape(n, c, k)
+    n, c, k = weighted.features.shape
+    alpha = weighted.vectors @ system.reading - posterior.a * (weighted.features @ posterior.mean)
+    own = np.sum(weighted.vectors * system.vectors, axis=1)
+    half = posterior.a * solve_triangular(posterior.factor, weighted.features.reshape(-1, k).T, lower=True)
+    half = half.T.reshape(n, c, k)
     block = own[:, None, None] * np.eye(c) - np.einsum("nck,ndk->ncd", half, half, optimize=True)
     errors = np.linalg.solve(block, alpha[..., None])[..., 0]
     log_determinant = np.linalg.slogdet(block)[1]
@@ -259,22 +286,23 @@ def _left_out(system: _System, at: _Hyperparameters, found: _Posterior) -> tuple
     return errors, float(np.sum(density) - n * np.sum(np.log(system.scale)))
 
 
+def _densities(system: _System, r: float, v: float, amplitudes: Sequence[float]) -> list[float]:
+    """Log densities of touches as predicted from all others."""
+    weighted = _weigh(system, r, v)
+    return [_left_out(system, weighted, _posterior(weighted, a))[1] for a in amplitudes]
+
+
 def _weigh_hyperparameters(
     touches: PressedTouches, maps: Float[np.ndarray, "x c k"]
 ) -> tuple[list[_Hyperparameters], Float[np.ndarray, " m"]]:
-    """The most probable points of the grid, and their shares."""
+    """The most probable points of the grid, those of one r and v together, and their shares."""
     system = _system(touches, maps)
     grid = [_Hyperparameters(a, r, v) for r, v, a in product(DISCREPANCIES, NOISES, AMPLITUDES)]
-
-    def densities(first: _Hyperparameters) -> list[float]:
-        square = _square(system, first)
-        some = (first._replace(a=a) for a in AMPLITUDES)
-        return [_left_out(system, one, _posterior(system, one, square))[1] for one in some]
-
     with ThreadPoolExecutor(usable_cores()) as pool:
-        log_share = DENSITY_EXPONENT * np.concatenate(list(pool.map(densities, grid[:: len(AMPLITUDES)])))
+        densities = pool.map(lambda at: _densities(system, at[0], at[1], AMPLITUDES), product(DISCREPANCIES, NOISES))
+        log_share = DENSITY_EXPONENT * np.concatenate(list(densities))
     share = np.exp(log_share - logsumexp(log_share))
-    kept = [i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max()]
+    kept = sorted(i for i in np.argsort(-share)[:MAX_MODELS] if share[i] >= MIN_SHARE * share.max())
     return [grid[i] for i in kept], share[kept] / share[kept].sum()
 
 
@@ -282,8 +310,7 @@ def _linear_maps(
     pressure: ContactPressure,
     system: _System,
     maps: Float[np.ndarray, "x c k"],
-    models: Sequence[_Hyperparameters],
-    posteriors: Sequence[_Posterior],
+    groups: Sequence[_Models],
     shares: Float[np.ndarray, " m"],
     loads: Sequence[float],
 ) -> tuple[Float[np.ndarray, "l x c"], Float[np.ndarray, "l x x"]]:
@@ -291,22 +318,26 @@ def _linear_maps(
     channels, k = maps.shape[1:]
     prior, cross = _cell_covariances(pressure, system.unit)
     scaled = maps / system.scale[:, None]
-    means, variances = [], []
-    for factor in np.asarray(gp.stiffening(DISCREPANCY, jnp.float32(loads), pressure.load), np.float64):
+
+    def at_load(factor: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
         towards = (cross * factor) @ system.vectors  # (x, n), in the system's coordinates
         mean, variance = [], []
-        for at, found in zip(models, posteriors, strict=True):
-            told = at.r * towards * found.precision
-            left = at.a * (scaled - np.tensordot(told, system.features, 1))
-            mean.append(left @ found.mean + told @ system.reading)
-            half = solve_triangular(found.factor, left.reshape(-1, k).T, lower=True).reshape(k, -1, channels)
-            shared = np.tensordot(half, half, ((0, 2), (0, 2))) / channels
-            variance.append(at.r * (prior - towards @ told.T) + shared)
+        for r, precision, posteriors in groups:
+            told = r * towards * precision
+            left = scaled - np.tensordot(told, system.features, 1)
+            own = r * (prior - towards @ told.T)
+            for a, root, weights in posteriors:
+                mean.append(a * (left @ weights) + told @ system.reading)
+                half = a * solve_triangular(root, left.reshape(-1, k).T, lower=True).reshape(k, -1, channels)
+                variance.append(own + np.tensordot(half, half, ((0, 2), (0, 2))) / channels)
         middle = np.einsum("m,mxc->xc", shares, mean)
         apart = np.stack(mean) - middle
         spread = np.einsum("m,mxc,mzc->xz", shares, apart, apart, optimize=True) / channels
-        means.append(middle)
-        variances.append(np.einsum("m,mxz->xz", shares, variance) + spread)
+        return middle, np.einsum("m,mxz->xz", shares, variance) + spread
+
+    factors = np.asarray(_stiffening(DISCREPANCY, jnp.float32(loads), pressure.load), np.float64)
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        means, variances = zip(*pool.map(at_load, factors), strict=True)
     return np.stack(means), np.stack(variances)
 
 

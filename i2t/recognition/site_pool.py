@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.batching import filled_batches, spread
-from i2t.compiling import jit_by_amount, jit_quickly
+from i2t.compiling import jit_quickly
 from i2t.paper import loop
 from i2t.progress import Progress, progress
 from i2t.recognition import belief, outcomes
@@ -31,7 +31,6 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface, in_one_line
 
 BATCH_TOUCHES = 512  # predicted at a time
-FEW_BATCHES = 48  # of no more, compiling them quickly pays
 DRAWN_SITES = 256  # at a time
 CANDIDATES_PER_SITE = 2  # drawn for each site that is wanted; about half of them are safe
 MIN_SAFE_SHARE = 1 / 64  # of candidates: an object on which fewer are safe has too few sites
@@ -205,8 +204,6 @@ def predict_outcomes(
 ) -> list[PredictedTouch]:
     """Predict a touch of every object in every pose at every site.
 
-    More than `FEW_BATCHES` batches are compiled with all optimisations; last digits may differ from those of fewer.
-
     Args:
         surfaces: Of the objects.
         twist: Of the pose particles (m).
@@ -242,7 +239,7 @@ def _predict_on_layer(
     rows = filled_batches(np.arange(len(T)), each)
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    made = spread(_predict_touches(len(batches)), calls, shared=(twist, list(models), overtravel))
+    made = spread(_predict_touches, calls, shared=(twist, list(models), overtravel))
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, made, strict=True):
         if result is None:
@@ -256,7 +253,8 @@ def _predict_on_layer(
     return result
 
 
-def _predict(
+@jax.jit
+def _predict_touches(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], overtravel: Array
 ) -> list[PredictedTouch]:
     def one(T: Array, x: Array) -> list[PredictedTouch]:
@@ -267,9 +265,6 @@ def _predict(
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
     return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
-
-
-_predict_touches = jit_by_amount(_predict, FEW_BATCHES)
 
 
 def plan_random_touches(
@@ -358,14 +353,19 @@ def plan_informative_touches(
     Returns:
         The plan; its sites are those touched.
     """
-    weight = pool_informativeness(pools)
-    key_object, key_site = jax.random.split(key)
-    shape = (len(pool), touches)
-    which = np.asarray(jax.random.randint(key_object, shape, 0, weight.shape[1]))
-    weights = jnp.log(weight[pool[:, None], which])
-    site = np.asarray(jax.random.categorical(key_site, weights))
+    which, site = jax.device_get(_draw_informative(key, pool_informativeness(pools), pool, touches=touches))
     T = pools.T_w_t[pool[:, None], which, site].reshape(-1, 4, 4)
-    return TouchPlan(SitePool(jnp.asarray(T), which.reshape(-1)), np.arange(len(T)).reshape(shape), pool)
+    return TouchPlan(SitePool(jnp.asarray(T), which.reshape(-1)), np.arange(len(T)).reshape(which.shape), pool)
+
+
+@partial(jit_quickly, static_argnames="touches")
+def _draw_informative(
+    key: Key[Array, ""], weight: Float[Array, "pools objects each"], pool: Int[Array, " e"], *, touches: int
+) -> tuple[Int[Array, "e t"], Int[Array, "e t"]]:
+    """Objects and their sites, as the weights have it."""
+    key_object, key_site = jax.random.split(key)
+    which = jax.random.randint(key_object, (len(pool), touches), 0, weight.shape[1])
+    return which, jax.random.categorical(key_site, jnp.log(weight[pool[:, None], which]))
 
 
 def pool_informativeness(pools: SitePools) -> Float[np.ndarray, "pools objects each"]:

@@ -26,6 +26,7 @@ from i2t.compiling import jit_quickly, traced_floats
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
 from i2t.rendering.render import prepare_surface
+from i2t.rendering.tiles import ToolView, place_boxes
 from i2t.simulation.site_limits import SiteLimits
 from i2t.types import Surface, in_one_line
 from i2t.windows import PAD_WINDOW, STANDOFF
@@ -120,7 +121,7 @@ def nearest_in_square(
         z (m); +inf where the square holds no surface.
     """
     behind = jnp.asarray(behind, A_t_w.dtype)
-    return _nearest(jnp.asarray(surface.triangles), A_t_w, jnp.asarray(half, A_t_w.dtype), behind)
+    return _nearest(jax.tree.map(jnp.asarray, surface), A_t_w, jnp.asarray(half, A_t_w.dtype), behind)
 
 
 def lowest_in_square(
@@ -162,24 +163,62 @@ def first_smallest(values: Float[Array, " n"]) -> Int[Array, ""]:
 
 
 @jax.custom_jvp
-def _nearest(triangles: Array, A_t_w: Array, half: Array, behind: Array) -> Float[Array, ""]:
-    return jnp.min(_lowest(triangles, A_t_w, half, behind))
+def _nearest(surface: Surface, A_t_w: Array, half: Array, behind: Array) -> Float[Array, ""]:
+    return _nearest_face(surface, A_t_w, half, behind)[0]
 
 
 @_nearest.defjvp
 @full_precision
-def _nearest_jvp(at: tuple[Array, ...], along: tuple[Array, ...]) -> tuple[Array, Array]:
+def _nearest_jvp(at: tuple[Any, ...], along: tuple[Any, ...]) -> tuple[Array, Array]:
     """Only the face that is nearest moves the minimum, with its lowest point in the square. Written out: traced, a
     derivative through the clipping of an edge takes a compiler eight times as long.
     """
-    (triangles, A_t_w, half, behind), (d_triangles, d_A_t_w, d_half, d_behind) = at, along
-    low = _lowest(triangles, A_t_w, half, behind)
-    face = first_smallest(low)
-    corners, d_corners = triangles[face], d_triangles[face]
+    (surface, A_t_w, half, behind), (d_surface, d_A_t_w, d_half, d_behind) = at, along
+    low, face = _nearest_face(surface, A_t_w, half, behind)
+    corners, d_corners = surface.triangles[face], d_surface.triangles[face]
     moved = d_corners @ A_t_w[:3, :3].T + corners @ d_A_t_w[:3, :3].T + d_A_t_w[:3, 3][None]
     change = _change_of_lowest(corners @ A_t_w[:3, :3].T + A_t_w[:3, 3][None], moved, half, d_half)
-    change = jnp.where(low[face] > -behind, change, -d_behind)
-    return low[face], jnp.where(low[face] < jnp.inf, change, 0.0)
+    change = jnp.where(low > -behind, change, -d_behind)
+    return low, jnp.where(low < jnp.inf, change, 0.0)
+
+
+def _nearest_face(
+    surface: Surface, A_t_w: Array, half: Array, behind: Array
+) -> tuple[Float[Array, ""], Int[Array, ""]]:
+    """Smallest z of a surface inside the square, and the first face that has it.
+
+    The groups of a prepared surface whose boxes meet the square are visited from the front, until the next one begins
+    behind the nearest face.
+    """
+    groups = 1 if surface.boxes is None else len(surface.boxes)
+    triangles = surface.triangles.reshape(groups, -1, 3, 3)
+    corners, has_area = jnp.moveaxis(triangles, (2, 3), (2, 1)), jax.vmap(double_areas)(triangles) > 0
+
+    def nearest_of(group: Array | int) -> tuple[Array, Array]:
+        low = jnp.where(has_area[group], lowest_in_square(corners[group], A_t_w, half, behind), jnp.inf)
+        return jnp.min(low), group * low.size + first_smallest(low)
+
+    if surface.groups is None:
+        return nearest_of(0)
+    box = surface.groups[:, :groups]
+    centre, extent = place_boxes(box, ToolView(A_t_w[:3, :3], jnp.zeros(3), A_t_w[:3, 3]))
+    met = (jnp.abs(centre[0]) - extent[0] <= half) & (jnp.abs(centre[1]) - extent[1] <= half)
+    fronts = jnp.where(met & (centre[2] + extent[2] >= -behind), centre[2] - extent[2], jnp.inf)
+
+    def may_be_nearer(state: tuple[Array, Array, Array]) -> Array:
+        front = jnp.min(state[0])
+        return (front <= state[1]) & (front < jnp.inf)
+
+    def visit(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        fronts, nearest, face = state
+        group = first_smallest(fronts)
+        low, its_face = nearest_of(group)
+        nearer = (low < nearest) | ((low == nearest) & (its_face < face))
+        fronts = jnp.where(jnp.arange(groups) == group, jnp.inf, fronts)
+        return fronts, jnp.where(nearer, low, nearest), jnp.where(nearer, its_face, face)
+
+    nothing = jnp.full_like(fronts[0], jnp.inf), jnp.zeros((), int)
+    return jax.lax.while_loop(may_be_nearer, visit, (fronts, *nothing))[1:]
 
 
 def _change_of_lowest(
@@ -234,12 +273,6 @@ def _vertices(
         jnp.concatenate([steep, jnp.tile(tilt, (4, 1))]),
         jnp.concatenate([crossed, inside]),
     )
-
-
-def _lowest(triangles: Array, A_t_w: Array, half: Array, behind: Array) -> Float[Array, " faces"]:
-    """Smallest z of each face inside the square, +inf for those that do not count."""
-    low = lowest_in_square(jnp.moveaxis(triangles, (1, 2), (1, 0)), A_t_w, half, behind)
-    return jnp.where(double_areas(triangles) > 0, low, jnp.inf)
 
 
 @full_precision

@@ -69,8 +69,10 @@ def dense(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray, at: Cont
 
 def test_maps_and_left_out_errors_are_those_of_the_dense_gaussian_process(touches, maps):
     system = reading_model._system(touches, maps)
-    found = reading_model._posterior(system, AT)
-    mean, variance = reading_model._linear_maps(touches.pressure, system, maps, [AT], [found], np.ones(1), LOADS)
+    weighted = reading_model._weigh(system, AT.r, AT.v)
+    posterior = reading_model._posterior(weighted, AT.a)
+    models = reading_model._Models(AT.r, weighted.precision, [posterior])
+    mean, variance = reading_model._linear_maps(touches.pressure, system, maps, [models], np.ones(1), LOADS)
     root = reading_model._roots(variance)
     for i, load in enumerate(LOADS):
         new = spots(5, np.full(6, load))
@@ -80,9 +82,9 @@ def test_maps_and_left_out_errors_are_those_of_the_dense_gaussian_process(touche
         got = np.sum((newtons @ root[i]) ** 2, axis=1)
         np.testing.assert_allclose(got, wanted_variance.mean(1), rtol=2e-3)
     # One touch left out, with the others' scale and unit kept.
-    errors, density = reading_model._left_out(system, AT, found)
-    alone = reading_model._left_out(system, AT._replace(v=1e3), reading_model._posterior(system, AT._replace(v=1e3)))[1]
-    assert density > alone  # nearly all noise explains less
+    errors, density = reading_model._left_out(system, weighted, posterior)
+    assert reading_model._densities(system, AT.r, AT.v, [3.0, AT.a])[1] == density  # amplitudes do not mix
+    assert density > reading_model._densities(system, AT.r, 1e3, [AT.a])[0]  # nearly all noise explains less
     full = np.linalg.inv(_covariance(touches, maps, system.scale))
     t = 4 * CHANNELS + np.arange(CHANNELS)
     wanted = np.linalg.solve(full[np.ix_(t, t)], (full @ (touches.reading / system.scale).reshape(-1))[t])
@@ -101,20 +103,22 @@ def _covariance(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray) ->
     return AT.a**2 * rows @ rows.T + AT.r * np.kron(k, np.eye(CHANNELS)) + noise
 
 
-def test_the_mixture_knows_that_its_models_disagree(touches, maps):
+@pytest.mark.parametrize(("r", "together"), [(0.02, {AT.r: [AT.a], 0.02: [3.0]}), (AT.r, {AT.r: [AT.a, 3.0]})])
+def test_the_mixture_knows_that_its_models_disagree(touches, maps, r, together):
     system = reading_model._system(touches, maps)
-    models = [AT, AT._replace(a=3.0, r=0.02)]
-    found = [reading_model._posterior(system, one) for one in models]
 
-    def parts(which: list[int], shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        mean, variance = reading_model._linear_maps(
-            touches.pressure, system, maps, [models[i] for i in which], [found[i] for i in which], shares, (1.0,)
-        )
+    def parts(models: dict[float, list[float]], shares: list[float]) -> tuple[np.ndarray, np.ndarray]:
+        """Of models by r: their amplitudes."""
+        groups = []
+        for r, amplitudes in models.items():
+            weighted = reading_model._weigh(system, r, AT.v)
+            posteriors = [reading_model._posterior(weighted, a) for a in amplitudes]
+            groups.append(reading_model._Models(r, weighted.precision, posteriors))
+        mean, variance = reading_model._linear_maps(touches.pressure, system, maps, groups, np.array(shares), (1.0,))
         return mean[0], variance[0]
 
-    (one, var_one), (other, var_other), (both, var_both) = (
-        parts([0], np.ones(1)), parts([1], np.ones(1)), parts([0, 1], np.array([0.25, 0.75]))
-    )  # fmt: skip
+    (one, var_one), (other, var_other) = parts({AT.r: [AT.a]}, [1.0]), parts({r: [3.0]}, [1.0])
+    both, var_both = parts(together, [0.25, 0.75])
     np.testing.assert_allclose(both, 0.25 * one + 0.75 * other, atol=1e-9 * np.abs(both).max())
     apart = 0.25 * 0.75 * np.einsum("xc,yc->xy", one - other, one - other) / CHANNELS
     wanted = 0.25 * var_one + 0.75 * var_other + apart

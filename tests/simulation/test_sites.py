@@ -112,6 +112,22 @@ def test_nearest_agrees_with_clipping(name):
     assert met >= 6
 
 
+@pytest.mark.parametrize("name", ["cylinder", "pliers"])
+def test_groups_of_faces_give_the_nearest_of_all_faces_and_its_slope(name):
+    thing, rng = make_object(name).mesh, np.random.default_rng(6)
+    surface, low, high = prepare_surface(thing), thing.vertices.min(0), thing.vertices.max(0)
+    poses = [transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(low, high)) for _ in range(48)]
+    poses += [
+        transform(DOWN, np.append(rng.uniform(low, high)[:2], high[2] + 0.01)) for _ in range(16)
+    ]  # flat on flat faces
+    A = np.array([np.linalg.inv(T) for T in poses], np.float32)
+    half, behind = (jnp.float32(rng.choice(some, len(A))) for some in ((2e-3, HALF), (0.0, STANDOFF, np.inf)))
+    slope = jax.jit(jax.vmap(jax.value_and_grad(nearest_in_square, argnums=1), (None, 0, 0, 0)))
+    by_groups, of_all = (slope(some, A, half, behind) for some in (surface, Surface(surface.triangles)))
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-6, atol=DELTA), by_groups, of_all)
+    assert 24 <= np.isfinite(by_groups[0]).sum() < len(A)
+
+
 def test_press_on_an_edge_a_corner_and_with_a_tilted_skin_on_a_flat_top():
     cube = transform_mesh(
         mesh_from_solid(Manifold.cube((30, 30, 30), True)), transform(np.eye(3), np.array([0, 0, -15e-3]))
