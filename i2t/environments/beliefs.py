@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from i2t.environments.core import EnvironmentParams, TouchBeliefs, TouchEnvironment, sensor_noise
-from i2t.environments.press import TOUCH_GRID
 from i2t.environments.tables import tabulate
 from i2t.geometry import to_twist
 from i2t.recognition import belief as recognition_belief
@@ -21,6 +20,7 @@ from i2t.recognition.outcomes import LOADS_N, LinearReadingModel, PredictedTouch
 from i2t.recognition.pad_model import fit_position_errors
 from i2t.recognition.site_pool import pose_particles, predict_outcomes
 from i2t.rendering.ops import element
+from i2t.skin.elasticity import CELL_GRID
 
 CALIBRATION_PLACEMENTS = 3  # of every object, on which errors of predictions are measured
 
@@ -66,8 +66,8 @@ def with_beliefs(
 
 def _reading_model(response: Float[np.ndarray, "c n n"]) -> LinearReadingModel:
     """A pad's response at every load, without an uncertainty of its own."""
-    loads, cells = len(LOADS_N), TOUCH_GRID.cells**2
-    newton = response.reshape(len(response), cells).T / TOUCH_GRID.spacing**2
+    loads, cells = len(LOADS_N), CELL_GRID.cells**2
+    newton = response.reshape(len(response), cells).T / CELL_GRID.spacing**2
     return LinearReadingModel(
         loads=jnp.float32(LOADS_N),
         mean=jnp.broadcast_to(jnp.float32(newton), (loads, *newton.shape)),

@@ -20,11 +20,9 @@ from i2t.simulation.press import PadResponse, PressLimits, press_to_stop
 from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.dipoles import linear_response
-from i2t.skin.elasticity import Grid
+from i2t.skin.elasticity import CELL_GRID
 from i2t.types import Pad, Surface
 from i2t.windows import PAD_WINDOW
-
-TOUCH_GRID = Grid(cells=20, modes=32)  # cells of 1 mm
 
 
 class TouchOutcome(NamedTuple):
@@ -53,7 +51,7 @@ def response_map(pad: Pad) -> Float[Array, "c n n"]:
     Returns:
         uT per Pa.
     """
-    return linear_response(pad, TOUCH_GRID)
+    return linear_response(pad, CELL_GRID)
 
 
 @full_precision
@@ -82,7 +80,7 @@ def meet(
     arm = random_motion(key, errors.repeatability, errors.approach_angle)
     start = inverse(T_w_o) @ T_w_site @ arm @ jnp.eye(4).at[2, 3].set(-limits.approach_distance)
     T_o_t, hit = press_along(surface, start, start[:3, 2], max_distance=limits.approach_distance + limits.overtravel)
-    heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, TOUCH_GRID.cells)
+    heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, CELL_GRID.cells)
     nearest = jnp.min(heights)
     contact = hit & jnp.isfinite(nearest)
     nearest = jnp.where(contact, nearest, 0.0)
@@ -111,7 +109,7 @@ def press(
         The end of the press; where neither limit is met it ends at the deepest allowed indentation.
     """
     response = PadResponse(response_of_pad, None)
-    end = press_to_stop(pad, geometry.height, limits, overshoot, law=None, response=response, grid=TOUCH_GRID)
+    end = press_to_stop(pad, geometry.height, limits, overshoot, law=None, response=response, grid=CELL_GRID)
     advance = geometry.nearest + end.indentation + end.force / limits.stiffness
     return TouchOutcome(
         reading=jnp.where(geometry.contact, end.reading, 0.0),

@@ -30,12 +30,11 @@ from i2t.geometry import from_twist, full_precision, inverse
 from i2t.prediction.pressure import SOLVER_TOLERANCE, PressureModelConfig
 from i2t.rendering.render import render_heights
 from i2t.simulation import sites
-from i2t.skin.contact import Grid, solve_force
+from i2t.skin.contact import CELL_GRID, solve_force
 from i2t.skin.pad import POISSON_RATIO, YOUNG_PA, nominal_pad
 from i2t.types import Pad, Surface, in_one_line
 from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
-PRESSURE_GRID = Grid(cells=20, modes=32, window=PAD_WINDOW)  # cells of 1 mm, as the GP sees pressures
 LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
 MIN_LOAD_N = PressureModelConfig.floor  # a noisy wrench sensor says less
 
@@ -206,7 +205,7 @@ def contact_pressures(
         Indentation (m) and newtons on each cell; infinite and zero where nothing lies before the skin.
     """
     pad = layer_pad(layer)
-    heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, PRESSURE_GRID.cells)
+    heights = render_heights(surface, inverse(T_o_t), PAD_WINDOW, CELL_GRID.cells)
     nearest = jnp.min(heights)
     met = jnp.isfinite(nearest)
     behind = jnp.where(met, heights - jnp.where(met, nearest, 0.0), 0.0)
@@ -214,9 +213,9 @@ def contact_pressures(
     def press(load: Float[Array, ""]) -> tuple[Array, Array]:
         load = jnp.maximum(load, MIN_LOAD_N)
         contact = solve_force(
-            pad, behind, load, PRESSURE_GRID, tolerance=SOLVER_TOLERANCE, max_steps=PressureModelConfig.iterations
+            pad, behind, load, CELL_GRID, tolerance=SOLVER_TOLERANCE, max_steps=PressureModelConfig.iterations
         )
-        newtons = contact.pressure.reshape(-1) * PRESSURE_GRID.spacing**2
+        newtons = contact.pressure.reshape(-1) * CELL_GRID.spacing**2
         return contact.indentation, newtons * load / jnp.maximum(jnp.sum(newtons), 1e-9)
 
     indentation, newtons = jax.vmap(press)(loads)

@@ -31,7 +31,7 @@ from i2t.prediction.gp import ContactPressure
 from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
-from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID, Layer, LinearReadingModel
+from i2t.recognition.outcomes import MIN_LOAD_N, Layer, LinearReadingModel
 from i2t.recognition.reading_model import (
     CHOOSING_TOUCHES,
     LAYERS,
@@ -44,6 +44,7 @@ from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
 from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
+from i2t.skin.elasticity import CELL_GRID
 from i2t.types import Board, Surface, Touches, Truth, in_one_line
 from i2t.windows import WIDE_PIXELS, WIDE_WINDOW
 
@@ -183,7 +184,7 @@ def fit_oracle_pad_model(
     used = np.flatnonzero(rows)
     touches = jax.tree.map(lambda x: x[used], dataset.touches)
     truth: Truth = touches.truth
-    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=PRESSURE_GRID.spacing)
+    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
     own, likelihood = pad_model.reading_model, pad_model.likelihood
     pad = outcomes.layer_pad(own.layer)
     pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, pad)
@@ -268,7 +269,7 @@ def _pressed_touches(
     rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
     met = np.isfinite(nominal)
     load = np.maximum(touches.force[rows[met]], MIN_LOAD_N)
-    shape = (-1, PRESSURE_GRID.cells, PRESSURE_GRID.cells)
+    shape = (-1, CELL_GRID.cells, CELL_GRID.cells)
     pressed = ContactPressure(jnp.asarray(newtons[met].reshape(shape)), jnp.asarray(load))
     return rows[met], nominal[met], PressedTouches(pressed, touches.reading[rows[met]])
 

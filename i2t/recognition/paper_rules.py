@@ -29,9 +29,10 @@ from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
-from i2t.recognition.outcomes import MIN_LOAD_N, PRESSURE_GRID
+from i2t.recognition.outcomes import MIN_LOAD_N
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
+from i2t.skin.elasticity import CELL_GRID
 from i2t.types import Surface
 from i2t.views import centre
 from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -119,7 +120,7 @@ def reading_distances(
         Distances in standard deviations, by the predictors' names.
     """
     # Rendered views have no noise to be smoothed away.
-    ready = {name: each.with_pressure(smooth=False, cell=PRESSURE_GRID.spacing) for name, each in predictors.items()}
+    ready = {name: each.with_pressure(smooth=False, cell=CELL_GRID.spacing) for name, each in predictors.items()}
     n, force = len(touches.force), np.maximum(touches.force, MIN_LOAD_N)
     predicted = {name: np.zeros((n, len(surfaces), touches.reading.shape[-1]), np.float32) for name in predictors}
     for start in range(0, n, VIEWS):
@@ -164,7 +165,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     Returns:
         Beliefs after each touch, by rule.
     """
-    return jax.device_get(_beliefs(distance))
+    return {rule: loop.beliefs(distance, rule) for rule in rules.RULES}
 
 
 def paper_rules(
@@ -242,11 +243,6 @@ def run_loop(
     made = loop.run(key, touch, score, weight, count=count, rule=rule, progress=progress)
     rows = [row(*one) for one in zip(made.hypothesis.T, made.site.T, strict=True)]
     return made._replace(site=np.stack(rows, axis=1))
-
-
-@jax.jit
-def _beliefs(distance: Array) -> dict[str, Array]:
-    return {name: jax.vmap(rule)(distance) for name, rule in rules.RULES.items()}
 
 
 # --- views ---

@@ -38,7 +38,8 @@ from i2t.calibration import physics
 from i2t.compiling import jit_quickly
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure, GPHyperparameters
-from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, Layer, LinearReadingModel
+from i2t.recognition.outcomes import LOADS_N, Layer, LinearReadingModel
+from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import POISSON_RATIO, YOUNG_PA
 from i2t.types import Board
 
@@ -216,14 +217,14 @@ def _cell_features(board: Board, poisson: Array, young: Array) -> Float[Array, "
     pad = physics.make_pad(layer._replace(young=young), board)._replace(
         poisson=poisson, mount_compliance=jnp.float32(0)
     )
-    cells = PRESSURE_GRID.cells
+    cells = CELL_GRID.cells
 
     def one(cell: Array) -> Array:
-        pressed = jnp.zeros(cells**2).at[cell].set(UNIT_N / PRESSURE_GRID.spacing**2)
-        return physics.pressure_design(pad, pressed.reshape(cells, cells), PRESSURE_GRID) / UNIT_N
+        pressed = jnp.zeros(cells**2).at[cell].set(UNIT_N / CELL_GRID.spacing**2)
+        return physics.pressure_design(pad, pressed.reshape(cells, cells), CELL_GRID) / UNIT_N
 
     designs = map_batches(one, jnp.arange(cells**2), batch_size=physics.DESIGN_BATCH)
-    return physics.weight_features(layer, designs, PRESSURE_GRID.window)
+    return physics.weight_features(layer, designs, CELL_GRID.window)
 
 
 def _some(touches: PressedTouches) -> PressedTouches:

@@ -81,7 +81,7 @@ class PressResult(NamedTuple):
 class PadResponse(NamedTuple):
     """Derivatives of a pad's reading, by which its presses are simulated quickly."""
 
-    linear: Float[Array, "c g g"]  # uT/Pa at rest, by the pressure on the cells of `GRID`
+    linear: Float[Array, "c g g"]  # uT/Pa at rest, by the pressure on the cells of the search
     # uT/Pa, by the pressure on the cells of a finer final grid: what deep sheets of fewer dipoles leave out
     deep: Float[Array, "c f f"] | None
 

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from i2t.objects.catalogue import make_object
 from i2t.objects.drawing import ball, mesh_from_solid
 from i2t.recognition import outcomes
-from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, PredictedContact, PredictedTouch
+from i2t.recognition.outcomes import LOADS_N, PredictedContact, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
+from i2t.skin.elasticity import CELL_GRID
 from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
 pytestmark = pytest.mark.full
@@ -121,8 +122,8 @@ def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
         np.testing.assert_allclose(found.newtons.sum(-1), np.float32([LOADS_N]), rtol=400 * np.finfo(np.float32).eps)
         assert (np.diff(found.indentation[0], prepend=0) > 0).all()
     # Where the ball is met is where it presses: its centre of pressure lies under the pole.
-    x = (np.arange(PRESSURE_GRID.cells) + 0.5) * PRESSURE_GRID.spacing - HALF
-    newtons = found.newtons[0].reshape(-1, PRESSURE_GRID.cells, PRESSURE_GRID.cells)
+    x = (np.arange(CELL_GRID.cells) + 0.5) * CELL_GRID.spacing - HALF
+    newtons = found.newtons[0].reshape(-1, CELL_GRID.cells, CELL_GRID.cells)
     centre = np.einsum("lij,j->l", newtons, x) / LOADS_N, np.einsum("lij,i->l", newtons, x) / LOADS_N
     # The tool's x is the world's and its y is turned over; a cell wide, the centre is known to a part of it.
     np.testing.assert_allclose(centre, np.array([[-1e-3], [2e-3]]) * np.ones(3), atol=0.25e-3)

@@ -9,12 +9,13 @@ from i2t.calibration import physics
 from i2t.prediction import gp
 from i2t.prediction.gp import ContactPressure
 from i2t.recognition import reading_model
-from i2t.recognition.outcomes import NOMINAL_LAYER, PRESSURE_GRID, Layer
+from i2t.recognition.outcomes import NOMINAL_LAYER, Layer
 from i2t.recognition.reading_model import PressedTouches
 from i2t.skin.boards import reskin_board
 from i2t.skin.dipoles import response
+from i2t.skin.elasticity import CELL_GRID
 
-CELLS, CHANNELS, WEIGHTS = PRESSURE_GRID.cells, 3, 4
+CELLS, CHANNELS, WEIGHTS = CELL_GRID.cells, 3, 4
 AT = reading_model._Hyperparameters(a=0.7, r=0.4, v=0.2)
 LOADS = (0.5, 2.0)
 
@@ -131,7 +132,7 @@ def test_magnetization_maps_are_the_readings_of_a_pad_of_that_magnetization():
     upright = jnp.zeros((physics.MAP_CELLS, physics.MAP_CELLS, 3)).at[..., 2].set(layer.uniform_strength)
     pad = physics.make_pad(layer._replace(mount_compliance=jnp.asarray(0.0)), board, upright)
     newtons = spots(7, np.array([0.03])).pressure[0]
-    wanted = response(pad, newtons / PRESSURE_GRID.spacing**2, PRESSURE_GRID)
+    wanted = response(pad, newtons / CELL_GRID.spacing**2, CELL_GRID)
     found = np.asarray(newtons).reshape(-1) @ reading_model.magnetization_maps(board, NOMINAL_LAYER)[..., -1]
     np.testing.assert_allclose(found, wanted, atol=0.05 * np.abs(wanted).max())
 

@@ -17,12 +17,13 @@ from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
 from i2t.recognition import belief, policy
 from i2t.recognition import recognizer as recognizer_module
-from i2t.recognition.outcomes import LOADS_N, PRESSURE_GRID, LinearReadingModel
+from i2t.recognition.outcomes import LOADS_N, LinearReadingModel
 from i2t.recognition.pad_model import PadModel
 from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig, SiteObservation
 from i2t.recognition.site_pool import SitePool
 from i2t.rendering.render import prepare_surface
 from i2t.simulation import sites as touch_sites
+from i2t.skin.elasticity import CELL_GRID
 
 CHANNELS = 12  # of a 4-chip board
 POSITION_STD_M = 1e-4
@@ -39,7 +40,7 @@ LEANING_DEG, SAFE_WHEN_TILTED = (-60, -30, 0, 40, 55), (True, True, True, False,
 def pad_model() -> PadModel:
     """A pad whose channels see blurred parts of the pressure."""
     rng, loads = np.random.default_rng(0), jnp.float32(LOADS_N)
-    away = PRESSURE_GRID.centres[:, None, None] * 1e3 - rng.uniform(-6, 6, (CHANNELS, 2))
+    away = CELL_GRID.centres[:, None, None] * 1e3 - rng.uniform(-6, 6, (CHANNELS, 2))
     along = np.exp(-(away**2) / 5.0**2)
     mean = np.tile(60 * (along[:, None, :, 0] * along[None, :, :, 1]).reshape(1, -1, CHANNELS), (len(loads), 1, 1))
     model = LinearReadingModel(
