@@ -53,7 +53,7 @@ napoleon_numpy_docstring = False
 # A page that no list names is no defect of the others.
 suppress_warnings = ["toc.not_included"]
 
-SECOND_TIER = ("i2t.recognition.recognizer", "i2t.recognition.pad_model", "i2t.calibration.model", "i2t.models",
+SECOND_TIER = ("i2t.recognition.recognizer", "i2t.recognition.pad_model", "i2t.skin_models.calibration", "i2t.models",
                "i2t.hardware.protocols", "i2t.hardware.plugins", "i2t.dataset.store", "i2t.dataset.splits")  # fmt: skip
 GENERATED = {"reference_commands.md": "commands_page", "reference_api.md": "api_page"}
 

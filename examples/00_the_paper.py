@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 import i2t
+from i2t.contact.press import PressLimits
 from i2t.dataset import Split
 from i2t.paper import loop
 from i2t.prediction.methods import TrainingTouches
@@ -14,7 +15,6 @@ from i2t.prediction.networks import PaperDepth
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator
 from i2t.recognition.paper_rules import reading_scorers, run_loop
 from i2t.recognition.site_pool import prepare_surfaces, sample_pools
-from i2t.simulation.press import PressLimits
 from i2t.simulation.sites import RECOGNITION_LIMITS
 from i2t.simulation.touches import SimulationErrors
 from i2t.training import TrainConfig

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 import i2t
+from i2t.contact.press import PressLimits
 from i2t.recognition.pad_model import fit_pad_model
 from i2t.recognition.recognizer import RecognizerConfig
-from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.types import ReturnCode
 

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 
 import i2t
-from i2t.compiling import jit_quickly
+from i2t.contact.press import PressLimits
 from i2t.reconstruction import build_library, imagine_presses, infer_patch, sample_contacts
-from i2t.simulation.press import PressLimits
+from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
 

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array
 
 import i2t
-from i2t.compiling import jit_quickly
 from i2t.environments.core import EnvironmentConfig, EnvironmentParams, EnvironmentState, TouchAction
 from i2t.environments.tables import make_environment
+from i2t.runtime.compiling import jit_quickly
 
 
 def main(touches: int = 4) -> np.ndarray:

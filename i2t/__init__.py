@@ -11,7 +11,7 @@ object.
 
 The names below are the public face. Each is loaded when it is first used, so importing this package imports no JAX and
 the hardware layer stays free of it. The second tier, documented as well, is `i2t.recognition`, `i2t.hardware`,
-`i2t.viz` and `i2t.calibration`.
+`i2t.viz` and `i2t.skin_models`.
 """
 
 import importlib
@@ -20,8 +20,6 @@ from typing import TYPE_CHECKING, Any
 from i2t._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from i2t.calibration.model import calibrate, load_calibration
-    from i2t.compile_cache import use_compile_cache
     from i2t.dataset.sets import Dataset
     from i2t.dataset.store import load_dataset, save_dataset
     from i2t.depth.camera import Camera
@@ -39,16 +37,18 @@ if TYPE_CHECKING:
     from i2t.registration.estimate import PoseEstimate
     from i2t.registration.touch import register_by_touch
     from i2t.rendering.render import prepare_surface, render_patch
+    from i2t.runtime.compile_cache import use_compile_cache
     from i2t.simulation.sites import sample_touch_sites
     from i2t.simulation.touches import simulate_touches
     from i2t.skin.boards import anyskin_board, reskin_board
     from i2t.skin.files import load_pad, save_pad
     from i2t.skin.pad import nominal_pad, press, sample_pad
+    from i2t.skin_models.calibration import calibrate, load_calibration
     from i2t.types import Board, Pad, Patch, Surface, Touches
 
 _HOMES = {
-    "calibration.model": ("calibrate", "load_calibration"),
-    "compile_cache": ("use_compile_cache",),
+    "skin_models.calibration": ("calibrate", "load_calibration"),
+    "runtime.compile_cache": ("use_compile_cache",),
     "dataset.sets": ("Dataset",),
     "dataset.store": ("load_dataset", "save_dataset"),
     "depth.camera": ("Camera",),

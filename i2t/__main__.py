@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from i2t._version import __version__
-from i2t.cli import WRONG_USE, exit_code_of
+from i2t.cli.exit_codes import WRONG_USE, exit_code_of
 from i2t.errors import did_you_mean
 
 COMMANDS = {
@@ -33,15 +33,15 @@ EXPERIMENTS = {
     "experiments.shapes": "which of five stamps was pressed?",
     "experiments.tsne": "do views and readings sort alike?",
     "experiments.registration": "patches of real depth images, and imagined",
-    "experiments.gallery": "the pictures of the documents",
-    "experiments.ready_models": "the models that come with the package",
-    "experiments.notebooks": "notebooks as HTML",
+    "tools.gallery": "the pictures of the documents",
+    "tools.ready_models": "the models that come with the package",
+    "tools.notebooks": "notebooks as HTML",
     "experiments.reconstruct": "shape from one touch, and from many",
     "experiments.active_touch": "which touch next? policies that learn",
     "experiments.benchmark": "speeds, next to a peer's",
-    "experiments.faults": "what is lost when something breaks?",
-    "experiments.check_docs": "are the documents true?",
-    "experiments.reproduce": "the documents' studies and tables again",
+    "tests.faults": "what is lost when something breaks?",
+    "tools.check_docs": "are the documents true?",
+    "tools.reproduce": "the documents' studies and tables again",
 }
 FIRST = (  # what users begin with, in this order
     "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",

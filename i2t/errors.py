@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import NamedTuple
 
-from i2t.terminal import printable
+from i2t.files.terminal import printable
 
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
 MIN_LIKENESS = 0.7  # smallest ratio of `difflib` at which one name is taken for a misspelling of another

@@ -20,8 +20,8 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Key
 
+from i2t.patches.dimensions import LAST_ROW_TOLERANCE, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 from i2t.types import Array
-from i2t.windows import LAST_ROW_TOLERANCE, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 
 SMALL_ANGLE_SQUARE = 1e-8  # rad^2, below which a series of two terms takes the place of a quotient
 SMALL_SERIES_SQUARE = 1e-4  # rad^2, below which one of three terms does
@@ -134,7 +134,8 @@ def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
         T_a_b: Any matrix.
 
     Returns:
-        Whether it is a rotation (within `i2t.windows.ORTHOGONALITY_TOLERANCE`) and a translation, all finite.
+        Whether it is a rotation (within `ORTHOGONALITY_TOLERANCE` of `i2t.patches.dimensions`) and a translation, all
+        finite.
     """
     xp = _namespace(T_a_b)
     x, y, z = T_a_b[:3, :3].T
@@ -232,8 +233,8 @@ def from_twist(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """The rigid motion of a twist: first its rotation, then its translation, which do not mix.
 
     Args:
-        twist: Three translations (m), then a rotation vector times `i2t.windows.TWIST_LEVER_M`: how far it moves the
-            rim of a patch, so that all six are in metres.
+        twist: Three translations (m), then a rotation vector times `TWIST_LEVER_M` of `i2t.patches.dimensions`: how far
+            it moves the rim of a patch, so that all six are in metres.
 
     Returns:
         The motion; `to_twist` is the inverse.
@@ -248,7 +249,7 @@ def to_twist(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
         T_a_b: Rigid motions.
 
     Returns:
-        Three translations (m), then the rotation vector times `i2t.windows.TWIST_LEVER_M` (m).
+        Three translations (m), then the rotation vector times `i2t.patches.dimensions.TWIST_LEVER_M` (m).
     """
     xp = _namespace(T_a_b)
     return xp.concatenate([T_a_b[..., :3, 3], TWIST_LEVER_M * so3_log(T_a_b[..., :3, :3])], -1)

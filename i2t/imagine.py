@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from i2t.cli import Count, Limits, Seed, command, docstring_of, require_writable
+from i2t.cli.exit_codes import command
+from i2t.cli.options import Count, Limits, Seed, docstring_of, require_writable
 from i2t.models import READY_MODELS, ready_hint, ready_path
 from i2t.objects.named import read_object
-from i2t.windows import MAX_SKIN_FORCE_N
+from i2t.patches.dimensions import MAX_SKIN_FORCE_N
 
 if TYPE_CHECKING:
     from i2t.objects import Object

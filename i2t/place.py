@@ -19,7 +19,8 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from i2t.cli import command, require_path
+from i2t.cli.exit_codes import command
+from i2t.cli.options import require_path
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import read_view
@@ -28,8 +29,8 @@ from i2t.hardware.poses import apart, pose_from_vector
 from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig
 from i2t.objects.named import describe_placement, read_object, require_object
+from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.types import Array
-from i2t.windows import TWIST_LEVER_M
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
 

@@ -27,7 +27,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key, PyTree, UInt32
 
-from i2t.batching import spread_rows
+from i2t.runtime.batching import spread_rows
 from i2t.types import in_one_line
 
 Tree = TypeVar("Tree")

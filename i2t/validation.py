@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import did_you_mean
-from i2t.windows import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORCE_N, ORTHOGONALITY_TOLERANCE
+from i2t.patches.dimensions import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORCE_N, ORTHOGONALITY_TOLERANCE
 
 ROUND_TIPS = ("sphere", "cylinder")
 MIN_TIP_RADIUS_MM = 0.1  # of an indenter; smaller ones are meant in metres

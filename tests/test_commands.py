@@ -13,9 +13,13 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
 def test_every_experiment_is_listed():
-    folders = {path.parent.name for path in (ROOT / "experiments").glob("*/__main__.py")}
-    files = {path.stem for path in (ROOT / "experiments").glob("*.py")} - {"__init__"}
-    assert {name.removeprefix("experiments.") for name in EXPERIMENTS} == folders | files
+    commands = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
+        for pattern in ("experiments/*/__main__.py", "tools/*/__main__.py", "tools/*.py", "tests/faults/__main__.py")
+        for path in ROOT.glob(pattern)
+        if path.name != "__init__.py"
+    }
+    assert commands == set(EXPERIMENTS)
 
 
 def test_ten_commands_are_listed_first_and_all_when_asked(capsys):

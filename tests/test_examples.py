@@ -15,7 +15,7 @@ from experiments.train import __main__ as train
 from i2t.convert import presses
 from i2t.convert.commands import main as convert
 from i2t.errors import CheckpointError, DataError
-from i2t.files import slug
+from i2t.files.writing import slug
 from i2t.prediction.touch_model import TouchModel
 from tests.helpers.baselines import bare_dataset
 

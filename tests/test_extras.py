@@ -9,7 +9,7 @@ import pytest
 from experiments.recognize.arguments import RecordedArgs
 from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.studies.arguments import StudyArgs
-from i2t.cli import require_path, require_writable
+from i2t.cli.options import require_path, require_writable
 from i2t.convert.commands import main as convert
 from i2t.errors import EXTRAS, MissingExtraError
 from i2t.objects import make_object, random_object

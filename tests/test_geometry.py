@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
-from i2t.windows import TWIST_LEVER_M
+from i2t.patches.dimensions import TWIST_LEVER_M
 
 ROUNDING = 20 * np.finfo(np.float32).eps
 vectors = st.lists(st.floats(-3, 3, width=32), min_size=3, max_size=3).map(np.array)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import i2t
-from experiments.ready_models import GRID_DEPTHS, GRID_PLACES, main
 from i2t import imagine, models
 from i2t.errors import SerializationError
 from i2t.models import READY_MODELS, model_card, ready_path
@@ -18,6 +17,7 @@ from i2t.recognition.pad_model_files import load_pad_model
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import make_board, name_of_board, same_board
 from i2t.skin.pad import numbered_pad
+from tools.ready_models import GRID_DEPTHS, GRID_PLACES, main
 
 ROOT = Path(__file__).parents[1]
 MAX_BYTES = 5_000_000  # of all together

@@ -2,7 +2,7 @@
 
 A page may use names that are the reader's own, such as recorded presses: the set-up of its test makes them, small and
 simulated, in an empty folder. Sizes that would take minutes are replaced by others before the code runs. Code that
-compiles for a minute or moves an arm is not run here: the tests of its package do, and `experiments.check_docs` checks
+compiles for a minute or moves an arm is not run here: the tests of its package do, and `tools.check_docs` checks
 what it calls.
 """
 
@@ -20,10 +20,10 @@ from helpers.skin_presses import presses_of_a_skin
 from PIL import Image
 
 import i2t
-from i2t.calibration.heads import fit_head
-from i2t.calibration.regression import HeadBudget
 from i2t.convert.commands import main as convert
 from i2t.dataset import save_dataset
+from i2t.heads.heads import fit_head
+from i2t.heads.regression import HeadBudget
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

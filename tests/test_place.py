@@ -11,8 +11,8 @@ from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
+from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.simulation.depth_camera import render_view
-from i2t.windows import TWIST_LEVER_M
 
 
 def pose(turn, at):

@@ -203,5 +203,5 @@ def test_what_nobody_means_is_refused_in_one_sentence_that_names_it():
             wrong.append((call, kind, message[:300]))
     assert wrong == []
     asked = {name for name in FUNCTIONS for _, call in CALLS if f"i2t.{name}(" in call}
-    of_files = {name for name in FUNCTIONS if name.startswith(("load_", "save_"))}  # tests/test_hostile_files.py
+    of_files = {name for name in FUNCTIONS if name.startswith(("load_", "save_"))}  # tests/files/test_hostile_files.py
     assert set(FUNCTIONS) - asked <= {*of_files, "use_compile_cache"}  # which takes nothing

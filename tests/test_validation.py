@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import i2t
-from i2t import files, geometry, validation
+from i2t import geometry, validation
 from i2t.depth.camera import read_depth
+from i2t.files.writing import as_path
 from i2t.hardware.camera_folder import read_view
 from i2t.models import ready_path
 from i2t.objects import read_mesh
@@ -100,7 +101,7 @@ def test_what_is_no_path_is_refused():
                 takes(value, *others)
         with pytest.raises(ValueError, match="is empty"):
             takes("", *others)
-    assert files.as_path("path", Path("a")) == files.as_path("path", "a") == Path("a")
+    assert as_path("path", Path("a")) == as_path("path", "a") == Path("a")
 
 
 def test_no_tip_is_larger_than_a_ball_of_20_cm():

@@ -25,12 +25,13 @@ from i2t.collect.touch import SeenPatch
 from i2t.convert.commands import main as convert
 from i2t.depth.camera import Camera
 from i2t.depth.patches import DepthPatch, DepthView
+from i2t.patches.dimensions import REACH, WIDE_PIXELS
+from i2t.patches.views import WideView, centre
 from i2t.prediction import user_input
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor, Reading
+from i2t.runtime.batching import size_classes
 from i2t.types import Patch, Surface
-from i2t.views import WideView, centre
-from i2t.windows import REACH, WIDE_PIXELS
 
 ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -63,8 +64,8 @@ COMMANDS = [
     ("experiments.calibrate --prior --simulated", "pass one of"),
     ("experiments.registration frames --data empty", "is missing"),
     ("experiments.benchmark --sections speed", "speed"),
-    ("experiments.reproduce --only nothing", "there is no step nothing"),
-    ("experiments.notebooks nothing", "no notebook is called nothing"),
+    ("tools.reproduce --only nothing", "there is no step nothing"),
+    ("tools.notebooks nothing", "no notebook is called nothing"),
     ("i2t.imagine --board grid-2x2", "name the board that it was trained on"),
     ("i2t.imagine --board anyskin", "another board than that of the predictor of nominal, reskin"),
     ("i2t.imagine --model nowhere", "holds no predictor"),
@@ -75,8 +76,8 @@ COMMANDS = [
     ("i2t.hardware.touch_off", "--height"),
     ("i2t.hardware.realsense --file nothing.bag", "nothing.bag"),
     ("i2t.emulators.lab --link text.txt", "exists and is no link"),
-    ("experiments.gallery --only nothing", "nothing"),
-    ("experiments.ready_models --eflesh nowhere", "no such folder"),
+    ("tools.gallery --only nothing", "nothing"),
+    ("tools.ready_models --eflesh nowhere", "no such folder"),
     ("experiments.reconstruct --dataset mesh.stl", "is the mesh of an object"),
     ("experiments.tsne --dataset table.csv", "is a table"),
     ("experiments.shapes --dataset one", "shape"),
@@ -436,7 +437,7 @@ def test_a_new_number_of_touches_asks_the_model_for_one_of_three_sizes(predictor
         assert seen.mean.shape == seen.std.shape == (n, 15)
     assert set(asked) == {1, 8, 64}
     for n in (*range(1, 20), 63, 64, 65, 149):  # each touch is asked for once, in its place
-        rows = np.concatenate(list(user_input.size_classes(n)))
+        rows = np.concatenate(list(size_classes(n)))
         np.testing.assert_array_equal(rows, np.minimum(np.arange(len(rows)), n - 1))
 
 

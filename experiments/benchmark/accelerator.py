@@ -25,6 +25,7 @@ from i2t.environments.core import EnvironmentState, TouchAction
 from i2t.environments.tables import make_environment, tabulate
 from i2t.geometry import full_precision
 from i2t.paper import loss, network
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, STANDOFF
 from i2t.recognition.belief import sample_particles
 from i2t.recognition.outcomes import LOADS_N, placement_std, predict_contact
 from i2t.simulation.sites import RECOGNITION_LIMITS, collect_sites
@@ -33,7 +34,6 @@ from i2t.skin.contact import solve
 from i2t.skin.elasticity import GRID, compliance, convolve
 from i2t.training import Learner
 from i2t.types import Surface, Touches
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, STANDOFF
 
 STEADY_S = 0.5
 

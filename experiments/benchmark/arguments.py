@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from i2t.cli import Limits
+from i2t.cli.options import Limits
 from i2t.errors import require_extra
 
 BenchmarkSection = Literal["training", "rendering", "skin", "latency", "simulation", "accelerator", "startup"]

@@ -16,10 +16,10 @@ import trimesh
 from experiments.benchmark.contests import Contest, Work
 from i2t.geometry import contact_frame
 from i2t.objects import catalogue
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation import sites
 from i2t.types import Surface
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 
 MAX_DIFFERENCE_M = 1e-5  # m
 BYTES_PER_GB = 1e9

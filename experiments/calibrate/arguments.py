@@ -9,9 +9,9 @@ from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions
 from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS
-from i2t.cli import Count, Limits, require_with
+from i2t.cli.options import Count, Limits, require_with
 
-TARGET_NAMES = ("position", "depth", "force", "shear")  # as `i2t.calibration.heads` has them
+TARGET_NAMES = ("position", "depth", "force", "shear")  # as `i2t.heads.heads` has them
 PressCount: TypeAlias = Annotated[int, Limits(2)]
 
 

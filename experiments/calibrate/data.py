@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from i2t.calibration import LoadKind
-from i2t.calibration.physics import Presses
 from i2t.dataset import Dataset, square_blocks
 from i2t.geometry import inverse
 from i2t.skin.boards import name_of_board
+from i2t.skin_models import LoadKind
+from i2t.skin_models.magnetization import Presses
 from i2t.types import Board, ReturnCode
 
 MM_PER_M = 1e3

@@ -9,9 +9,9 @@ import numpy as np
 from experiments.calibrate.data import PressRecording
 from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED, METHODS, calibrated_with_std
-from i2t.calibration.population_gp import STDS_WITHIN_90_PERCENT
 from i2t.prediction.metrics import grouped_interval, student_interval
-from i2t.progress import progress
+from i2t.runtime.progress import progress
+from i2t.skin_models.population_gp import STDS_WITHIN_90_PERCENT
 
 Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of presses -> a value for each draw
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from i2t.batching import map_batches
+from i2t.runtime.batching import map_batches
 from i2t.skin import boards, magnets
 from i2t.skin.magnets import Magnets
 from i2t.skin.pad import smooth_random

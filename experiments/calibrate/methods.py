@@ -6,10 +6,10 @@ from typing import TypeAlias
 import numpy as np
 
 from experiments.calibrate.data import PressRecording
-from i2t.calibration import calibrate, plain_gp
-from i2t.calibration.left_out import one_thread_for_few
 from i2t.prediction.baselines import tuned
 from i2t.prediction.metrics import nearest_neighbours
+from i2t.skin_models import calibrate, plain_gp
+from i2t.skin_models.left_out import one_thread_for_few
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
 CALIBRATED = "i2t.calibrate"

@@ -9,10 +9,10 @@ from experiments.calibrate.arguments import CalibrateArgs
 from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import explained
 from i2t import dataset as data
-from i2t.calibration import check_presses
-from i2t.calibration.physics import fit_pad, parse_tip
 from i2t.dataset import Dataset
 from i2t.skin.files import save_pad
+from i2t.skin_models import check_presses
+from i2t.skin_models.magnetization import fit_pad, parse_tip
 from i2t.types import Board
 
 MAX_PAD_PRESSES = 300  # at random: a map is known by then, and every press costs

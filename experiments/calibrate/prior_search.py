@@ -1,4 +1,4 @@
-"""The prior over kernels of `i2t.calibration.prior`, made from simulated skins of all kinds.
+"""The prior over kernels of `i2t.skin_models.prior`, made from simulated skins of all kinds.
 
 Candidates are drawn from wide ranges and about two sets of hyperparameters that were known before. Each is tried on
 every skin: conditioned on 10, 30 and 100 presses it predicts others. Candidates of a second generation are drawn about
@@ -17,10 +17,10 @@ from experiments.calibrate.arguments import CalibrateArgs
 from experiments.calibrate.skins import SKIN_KINDS, PressedSkinOfKind, simulate_skins
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
-from i2t.calibration.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
-from i2t.calibration.left_out import Observed, condition_all, grouped, ungrouped
-from i2t.calibration.prior import PRIOR_FILE, KernelPrior, save_prior
-from i2t.progress import progress
+from i2t.runtime.progress import progress
+from i2t.skin_models.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
+from i2t.skin_models.left_out import Observed, condition_all, grouped, ungrouped
+from i2t.skin_models.prior import PRIOR_FILE, KernelPrior, save_prior
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search
 SEARCH_PRESS_COUNTS = (10, 30, 100)

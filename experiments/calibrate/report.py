@@ -10,8 +10,8 @@ from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN
 from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from experiments.common.tables import text_table
-from i2t.calibration import DataWarnings
 from i2t.prediction.metrics import MIN_CLUSTERS
+from i2t.skin_models import DataWarnings
 from i2t.viz import style
 
 COLOURS = {

@@ -19,7 +19,7 @@ Of 8 to 59 presses each is left out in turn, and each block or place, and predic
 fewer of these. The command says which way it took, and what that cannot show: at one place, nothing about others.
 
 --simulated tries them on skins of its own seed (`experiments.calibrate.skins`), and --prior makes prior.npz from others
-(`experiments.calibrate.prior_search`), which becomes i2t/calibration/prior.npz.
+(`experiments.calibrate.prior_search`), which becomes i2t/skin_models/prior.npz.
 
 Results go to --out: metrics.json, config.json, curves.png, and calibration.npz for `i2t.load_calibration`: the skin as
 calibrated on all presses (of more than 1500, that many at random) by `i2t.calibrate`.
@@ -37,9 +37,9 @@ from experiments.calibrate.evaluate import gains, learning_curves, over_blocks, 
 from experiments.calibrate.held_out import HeldOut, hold_out
 from experiments.common.runs import begin
 from i2t import dataset as data
-from i2t.calibration import calibrate, check_presses
 from i2t.dataset import Dataset
-from i2t.terminal import printable
+from i2t.files.terminal import printable
+from i2t.skin_models import calibrate, check_presses
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:

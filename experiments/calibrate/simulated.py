@@ -14,7 +14,7 @@ from experiments.calibrate.report import count_table
 from experiments.calibrate.skins import PressedSkinOfKind, simulate_skins
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
-from i2t.progress import progress
+from i2t.runtime.progress import progress
 from i2t.skin.boards import eflesh_board, reskin_board
 
 SKINS_SEED = 202  # the prior's are others

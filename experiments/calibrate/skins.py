@@ -21,10 +21,10 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from experiments.calibrate import lattice
-from i2t.batching import map_batches
-from i2t.calibration.physics import RoundTip
+from i2t.runtime.batching import map_batches
 from i2t.skin import boards
 from i2t.skin.pad import press, sample_pad
+from i2t.skin_models.magnetization import RoundTip
 from i2t.types import Pad
 
 BALL_TIP = RoundTip("sphere", 4e-3)

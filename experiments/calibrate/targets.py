@@ -9,9 +9,9 @@ from experiments.common.runs import begin, write_json
 from experiments.common.tables import text_table
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
-from i2t.calibration.heads import fit_head
-from i2t.calibration.recordings import SkinRecording, read_recordings
-from i2t.terminal import printable
+from i2t.files.terminal import printable
+from i2t.heads.heads import fit_head
+from i2t.heads.recordings import SkinRecording, read_recordings
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         print("\n".join(f"  {sentence}" for sentence in sentences))
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(args.out / "metrics.json", metrics)
-    print(f"\nheads are in {args.out}: i2t.calibration.heads.load_head(FILE).predict(readings)")
+    print(f"\nheads are in {args.out}: i2t.heads.heads.load_head(FILE).predict(readings)")
     return metrics
 
 

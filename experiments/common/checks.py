@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments.common.runs import CONFIG, METRICS
-from i2t.cli import require_path
+from i2t.cli.options import require_path
 from i2t.errors import closest
-from i2t.files import MESH_SUFFIXES, why_no_touches
+from i2t.files.kinds import MESH_SUFFIXES
+from i2t.files.reading import why_no_touches
 from i2t.models import READY_MODELS
 from i2t.objects.named import require_object
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, pictures_in
-from i2t.cli import check_options, docstring_of, read_options
+from i2t.cli.options import check_options, docstring_of, read_options
 
 Main: TypeAlias = Callable[..., int]  # takes the command line, by default the process's, and gives the exit code
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.common.tasks import TaskOptions
-from i2t.cli import Seed
+from i2t.cli.options import Seed
 
 UnitName = Literal["m", "cm", "mm", "inch"]  # of the coordinates in mesh files
 

@@ -15,8 +15,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from i2t.cli import exit_code_of, require_writable
-from i2t.files import replacing
+from i2t.cli.exit_codes import exit_code_of
+from i2t.cli.options import require_writable
+from i2t.files.writing import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
 LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
@@ -24,7 +25,7 @@ MAX_PICTURES_NAMED = 6
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # whose versions a run notes
 CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours
 # Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
-# methods and conditions, which `i2t.serialization` cannot hold: that is for NamedTuples whose type is known.
+# methods and conditions, which `i2t.files.serialization` cannot hold: that is for NamedTuples whose type is known.
 Part = dict[str, Any]
 BETWEEN = "/"  # names of a part's levels on disk
 

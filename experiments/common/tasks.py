@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from experiments.common.runs import Part, load_part, save_part
-from i2t.cli import Count
-from i2t.compile_cache import use_compile_cache
-from i2t.progress import progress
+from i2t.cli.options import Count
+from i2t.runtime.compile_cache import use_compile_cache
+from i2t.runtime.progress import progress
 
 
 @dataclass(frozen=True)

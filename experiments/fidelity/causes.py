@@ -20,13 +20,13 @@ from experiments.fidelity.sections import CannotTellError, Section
 from experiments.train.configs import PRESETS
 from experiments.train.loads import HEIGHTS_M, MIN_GAIN, TRIED_TOUCHES, Tried, explained, some_groups, tried_touches
 from experiments.train.prepare import prepare
+from i2t.contact.pressure import PressureModelConfig
 from i2t.convert.press_table import sphere, tip_patches
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
 from i2t.prediction.baselines import features_of, patch_components, touch_features
-from i2t.prediction.pressure import PressureModelConfig
-from i2t.unknowns.labels import lag_between
+from i2t.recordings.diagnose.labels import lag_between
 
 HEIGHT, SIGN, TIP, VIEW, UNITS, LAG = "height zero", "force sign", "tip radius", "view", "units", "lag of rows"
 SOFTNESS = "softness"

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from i2t.calibration.regression import HeadBudget
+from i2t.heads.regression import HeadBudget
 
 
 @dataclass(frozen=True)

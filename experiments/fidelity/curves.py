@@ -26,8 +26,8 @@ from experiments.fidelity.forward import (
     simple_gp,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.recordings import SkinRecording
 from i2t.dataset import square_blocks
+from i2t.heads.recordings import SkinRecording
 from i2t.types import Board
 
 RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"

@@ -4,11 +4,11 @@ import numpy as np
 
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
-from i2t.calibration import check_presses
-from i2t.calibration.recordings import TARGETS, SkinRecording
-from i2t.unknowns import Finding, RecordedPresses, estimate_unknowns, metrics_of
-from i2t.unknowns.findings import AXES
-from i2t.unknowns.segmentation import MAD_TO_STD
+from i2t.heads.recordings import TARGETS, SkinRecording
+from i2t.recordings.diagnose import Finding, RecordedPresses, estimate_unknowns, metrics_of
+from i2t.recordings.diagnose.findings import AXES
+from i2t.recordings.segmentation import MAD_TO_STD
+from i2t.skin_models import check_presses
 
 # uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);
 # resolutions 1 to 3 double it each.
@@ -62,7 +62,7 @@ def check(recording: SkinRecording, section: Section, findings: list[Finding]) -
 
 
 def recorded_presses(recording: SkinRecording) -> RecordedPresses:
-    """The recording as `i2t.unknowns` takes it."""
+    """The recording as `i2t.recordings.diagnose` takes it."""
     depth, force = recording.targets.get("depth"), recording.targets.get("force")
     return RecordedPresses(
         position=recording.targets["position"],
@@ -207,7 +207,7 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
 
 
 def _check_unknowns(recording: SkinRecording, found: list[str], section: Section, findings: list[Finding]) -> None:
-    """Height zero, lag, signs, units and the board's place, as `i2t.unknowns` estimates them."""
+    """Height zero, lag, signs, units and the board's place, as `i2t.recordings.diagnose` estimates them."""
     one_tip(recording)
     if not recording.known("position").any():
         raise CannotTellError("What a recording does not say of itself is estimated where positions are known.")

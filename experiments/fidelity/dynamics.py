@@ -21,10 +21,10 @@ from experiments.fidelity.forward import (
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.recordings import STREAM_GAP_S, SkinRecording
+from i2t.heads.recordings import STREAM_GAP_S, SkinRecording
+from i2t.recordings.diagnose.findings import AXES
 from i2t.skin.faults import LAYER_SHARE, Faults
 from i2t.skin.noise import Noise
-from i2t.unknowns.findings import AXES
 
 MIN_STILL_ROWS = 20
 REPEAT_DISTANCE_M = 0.15e-3  # of presses that count as repeated

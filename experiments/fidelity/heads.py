@@ -9,7 +9,7 @@ from scipy import stats
 
 from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.calibration.heads import (
+from i2t.heads.heads import (
     HEAD_TARGETS,
     MIN_HEAD_ROWS,
     STDS_OF_90_PERCENT,
@@ -19,8 +19,8 @@ from i2t.calibration.heads import (
     hold_out_groups,
     target_rows,
 )  # fmt: skip
-from i2t.calibration.recordings import TARGETS, SkinRecording
-from i2t.calibration.regression import BASELINE_HEADS, HeadBudget
+from i2t.heads.recordings import TARGETS, SkinRecording
+from i2t.heads.regression import BASELINE_HEADS, HeadBudget
 
 PUBLISHED_FIGURES = {
     "position": "eFlesh 0.5 mm, eflesh-touch 1.22 mm",

@@ -8,7 +8,7 @@ import tyro
 
 from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
 from experiments.common.options import ResumableOptions, UnitName
-from i2t.cli import Count, Limits, Probability, Seed, require_path, require_with
+from i2t.cli.options import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import did_you_mean, require_extra
 

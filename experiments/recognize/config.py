@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from i2t.contact.press import PressLimits
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import FINE_GRID
 

@@ -17,12 +17,13 @@ from experiments.recognize.config import Recognition
 from experiments.train import recognition_data
 from experiments.train.configs import Simulation
 from i2t import dataset as data
-from i2t import serialization
 from i2t.dataset import Dataset
 from i2t.dataset.files import ENDING as DATASET_SUFFIX
+from i2t.files import serialization
 from i2t.hardware.rig import Rig
 from i2t.models import ready_path
 from i2t.objects import Mesh, catalogue
+from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import pad_model_files
 from i2t.recognition.pad_model import PadModel, fit_pad_model, with_press_errors
@@ -31,7 +32,6 @@ from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import files as pad_files
-from i2t.windows import TWIST_LEVER_M
 
 
 class PadSource(NamedTuple):

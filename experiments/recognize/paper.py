@@ -44,11 +44,11 @@ from experiments.recognize.report import (
     Results,
 )
 from experiments.recognize.trained_run import meshes_by_name, read_simulated_run
-from i2t.files import slug
+from i2t.files.writing import slug
+from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig
 from i2t.prediction.predictor import Predictor, load_predictor
-from i2t.progress import progress
 from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumber
 from i2t.recognition.paper_rules import (
     PROPRIOCEPTION,
@@ -61,8 +61,8 @@ from i2t.recognition.paper_rules import (
     run_loop,
 )
 from i2t.recognition.site_pool import prepare_surfaces
+from i2t.runtime.progress import progress
 from i2t.types import Pad, Surface, Touches
-from i2t.windows import PATCH_PIXELS
 
 PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
 

@@ -7,7 +7,7 @@ from typing import Literal
 from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions, UnitName
 from experiments.common.presets import choose_preset
-from i2t.cli import Count, require_path, require_with
+from i2t.cli.options import Count, require_path, require_with
 from i2t.errors import require_extra
 
 Felt = Literal["reading", "pose", "patch"]  # what a touch tells: what its reading says, no more than its pose, or all

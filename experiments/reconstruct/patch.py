@@ -28,6 +28,7 @@ from experiments.reconstruct.arguments import PATCH_PRESETS, PatchArgs
 from experiments.reconstruct.patch_scores import LEVELS, choose_thresholds, report_of, score_table, score_touch
 from experiments.reconstruct.patch_world import MetSurface, Trial, list_names, make_parts, press_parts
 from i2t import viz
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 from i2t.recognition.intervals import rows_of
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
 from i2t.rendering.ops import element
@@ -36,7 +37,6 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import CELL_GRID
 from i2t.types import Array
 from i2t.viz import style
-from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 
 PRIOR, FIRST_STOP, CURVE = "prior", "by imagination, 25 uT", "by imagination, press curve"
 RELATIVE_ERRORS, TEMPERATURES = (0.05, 0.1, 0.15), (1.0, 1.5, 2.0, 3.0)  # what is chosen among

@@ -10,10 +10,10 @@ import numpy as np
 
 from experiments.common.tables import text_table
 from experiments.reconstruct.patch_world import MetSurface
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW
 from i2t.recognition.intervals import bootstrap_clusters, cluster_interval
 from i2t.reconstruction.local_shape import PatchLibrary, summarize
 from i2t.types import Array
-from i2t.windows import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW
 
 THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
 COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage

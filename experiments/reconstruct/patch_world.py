@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.reconstruct.arguments import PatchSizes
-from i2t.batching import map_batches
+from i2t.contact.press import PressLimits
 from i2t.objects import Mesh, catalogue, primitives
 from i2t.objects.drawing import disk, outline, rectangle
-from i2t.progress import progress
 from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import prepare_surface
-from i2t.simulation.press import PressLimits
+from i2t.runtime.batching import map_batches
+from i2t.runtime.progress import progress
 from i2t.simulation.press_curves import PressCurve, simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import numbered_pad

@@ -18,14 +18,14 @@ from experiments.reconstruct.world import MM_PER_M, split_objects
 from i2t import viz
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError, did_you_mean
-from i2t.files import replacing
+from i2t.files.writing import replacing
 from i2t.geometry import inverse
 from i2t.objects.solids import Mesh, place_on_table
+from i2t.patches.dimensions import STANDOFF
 from i2t.reconstruction.evidence import contact_evidence
 from i2t.reconstruction.surface import SurfaceModel, estimate_surface, init, surface_model, update
 from i2t.registration.touch import contact_poses
 from i2t.types import ReturnCode
-from i2t.windows import STANDOFF
 
 MIN_CONTACTS = 3  # fewer say almost nothing of a shape
 MAX_ACROSS_M, LOWEST_M = 0.35, 15e-3  # of contacts with one object that stands on z = 0

@@ -38,6 +38,7 @@ from experiments.reconstruct.arguments import (
 )
 from experiments.reconstruct.episodes import REPORTED, START, Episode, SurfaceErrors, TrueShape, chamfer_mm, true_shape
 from experiments.reconstruct.report import Episodes, draw_episode, draw_errors, summarize
+from experiments.reconstruct.tables import reconstructions
 from experiments.reconstruct.world import (
     EXPLORING_OVERTRAVEL_M,
     MM_PER_M,
@@ -46,9 +47,8 @@ from experiments.reconstruct.world import (
     make_reality,
     split_objects,
 )
-from experiments.reproduce.shape_tables import reconstructions
 from i2t import viz
-from i2t.progress import progress
+from i2t.files.terminal import printable
 from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
 from i2t.reconstruction.surface import (
     Z_90,
@@ -60,7 +60,7 @@ from i2t.reconstruction.surface import (
     surface_model,
     update,
 )
-from i2t.terminal import printable
+from i2t.runtime.progress import progress
 
 LOW_M, HIGH_M = (-30e-3,) * 3, (30e-3,) * 3  # of the box that holds any object; larger ones of the library enlarge it
 FORESEEN = 12  # sites among which the oracle chooses

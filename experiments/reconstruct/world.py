@@ -12,13 +12,15 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.reconstruct.arguments import Felt, ReconstructArgs, ReconstructSizes
+from i2t.contact.press import PressLimits
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import project
-from i2t.files import MESH_SUFFIXES
+from i2t.files.kinds import MESH_SUFFIXES
 from i2t.geometry import contact_frame, inverse, random_motion
 from i2t.objects.catalogue import random_object
 from i2t.objects.mesh_files import load_mesh
 from i2t.objects.solids import Mesh, centre_box
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.reconstruction.evidence import (
     SurfaceEvidence,
     contact_evidence,
@@ -33,14 +35,12 @@ from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation.depth_camera import add_depth_noise, render_view
-from i2t.simulation.press import PressLimits
 from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors, sample_session_errors
 from i2t.skin.contact import GRID
 from i2t.skin.pad import numbered_pad
 from i2t.types import Array, Pad, Surface
-from i2t.windows import PAD_WINDOW, PATCH_WINDOW, REACH
 
 APPROACH_M, EXPLORING_OVERTRAVEL_M = 0.1, 10e-3  # straight way before a site, and beyond it
 PATCH_TILT_RAD = (0.0, 0.35)  # an estimated surface lies up to so far from the true one

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.common.options import RunOptions
-from i2t.cli import Count, Positive
-from i2t.windows import PATCH_WINDOW
+from i2t.cli.options import Count, Positive
+from i2t.patches.dimensions import PATCH_WINDOW
 
 FRAME_FOLDERS = ("ycbvideo", "ycb_meshes", "apc_depth")
 

@@ -30,10 +30,10 @@ from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
 from i2t.objects import Mesh, read_mesh
+from i2t.patches.dimensions import PATCH_WINDOW, REACH, STANDOFF
 from i2t.prediction.metrics import grouped_interval
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import Patch, Surface
-from i2t.windows import PATCH_WINDOW, REACH, STANDOFF
 
 FRAMES = ("000001", "000002", "000003", "000004", "000005")
 F200_FRAMES = ("frame-000000", "frame-000007")

@@ -6,7 +6,7 @@ from typing import Literal
 
 from experiments.common.checks import require_dataset
 from experiments.common.options import ResumableOptions
-from i2t.cli import require_path, require_with
+from i2t.cli.options import require_path, require_with
 from i2t.errors import require_extra
 
 

@@ -1,11 +1,11 @@
 """A skin fitted to labelled presses of stamps, and what each stamp would read on it where the arm says it presses.
 
 For a known stamp, position, rotation and force the pressure is known up to the layer, and the reading is linear in the
-skin's magnetization: the map is fitted by Bayesian linear regression as in `i2t.calibration.physics`. Of the parameters
-that are not linear only thickness and mount compliance are distinguished, by the density of each press as predicted
-from all others (leave-one-out) on a grid of layers. What one press leaves unexplained, the noise, the tilt of the stamp
-and what the layer cannot say, is a covariance of the residuals; the hysteresis of a chip is found by regressing the
-residuals of a session on the readings before.
+skin's magnetization: the map is fitted by Bayesian linear regression as in `i2t.skin_models.magnetization`. Of the
+parameters that are not linear only thickness and mount compliance are distinguished, by the density of each press as
+predicted from all others (leave-one-out) on a grid of layers. What one press leaves unexplained, the noise, the tilt of
+the stamp and what the layer cannot say, is a covariance of the residuals; the hysteresis of a chip is found by
+regressing the residuals of a session on the readings before.
 """
 
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from experiments.shapes.world import Stamp, heights, pose, stamps
-from i2t.batching import map_batches
-from i2t.calibration import physics
-from i2t.calibration.physics import LayerParameters, LinearRegression
+from i2t.patches.dimensions import PAD_WINDOW
+from i2t.runtime.batching import map_batches
 from i2t.skin.contact import MAX_HEIGHT_M
 from i2t.skin.elasticity import GRID, Grid
+from i2t.skin_models import magnetization as physics
+from i2t.skin_models.magnetization import LayerParameters, LinearRegression
 from i2t.types import Board
-from i2t.windows import PAD_WINDOW
 
 # Thickness (m) and mount compliance (m/N).
 LAYERS = [(thickness, compliance) for compliance in (1e-6, 0.25e-3) for thickness in (2.0e-3, 2.5e-3, 3.0e-3)]

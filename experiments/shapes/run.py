@@ -44,11 +44,11 @@ from experiments.shapes.world import StampPressConfig, press_stamps
 from i2t import dataset as data
 from i2t.dataset import Dataset, source_words
 from i2t.errors import DataError
+from i2t.files.terminal import printable
 from i2t.paper.classifier import Classifier
-from i2t.progress import progress
+from i2t.runtime.progress import progress
 from i2t.skin.elasticity import Grid
 from i2t.skin.pad import numbered_pad
-from i2t.terminal import printable
 
 MIN_PRESSES_PER_SHAPE = 10
 

@@ -25,16 +25,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry
-from i2t.batching import map_batches
 from i2t.dataset import Dataset
 from i2t.objects import catalogue, solids
+from i2t.patches.dimensions import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.views import view_of_heights
+from i2t.runtime.batching import map_batches
 from i2t.simulation import touches as simulation
 from i2t.skin.contact import MAX_HEIGHT_M
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.pad import friction_response, press_force
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
-from i2t.views import view_of_heights
-from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 PREFIX = "stamp-"  # of the stamps' names in the catalogue
 SHAPES = tuple(name.removeprefix(PREFIX) for name in catalogue.STAMPS)

@@ -8,7 +8,7 @@ import tyro
 
 from experiments.common.checks import chosen_runs
 from experiments.common.options import ResumableOptions
-from i2t.cli import Count
+from i2t.cli.options import Count
 from i2t.errors import require_extra
 
 StudyName = Literal["open_set", "mismatch", "physics", "stopping"]

@@ -21,12 +21,12 @@ from jaxtyping import Array, Float
 from scipy.sparse.linalg import splu
 
 from i2t.errors import require_extra
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.skin.contact import CONTACT_TOLERANCE, GRID, MAX_HEIGHT_M, MAX_STEPS, MIN_STRAIN, Grid, descend
 from i2t.skin.dipoles import CELL_NODES, MICROTESLA, dipole_field, rest_field, sheets, turn
 from i2t.skin.elasticity import clamped_shape, compliance, convolve, interior, load
 from i2t.skin.pad import Press
 from i2t.types import Pad
-from i2t.windows import PAD_WINDOW
 
 TABLE_CELLS = 20  # of the table along each edge of the pad: 1 mm
 ELEMENT_LAYERS = 3  # of elements across the thickness
@@ -185,7 +185,7 @@ def quadratic(edges: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 class FreeSides:
-    """The law of a press (`i2t.simulation.press.PressLaw`) of a pad with free sides, from its table."""
+    """The law of a press (`i2t.contact.press.PressLaw`) of a pad with free sides, from its table."""
 
     def __init__(self, table: SideTable) -> None:
         self.cells = 2 * round(np.sqrt(table.sinking.shape[-1]))

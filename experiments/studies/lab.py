@@ -13,6 +13,7 @@ from experiments.recognize import trained_run
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.trained_run import TrainedRun, meshes_by_name
 from experiments.studies.arguments import StudyArgs
+from i2t.contact.press import PressLaw, PressLimits
 from i2t.dataset import Dataset
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
@@ -28,7 +29,6 @@ from i2t.recognition.site_pool import (
     prepare_surfaces,
 )
 from i2t.simulation import touches as simulation
-from i2t.simulation.press import PressLaw, PressLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, Surface

@@ -16,11 +16,11 @@ from experiments.recognize.trained_run import meshes_by_name
 from experiments.studies.lab import StudyLab, StudyWorld
 from i2t.geometry import from_twist
 from i2t.objects import Mesh
+from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.recognition.episodes import run_belief
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface
-from i2t.windows import TWIST_LEVER_M
 
 KINDS = ("fused", "readings")
 CAMERA_BIAS = np.array([0.6e-3, -0.6e-3, 0.6e-3, *(TWIST_LEVER_M * np.radians([0.6, 0.6, -0.6]))])  # 1 mm, 1 degree

@@ -22,7 +22,7 @@ class Column(NamedTuple):
 
 
 def make_table(columns: Sequence[Any], rows: Sequence[Sequence[Any]]) -> dict[str, Any]:
-    """A table as `metrics.json` holds it and `experiments.reproduce` writes it: the same form for all studies.
+    """A table as `metrics.json` holds it and `tools.reproduce` writes it: the same form for all studies.
 
     Args:
         columns: `Column`, or a name alone.

@@ -23,11 +23,11 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, write_json
 from experiments.common.tasks import parts_of_runs
 from experiments.recognize.config import PRESETS
-from experiments.reproduce.recognition_tables import study_table
 from experiments.studies import mismatch, open_set, physics, stopping
 from experiments.studies.arguments import StudyArgs
 from experiments.studies.lab import StudyLab, prepare_lab
 from experiments.studies.report import report_settings
+from experiments.studies.tables import study_table
 
 
 class Study(NamedTuple):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from experiments.common.checks import require_dataset, require_objects
 from experiments.common.options import ResumableOptions
-from i2t.cli import Count, Limits, Seed, require_path, require_with
+from i2t.cli.options import Count, Limits, Seed, require_path, require_with
 from i2t.paper.config import PaperOptions
 
 

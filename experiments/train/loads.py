@@ -7,10 +7,10 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset
-from i2t.prediction import gp
 from i2t.prediction.methods import ALIKE_FORCE_N, views_of
-from i2t.prediction.pressure import PressureModelConfig, predict_pressures
+from i2t.skin_models import pressure_gp as gp
 from i2t.types import Touches
 
 MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor depth is known of them

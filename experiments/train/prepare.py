@@ -15,9 +15,9 @@ from experiments.train.loads import (
     with_known_load,
 )
 from experiments.train.splitting import conditions_of, split_dataset
+from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset, Split
 from i2t.prediction.methods import ALIKE_FORCE_N, TrainingTouches, views_of
-from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 
 NOISY_CURVATURE_M = 20e-6  # median second difference of pixels that a surface without noise stays below
 LARGE_WINDOW_M = 25e-3  # from here on the skin is taken to be as large as the window, and cells are coarser

@@ -15,11 +15,11 @@ from experiments.train.evaluation import Evaluation
 from experiments.train.prepare import Prepared
 from i2t import viz
 from i2t.dataset import Dataset, Split, holds_simulated, source_words
-from i2t.files import slug
+from i2t.files.terminal import printable
+from i2t.files.writing import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 from i2t.prediction.predictor import Predictor, coverage, save
 from i2t.prediction.touch_model import Reading
-from i2t.terminal import printable
 
 COLUMNS = ("method", "R²", "RMSE µT", "/ sigma", "cosine")
 ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not

@@ -47,9 +47,9 @@ from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling, simulated_dataset
 from i2t import dataset as data
 from i2t.dataset import Dataset, source_words
+from i2t.files.terminal import printable
 from i2t.prediction.methods import find_methods
 from i2t.skin.files import load_pad, load_pad_about
-from i2t.terminal import printable
 from i2t.types import Pad
 
 CEILING = "ceiling: GP without camera and arm errors"

@@ -10,13 +10,13 @@ import numpy as np
 
 from experiments.train.configs import Simulation
 from i2t import dataset as data
-from i2t.batching import select_rows
+from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset, Split
 from i2t.objects import catalogue
 from i2t.prediction.gp_method import fit_gp, predict_readings
-from i2t.prediction.pressure import PressureModelConfig, predict_pressures
-from i2t.progress import progress
 from i2t.rendering.render import prepare_surface
+from i2t.runtime.batching import select_rows
+from i2t.runtime.progress import progress
 from i2t.simulation import touches as simulation
 from i2t.skin.pad import numbered_pad
 from i2t.types import Pad

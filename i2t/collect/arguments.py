@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from i2t.cli import Count, Limits, check_options, require_path
+from i2t.cli.options import Count, Limits, check_options, require_path
 from i2t.collect.settings import TouchSettings
 from i2t.hardware.ur.config import STATE_TIMEOUT_RANGE_S, WATCHDOG_RATE_RANGE_HZ
 from i2t.hardware.world import WorldArgs

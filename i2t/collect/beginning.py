@@ -14,12 +14,12 @@ from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import require_together
 from i2t.collect.notes import resume
 from i2t.collect.path import TouchPath
+from i2t.files.terminal import printable
 from i2t.hardware.plugins import find_plugin
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
 from i2t.objects.named import describe_placement, read_object
 from i2t.objects.solids import Object, highest_point
-from i2t.terminal import printable
 
 NO_RIG = "a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
 

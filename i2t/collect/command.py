@@ -16,7 +16,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from i2t.cli import exit_code_of, read_options
+from i2t.cli.exit_codes import exit_code_of
+from i2t.cli.options import read_options
 from i2t.collect.arguments import CollectArgs
 
 # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.

@@ -39,10 +39,10 @@ from i2t.geometry import contact_frame, transform
 from i2t.hardware.rig import Rig
 from i2t.hardware.skin_health import press_defect
 from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.simulation.depth_camera import render_view
 from i2t.simulation.sites import is_above_table
 from i2t.types import Array
-from i2t.windows import TWIST_LEVER_M
 
 FELT_S, FELT_SAMPLES = 0.5, 200  # of which a reading is the mean, whichever is less
 FIRST_SITES, FIRST_LOOKS, FIRST_SIDES = 32, 3, 2  # sites among which is chosen; looks; sides that are touched

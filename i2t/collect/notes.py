@@ -19,7 +19,8 @@ from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.dataset import read_touch
 from i2t.dataset.files import sync_folder
 from i2t.errors import DataError
-from i2t.files import read_json, replacing
+from i2t.files.reading import read_json
+from i2t.files.writing import replacing
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD

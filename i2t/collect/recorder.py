@@ -31,11 +31,12 @@ from i2t.collect.touch import TOOL, Site, SkinTouch, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
 from i2t.depth.camera import Camera, to_units
 from i2t.errors import DataError, DeviceError
-from i2t.files import not_through_links, read_bytes, unwritable
+from i2t.files.reading import read_bytes
+from i2t.files.writing import not_through_links, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import ArmState, Samples, View, channel_names
+from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.types import Array, Board, Touches
-from i2t.windows import PATCH_WINDOW, REACH
 
 try:
     import fcntl

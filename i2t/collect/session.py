@@ -27,10 +27,10 @@ from i2t.collect.touch import ChooseSite, Site, SiteOutcome
 from i2t.dataset import SKIN_NAME, load_dataset
 from i2t.dataset.card import write_card
 from i2t.errors import DataError, DeviceError
+from i2t.files.terminal import printable
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import name_of_board
-from i2t.terminal import printable
 from i2t.types import ReturnCode
 
 ENDS = {

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from i2t.cli import Limits, check_options
-from i2t.windows import MAX_SKIN_FORCE_N
+from i2t.cli.options import Limits, check_options
+from i2t.patches.dimensions import MAX_SKIN_FORCE_N
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from i2t.depth.patches import view_from_depth
 from i2t.geometry import full_precision, nearest_rigid
 from i2t.hardware.protocols import View
 from i2t.objects.solids import Object, highest_point, transform_mesh
+from i2t.patches.dimensions import PATCH_PIXELS
+from i2t.patches.views import centre
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.sites import SiteLimits, collect_sites
 from i2t.types import Array
-from i2t.views import centre
-from i2t.windows import PATCH_PIXELS
 
 SITE_BATCH = 32  # sites that are drawn at once
 

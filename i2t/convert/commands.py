@@ -26,11 +26,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from i2t.cli import exit_code_of, require_writable
+from i2t.cli.exit_codes import exit_code_of
+from i2t.cli.options import require_writable
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.errors import DataError, require_extra
-from i2t.terminal import printable
-from i2t.windows import PATCH_WINDOW, REACH
+from i2t.files.terminal import printable
+from i2t.patches.dimensions import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:
     from i2t.convert.common import Converted
@@ -307,7 +308,7 @@ def main(args: Sequence[str] | None = None) -> int:
         args: The command line without the program's name, by default this process's.
 
     Returns:
-        The exit code, as `i2t.cli` has them: 2 where a recording cannot be used.
+        The exit code, as `i2t.cli.exit_codes` has them: 2 where a recording cannot be used.
     """
     command: Reading = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,

@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from i2t import files
 from i2t.dataset import Dataset
 from i2t.errors import DataError
+from i2t.files.archives import unpacked
+from i2t.files.kinds import GZIP_MARK, decoded
+from i2t.files.reading import read_bytes as read_file
 
 ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"
 
@@ -207,8 +209,8 @@ def read_bytes(path: Path) -> bytes:
         DataError: It cannot be read.
     """
     with os_errors_as_data_errors(path):
-        raw = files.read_bytes(path)
-    return files.unpacked(path, raw) if raw.startswith(files.GZIP_MARK) else raw
+        raw = read_file(path)
+    return unpacked(path, raw) if raw.startswith(GZIP_MARK) else raw
 
 
 def read_text(path: Path) -> str:
@@ -223,7 +225,7 @@ def read_text(path: Path) -> str:
     Raises:
         DataError: It cannot be read, is of another kind, or is not text.
     """
-    return files.decoded(path, read_bytes(path))
+    return decoded(path, read_bytes(path))
 
 
 def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:

@@ -8,8 +8,9 @@ of the chip in uT, so the unit is very likely uT). Rows of the two tables belong
 Frames: the skin is fixed, and its tool frame T is the world's: x and y are the robot's from the centre of the session's
 range, z is up, zero where the press begins. The object O is the probe: origin at the lowest point of its tip, axes as
 T. Nothing in the source states the shape of the tip (a sphere is assumed), the height of first contact, how the board
-lies, or the centre of the skin. What the readings tell of these is estimated (`i2t.unknowns`): where presses lie on
-both sides of first contact, depth counts from where readings begin; where all go to one height, depth is unknown.
+lies, or the centre of the skin. What the readings tell of these is estimated (`i2t.recordings.diagnose`): where presses
+lie on both sides of first contact, depth counts from where readings begin; where all go to one height, depth is
+unknown.
 """
 
 import json
@@ -31,11 +32,11 @@ from i2t.convert.press_table import (
     sphere,
 )
 from i2t.errors import DataError
+from i2t.patches.dimensions import REACH
+from i2t.recordings.diagnose import RecordedPresses, find_units, findings_to_meta, turn_board
 from i2t.skin import boards
 from i2t.skin.boards import silent_chips
 from i2t.types import Board
-from i2t.unknowns import RecordedPresses, find_units, findings_to_meta, turn_board
-from i2t.windows import REACH
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
 NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram

@@ -31,9 +31,9 @@ from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.dataset.sets import NOT_STATED
 from i2t.depth.camera import read_image, stored_mask
 from i2t.errors import DataError
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.recordings.diagnose import correction_of, find_force_sign, find_units, findings_to_meta
 from i2t.types import Board, ReturnCode, Touches
-from i2t.unknowns import correction_of, find_force_sign, find_units, findings_to_meta
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 MAX_LOOK_OFFSET_M = 2e-3  # m; a look from further off the contact's axis showed another place
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from i2t import files
 from i2t._version import __version__
 from i2t.dataset import Dataset
 from i2t.dataset.card import write_card
 from i2t.dataset.sets import AXIS_NAMES, INDICES
 from i2t.errors import DataError, require_extra
+from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
 
 LEROBOT_VERSION = "v3.0"
@@ -65,7 +65,7 @@ def write(target: Path, dataset: Dataset) -> Path:
         finally:
             shutil.rmtree(part, ignore_errors=True)
     except OSError as error:
-        raise files.unwritable(target, error) from error
+        raise unwritable(target, error) from error
     return target
 
 

@@ -2,7 +2,8 @@
 data set is made.
 
 Reading a foreign format ends here. What the recording does not say or says wrongly is estimated session by session
-(`i2t.unknowns`), said in a sentence and put right; patches, poses and names of the data set follow from the columns.
+(`i2t.recordings.diagnose`), said in a sentence and put right; patches, poses and names of the data set follow from the
+columns.
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the tip, its axes as T's and its origin
 at its lowest point; a mesh keeps its own frame, whose z axis is the tip's.
@@ -17,8 +18,8 @@ import numpy as np
 from i2t.convert.common import ConversionLog
 from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
-from i2t.types import Board, ReturnCode, Touches
-from i2t.unknowns import (
+from i2t.patches.dimensions import PATCH_PIXELS
+from i2t.recordings.diagnose import (
     Correction,
     Finding,
     RecordedPresses,
@@ -29,9 +30,9 @@ from i2t.unknowns import (
     findings_to_meta,
     lag_rows,
 )
-from i2t.unknowns.chip_field import turn_board
-from i2t.unknowns.heights import HEIGHT_ZERO
-from i2t.windows import PATCH_PIXELS
+from i2t.recordings.diagnose.chip_field import turn_board
+from i2t.recordings.diagnose.heights import HEIGHT_ZERO
+from i2t.types import Board, ReturnCode, Touches
 
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
 

@@ -39,11 +39,11 @@ from i2t.convert.tables import (
     sound_rows,
 )
 from i2t.errors import DataError
-from i2t.files import MESH_SUFFIXES
+from i2t.files.kinds import MESH_SUFFIXES
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.recordings.diagnose import RecordedPresses
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
-from i2t.unknowns import RecordedPresses
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 PRESS_SOURCES = ("real", "simulated")

@@ -2,8 +2,8 @@
 
 A log is a table with the columns time_s and the board's values (b0x_uT ...) and, where a stage or an arm was recorded
 with them, x_mm, y_mm, depth_mm or z_mm, force_N, pad and session (`i2t.convert.presses` has their meanings). It is read
-row by row, and `i2t.unknowns.segmentation` finds the presses meanwhile. At most the rows of the longest press are kept,
-so memory does not grow with the log.
+row by row, and `i2t.recordings.segmentation` finds the presses meanwhile. At most the rows of the longest press are
+kept, so memory does not grow with the log.
 
 A press becomes one row: its steady reading less the rest before it, and the medians of the other columns over the same
 rows; its time is that of its beginning. A height becomes a depth, which counts from the height at which the reading
@@ -49,11 +49,9 @@ from i2t.convert.tables import (
     sound_rows,
 )
 from i2t.errors import DataError
-from i2t.files import replacing
-from i2t.progress import progress
-from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
-from i2t.types import Board
-from i2t.unknowns.segmentation import (
+from i2t.files.writing import replacing
+from i2t.patches.dimensions import PATCH_WINDOW, REACH
+from i2t.recordings.segmentation import (
     LONGEST_S,
     MIN_NOISE_UT,
     MIN_ROWS,
@@ -65,7 +63,9 @@ from i2t.unknowns.segmentation import (
     segmentation_rules,
     true_presses,
 )
-from i2t.windows import PATCH_WINDOW, REACH
+from i2t.runtime.progress import progress
+from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
+from i2t.types import Board
 
 ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are found from the first of them
 HEAD_ROWS, LEVEL_ROWS = 20, 3  # at the beginning of a part, at rest; and of which a level is the mean

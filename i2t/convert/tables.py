@@ -3,7 +3,7 @@
 Differences between programs that do not change the meaning are removed here, each with a note: other delimiters and
 decimal commas, titles and comments before the names, columns without a name (a row's number), capital letters, units in
 brackets or below the names, and units other than mm, uT, N and s. Two modules interpret the columns:
-`i2t.convert.presses` refuses damaged rows, and `i2t.calibration.recordings` keeps what it can.
+`i2t.convert.presses` refuses damaged rows, and `i2t.heads.recordings` keeps what it can.
 """
 
 import csv
@@ -30,7 +30,8 @@ from i2t.convert.cells import (
 from i2t.convert.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
 from i2t.convert.common import ConversionLog, os_errors_as_data_errors
 from i2t.errors import DataError
-from i2t.files import UTF_8, WINDOWS_1252, encoding_of_file, read_lines, require_unpackable
+from i2t.files.kinds import UTF_8, WINDOWS_1252
+from i2t.files.reading import encoding_of_file, read_lines, require_unpackable
 
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
 FIELD_COLUMN = re.compile("b[0-9]+[xyz]_uT")  # column of a chip's value under our name

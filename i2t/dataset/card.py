@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t import files
 from i2t.dataset.sets import NOT_STATED, Dataset, source_words
-from i2t.terminal import printable
+from i2t.files.terminal import printable
+from i2t.files.writing import replacing
 
 CARD = "README.md"
 MAX_NAMES = 20  # listed of each kind
@@ -73,7 +73,7 @@ def write_card(folder: Path | str, dataset: Dataset, *, board_name: str = "") ->
         DataError: It cannot be written.
     """
     path = Path(folder) / CARD
-    with files.replacing(path) as temporary:
+    with replacing(path) as temporary:
         temporary.write_text(card_of(dataset, board_name=board_name), encoding="utf-8")
     return path
 

@@ -26,7 +26,9 @@ import h5py
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.files import SPARE_BYTES, open_regular, replacing, unwritable
+from i2t.files.archives import SPARE_BYTES
+from i2t.files.reading import open_regular
+from i2t.files.writing import replacing, unwritable
 
 SCHEMA = "i2t-touches"
 SCHEMA_VERSION = 2  # sessions, which version 1 called runs

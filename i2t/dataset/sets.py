@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import DataError
+from i2t.patches.dimensions import PATCH_WINDOW, REACH, WIDE_PIXELS
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
-from i2t.windows import PATCH_WINDOW, REACH, WIDE_PIXELS
 
 NOT_STATED = "not stated"  # source of recordings in a layout that does not say whether they are real
 SIMULATED_SOURCES = ("simulated", "mixed")

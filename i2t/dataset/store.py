@@ -25,7 +25,8 @@ from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
 from i2t.errors import DataError
-from i2t.files import as_path, why_no_touches
+from i2t.files.reading import why_no_touches
+from i2t.files.writing import as_path
 from i2t.types import Board, Touches, Truth
 
 INDEX = "index.json"  # which earlier versions wrote next to touches

@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from i2t import files, validation
+from i2t import validation
 from i2t.errors import DataError
+from i2t.files.reading import read_bytes
+from i2t.files.writing import as_path
 
 METRES_PER_DEPTH_UNIT = {"m": 1.0, "mm": 1e-3}  # m
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
@@ -369,7 +371,7 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
         ValueError: It holds no depth; one sentence that names the file and a remedy.
         TypeError: The path is neither text nor a path.
     """
-    path = files.as_path("path", path)
+    path = as_path("path", path)
     metres = metres_per_unit(scale, path)
     if encoding not in list(Encoding):
         raise ValueError(f"{path}: encoding {encoding!r} is not known; choose from {', '.join(Encoding)}")
@@ -562,7 +564,7 @@ def read_image(
         ValueError: It is damaged, neither PNG nor TIF, or of another size.
     """
     try:
-        data = io.BytesIO(files.read_bytes(path, MAX_IMAGE_BYTES))
+        data = io.BytesIO(read_bytes(path, MAX_IMAGE_BYTES))
         with warnings.catch_warnings(action="error"), Image.open(data, formats=["PNG", "TIFF"]) as image:
             found = image.height, image.width
             if shape is not None and found != shape:

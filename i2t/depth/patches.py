@@ -31,9 +31,9 @@ from i2t import validation
 from i2t.depth.camera import Camera, check_image, check_view, measured_mask
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.views import WideView, camera_view
 from i2t.types import Patch, in_one_line
-from i2t.views import WideView, camera_view
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, WIDE_PIXELS, WIDE_WINDOW
 
 VIEW_DEPTH_M = 80e-3  # m behind the nearest point, down to which a wide view is followed
 GRAZING_ANGLE_RAD = math.radians(10)  # rad, between a triangle and the line of sight to it

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from i2t.cli import command, require_path
+from i2t.cli.exit_codes import command
+from i2t.cli.options import require_path
 from i2t.emulators import processes, reskin_board, ur_controller
 from i2t.emulators.world import make_scene
 from i2t.hardware.rig import Rig

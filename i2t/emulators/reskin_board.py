@@ -28,7 +28,8 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 
-from i2t.cli import exit_code_of, read_options
+from i2t.cli.exit_codes import exit_code_of
+from i2t.cli.options import read_options
 from i2t.emulators import processes
 from i2t.hardware.reskin.layouts import CONVERTER_COUNTS, Format, encode
 from i2t.skin.boards import make_board

@@ -22,6 +22,7 @@ import numpy as np
 from i2t.emulators.processes import Address
 from i2t.geometry import full_precision, inverse, so3_exp, transform
 from i2t.objects.solids import Mesh, transform_mesh
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.simulation.depth_camera import table_triangles
 from i2t.simulation.sites import press_along
@@ -30,7 +31,6 @@ from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.pad import press_force
 from i2t.types import Array, Board, Pad, Surface
-from i2t.windows import PAD_WINDOW
 
 LINE_LENGTH_M = 0.12  # of a line on which the object is looked for
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)

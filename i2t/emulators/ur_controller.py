@@ -51,7 +51,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from i2t.cli import read_options
+from i2t.cli.options import read_options
 from i2t.emulators.processes import started
 from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING

@@ -24,14 +24,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.compiling import traced_floats
+from i2t.contact.press import PressLimits
 from i2t.environments.press import TouchOutcome, touch_outcome
 from i2t.geometry import random_motion
 from i2t.recognition import belief as beliefs
 from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.rendering.ops import element
-from i2t.simulation.press import PressLimits
+from i2t.runtime.compiling import traced_floats
 from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.sites import RECOGNITION_LIMITS
 from i2t.simulation.touches import SimulationErrors

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.batching import map_batches
 from i2t.environments.core import EnvironmentParams, EnvironmentState, TouchAction, TouchEnvironment
 from i2t.paper import loop
 from i2t.recognition import belief
 from i2t.recognition.policy import choose_site, draw_site, expected_information_gain
+from i2t.runtime.batching import map_batches
 
 SitePolicy = Callable[[Array, EnvironmentState, Array, EnvironmentParams], Array]
 POLICY_BATCH = 8  # episodes whose sites are chosen at a time

@@ -14,15 +14,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from i2t.contact.press import PadResponse, PressLimits, press_to_stop
 from i2t.geometry import full_precision, inverse, random_motion
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.rendering.render import render_heights
-from i2t.simulation.press import PadResponse, PressLimits, press_to_stop
 from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.dipoles import linear_response
 from i2t.skin.elasticity import CELL_GRID
 from i2t.types import Pad, Surface
-from i2t.windows import PAD_WINDOW
 
 
 class TouchOutcome(NamedTuple):

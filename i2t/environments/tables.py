@@ -12,8 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from i2t.batching import map_batches
-from i2t.compiling import jit_quickly
 from i2t.environments.core import (
     EnvironmentConfig,
     EnvironmentParams,
@@ -27,6 +25,8 @@ from i2t.objects.solids import Mesh
 from i2t.recognition.site_pool import SitePool, prepare_surfaces, safe_sites, sample_sites
 from i2t.rendering.ops import element
 from i2t.rendering.render import stack_surfaces
+from i2t.runtime.batching import map_batches
+from i2t.runtime.compiling import jit_quickly
 from i2t.skin.pad import numbered_pad
 from i2t.types import Board, Pad, Surface
 

@@ -29,7 +29,8 @@ from i2t.depth.camera import (
     to_units,
 )
 from i2t.errors import DataError
-from i2t.files import as_path, read_text, read_toml
+from i2t.files.reading import read_text, read_toml
+from i2t.files.writing import as_path
 from i2t.hardware.protocols import View
 
 DEPTH_UNIT_M = 1e-4  # of what `save_views` writes: 6.5 m are the most that 16 bits hold

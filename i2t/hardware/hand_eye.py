@@ -30,9 +30,10 @@ import numpy as np
 import tyro
 from PIL import Image
 
-from i2t.cli import command
+from i2t.cli.exit_codes import command
 from i2t.depth.camera import read_image
-from i2t.files import file_in, read_text, replacing
+from i2t.files.reading import read_text
+from i2t.files.writing import file_in, replacing
 from i2t.geometry import inverse
 from i2t.hardware.camera_folder import DESCRIPTION, lens_text, read_lens
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, opencv, pixel_rays

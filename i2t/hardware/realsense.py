@@ -29,7 +29,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from i2t.cli import Count, command, require_path
+from i2t.cli.exit_codes import command
+from i2t.cli.options import Count, require_path
 from i2t.depth.camera import MAX_UINT16, Camera
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
 from i2t.geometry import transform

@@ -20,8 +20,8 @@ from i2t.geometry import inverse
 from i2t.hardware.limits import format_position
 from i2t.hardware.poses import apart
 from i2t.hardware.rig import Rig
+from i2t.patches.dimensions import PAD_WINDOW, TWIST_LEVER_M
 from i2t.types import Array
-from i2t.windows import PAD_WINDOW, TWIST_LEVER_M
 
 MOST_BEFORE_TOOL_M, LEAST_APART_M = 0.02, 0.01  # of a further skin: out of the skin that presses; from another one
 LEAST_TOOL_M, MOST_TOOL_M = 10e-3, 0.35  # from the flange to a skin

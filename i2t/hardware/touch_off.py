@@ -32,7 +32,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from i2t.cli import command
+from i2t.cli.exit_codes import command
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
 from i2t.hardware.limits import MotionLimits
@@ -40,8 +40,8 @@ from i2t.hardware.plugins import DeviceSetup, check_device, load_device
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array
-from i2t.windows import PAD_WINDOW
 
 CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
 TILT_RAD = math.radians(6)  # of the tool while it touches

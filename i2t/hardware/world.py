@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from i2t.cli import Limits, Seed
+from i2t.cli.options import Limits, Seed
 
 
 @dataclass(frozen=True)

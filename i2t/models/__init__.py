@@ -8,7 +8,7 @@
 uneven magnetisation of its own. No real skin was touched for it, and no real skin reads as it does: take a model of
 your own skin for real touches. "eflesh" is the calibration of one real skin of another kind, a printed lattice with
 four magnets, pressed by a spherical tip. Figures and limits are in docs/model_card.md, made by
-`python -m experiments.ready_models`.
+`python -m tools.ready_models`.
 """
 
 import os
@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from i2t.errors import closest, did_you_mean
-from i2t.files import as_path, read_json
+from i2t.files.reading import read_json
+from i2t.files.writing import as_path
 
 MAX_CARD_BYTES = 2**16
 Part = Literal["predictor", "pad_model.npz", "calibration.npz", "metrics.json"]

@@ -16,8 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from i2t import files
 from i2t.errors import DataError
+from i2t.files.kinds import MAX_MESH_BYTES
+from i2t.files.reading import parse_json, read_bytes
+from i2t.files.writing import file_in
 from i2t.objects.polygons import strip_triangles
 
 # glTF 2.0, 3.6.2.2: codes of component types, and of what else is in JSON.
@@ -89,7 +91,7 @@ class _Document:
             text = data.lstrip()
         else:
             raise DataError(f"{path}: is no glTF file, neither binary nor JSON; export it again, or check its ending")
-        self.json: dict[str, Any] = files.parse_json(text, path)
+        self.json: dict[str, Any] = parse_json(text, path)
         version = str(self.json["asset"]["version"])
         if version.split(".")[0] != "2":
             raise DataError(f"{path}: is glTF {version}; export it as glTF 2.0")
@@ -204,7 +206,7 @@ class _Document:
         count, dtype = int(accessor["count"]), np.dtype(COMPONENTS[accessor["componentType"]])
         if accessor["type"] != kind:
             raise DataError(f"{self.path}: accessor {number} is {accessor['type']} and not {kind}; export it again")
-        if count < 0 or count * dtype.itemsize > files.MAX_MESH_BYTES:
+        if count < 0 or count * dtype.itemsize > MAX_MESH_BYTES:
             raise DataError(f"{self.path}: accessor {number} has {count} entries, which no file holds; export it again")
         values = np.zeros((count, WIDTHS[kind]), dtype)
         if "bufferView" in accessor:
@@ -271,12 +273,12 @@ class _Document:
         name = urllib.parse.unquote(uri).removeprefix("./")
         if "\\" in name and not (self.path.parent / name).exists():
             name = name.replace("\\", "/")  # as Windows writes a folder
-        file = files.file_in(self.path.parent, name, self.path, below=True)
+        file = file_in(self.path.parent, name, self.path, below=True)
         if not file.is_file():
             raise DataError(f"{self.path}: its data are in {name!r}, which is not next to it; copy that file as well")
-        data = files.read_bytes(file, files.MAX_MESH_BYTES)
-        if sum(map(len, self.buffers.values())) + len(data) > files.MAX_MESH_BYTES:
-            raise DataError(f"{self.path}: its data are more than {files.MAX_MESH_BYTES} bytes; simplify the mesh")
+        data = read_bytes(file, MAX_MESH_BYTES)
+        if sum(map(len, self.buffers.values())) + len(data) > MAX_MESH_BYTES:
+            raise DataError(f"{self.path}: its data are more than {MAX_MESH_BYTES} bytes; simplify the mesh")
         return data
 
     def _check_box(self, number: int, accessor: dict[str, Any], values: NDArray, exact: NDArray) -> None:

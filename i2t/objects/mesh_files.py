@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from i2t import files
+from i2t.files.kinds import MAX_MESH_BYTES, MESH_SUFFIXES
+from i2t.files.reading import read_bytes as read_file
+from i2t.files.writing import as_path
 from i2t.geometry import inverse
 from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
 from i2t.objects.mesh_formats import foreign_kind, parse_mesh
@@ -42,8 +44,8 @@ def read_mesh(
         FileNotFoundError: There is no such file.
         ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
     """
-    path = files.as_path("path", path)
-    data = read_bytes(path, files.MESH_SUFFIXES)
+    path = as_path("path", path)
+    data = read_bytes(path, MESH_SUFFIXES)
     scale = to_metres(path, unit)
     if up not in ("z", "y"):
         raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
@@ -127,7 +129,7 @@ def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
         raise FileNotFoundError(f"{path}: there is no such file; check the name")
     if path.is_dir():
         raise ValueError(f"{path}: is a folder; name a file in it")
-    data = files.read_bytes(path, files.MAX_MESH_BYTES)
+    data = read_file(path, MAX_MESH_BYTES)
     if not data:
         raise ValueError(f"{path}: is empty; export it again")
     return data

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-from i2t.windows import CONTACT_TOLERANCE_M, PATCH_PIXELS, REACH
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_PIXELS, REACH
 
 ImageKind: TypeAlias = Literal["depth", "mask", "pressure"]
 

@@ -1,4 +1,4 @@
-"""The Gaussian process on predicted contact pressure (`i2t.prediction.gp`) as a method."""
+"""The Gaussian process on predicted contact pressure (`i2t.skin_models.pressure_gp`) as a method."""
 
 from dataclasses import dataclass
 
@@ -6,14 +6,14 @@ import jax
 import numpy as np
 from jaxtyping import Array, Key
 
-from i2t.batching import select_rows
+from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import Split
-from i2t.prediction import gp
-from i2t.prediction.gp import GP, ContactPressure
 from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
+from i2t.runtime.batching import select_rows
+from i2t.skin_models import pressure_gp as gp
+from i2t.skin_models.pressure_gp import GP, ContactPressure
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,10 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from jaxtyping import Array, Key
 
+from i2t.contact.pressure import ContactPressure, PressureModelConfig
 from i2t.dataset import Dataset, Split
 from i2t.paper.config import PaperOptions
-from i2t.prediction.gp import ContactPressure
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_disk
 from i2t.skin.boards import board_as_lists
 from i2t.training import TrainConfig

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from i2t import training
-from i2t.compiling import jit_quickly
+from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import Split
 from i2t.paper.config import ImageKind, PaperConfig
 from i2t.paper.network import Params
@@ -20,9 +20,9 @@ from i2t.prediction import model
 from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.model import Inputs, ModelConfig, Normalisation
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, stacked
-from i2t.progress import progress
+from i2t.runtime.compiling import jit_quickly
+from i2t.runtime.progress import progress
 from i2t.training import Batch, TrainConfig
 from i2t.types import Touches
 

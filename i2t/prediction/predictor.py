@@ -26,17 +26,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 from orbax.checkpoint import v1 as ocp
 
+from i2t.contact.pressure import PressureModelConfig
 from i2t.errors import CheckpointError
-from i2t.files import may_grow_to, read_json
+from i2t.files.archives import may_grow_to
+from i2t.files.reading import read_json
 from i2t.models import ready_hint, ready_path
+from i2t.patches.dimensions import PATCH_PIXELS
+from i2t.patches.views import WideView
 from i2t.prediction import user_input
-from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, to_disk
 from i2t.rendering.render import prepare_surface, render_view
+from i2t.runtime.batching import size_classes
 from i2t.skin.boards import board_from_lists
 from i2t.types import Board, Surface
-from i2t.views import WideView
-from i2t.windows import PATCH_PIXELS
 
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 4
@@ -135,7 +137,7 @@ class Predictor:
             nearest: m, signed distance of the nearest point from the tool origin, in place of the patch's own. Beyond
                 10 mm nothing is touched, which is refused; beyond 1 mm in front there is a warning.
             depth: m, travel past first contact; left out, the median of the training touches is taken.
-            wide: The same view with its surroundings, pixels of the same size, as `i2t.views` makes it: m
+            wide: The same view with its surroundings, pixels of the same size, as `i2t.patches.views` makes it: m
                 behind the patch's nearest point, negative where something stands out before it. It makes the
                 prediction better at the rim of the skin, and what stands out on the skin is met first. A model on
                 patches alone does not look at it.
@@ -243,7 +245,7 @@ class Predictor:
     def _predict_classes(self, touches: TouchBatch) -> Reading:
         """Readings of touches in batches of few sizes, so that a new number of touches compiles nothing."""
         n = len(touches.patch)
-        parts = [self.predict_batch(touches.rows(rows)) for rows in user_input.size_classes(n)]
+        parts = [self.predict_batch(touches.rows(rows)) for rows in size_classes(n)]
         return Reading(*(np.concatenate(column)[:n] for column in zip(*parts, strict=True)))
 
     def _predict_unseen(self, touches: TouchBatch, valid: Any) -> Reading:

@@ -29,10 +29,9 @@ from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
 import jax.numpy as jnp
 import numpy as np
 
-from i2t.batching import select_rows
+from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures
 from i2t.errors import CheckpointError
-from i2t.prediction.gp import ContactPressure
-from i2t.prediction.pressure import PressureModelConfig, predict_pressures
+from i2t.runtime.batching import select_rows
 from i2t.types import Touches, in_one_line
 
 MAX_INTEGER = 2**31 - 1

@@ -7,7 +7,6 @@ if nothing were there and as if the surface went on, so that a prediction can sa
 
 import math
 import warnings
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -18,9 +17,9 @@ from scipy import ndimage
 from i2t import validation
 from i2t.depth.patches import DepthPatch, DepthView
 from i2t.objects.mesh_files import MAX_SIZE_M
+from i2t.patches.dimensions import STANDOFF
+from i2t.patches.views import WideView, centre, pixels_on_skin
 from i2t.types import Patch, Surface
-from i2t.views import WideView, centre, pixels_on_skin
-from i2t.windows import STANDOFF
 
 UNUSUAL_FORCE_RATIO = 10.0  # to the median of the training touches, where their largest force is not known
 MAX_FORCE_RATIO = 4.0  # to the largest force of the training touches: beyond it a prediction says nothing
@@ -39,26 +38,6 @@ VIEW_REMEDY = (
 BESIDE_CENTRE = np.array([0.537, 0.471])  # pixels; a ray through a pixel's centre meets edges of symmetric meshes
 PATCH_SIZE_TOLERANCE = 1e-3  # relative: rounding
 PIXEL_TOLERANCE_M = 1e-6  # m, of single precision
-CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
-
-
-def size_classes(n: int) -> Iterator[np.ndarray]:
-    """Share n touches out to batches of few sizes.
-
-    Args:
-        n: Number of touches, at least 1.
-
-    Yields:
-        Numbers of touches, as many as a class has: 0 to n - 1, of which the last batch repeats the last.
-    """
-    start = 0
-    while start < n:
-        left = n - start
-        size = next(size for size in CLASSES if size <= left)
-        if size == 1 and left > 1:
-            size = CLASSES[-2]
-        yield np.minimum(np.arange(start, start + size), n - 1)
-        start += size
 
 
 class SeenTouches(NamedTuple):

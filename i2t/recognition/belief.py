@@ -36,8 +36,8 @@ from jax.scipy.special import gammaln, log_ndtr, logsumexp
 from jaxtyping import Array, Bool, Float
 from scipy.stats import norm, qmc
 
+from i2t.contact.press import PressLimits
 from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch, interpolate_load
-from i2t.simulation.press import PressLimits
 from i2t.types import in_one_line
 
 Length = TypeVar("Length", float, Array)  # m

@@ -16,19 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from i2t.batching import everywhere, filled_batches, map_batches, select_rows, spread, spread_rows
-from i2t.compiling import jit_by_amount, jit_quickly
+from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
-from i2t.progress import Progress, progress
 from i2t.recognition import belief
 from i2t.recognition.belief import Likelihood, Particles, TouchObservation
 from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
+from i2t.runtime.batching import everywhere, filled_batches, map_batches, select_rows, spread, spread_rows
+from i2t.runtime.compiling import jit_by_amount, jit_quickly
+from i2t.runtime.progress import Progress, progress
 from i2t.simulation import touches as simulation
-from i2t.simulation.press import PadResponse, PressLaw, PressLimits, pad_response
 from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches

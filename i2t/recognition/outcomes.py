@@ -26,14 +26,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from i2t.contact.pressure import SOLVER_TOLERANCE, PressureModelConfig
 from i2t.geometry import from_twist, full_precision, inverse
-from i2t.prediction.pressure import SOLVER_TOLERANCE, PressureModelConfig
+from i2t.patches.dimensions import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 from i2t.rendering.render import render_heights
 from i2t.simulation import sites
 from i2t.skin.contact import CELL_GRID, solve_force
 from i2t.skin.pad import POISSON_RATIO, YOUNG_PA, nominal_pad
 from i2t.types import Pad, Surface, in_one_line
-from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
 LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
 MIN_LOAD_N = PressureModelConfig.floor  # a noisy wrench sensor says less

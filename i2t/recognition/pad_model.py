@@ -23,12 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from i2t.batching import a_few_at_a_time, select_rows
-from i2t.compiling import jit_quickly
+from i2t.contact.press import PressLimits
+from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset
 from i2t.geometry import full_precision, inverse
-from i2t.prediction.gp import ContactPressure
-from i2t.prediction.pressure import PressureModelConfig, predict_pressures
+from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
 from i2t.recognition.outcomes import MIN_LOAD_N, Layer, LinearReadingModel
@@ -42,11 +41,11 @@ from i2t.recognition.reading_model import (
 )
 from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
-from i2t.simulation.press import PressLimits
+from i2t.runtime.batching import a_few_at_a_time, select_rows
+from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
 from i2t.types import Board, Surface, Touches, Truth, in_one_line
-from i2t.windows import WIDE_PIXELS, WIDE_WINDOW
 
 # Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
 POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from i2t import serialization
 from i2t.errors import DataError, SerializationError
+from i2t.files import serialization
 from i2t.models import ready_hint, ready_path
 from i2t.recognition.belief import Likelihood
 from i2t.recognition.outcomes import LinearReadingModel

@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from i2t.batching import filled_batches, spread
 from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.patches.views import centre
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch
@@ -32,10 +33,9 @@ from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
 from i2t.recognition.outcomes import MIN_LOAD_N
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
+from i2t.runtime.batching import filled_batches, spread
 from i2t.skin.elasticity import CELL_GRID
 from i2t.types import Surface
-from i2t.views import centre
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)
 PROPRIOCEPTION = "proprioception"

@@ -24,7 +24,6 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.batching import map_batches
 from i2t.recognition.belief import (
     Belief,
     Likelihood,
@@ -36,6 +35,7 @@ from i2t.recognition.belief import (
 )
 from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 from i2t.rendering.ops import element
+from i2t.runtime.batching import map_batches
 
 NUM_CANDIDATES = 48  # sites that the next touch is chosen among, drawn anew for each
 NUM_DRAWS = 24  # imagined outcomes of a site

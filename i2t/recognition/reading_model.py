@@ -1,14 +1,15 @@
 """Readings of one pad from contact pressure: a physical prior, a discrepancy, and both marginalised.
 
-For small strain a reading is linear in the pressure on the skin (`i2t.prediction.gp`) and in what a pad hides, its
-magnetization (`i2t.calibration.physics`). A touch t gives channel c, in units of that channel's signal,
+For small strain a reading is linear in the pressure on the skin (`i2t.skin_models.pressure_gp`) and in what a pad
+hides, its magnetization (`i2t.skin_models.magnetization`). A touch t gives channel c, in units of that channel's
+signal,
 
     y_c(t) = a Phi_c(t) . w + d_c(t) + e,    w ~ N(0, 1),    d_c ~ GP(0, r k),    e ~ N(0, v).
 
 Phi_c(t) is the reading that each weight w of the magnetization gives under the pressure of t on a nominal pad: a few
 presses tell w, and with it the response of all of the skin. The discrepancy d_c (Kennedy and O'Hagan, J. R. Stat. Soc.
 B 63, 2001) is what the nominal pad leaves: another layer, other chips, another physics. Its covariance k is that of
-`i2t.prediction.gp`, and the more touches there are, the more of it is learnt.
+`i2t.skin_models.pressure_gp`, and the more touches there are, the more of it is learnt.
 
 The skin's layer decides which pressures a contact has; the one of LAYERS is taken under which touches are most probable
 as predicted from all others. The hyperparameters a, r and v are marginalised on a grid, each weighted by that density
@@ -33,14 +34,15 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from i2t.batching import map_batches, select_rows, usable_cores
-from i2t.calibration import physics
-from i2t.compiling import jit_quickly
-from i2t.prediction import gp
-from i2t.prediction.gp import ContactPressure, GPHyperparameters
+from i2t.contact.pressure import ContactPressure
 from i2t.recognition.outcomes import LOADS_N, Layer, LinearReadingModel
+from i2t.runtime.batching import map_batches, select_rows, usable_cores
+from i2t.runtime.compiling import jit_quickly
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import POISSON_RATIO, YOUNG_PA
+from i2t.skin_models import magnetization as physics
+from i2t.skin_models import pressure_gp as gp
+from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.types import Board
 
 # From stiff to soft: Poisson's ratio and Young's modulus (Pa). At nu = 0 a bonded layer yields most to a flat press.

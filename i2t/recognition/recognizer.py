@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
-from i2t.compiling import jit_quickly
+from i2t.contact.press import PressLimits
 from i2t.geometry import from_twist, inverse, nearest_rigid
 from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, outcomes
@@ -42,8 +42,8 @@ from i2t.recognition.site_pool import (
     sample_sites,
 )
 from i2t.rendering.ops import element
+from i2t.runtime.compiling import jit_quickly
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.press import PressLimits
 from i2t.types import in_one_line
 
 MAX_EMPTY_DRAWS = 10  # of candidates among which no site is allowed, after which no touch is chosen

@@ -19,9 +19,9 @@ from scipy.ndimage import minimum_filter
 from i2t import validation
 from i2t.depth import distortion
 from i2t.depth.camera import Camera, check_image, measured_mask
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, STANDOFF
 from i2t.reconstruction.local_shape import PatchPosterior
 from i2t.types import Array
-from i2t.windows import PAD_WINDOW, PATCH_WINDOW, STANDOFF
 
 PAD_EDGE = 7  # points along each edge of the pad, among which the one that met the surface is sought
 SWEPT_EDGE = 5  # points along each edge of the pad, of the space behind it

@@ -18,18 +18,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key, PyTree
 
-from i2t.batching import filled_batches, map_batches, spread
-from i2t.compiling import jit_quickly
 from i2t.geometry import contact_frame, inverse, so3_exp
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
+from i2t.patches.views import centre
 from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
+from i2t.runtime.batching import filled_batches, map_batches, spread
+from i2t.runtime.compiling import jit_quickly
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.site_limits import SiteLimits
 from i2t.skin.contact import CELL_GRID, GRID, solve_force
 from i2t.skin.pad import nominal_pad
 from i2t.types import Pad, Surface
-from i2t.views import centre
-from i2t.windows import PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 
 LIBRARY_LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
 TILT_RANGE_RAD = (math.radians(1.0), math.radians(6.0))

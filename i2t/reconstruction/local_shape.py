@@ -35,8 +35,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from i2t import validation
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW
 from i2t.skin.contact import CONTACT_NEWTONS
-from i2t.windows import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW
 
 SAMPLES = 256
 SMALLEST_FORCE_N = 0.02  # a noisy wrench sensor says less

@@ -14,16 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from i2t.compiling import jit_quickly
 from i2t.reconstruction.library import in_batches, press_batches
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
+from i2t.runtime.compiling import jit_quickly
 from i2t.skin.contact import CELL_GRID
 from i2t.skin.dipoles import response
 from i2t.skin.friction import Shear, rest, shear
 from i2t.skin.noise import Noise
 from i2t.types import Board, Pad
 
-STIFFNESS_N_PER_M = 10e3  # of arm and mount in series, as `i2t.simulation.press.PressLimits` has it
+STIFFNESS_N_PER_M = 10e3  # of arm and mount in series, as `i2t.contact.press.PressLimits` has it
 LOOSE_FRICTION = 3e-2  # of the largest displacement: 1 % of a reading
 FRICTION_STEPS = 15
 SLIDING_PATCHES = 256

@@ -24,8 +24,8 @@ from i2t.depth.camera import Camera, check_depth, measured_mask
 from i2t.depth.distortion import pixel_rays
 from i2t.geometry import apply, compose, from_twist, inverse, to_twist
 from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.registration.estimate import PoseEstimate
-from i2t.windows import TWIST_LEVER_M
 
 SURFACE_SAMPLES = 40_000  # half a millimetre apart on an object of a decimetre
 BIWEIGHT_CUTOFF = 4.685  # scales beyond which Tukey's weight is zero (95 % efficient where all is normal)

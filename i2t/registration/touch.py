@@ -28,14 +28,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
-from i2t.batching import map_batches
-from i2t.compiling import jit_quickly, traced_floats
 from i2t.geometry import from_twist, full_precision, inverse
+from i2t.patches.dimensions import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
+from i2t.runtime.batching import map_batches
+from i2t.runtime.compiling import jit_quickly, traced_floats
 from i2t.simulation.sites import double_areas, first_smallest, lowest_in_square, nearest_in_square
 from i2t.types import ReturnCode, Surface, Touches
-from i2t.windows import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 
 STUDENT_T_DOF = 4.0  # of the residuals: the usual compromise of Lange et al.
 UNSEEN_CONTACT_RESIDUAL_M = 1e3  # of a motion that was not looked at yet: worse than any

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from i2t.patches.dimensions import STANDOFF
 from i2t.rendering.bitset import (
     WORD_BITS,
     as_uint32,
@@ -41,7 +42,6 @@ from i2t.rendering.tiles import (
     face_terms,
     place_boxes,
 )
-from i2t.windows import STANDOFF
 
 LANES_PER_BLOCK = 32  # tiles side by side in memory
 BLOCKS_PER_SHARE = 72  # of lanes in a share

@@ -30,6 +30,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array, Bool, Float, Int
 
+from i2t.patches.dimensions import STANDOFF
 from i2t.rendering.bitset import WORD_BITS, cumulative_popcounts, pack_bits, select_kth_set_bit
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
 from i2t.rendering.dense import cast_dense
@@ -50,7 +51,6 @@ from i2t.rendering.tiles import (
     to_tool,
 )
 from i2t.types import Surface
-from i2t.windows import STANDOFF
 
 GROUPS_PER_PASS = 64  # groups listed in one pass
 GROUPS_PER_CHUNK = 8  # whose boxes are looked at together

@@ -23,12 +23,12 @@ from jaxtyping import Array, Float
 
 from i2t import validation
 from i2t.geometry import is_rigid
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS
+from i2t.patches.views import WideView, view_of_heights
 from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
 from i2t.rendering.tiles import ToolView
 from i2t.types import Patch, Surface
-from i2t.views import WideView, view_of_heights
-from i2t.windows import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS
 
 MAX_COORDINATE_M = 100.0  # m, where one step of float32 is 8 um
 

@@ -15,6 +15,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from i2t.patches.dimensions import STANDOFF
 from i2t.rendering.bitset import (
     WORD_BITS,
     as_uint32,
@@ -26,7 +27,6 @@ from i2t.rendering.bitset import (
 )
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices, maximum, minimum
-from i2t.windows import STANDOFF
 
 TILE_PIXELS = 8  # pixels along the edge of a tile
 EDGE_TOLERANCE_ROUNDINGS = 4  # tolerance of an edge, in roundings of its corners' coordinates

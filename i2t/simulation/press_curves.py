@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Key
 
-from i2t.simulation.press import PressLimits, pad_response, press_to_stop
+from i2t.contact.press import PressLimits, pad_response, press_to_stop
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import CELL_GRID, CONTACT_NEWTONS, GRID
 from i2t.skin.noise import add_sensor_noise

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Annotated, get_type_hints
 
-from i2t.cli import Limits
-from i2t.windows import PAD_WINDOW
+from i2t.cli.options import Limits
+from i2t.patches.dimensions import PAD_WINDOW
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import validation
-from i2t.compiling import jit_quickly, traced_floats
 from i2t.geometry import contact_frame, full_precision, inverse
 from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import PAD_WINDOW, STANDOFF
 from i2t.rendering.render import prepare_surface
 from i2t.rendering.tiles import ToolView, place_boxes
+from i2t.runtime.compiling import jit_quickly, traced_floats
 from i2t.simulation.site_limits import SiteLimits
 from i2t.types import Surface, in_one_line
-from i2t.windows import PAD_WINDOW, STANDOFF
 
 MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the sides of the square
 CHECKED_AT_A_TIME = 64  # sites, at most: more take more memory

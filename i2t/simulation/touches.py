@@ -10,7 +10,7 @@ repeatability and tilt of approach. Nothing the model may later use is error fre
            the skin change or the force first crosses its limit, then felt by a skin that remembers, creeps and warms
            and read through the board with ambient and noise.
 
-`i2t.simulation.press` says where a press ends; its rule sees the reading without friction. Until there the arm travels
+`i2t.contact.press` says where a press ends; its rule sees the reading without friction. Until there the arm travels
 the indentation and F / stiffness past first contact (series compliance of arm and mount).
 
 Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation.
@@ -30,11 +30,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import geometry, validation
-from i2t.batching import select_rows, spread
-from i2t.compiling import jit_by_amount, jit_quickly, traced_floats
+from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
+from i2t.patches.dimensions import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.views import WideView, camera_view, centre, pixels_on_skin
 from i2t.rendering.render import render_heights, render_patch, stack_surfaces
+from i2t.runtime.batching import select_rows, spread
+from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
 from i2t.simulation import sites as touch_sites
-from i2t.simulation.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
 from i2t.skin import faults
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
@@ -43,8 +45,6 @@ from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import friction_response
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
-from i2t.views import WideView, camera_view, centre, pixels_on_skin
-from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 POSE_ERRORS = 7  # the first of `SimulationErrors`
 FEW_SESSIONS = 400  # of no more, compiling them quickly pays
@@ -181,7 +181,7 @@ def simulate_touch(
         errors: sizes of the errors that each touch draws anew.
         limits: when the press ends.
         law: what a press of the pad gives; another one makes a world whose physics is another.
-        response: the pad's `i2t.simulation.press.pad_response`, which is worked out anew where it is not given.
+        response: the pad's `i2t.contact.press.pad_response`, which is worked out anew where it is not given.
 
     Returns:
         One touch. Its reading is still that of an ideal sensor (see `apply_sensor_model`), and its indices are left 0

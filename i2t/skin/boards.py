@@ -19,9 +19,9 @@ from jaxtyping import Bool, Float
 
 from i2t import validation
 from i2t.errors import did_you_mean
-from i2t.files import read_toml
+from i2t.files.reading import read_toml
+from i2t.patches.dimensions import ORTHOGONALITY_TOLERANCE, PAD_WINDOW
 from i2t.types import Board
-from i2t.windows import ORTHOGONALITY_TOLERANCE, PAD_WINDOW
 
 CHIP_PITCH_M = 7e-3  # from the centre chip to each of the others
 CHIP_DEPTH_M = 3.5e-3  # of the chips below the skin's surface: 2 mm of elastomer and 1.5 mm of package and cover

@@ -48,8 +48,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Pad
-from i2t.windows import PAD_WINDOW
 
 # Full float32 products where a device would round the factors (to 10 bits on some).
 _dot = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)

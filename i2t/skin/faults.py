@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry
-from i2t.compiling import traced_floats
+from i2t.runtime.compiling import traced_floats
 from i2t.types import Board
 
 EARTH_DIP_RAD = np.deg2rad(64.0)  # of the earth's field below the horizon in central Europe (IGRF-13, 2020)

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from i2t import serialization
 from i2t.errors import SerializationError
+from i2t.files import serialization
 from i2t.types import Pad
 
 KIND = "i2t pad"

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from i2t.compiling import traced_floats
+from i2t.runtime.compiling import traced_floats
 from i2t.types import Board
 
 

@@ -13,15 +13,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
-from i2t.compiling import jit_quickly
 from i2t.errors import did_you_mean
+from i2t.patches.dimensions import PAD_WINDOW
+from i2t.runtime.compiling import jit_quickly
 from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import Shear, rest, shear
 from i2t.types import Board, Pad, in_one_line
-from i2t.windows import PAD_WINDOW
 
 THICKNESS_M = 2e-3
 CHIP_GAP_M = 1.5e-3  # from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film

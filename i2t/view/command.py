@@ -7,8 +7,9 @@ from typing import Literal
 
 import tyro
 
-from i2t.cli import Count, command, require_with, require_writable
-from i2t.files import why_no_touches
+from i2t.cli.exit_codes import command
+from i2t.cli.options import Count, require_with, require_writable
+from i2t.files.reading import why_no_touches
 from i2t.objects.named import require_object
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from i2t.dataset import Record
-from i2t.files import replacing
+from i2t.files.writing import replacing
 from i2t.types import ReturnCode
 from i2t.view.contents import Contents, readings_of
 from i2t.viz.patches import plot_patches

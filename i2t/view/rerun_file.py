@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import require_extra, why_missing
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.view.contents import Contents, Events, Field, Item, Numbers, Picture, Poses, camera_of, items, span
-from i2t.windows import PAD_WINDOW
 
 APPLICATION, NEEDS_RERUN = "i2t", "a Rerun recording"
 VECTOR_M_PER_UT = 1e-4  # length of a field vector: 50 uT are 5 mm

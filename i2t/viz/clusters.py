@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from i2t.windows import CONTACT_TOLERANCE_M, REACH
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, REACH
 
 NUM_CLUSTERS = 5  # the paper's
 NUM_COMPONENTS = 50  # of the views

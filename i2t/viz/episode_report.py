@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
 from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Array, Board
@@ -26,7 +27,6 @@ from i2t.viz.patches import draw_patch
 from i2t.viz.scene import object_image, why_no_scene
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
 from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, Picture, save_figure, titled
-from i2t.windows import PATCH_WINDOW, REACH
 
 MAX_ROWS = 6  # touches on a page
 MAX_CANDIDATES = 5  # on a page

@@ -7,9 +7,9 @@ from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 from i2t.types import Array
 from i2t.viz.style import MM_PER_M, Picture, titled
-from i2t.windows import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 
 
 def draw_map(

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array
 from i2t.viz.style import BLUE, GREEN, MM_PER_M, ORANGE, RED, Picture
-from i2t.windows import PAD_WINDOW
 
 CLOSE_UP_M = 0.13  # half the edge of the close-up around the site
 AXIS_M = 0.05  # length of a frame's drawn axes

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib import colormaps
 
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array
 from i2t.viz.style import MM_PER_M, Picture, titled
-from i2t.windows import PAD_WINDOW
 
 SKIN_LIFT_MM = 0.5  # by which the skin's square is drawn off the surface
 NUMBER_DISTANCE_MM = 9.0  # of a touch's number behind the skin, where a person stands

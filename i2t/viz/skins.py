@@ -9,10 +9,10 @@ from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_map
 from i2t.viz.style import BLUE, COLOURS, GREY, KPA_PER_PA, MM_PER_M, Picture, titled
-from i2t.windows import PAD_WINDOW
 
 ARROW_MM = 5.0  # of the field that a figure's scale names
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
 from i2t.viz.style import BLUE, COLOURS, GREY, Picture, titled
-from i2t.windows import PATCH_WINDOW, REACH
 
 NORMAL_QUANTILE_90 = 1.645  # standard deviations each way that contain nine in ten
 

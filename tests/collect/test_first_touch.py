@@ -9,8 +9,6 @@ import trimesh
 from helpers.closed_form import GAIN, HEIGHT, make, site
 from scipy.spatial.transform import Rotation
 
-from experiments.faults.rig import right_rig_refused, try_mistake, try_rig
-from experiments.faults.rig_mistakes import MISTAKES, WRONG_RIGS, right_rig
 from i2t.collect import first_touch as module
 from i2t.collect.first_touch import Look, RigContradictedError, depth_contradiction, first_touch, plan_first_touch
 from i2t.collect.settings import TouchSettings
@@ -18,6 +16,8 @@ from i2t.collect.touch import UnreachableError
 from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.simulation.site_limits import SiteLimits
+from tests.faults.rig import right_rig_refused, try_mistake, try_rig
+from tests.faults.rig_mistakes import MISTAKES, WRONG_RIGS, right_rig
 
 QUICK = TouchSettings(prepare=0.015, clearance=0.03, approach=0.04, settle=0.02)
 

@@ -10,7 +10,6 @@ from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, listed, make, site
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from experiments.faults.closed_form import MemoryLog
 from i2t.collect.settings import TouchSettings
 from i2t.collect.stopping import StopCondition, onset_distance
 from i2t.collect.touch import MissedContactError, SkinOnTool, TouchFailedError, UnreachableError
@@ -21,6 +20,7 @@ from i2t.hardware.protocols import ArmState, Samples
 from i2t.hardware.rig import Rig
 from i2t.skin import boards
 from i2t.types import ReturnCode
+from tests.faults.closed_form import MemoryLog
 
 READINGS = len(GAIN)
 

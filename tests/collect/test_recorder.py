@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from helpers.closed_form import GAIN, HEIGHT, WALL, listed, make, names, site
 
-from experiments.faults.closed_form import SettableClock
 from i2t import dataset
 from i2t.collect import notes, recorder
 from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, written_at
 from i2t.errors import DataError, DeviceError
-from i2t.files import unwritable
+from i2t.files.writing import unwritable
 from i2t.types import ReturnCode
+from tests.faults.closed_form import SettableClock
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from helpers import authors_layout
 from helpers.damage import VARIANTS, Recorded, press
 from helpers.recordings import READING_NAMES, converted, write_session, write_table
 
-from i2t import unknowns
+from i2t.recordings import diagnose as unknowns
 from i2t.types import ReturnCode
 
 N = 12

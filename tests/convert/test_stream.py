@@ -10,8 +10,8 @@ from helpers.recordings import READING_NAMES, converted, refused, run, write_tab
 from i2t.convert import stream
 from i2t.convert.stream import table_of_presses
 from i2t.errors import DataError
+from i2t.recordings.segmentation import segment_presses
 from i2t.skin.boards import reskin_board
-from i2t.unknowns.segmentation import segment_presses
 
 RATE, NOISE = 400.0, 1.5
 BOARD = reskin_board()

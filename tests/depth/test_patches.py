@@ -20,8 +20,8 @@ from i2t.depth.camera import Camera
 from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import patch_from_depth
 from i2t.objects.catalogue import make_object
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.rendering.render import contact_mask, prepare_surface, render_patch
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 CAMERA = Camera(640, 360, 322.4, 322.1, 319.5, 179.5)
 ERROR = 1e-4  # m, RMS that is allowed away from edges

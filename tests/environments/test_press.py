@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from helpers.environments import OBJECTS, PADS, SITES, random_environment
 
+from i2t.contact.press import PressLimits, press_to_stop
 from i2t.environments import tables
 from i2t.environments.core import EnvironmentConfig, TouchAction
 from i2t.environments.press import TouchOutcome, meet, press, touch_outcome
 from i2t.environments.tables import make_environment, tabulate
 from i2t.geometry import inverse
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.rendering.ops import element
 from i2t.rendering.render import render_heights
-from i2t.simulation.press import PressLimits, press_to_stop
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.contact import GRID
-from i2t.windows import PAD_WINDOW
 
 QUIET = EnvironmentConfig(touches=3, errors=SimulationErrors.none(), limits=replace(PressLimits(), overshoot=0.0))
 

@@ -16,16 +16,17 @@ from experiments.calibrate.evaluate import explained, learning_curves, over_bloc
 from experiments.calibrate.held_out import EACH_PRESS, RANDOM, HeldOut, hold_out, share_masks
 from experiments.train.configs import PRESETS as TRAINING
 from experiments.train.splitting import split_dataset
-from i2t import calibration, serialization
 from i2t import dataset as data
-from i2t.calibration import load_calibration
-from i2t.calibration.physics import PadFit, RoundTip, layer_prior
-from i2t.calibration.prior import PRIOR_KIND, KernelPrior, load_prior
+from i2t import skin_models as calibration
 from i2t.dataset import Dataset
 from i2t.errors import DataError
+from i2t.files import serialization
 from i2t.skin import boards
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.skin.pad import sample_pad
+from i2t.skin_models import load_calibration
+from i2t.skin_models.magnetization import PadFit, RoundTip, layer_prior
+from i2t.skin_models.prior import PRIOR_KIND, KernelPrior, load_prior
 
 
 def recording(n: int, pads: int = 1, **columns) -> Dataset:

@@ -12,8 +12,8 @@ from experiments.fidelity.causes import LAG, SIGN, SOFTNESS
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.sections import written
 from experiments.train.loads import press_load, with_known_load
+from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import save_dataset
-from i2t.prediction.pressure import PressureModelConfig
 from i2t.skin import boards
 
 FORCED = PressureModelConfig(pitch=1e-3)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from experiments.common.checks import finished_runs, require_pad
-from experiments.reproduce.__main__ import main as reproduce
+from tools.reproduce.__main__ import main as reproduce
 
 
 def folder_with(path: Path, **files: object) -> Path:

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from experiments.calibrate.arguments import CalibrateArgs
-from experiments.check_docs import pages
 from experiments.common.commands import say_where
 from experiments.common.runs import METRICS
 from experiments.recognize.arguments import SimulateArgs
 from experiments.train.arguments import TrainArgs
+from tools.check_docs import pages
 
 
 def test_results_pictures_and_the_next_command_are_named_where_there_are_any(tmp_path, capsys):

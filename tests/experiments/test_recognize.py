@@ -10,22 +10,22 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from experiments.common.runs import load_part
-from experiments.gallery.arguments import FIGURE_NAMES
-from experiments.gallery.figures import FIGURES
-from experiments.gallery.story import Story
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
 from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
 from experiments.recognize.run import configure
-from experiments.reproduce.recognition_tables import STUDY_TABLES
 from experiments.studies import __main__ as studies
 from experiments.studies import physics
 from experiments.train import __main__ as train
 from i2t import dataset
 from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
 from i2t.types import ReturnCode
+from tools.gallery.arguments import FIGURE_NAMES
+from tools.gallery.figures import FIGURES
+from tools.gallery.story import Story
+from tools.reproduce.recognition_tables import STUDY_TABLES
 
 pytestmark = pytest.mark.usefixtures("pad_models_fitted_once")
 

@@ -10,8 +10,8 @@ from experiments.common import checks
 from experiments.common.runs import load_part, save_part
 from experiments.recognize import report
 from experiments.recognize.report import COMPARED, FAIR, IMAGINE2TOUCH, RULES_GP, EpisodeResults
-from experiments.reproduce.recognition_tables import paper_differences
 from i2t.recognition.paper_rules import PROPRIOCEPTION
+from tools.reproduce.recognition_tables import paper_differences
 
 NAMES = ("star", "cylinder")
 MASK, DEPTH = IMAGINE2TOUCH

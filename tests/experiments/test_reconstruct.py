@@ -23,10 +23,10 @@ from i2t.errors import DataError
 from i2t.objects import make_object
 from i2t.objects.mesh_files import load_object
 from i2t.objects.solids import centre_box
+from i2t.patches.dimensions import PATCH_WINDOW
 from i2t.reconstruction.signed_distances import sample_surface
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.types import ReturnCode
-from i2t.windows import PATCH_WINDOW
 
 
 @pytest.mark.full

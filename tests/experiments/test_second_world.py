@@ -8,8 +8,8 @@ import pytest
 from helpers import second_world as world
 
 from experiments.train.loads import Tried, explained
+from i2t.contact.pressure import PressureModelConfig
 from i2t.prediction.baselines import Ridge, patch_components
-from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import TouchBatch
 
 SKIN = world.make_skin(np.random.default_rng(0))

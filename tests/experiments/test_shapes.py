@@ -18,9 +18,9 @@ from i2t import dataset as data
 from i2t.errors import DataError
 from i2t.geometry import random_motion
 from i2t.objects import catalogue
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.rendering.render import prepare_surface, render_heights
 from i2t.skin.pad import numbered_pad
-from i2t.windows import PAD_WINDOW
 
 CFG = PRESETS["debug"]
 

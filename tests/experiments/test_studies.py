@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from experiments.recognize.config import PRESETS
-from experiments.reproduce.recognition_tables import STUDY_TABLES, TABLES, study_table
 from experiments.studies import mismatch, open_set, physics, report, stopping
 from experiments.studies.run import STUDIES
+from experiments.studies.tables import study_table
 from i2t.recognition.intervals import Estimate
+from tools.reproduce.recognition_tables import STUDY_TABLES, TABLES
 
 EPISODES = 50
 RNG = np.random.default_rng(0)

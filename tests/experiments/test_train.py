@@ -25,13 +25,12 @@ from experiments.train.prepare import Prepared
 from experiments.train.reports import ON_PRESSURE, print_table, summarise
 from experiments.train.run import CEILING
 from i2t import dataset
+from i2t.contact.pressure import ContactPressure, PressureModelConfig
 from i2t.dataset import Split
-from i2t.prediction.gp import ContactPressure
 from i2t.prediction.gp_method import GaussianProcess
 from i2t.prediction.methods import METHODS, TrainingTouches, find_method
 from i2t.prediction.metrics import Score, score
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.pressure import PressureModelConfig
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.skin.boards import grid_board
 from i2t.skin.files import save_pad

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.faults.skin import flipped_bits
 from i2t.emulators.reskin_board import Readings
 from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.driver import diagnose
 from i2t.hardware.reskin.frames import FIELD_RANGE_UT, TEMPERATURE_RANGE_C, Decoder, decode, decode_any, decoders
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
 from i2t.skin.boards import make_board
+from tests.faults.skin import flipped_bits
 
 SIZES = {Format.BINARY: 82, Format.FRAMED: 64, Format.CRC: 87}  # bytes of a frame of five chips
 SIZE = SIZES[Format.BINARY]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from helpers.closed_form import HEIGHT, make
 
-from experiments.faults.closed_form import ForeignArm, MemoryLog
 from i2t.collect.settings import TouchSettings
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
 from i2t.errors import DeviceError, MotionStoppedError
@@ -20,6 +19,7 @@ from i2t.hardware.guarded import STATE_AGE_S, MotionWatch, free_limits
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState
+from tests.faults.closed_form import ForeignArm, MemoryLog
 
 STIFFNESS = 10e3  # N/m, of the plane
 NUMBERS = np.array([np.nan, np.inf, -np.inf, 1e6])

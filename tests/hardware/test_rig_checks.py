@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.faults.rig_mistakes import MISTAKES, right_rig
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import implausible, other_lens, require_plausible
 from i2t.objects.catalogue import make_object
+from tests.faults.rig_mistakes import MISTAKES, right_rig
 
 # What a file does not show, and only camera, arm and skin can contradict (tests/collect/test_first_touch.py).
 LEFT_TO_THE_FIRST_TOUCH = {

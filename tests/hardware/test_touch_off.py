@@ -22,7 +22,7 @@ from i2t.hardware.touch_off import (
     fit_plane,
     touch_off,
 )
-from i2t.windows import PAD_WINDOW
+from i2t.patches.dimensions import PAD_WINDOW
 
 LIMITS = MotionLimits((0.2, -0.3, 0.005), (0.6, 0.3, 0.5))
 AT, HEIGHT, STIFFNESS = (0.4, 0.1), 0.03, 4000.0  # m, m, N/m of a corner

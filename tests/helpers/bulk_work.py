@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from i2t import compiling, training
+from i2t import training
 from i2t.objects import catalogue
 from i2t.prediction.model import Inputs, ModelConfig, learner, normalisation, prepared
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.episodes import Episodes, run_belief
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
+from i2t.runtime import compiling
 from i2t.simulation.touches import SimulationErrors, simulate_touches
 from i2t.skin.pad import nominal_pad
 from i2t.training import Batch, TrainConfig

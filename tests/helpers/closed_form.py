@@ -16,10 +16,10 @@ from i2t.geometry import transform
 from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.hardware.rig import Rig
+from i2t.patches.dimensions import PATCH_PIXELS, WIDE_PIXELS
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.skin.noise import Noise
-from i2t.windows import PATCH_PIXELS, WIDE_PIXELS
 
 HEIGHT = 0.03  # m, of the plane
 WALL = 1.7e9  # Unix time at which a test begins

@@ -25,9 +25,6 @@ import h5py
 import numpy as np
 from helpers import random_touches
 
-from i2t.calibration.heads import load_head
-from i2t.calibration.model import load_calibration
-from i2t.calibration.recordings import read_recordings
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.notes import resume
 from i2t.collect.recorder import RAW_FILE_HEADER, read_raw
@@ -35,15 +32,18 @@ from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset
 from i2t.depth.camera import read_depth
 from i2t.errors import I2TError
+from i2t.files.serialization import _digest
 from i2t.hardware.camera_folder import read_view
 from i2t.hardware.hand_eye import CharucoBoard, estimate
 from i2t.hardware.rig import Rig
+from i2t.heads.heads import load_head
+from i2t.heads.recordings import read_recordings
 from i2t.objects import load_mesh, make_object
 from i2t.prediction.predictor import load_predictor
 from i2t.recognition.pad_model_files import load_pad_model
-from i2t.serialization import _digest
 from i2t.skin.boards import reskin_board
 from i2t.skin.files import load_pad
+from i2t.skin_models.calibration import load_calibration
 
 GIB = 2**30
 PATIENCE_S = 60
@@ -184,7 +184,7 @@ def npz(entries: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
 
 
 def kept(kind: str, arrays: dict[str, Any]) -> bytes:
-    """A file as `i2t.serialization.save` writes it, with the right checksum, of whatever arrays."""
+    """A file as `i2t.files.serialization.save` writes it, with the right checksum, of whatever arrays."""
     arrays = {name: np.asarray(values) for name, values in arrays.items()}
     header = {"format": kind, "version": 1, "sha256": _digest(arrays), "about": {}}
     entries = {"about": np.array(json.dumps(header)), **arrays}

@@ -8,7 +8,7 @@ from pathlib import Path
 import i2t
 
 ROOM = Path(i2t.__file__).parent / "paper"
-ALLOWED = {"paper", "types", "windows", "training", "rendering"}  # of i2t
+ALLOWED = {"paper", "types", "patches", "training", "rendering"}  # of i2t
 
 
 def imported(tree: ast.Module) -> set[str]:

@@ -11,17 +11,18 @@ import pytest
 import trimesh
 
 from i2t import geometry
+from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.errors import CheckpointError
 from i2t.objects import catalogue
-from i2t.prediction import gp, model, predictor
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.prediction import model, predictor
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.networks import PatchNetwork, PressureNetwork
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.pressure import PressureModelConfig, predict_pressures
 from i2t.rendering.render import prepare_surface, render_view
 from i2t.skin.boards import board_as_lists, make_board, name_of_board, same_board
+from i2t.skin_models import pressure_gp as gp
 from i2t.training import Standard
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 from tests.helpers.baselines import fit_baselines
 
 PRESSURE = PressureModelConfig(PATCH_WINDOW / PATCH_PIXELS, smooth=False, tilt=0.0)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.objects import catalogue
@@ -25,7 +26,6 @@ from i2t.recognition.episodes import (
 )
 from i2t.recognition.site_pool import SitePool
 from i2t.rendering.render import prepare_surface
-from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import grid_board
 from i2t.skin.pad import nominal_pad

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t import serialization
 from i2t.errors import DataError, SerializationError
+from i2t.files import serialization
 from i2t.recognition import belief
 from i2t.recognition.outcomes import Layer, LinearReadingModel
 from i2t.recognition.pad_model import PadModel

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from i2t.patches.dimensions import REACH
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
-from i2t.windows import REACH
 
 LOADS = (0.3, 1.0, 3.0)
 CHANNELS = 6

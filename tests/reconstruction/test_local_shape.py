@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import i2t
+from i2t.contact.press import PressLimits
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.reconstruction import infer_patch
 from i2t.reconstruction.library import library_of, sample_contacts
 from i2t.reconstruction.local_shape import (
@@ -18,10 +20,8 @@ from i2t.reconstruction.local_shape import (
 )
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import render_heights
-from i2t.simulation.press import PressLimits
 from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
-from i2t.windows import PAD_WINDOW, PATCH_WINDOW, REACH
 
 TRUE = 7
 INFER = jax.jit(infer_patch, static_argnames=("samples",))

@@ -10,6 +10,7 @@ from helpers.balls import ball_model, from_above
 
 from i2t.depth.camera import Camera
 from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.reconstruction.evidence import (
     SeenThrough,
     contact_evidence,
@@ -39,7 +40,6 @@ from i2t.reconstruction.surface import (
     weighted_prior,
 )
 from i2t.simulation.depth_camera import render_view
-from i2t.windows import PAD_WINDOW
 
 HALF = np.full(3, 40e-3)
 GRID = grid_around(-HALF, HALF, across=24, margin=4e-3)

@@ -20,12 +20,12 @@ from experiments.registration.frames import OBJECTS, frames
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, random_motion, to_twist
 from i2t.objects import make_object, read_mesh
+from i2t.patches.dimensions import PAD_WINDOW, TWIST_LEVER_M
 from i2t.registration import camera_covariance, contact_poses, register_by_depth, register_by_touch, touch
 from i2t.registration.touch import STUDENT_T_DOF
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.types import ReturnCode, Surface, Touches
-from i2t.windows import PAD_WINDOW, TWIST_LEVER_M
 
 NAMES = ("hexagon", "cylinder", "spanner")
 STACK = stack_surfaces([prepare_surface(make_object(name).mesh) for name in NAMES])  # one size class, one compilation

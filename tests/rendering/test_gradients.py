@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from i2t.geometry import so3_exp, transform
 from i2t.objects.catalogue import make_object
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.rendering.bvh import DENSE_CLUSTER_FACES, layout_clusters
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Surface
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH
 
 STEP = 1e-6  # m and rad
 # On one face the path of a pixel bends by STEP^2 slope^2 / (0.01 m and more) < 1e-10 m up to slopes of 1; where it

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from i2t.objects.catalogue import make_object
+from i2t.patches.dimensions import REACH
 from i2t.rendering.render import prepare_surface, render_heights, render_patch, stack_surfaces
 from i2t.types import Surface
-from i2t.windows import REACH
 
 PYRAMID = prepare_surface(make_object("pyramid").mesh)  # its flat top, 15 mm wide, is 35 mm high
 LOOK = np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32)  # straight down

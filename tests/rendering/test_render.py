@@ -19,11 +19,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t.objects.catalogue import make_object
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 from i2t.rendering.bitset import pack_bits
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
 from i2t.rendering.raycast import GROUPS_PER_PASS
 from i2t.rendering.render import contact_mask, prepare_surface, render_heights, render_patch, stack_surfaces
-from i2t.windows import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 
 NEAR = 1e-7
 EDGE = 1e-6  # m, a ray this near to a projected edge may see either side of it

@@ -18,16 +18,16 @@ from manifold3d import Manifold
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from i2t.batching import map_batches
 from i2t.geometry import contact_frame, inverse, transform
 from i2t.objects import make_object, transform_mesh
 from i2t.objects.drawing import mesh_from_solid
 from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import PAD_WINDOW, STANDOFF
 from i2t.rendering.render import prepare_surface, stack_surfaces
+from i2t.runtime.batching import map_batches
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.sites import SiteLimits, collect_sites, nearest_in_square, press_along, sample_points, sample_sites
 from i2t.types import Surface
-from i2t.windows import PAD_WINDOW, STANDOFF
 
 DELTA = 3e-7
 HALF = PAD_WINDOW / 2

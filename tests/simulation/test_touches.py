@@ -19,11 +19,12 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
+from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset, load_dataset, save_dataset
+from i2t.patches.dimensions import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation import sites
-from i2t.simulation.press import PressLimits
 from i2t.simulation.touches import (
     CAMERA_DISTANCE_M,
     POSE_ERRORS,
@@ -39,7 +40,6 @@ from i2t.skin.contact import Grid
 from i2t.skin.faults import WEAR_PRESSES, Faults
 from i2t.skin.pad import sample_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches
-from i2t.windows import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 
 # The last press is worked out once more, on as many cells in a longer period, which the skin's own convergence says
 # changes it by less than 2 % (tests/skin); the stop before it is within 0.1 % of its limit (test_press).

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from i2t import serialization
 from i2t.errors import SerializationError
+from i2t.files import serialization
 from i2t.skin.files import KIND, load_pad, save_pad
 from i2t.skin.pad import nominal_pad
 

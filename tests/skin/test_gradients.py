@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.calibration.physics import RoundTip
 from i2t.skin import contact
 from i2t.skin.dipoles import response
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press, sample_pad
+from i2t.skin_models.magnetization import RoundTip
 
 SMALL = Grid(20, 32)
 Y, X = np.meshgrid(SMALL.centres, SMALL.centres, indexing="ij")

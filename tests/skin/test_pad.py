@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import faults
 from i2t.skin import pad as pads
@@ -12,7 +13,6 @@ from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
 from i2t.skin.noise import add_sensor_noise
 from i2t.types import Pad
-from i2t.windows import PAD_WINDOW
 from tests.helpers.round_tips import round_tip
 
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")

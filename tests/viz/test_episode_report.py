@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 
 from i2t import viz
 from i2t.objects import catalogue
+from i2t.patches.dimensions import REACH
 from i2t.skin.boards import grid_board, reskin_board
 from i2t.viz import episode_report, scene
-from i2t.windows import REACH
 
 NAMES = ("square", "hexagon")  # prisms 30 mm high: +-25 mm wide, and of circumradius 30 mm with flat sides at +-y
 PRESSED = 0.4e-3

@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from i2t.cli import Count, Positive, command
+from i2t.cli.exit_codes import command
+from i2t.cli.options import Count, Positive
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin

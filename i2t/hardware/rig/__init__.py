@@ -21,12 +21,13 @@ import numpy as np
 from i2t import validation
 from i2t.depth.camera import Camera
 from i2t.errors import closest
-from i2t.files import read_toml, replacing
+from i2t.files.reading import read_toml
+from i2t.files.writing import replacing
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.carried_skins import TEXT_KEYS, TOOL_SKIN, CarriedSkin, require_distinct
 from i2t.hardware.limits import MotionLimits, format_position
+from i2t.patches.dimensions import MAX_POSE_M, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 from i2t.types import Array
-from i2t.windows import MAX_POSE_M, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 
 OBJECT_SOURCES = ("given", "registration")  # how an object's pose is known
 MAX_TOOL_M = 0.5  # the largest sensible tool

@@ -7,7 +7,7 @@ from pathlib import Path
 import tyro
 
 import i2t.hardware.rig
-from i2t.cli import command
+from i2t.cli.exit_codes import command
 from i2t.hardware.rig import Rig, summary
 from i2t.hardware.rig_checks import implausible
 

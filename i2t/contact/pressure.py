@@ -1,0 +1,185 @@
+"""Pressure on the skin from the view and measurements at a contact: the geometry half of predicting a touch.
+
+The camera's view is smoothed to robust local planes (`i2t.contact.smoothing`), resampled to cells over the skin, and
+pressed with the measured force into a layer of nominal stiffness (`i2t.skin.contact`). What the camera cannot tell, the
+tilt between looking and pressing, is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the
+two tilts, because one degree over 20 mm is as large as a press is deep and a single guess would put all of the load on
+the wrong edge. The result, a pressure map and its load, says where and how hard the skin is met; which reading that
+gives is a property of one pad's magnetisation and is learned from its touches (`i2t.skin_models.pressure_gp`).
+
+Wide views are used where there are any; of a cropped one the outermost pixels are continued. A recording's own
+conventions, a pressing force that it counts negative and a height that its depths count from, are part of the
+configuration, so that a predictor takes the numbers that its recording has.
+"""
+
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.contact import smoothing
+from i2t.patches.dimensions import PAD_WINDOW
+from i2t.runtime.batching import size_classes
+from i2t.runtime.compiling import traced_floats
+from i2t.skin.contact import Grid, solve, solve_force
+from i2t.skin.pad import nominal_pad
+from i2t.types import Pad, in_one_line
+
+CELL_MM = 1.0  # mm
+SOLVER_TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
+
+# Gauss-Hermite, three points: exact to the fifth moment of the tilt.
+_NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
+_WEIGHTS = np.array(
+    [{0: 2 / 3, 1: 1 / 6}[abs(x)] * {0: 2 / 3, 1: 1 / 6}[abs(y)] for x in (-1, 0, 1) for y in (-1, 0, 1)]
+)
+
+
+@in_one_line
+class ContactPressure(NamedTuple):
+    """The pressure of a contact on the skin's surface; one touch, or many on axis 0."""
+
+    pressure: Float[Array, "*n m m"]  # N on each 1 mm cell
+    load: Float[Array, "*n"]  # N, total
+
+
+@traced_floats
+@dataclass(frozen=True)
+class PressureModelConfig:
+    """Options of the pressure model. Metres, radians, newtons."""
+
+    pitch: float  # m, edge of a pixel of the view
+    window: float = field(default=PAD_WINDOW, metadata={"static": True})  # m, edge of the square that can carry load
+    smooth: bool = True  # off for views without noise
+    tilt: float = 0.6 * np.pi / 180  # standard deviation of the tilt that the view does not show, about each axis
+    control: Literal["force", "depth"] = "force"  # what the press is known by
+    # m, edge of a cell of the contact grid; divides 1 mm
+    cell: float = field(default=0.5e-3, metadata={"static": True})
+    iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
+    floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
+    force_sign: float = 1.0  # -1 where the recording counts a pressing force negative
+    softness: float = 1.0  # of the layer that is pressed, in units of the pad's: of one twice as soft, E is halved
+    depth_offset: float = 0.0  # m, added to depths that count from a height above or below first contact
+
+    def __post_init__(self) -> None:
+        """Refuse cells that do not tile the skin, and a layer of no stiffness (ValueError)."""
+        if not (np.isfinite(self.softness) and self.softness > 0):
+            raise ValueError(f"softness is {self.softness:g}; give a positive number, 1 for a nominal layer")
+        for name, length in (("1 mm", CELL_MM * 1e-3), ("the window", self.window)):
+            count = length / self.cell
+            if count < 0.5 or abs(count - round(count)) > 1e-6 * count:
+                raise ValueError(f"cell is {self.cell:g} m, which does not divide {name}; take 0.5e-3 or 1e-3")
+
+    @property
+    def grid(self) -> Grid:
+        """The contact grid and its period of 1.6 windows."""
+        cells = round(self.window / self.cell)
+        return Grid(cells=cells, modes=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
+
+
+def heights(cfg: PressureModelConfig, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
+    """Heights of the view over the cells of the skin.
+
+    Args:
+        cfg: How pressure is predicted.
+        view: m, depth view about the tool axis; NaN where nothing is known.
+
+    Returns:
+        m, of the view, at the centres of the contact grid's cells.
+    """
+    if cfg.smooth:
+        view = smoothing.local_planes(view)
+    view = smoothing.fill(view)
+    at = cfg.grid.centres / cfg.pitch + (view.shape[0] - 1) / 2
+    row, column = jnp.meshgrid(at, at, indexing="ij")
+    return jax.scipy.ndimage.map_coordinates(view, [row, column], order=1, mode="nearest")
+
+
+def predict_pressure(
+    cfg: PressureModelConfig,
+    pad: Pad,
+    view: Float[Array, "n n"],
+    force: Float[Array, ""],
+    depth: Float[Array, ""],
+) -> ContactPressure:
+    """Contact pressure of a press on the surface in the view.
+
+    Of `force` and `depth` only the one named by `cfg.control` is used. A press known by its depth alone gets the load
+    that the nominal layer gives.
+
+    Args:
+        cfg: How pressure is predicted.
+        pad: Whose layer is pressed.
+        view: m, depth view; NaN where nothing is known.
+        force: N, along tool z.
+        depth: m, past first contact.
+
+    Returns:
+        Pressure (N on each 1 mm cell) and its load (N).
+    """
+    grid = cfg.grid
+    pad = pad._replace(young=pad.young / cfg.softness)
+    height = heights(cfg, view)
+    x, y = jnp.meshgrid(grid.centres, grid.centres)
+
+    def press(tilt: Float[Array, "2"]) -> Float[Array, "g g"]:
+        tilted = height + cfg.tilt * (tilt[0] * x + tilt[1] * y)
+        tilted = tilted - jnp.min(tilted)
+        if cfg.control == "force":
+            load = jnp.maximum(cfg.force_sign * force, cfg.floor)
+            contact = solve_force(pad, tilted, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations)
+            return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
+        return solve(
+            pad,
+            tilted,
+            jnp.maximum(depth + cfg.depth_offset, 0.0),
+            grid,
+            tolerance=SOLVER_TOLERANCE,
+            max_steps=cfg.iterations,
+        ).pressure
+
+    # Without a tilt the middle node is pressed alone.
+    tilted, middle, nodes = cfg.tilt > 0, len(_NODES) // 2, jnp.float32(_NODES)
+    first, last = jnp.where(tilted, 0, middle), jnp.where(tilted, len(_NODES), middle + 1)
+    pressures = jax.lax.fori_loop(
+        first, last, lambda i, some: some.at[i].set(press(nodes[i])), jnp.zeros((len(_NODES), grid.cells, grid.cells))
+    )
+    weights = jnp.where(tilted, jnp.float32(_WEIGHTS), jnp.arange(len(_NODES)) == middle)
+    pressure = jnp.einsum("t,tij->ij", weights, pressures)
+    coarse = round(CELL_MM * 1e-3 / grid.spacing)
+    cells = pressure.shape[0] // coarse
+    newtons = pressure.reshape(cells, coarse, cells, coarse).sum((1, 3)) * grid.spacing**2
+    return ContactPressure(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))
+
+
+def predict_pressures(
+    cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, depth: np.ndarray, pad: Pad | None = None
+) -> ContactPressure:
+    """The contact pressures of many touches, in batches of few sizes, so that a new number of them compiles nothing.
+
+    Args:
+        cfg: How pressure is predicted.
+        views: (n, w, w) m, depth views; NaN where the recording was cropped.
+        force: (n,) N along tool z.
+        depth: (n,) m past first contact.
+        pad: Whose layer is pressed; left out, one of nominal stiffness.
+
+    Returns:
+        Pressures and loads, n on axis 0.
+    """
+    columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or _nominal_pad()
+    parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows in size_classes(len(views))]
+    # Only the last part is filled up.
+    return jax.tree.map(lambda *found: jnp.asarray(np.concatenate(found)[: len(views)]), *parts)
+
+
+_nominal_pad = cache(nominal_pad)  # whose making takes a fifth of a single prediction
+
+
+@jax.jit
+def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, depth: Array) -> ContactPressure:
+    return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, depth)

@@ -1,0 +1,1 @@
+"""Depth patches: their size, and what surrounds them."""

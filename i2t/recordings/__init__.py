@@ -1,0 +1,1 @@
+"""Recordings of presses: where presses are in a log, and what a recording states wrongly."""

@@ -1,0 +1,1 @@
+"""How programs run: batches, compiling, the folder of compiled programs, progress."""

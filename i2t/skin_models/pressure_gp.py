@@ -1,0 +1,341 @@
+"""A Gaussian process (GP) from contact pressure to readings.
+
+For small strain the reading of a magnetic skin is linear in the pressure p on its surface, reading_c = sum_x g_c(x)
+p(x): the displacement is linear in p and the field is linear in the displacement. What a pad hides is the map g_c, one
+smooth picture per channel. A Gaussian-process prior on g_c with covariances C_l(x, x') = exp(-|x - x'|^2 / 2 l^2) gives
+a covariance between two touches that needs no hidden map at all,
+
+  k(t, t') = sum_l a_l p_t . C_l p_t' [1 - b + b exp(-(log(F_t / F_t'))^2 / 2 w^2)],
+
+where the bracket lets the response change with the load F (a layer stiffens as it is pressed; lattices buckle). For one
+round tip this is the structured kernel f(F) x g(x, y) of a calibrated skin; for any other contact it is its
+superposition. Zero pressure means zero reading, so the mean is zero. Channels share the covariance and differ in scale;
+there are as many as the board has, 3 for each chip.
+
+Rasmussen and Williams, "Gaussian Processes for Machine Learning", algorithm 2.1; the hyperparameters minimise the error
+on held-out groups of touches (section 5.3, cross-validation), never the evidence, because the prior is known to be
+wrong in detail.
+"""
+
+import warnings
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int
+
+from i2t.contact.pressure import CELL_MM, ContactPressure
+from i2t.runtime.batching import select_rows
+from i2t.runtime.compiling import jit_quickly
+from i2t.types import in_one_line
+
+LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, of the maps g_c: from below a skin's thickness to beyond its edge
+JITTER = 1e-5  # of the mean variance: float32 factors of a few thousand touches stay real
+
+
+@in_one_line
+class GPHyperparameters(NamedTuple):
+    """Hyperparameters of the covariance, in the symbols of the module's formula."""
+
+    weights: Float[Array, " lengths"]  # a_l, for unit mean variance
+    bend: Float[Array, ""]  # b
+    width: Float[Array, ""]  # w, in log load
+    noise: Float[Array, ""]  # variance of a channel's noise, relative to that of its signal
+
+
+@in_one_line
+class GP(NamedTuple):
+    """A fitted GP: training touches, hyperparameters and the solved system."""
+
+    hyper: GPHyperparameters
+    touches: ContactPressure  # n of them
+    unit: Float[Array, " lengths"]  # per length, the mean variance of the training touches
+    cholesky: Float[Array, "n n"]
+    weights: Float[Array, "n channels"]
+    scale: Float[Array, " channels"]  # uT, root mean square of each channel's signal
+
+
+def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
+    """Symmetric square roots of the covariances along one axis; C_l is the outer product of two axes.
+
+    Args:
+        m: Cells of 1 mm along the axis.
+
+    Returns:
+        R_l with R_l R_l = exp(-(x_i - x_j)^2 / 2 l^2), for each length.
+    """
+    x = CELL_MM * np.arange(m)
+    values, vectors = np.linalg.eigh([np.exp(-((x[:, None] - x) ** 2) / (2 * length**2)) for length in LENGTHS_MM])
+    return ((vectors * np.sqrt(np.maximum(values, 0))[:, None, :]) @ vectors.swapaxes(1, 2)).astype(np.float32)
+
+
+def features(touches: ContactPressure) -> Float[Array, "lengths n mm"]:
+    """C_l^(1/2) p of every touch, flattened: their inner products are the covariances.
+
+    Args:
+        touches: n contact pressures on m x m cells.
+
+    Returns:
+        For each length and touch, m^2 values (N).
+    """
+    root = jnp.asarray(kernel_factor(touches.pressure.shape[-1]))
+    blurred = jnp.einsum("lij,njk,lmk->lnim", root, touches.pressure, root, precision="highest")
+    return blurred.reshape(*blurred.shape[:2], -1)
+
+
+def gram(
+    hyper: GPHyperparameters,
+    unit: Float[Array, " lengths"],
+    linear: Float[Array, "lengths a b"],
+    load_a: Float[Array, " a"],
+    load_b: Float[Array, " b"],
+) -> Float[Array, "a b"]:
+    """Covariance between touches.
+
+    Args:
+        hyper: Hyperparameters.
+        unit: N^2, per length the mean variance of the training touches.
+        linear: N^2, inner products of the touches' features.
+        load_a: N, of the first touches.
+        load_b: N, of the second touches.
+
+    Returns:
+        k(a, b), relative to the variance of a channel's signal.
+    """
+    return jnp.einsum("l,lab->ab", hyper.weights / unit, linear) * stiffening(hyper, load_a, load_b)
+
+
+def stiffening(hyper: GPHyperparameters, load_a: Float[Array, " a"], load_b: Float[Array, " b"]) -> Float[Array, "a b"]:
+    """Correlation of the responses at two loads: the bracket of the covariance.
+
+    Args:
+        hyper: Hyperparameters, of which `bend` and `width` count.
+        load_a: N.
+        load_b: N.
+
+    Returns:
+        1 for equal loads, at least 1 - `bend`.
+    """
+    ratio = jnp.log(jnp.maximum(load_a, 1e-3))[:, None] - jnp.log(jnp.maximum(load_b, 1e-3))[None, :]
+    return 1 - hyper.bend + hyper.bend * jnp.exp(-(ratio**2) / (2 * hyper.width**2))
+
+
+def inner_products(a: Float[Array, "lengths a mm"], b: Float[Array, "lengths b mm"]) -> Float[Array, "lengths a b"]:
+    """Inner products of the features of two sets of touches.
+
+    Args:
+        a: Features of the first touches.
+        b: Features of the second touches.
+
+    Returns:
+        N^2, per length.
+    """
+    return jnp.einsum("lax,lbx->lab", a, b, precision="highest")
+
+
+def fit(hyper: GPHyperparameters, touches: ContactPressure, readings: Float[Array, "n c"]) -> GP:
+    """Condition on touches, with given hyperparameters.
+
+    Args:
+        hyper: Hyperparameters.
+        touches: n contact pressures.
+        readings: uT, measured at them.
+
+    Returns:
+        The fitted GP.
+    """
+    linear = inner_products(f := features(touches), f)
+    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+    scale = jnp.sqrt(jnp.mean(readings**2, axis=0) / (1 + hyper.noise)) + 1e-6
+    K = gram(hyper, unit, linear, touches.load, touches.load)
+    cholesky = jnp.linalg.cholesky(K + (hyper.noise + JITTER) * jnp.eye(len(K)))
+    weights = jax.scipy.linalg.cho_solve((cholesky, True), readings / scale[None])
+    return GP(hyper=hyper, touches=touches, unit=unit, cholesky=cholesky, weights=weights, scale=scale)
+
+
+def predict(gp: GP, touches: ContactPressure) -> tuple[Float[Array, "n c"], Float[Array, "n c"]]:
+    """Readings of touches that were not measured.
+
+    Args:
+        gp: A fitted GP.
+        touches: n contact pressures.
+
+    Returns:
+        Mean and standard deviation (uT), the sensor's noise included.
+    """
+    f, f_train = features(touches), features(gp.touches)
+    cross = gram(gp.hyper, gp.unit, inner_products(f, f_train), touches.load, gp.touches.load)
+    own = jnp.einsum("l,lnx,lnx->n", gp.hyper.weights / gp.unit, f, f, precision="highest")
+    explained = jax.scipy.linalg.solve_triangular(gp.cholesky, cross.T, lower=True)
+    variance = jnp.maximum(own - jnp.sum(explained**2, axis=0), 0.0) + gp.hyper.noise
+    mean = jnp.matmul(cross, gp.weights, precision="highest")
+    return mean * gp.scale[None], jnp.sqrt(variance)[:, None] * gp.scale[None]
+
+
+def condition(
+    touches: ContactPressure,
+    readings: Float[Array, "n c"] | Float[np.ndarray, "n c"],
+    groups: Int[np.ndarray, " n"],
+    *,
+    seed: int = 0,
+) -> GP:
+    """A GP conditioned on touches, with the hyperparameters that held-out groups of them choose.
+
+    Args:
+        touches: n contact pressures.
+        readings: uT, measured at them.
+        groups: The run or spatial block of each touch, which cross-validation leaves whole.
+        seed: Of the folds, and of the sample where there are many touches.
+
+    Returns:
+        The fitted GP.
+
+    Raises:
+        ValueError: The hyperparameters cannot be chosen (see `choose_hyperparameters`).
+    """
+    values = jax.device_put(readings)
+    hyper, _ = choose_hyperparameters(touches, values, groups, seed=seed)
+    return jax.jit(fit)(hyper, touches, values)
+
+
+def choose_hyperparameters(
+    touches: ContactPressure,
+    readings: Float[Array, "n c"],
+    groups: Int[np.ndarray, " n"],
+    *,
+    steps: int = 40,
+    folds: int = 4,
+    limit: int = 600,
+    seed: int = 0,
+) -> tuple[GPHyperparameters, Float[Array, " steps"]]:
+    """Hyperparameters with the least squared error on held-out groups.
+
+    Adam descends the error of cross-validation, groups kept whole, in unconstrained coordinates from a broad start; the
+    best of all its steps is taken.
+
+    Args:
+        touches: n contact pressures.
+        readings: uT, measured at them.
+        groups: The run or spatial block of each touch.
+        steps: Of Adam.
+        folds: Parts of cross-validation, at most as many as groups.
+        limit: Touches used; of more, a random sample, because the cost grows with the cube.
+        seed: Of the folds and of the sample.
+
+    Returns:
+        The hyperparameters, and R2 on held-out groups at each step. A warning counts steps without a finite score.
+
+    Raises:
+        ValueError: There are fewer than two groups, or no step has a score (touches or readings that are not finite,
+            or no pressure at all).
+    """
+    touches, readings, ends = _by_fold(touches, readings, groups, folds=folds, limit=limit, seed=seed)
+    path, errors = jax.device_get(_descend(touches, readings, ends=ends, steps=steps))
+    finite = np.isfinite(errors)
+    if not finite.any():
+        raise ValueError(
+            f"cross-validation of the Gaussian process has no finite score on {len(readings)} touches; "
+            "look for contact pressures or readings that are not finite, or zero throughout"
+        )
+    if lost := int(np.sum(~finite)):
+        warnings.warn(
+            f"the score of the Gaussian process is not finite in {lost} of {steps} steps on {len(readings)} touches; "
+            "its hyperparameters are the best of the others",
+            stacklevel=2,
+        )
+    best = int(np.argmin(np.where(finite, errors, np.inf)))
+    return jax.device_put((jax.tree.map(lambda values: values[best], path), 1 - errors))
+
+
+def _by_fold(
+    touches: ContactPressure,
+    readings: Float[Array, "n c"],
+    groups: Int[np.ndarray, " n"],
+    *,
+    folds: int,
+    limit: int,
+    seed: int,
+) -> tuple[ContactPressure, Float[Array, "k c"], tuple[int, ...]]:
+    """At most `limit` touches with their readings, fold after fold, and the rows at which folds end."""
+    if len(groups) > limit:
+        rows = np.sort(np.random.default_rng(seed).choice(len(groups), limit, replace=False))
+        touches, readings, groups = select_rows((touches, readings, groups), rows)
+    names, group = np.unique(np.asarray(groups), return_inverse=True)
+    folds = min(folds, len(names))
+    if folds < 2:
+        raise ValueError(f"cross-validation needs at least two groups of touches (runs or blocks), got {len(names)}")
+    fold = np.random.default_rng(seed).permutation(len(names))[group] % folds
+    order, ends = np.argsort(fold, kind="stable"), np.cumsum(np.bincount(fold))
+    return *select_rows((touches, readings), order), tuple(ends.tolist())
+
+
+@partial(jit_quickly, static_argnames=("ends", "steps"))
+def _descend(
+    touches: ContactPressure, readings: Array, *, ends: tuple[int, ...], steps: int
+) -> tuple[GPHyperparameters, Float[Array, " steps"]]:
+    """The hyperparameters along the path of Adam, and the share of variance that folds, which end at rows `ends`, leave
+    unexplained with them.
+    """
+    linear = inner_products(f := features(touches), f)
+    unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
+    standard = readings / (jnp.sqrt(jnp.mean(readings**2, axis=0, keepdims=True)) + 1e-6)
+    load, blocks = touches.load, [slice(start, end) for start, end in zip((0, *ends), ends, strict=False)]
+
+    def unexplained(free: dict[str, Array]) -> Float[Array, ""]:
+        now = _hyperparameters(free)
+        K = gram(now, unit, linear, load, load)
+        precision = _inverse(K + (now.noise + JITTER) * jnp.eye(len(K)))
+        weights = jnp.matmul(precision, standard, precision="highest")
+        # A fold B predicted from all others errs by [K^-1]_BB^-1 [K^-1 y]_B: equation 5.12 for more than one touch.
+        errors = [_solve(precision[block, block], weights[block]) for block in blocks]
+        return sum(jnp.sum(error**2) for error in errors) / jnp.sum(standard**2)
+
+    optimizer = optax.adam(0.25)
+
+    def step(
+        state: tuple[dict, optax.OptState], _: None
+    ) -> tuple[tuple[dict, optax.OptState], tuple[GPHyperparameters, Array]]:
+        free, opt_state = state
+        error, gradient = jax.value_and_grad(unexplained)(free)
+        updates, opt_state = optimizer.update(gradient, opt_state)
+        return (optax.apply_updates(free, updates), opt_state), (_hyperparameters(free), error)
+
+    start = {
+        "weights": jnp.zeros(len(LENGTHS_MM)),
+        "bend": jnp.zeros(()),
+        "width": jnp.zeros(()),
+        "noise": jnp.full((), -2.0),
+    }
+    return jax.lax.scan(step, (start, optimizer.init(start)), None, steps)[1]
+
+
+def _hyperparameters(free: dict[str, Array]) -> GPHyperparameters:
+    """Hyperparameters from unconstrained coordinates."""
+    return GPHyperparameters(
+        jax.nn.softmax(free["weights"]),
+        jax.nn.sigmoid(free["bend"]),
+        jnp.exp(free["width"]),
+        jnp.exp(free["noise"]),
+    )
+
+
+def _solve(system: Float[Array, "n n"], values: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    """Solve a symmetric positive system."""
+    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(system), True), values)
+
+
+@jax.custom_jvp
+def _inverse(system: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Inverse of a symmetric positive matrix."""
+    return _solve(system, jnp.eye(len(system)))
+
+
+@_inverse.defjvp
+def _inverse_jvp(systems: tuple[Array], changes: tuple[Array]) -> tuple[Array, Array]:
+    """d(A^-1) = -A^-1 dA A^-1, which spares the derivative of the factor."""
+    inverse = _inverse(*systems)
+    change = jnp.matmul(inverse, jnp.matmul(changes[0], inverse, precision="highest"), precision="highest")
+    return inverse, -change

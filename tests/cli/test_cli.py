@@ -1,0 +1,131 @@
+"""How a command ends: exit codes, and the one sentence that goes with them."""
+
+import errno
+import importlib
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import pytest
+
+from i2t.cli.exit_codes import INTERRUPTED_BY_USER, NOBODY_READS, exit_code_of
+from i2t.cli.options import Limits, check_options
+from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
+
+WRONG = (
+    ValueError("--unit is no unit"),
+    DataError("set.h5: is no data set"),
+    CheckpointError("runs/train: holds no predictor"),
+    FileNotFoundError(errno.ENOENT, "No such file or directory", "pad.npz"),
+    NotADirectoryError(errno.ENOTDIR, "Not a directory", "pad.npz"),
+    PermissionError(errno.EACCES, "Permission denied", "/root"),
+)
+SAID = {  # of the system's errors that name a file
+    "[Errno 2] No such file or directory: 'pad.npz'": "pad.npz: no such file or directory; check the name",
+    "[Errno 20] Not a directory: 'pad.npz'": "pad.npz: not a directory; name a folder",
+    "[Errno 28] No space left on device": (
+        "a file cannot be written (No space left on device); make room on its disk, or name another (--out)"
+    ),
+    "[Errno 13] Permission denied: '/root'": "/root: permission denied; choose what you may read and write",
+}
+BROKEN = (
+    DeviceError("the skin fell silent"),
+    DeviceTimeoutError("no news from the arm"),
+    OSError(errno.ENOSPC, "No space left on device"),
+    FullDiskError("set.h5: cannot be written"),
+    BrokenPipeError(errno.EPIPE, "Broken pipe"),  # of a connection: somebody reads what is printed
+)
+
+
+@dataclass
+class Group:
+    share: Annotated[float, Limits(0, 1, above=True)] = 1.0
+
+
+@dataclass
+class Options:
+    counts: tuple[Annotated[int, Limits(1)], ...] = (1, 2)
+    group: Group = field(default_factory=Group)
+
+
+def _raising(error):
+    def work():
+        raise error
+
+    return work
+
+
+def test_an_error_is_one_sentence_and_its_exit_code(capsys):
+    """2 for what cannot be done as asked, 1 for what broke on the way."""
+    for code, errors in ((2, WRONG), (1, BROKEN)):
+        for error in errors:
+            assert exit_code_of(_raising(error)) == code, error
+            assert capsys.readouterr() == ("", f"error: {SAID.get(str(error), str(error))}\n")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (Options(counts=(2, 0)), "--counts is 0; give at least 1"),
+        (Options(group=Group(0.0)), "--group.share is 0; give more than 0 and at most 1"),
+        (Options(group=Group(1.5)), "--group.share is 1.5; give more than 0 and at most 1"),
+        (Options(counts=()), "--counts names nothing; give one value at least, or leave it out"),
+    ],
+)
+def test_numbers_outside_the_limits_of_their_type_are_refused_by_their_flag(options, said):
+    check_options(Options(), ["--counts"])
+    with pytest.raises(ValueError) as error:  # noqa: PT011  # the whole sentence is compared
+        check_options(options, ["--counts"])
+    assert str(error.value) == said
+
+
+def test_ctrl_c_says_how_things_stand(capsys):
+    assert exit_code_of(_raising(KeyboardInterrupt()), "stopped; go on with --resume") == 130
+    assert capsys.readouterr().err == "\nstopped; go on with --resume\n"
+
+
+def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
+    """A compiled module that is interrupted while it starts may take the process down."""
+    (tmp_path / "slow_to_start.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\nstarted = True\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def work():
+        importlib.import_module("slow_to_start")
+        time.sleep(60)
+
+    # Whoever starts the tests in the background of a script has told them to ignore it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert exit_code_of(work) == INTERRUPTED_BY_USER
+        assert sys.modules.pop("slow_to_start").started
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems say it otherwise")
+@pytest.mark.parametrize(("name", "at_once"), [("stdout", True), ("stdout", False), ("stderr", False)])
+def test_a_command_whose_output_nobody_reads_ends_without_a_word(monkeypatch, capsys, name, at_once):
+    read, write = os.pipe()
+    os.close(read)
+    stream = open(write, "w")  # noqa: SIM115  # closed below, which must not fail either
+
+    def work():
+        print("a line", file=getattr(sys, name), flush=at_once)
+        if name == "stderr":
+            stream.flush()
+
+    monkeypatch.setattr(sys, name, stream)
+    assert exit_code_of(work) == NOBODY_READS == 141
+    print("and another", file=stream)
+    stream.close()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_command_may_choose_its_exit_code_and_a_defect_of_the_program_is_not_hidden():
+    assert [exit_code_of(lambda code=code: code) for code in (None, 0, 1, "a result")] == [0, 0, 1, 0]
+    with pytest.raises(ZeroDivisionError):
+        exit_code_of(_raising(ZeroDivisionError()))

@@ -1,0 +1,101 @@
+"""Where a press ends: at the first of its limits, and no sooner."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from i2t.contact.press import PressLimits, pad_response, press_finally, press_to_stop
+from i2t.skin.contact import FINE_GRID, GRID
+from i2t.skin.pad import Press, friction_response, press, sample_pad
+from i2t.types import Pad, ReturnCode
+
+LIMITS = PressLimits()
+WITHIN = 1e-3
+X, Y = np.meshgrid(GRID.centres, GRID.centres)
+WAVES = sum(
+    bump * np.cos(np.pi * i * X / 20e-3 + i) * np.cos(np.pi * j * Y / 20e-3 - j)
+    for (i, j), bump in np.ndenumerate(np.random.default_rng(0).normal(size=(6, 6)))
+)
+SHAPES = {
+    "ball": (X**2 + Y**2) / 20e-3,
+    "waves": 0.2e-3 * (WAVES - WAVES.min()),
+    "edge": 0.5 * np.abs(X - 3e-3),
+    "tilted face": 0.01 * (X + 10e-3),
+    "two tips": np.minimum(np.hypot(X - 6e-3, Y), np.hypot(X + 6e-3, Y) + 0.3e-3),
+}
+stop = jax.jit(lambda pad, height, overshoot: press_to_stop(pad, height, LIMITS, overshoot))
+
+
+@pytest.fixture(scope="module")
+def pad() -> Pad:
+    return sample_pad(jax.random.key(3))
+
+
+@jax.jit
+def excess(pad: Pad, height: jax.Array, depths: jax.Array) -> jax.Array:
+    """Of presses to `depths` (m): skin change or force over its limit, whichever is more."""
+    pressed = jax.lax.map(lambda depth: press(pad, height, depth), depths)
+    return jnp.maximum(jnp.linalg.norm(pressed.reading, axis=1) / LIMITS.skin_change, pressed.force / LIMITS.force)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", SHAPES)
+def test_it_ends_at_the_first_crossing(name, pad):
+    height = jnp.float32(SHAPES[name])
+    end = stop(pad, height, 0.0)
+    found = excess(pad, height, end.indentation * jnp.append(jnp.geomspace(0.02, 0.99, 14), 1.0))
+    assert (found[:-1] < 1).all()
+    assert abs(found[-1] - 1) < WITHIN
+    assert end.code == ReturnCode.SKIN
+
+
+def test_a_dull_skin_ends_by_force_a_senseless_one_at_the_deepest_and_an_overshoot_raises_the_limit(pad):
+    ball = jnp.float32(SHAPES["ball"])
+    # Bonded, so that it does not sink away: 8 N long before the deepest.
+    dull = pad._replace(magnetization=1e-3 * pad.magnetization, young=6 * pad.young, mount_compliance=jnp.zeros(()))
+    for name in ("ball", "tilted face"):
+        end = stop(dull, jnp.float32(SHAPES[name]), 0.0)
+        assert end.code == ReturnCode.WRENCH
+        assert abs(end.force / LIMITS.force - 1) < WITHIN
+    end = stop(pad._replace(magnetization=0 * pad.magnetization, young=jnp.float32(1.0)), ball, 0.0)
+    assert end.code == ReturnCode.UNDEFINED
+    # A logarithm and its exponential lose a few roundings.
+    np.testing.assert_allclose(end.indentation, LIMITS.indentation * pad.thickness, rtol=1e-5)
+    end = stop(pad, ball, 0.2)
+    assert abs(np.linalg.norm(end.reading) / (1.2 * LIMITS.skin_change) - 1) < WITHIN
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["ball", "edge", "two tips"])
+def test_the_final_press_is_that_of_all_its_dipoles(name, pad):
+    """Deep sheets of fewer dipoles, corrected, move the reading by less than 0.05 uT or 0.3 %."""
+    y, x = np.meshgrid(FINE_GRID.centres, FINE_GRID.centres, indexing="ij")
+    fine = {
+        "ball": (x**2 + y**2) / 20e-3,
+        "edge": 0.5 * np.abs(x - 3e-3),
+        "two tips": np.minimum(np.hypot(x - 6e-3, y), np.hypot(x + 6e-3, y) + 0.3e-3),
+    }[name]
+    end = stop(pad, jnp.float32(SHAPES[name]), 0.0)
+    quick = jax.jit(lambda pad, height, end: press_finally(pad, height, end.indentation, end, final=FINE_GRID))
+    final = quick(pad, jnp.float32(fine), end)
+    whole = press(pad, jnp.float32(fine), end.indentation, grid=FINE_GRID)
+    np.testing.assert_allclose(final.force, whole.force, rtol=1e-4)
+    error = np.linalg.norm(final.reading - whole.reading)
+    assert error < max(0.05, 3e-3 * np.linalg.norm(whole.reading))
+
+
+def test_a_response_worked_out_before_changes_nothing(pad):
+    ball, response = jnp.float32(SHAPES["ball"]), pad_response(pad)
+    given = jax.jit(lambda pad, height, response: press_to_stop(pad, height, LIMITS, response=response))
+    end, wanted = given(pad, ball, response), stop(pad, ball, 0.0)
+    np.testing.assert_allclose(end.reading, wanted.reading, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(end.pressure, press(pad, ball, end.indentation).pressure, atol=1e-3 * end.pressure.max())
+
+
+def test_friction_of_a_known_press_is_that_of_the_press(pad):
+    ball, slide = jnp.float32(SHAPES["ball"]), jnp.asarray([1e-5, -2e-5])
+    pressed = press(pad, ball, 2e-4)
+    assert isinstance(pressed, Press)
+    known = friction_response(pad, ball, 2e-4, slide, pressed=pressed)
+    np.testing.assert_allclose(known, friction_response(pad, ball, 2e-4, slide), atol=1e-3)

@@ -1,0 +1,113 @@
+"""What commands compile is kept, in a folder that is bounded and never stands in the way."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from i2t.runtime import compile_cache
+from i2t.runtime.compile_cache import JAX_FOLDER, VARIABLE, use_compile_cache
+
+SETTINGS = (
+    JAX_FOLDER,
+    "JAX_COMPILATION_CACHE_MAX_SIZE",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
+)
+
+
+@pytest.fixture
+def no_settings(monkeypatch):
+    """As a user's shell is, with JAX not yet imported, and what is set taken back."""
+    for name in (VARIABLE, *SETTINGS):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.delitem(sys.modules, "jax")
+    return monkeypatch
+
+
+def test_the_folder_is_in_the_users_cache_and_bounded(no_settings, tmp_path):
+    no_settings.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = use_compile_cache()
+    assert folder is not None
+    assert folder.is_relative_to(tmp_path / "i2t")
+    assert os.environ[JAX_FOLDER] == str(folder)
+    assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_CACHE_BYTES
+
+
+def test_it_can_be_switched_off_and_who_set_jax_himself_is_left_alone(no_settings, tmp_path):
+    no_settings.setenv("XDG_CACHE_HOME", str(tmp_path))
+    no_settings.setenv(VARIABLE, "OFF")
+    assert use_compile_cache() is None
+    assert JAX_FOLDER not in os.environ
+    assert not list(tmp_path.iterdir())
+    no_settings.delenv(VARIABLE)
+    no_settings.setenv(JAX_FOLDER, str(tmp_path / "mine"))
+    assert use_compile_cache() is None
+    assert os.environ[JAX_FOLDER] == str(tmp_path / "mine")
+
+
+def test_another_machine_has_a_folder_of_its_own(no_settings, tmp_path):
+    no_settings.setenv(VARIABLE, str(tmp_path))
+    here = use_compile_cache()
+    no_settings.delenv(JAX_FOLDER)
+    no_settings.setattr(compile_cache.platform, "processor", lambda: "another")
+    assert use_compile_cache() not in (here, None)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_folder_that_cannot_be_made_costs_one_line_at_most(no_settings, tmp_path, capsys, asked):
+    """A file where the folder should be is refused to every user, to root as well."""
+    (tmp_path / "file").write_text("")
+    no_settings.setenv(VARIABLE if asked else "XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert use_compile_cache() is None
+    assert JAX_FOLDER not in os.environ
+    said = capsys.readouterr().err
+    assert said.count("\n") == asked
+    assert not asked or VARIABLE in said
+
+
+PROGRAM = """
+import sys
+from i2t.cli.exit_codes import exit_code_of
+def work():
+    import jax, jax.numpy as jnp
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    {spoil}
+    print(jax.jit(lambda x: jnp.sin(x) @ x)(jnp.eye(3))[0, 0])
+sys.exit(exit_code_of(work))
+"""
+
+
+def _run(folder: Path, spoil: str = "") -> subprocess.CompletedProcess:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    command = [sys.executable, "-W", "always", "-c", PROGRAM.format(spoil=spoil or "pass")]
+    return subprocess.run(command, env=environment | {VARIABLE: str(folder)}, capture_output=True, text=True)
+
+
+def _kept(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.rglob("*-cache"))
+
+
+@pytest.mark.full
+def test_a_second_process_finds_what_the_first_compiled(tmp_path):
+    first = _run(tmp_path)
+    assert first.returncode == 0, first.stderr
+    kept = _kept(tmp_path)
+    count = "jax.monitoring.register_event_listener(lambda name, **_: print(name) if 'cache_hits' in name else None)"
+    second = _run(tmp_path, count)
+    assert "/jax/compilation_cache/cache_hits" in second.stdout, second.stderr
+    assert _kept(tmp_path) == kept != []
+
+
+@pytest.mark.full
+def test_a_disk_that_fills_up_later_is_not_spoken_of(tmp_path):
+    """The folder is gone and cannot be made again once JAX writes into it."""
+    spoil = (
+        "import os, shutil, pathlib; f = pathlib.Path(os.environ['JAX_COMPILATION_CACHE_DIR']); "
+        "jax.jit(lambda x: x + 1)(1.0); shutil.rmtree(f); f.write_text('')"
+    )
+    found = _run(tmp_path, spoil)
+    assert found.returncode == 0, found.stderr
+    assert "cache" not in found.stderr

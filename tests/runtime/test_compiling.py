@@ -1,0 +1,86 @@
+"""A program that compiles quickly gives what any does, wherever it is called; a configuration's floats are traced."""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.compilations import compilations
+
+from i2t.runtime import compiling
+from i2t.runtime.compiling import jit_quickly, traced_floats
+
+
+def curve(x: jax.Array, power: int) -> jax.Array:
+    return jnp.cumsum(jnp.sin(x)) ** power
+
+
+QUICK = jit_quickly(curve, static_argnames="power")
+X = jnp.linspace(0.0, 1.0, 50)
+
+
+def test_alone_inside_of_another_program_and_in_a_batch_it_is_the_function() -> None:
+    np.testing.assert_allclose(QUICK(X, power=2), curve(X, 2), rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(lambda x: 2 * QUICK(x, power=2))(X), 2 * curve(X, 2), rtol=1e-6)
+    known = jax.jit(lambda x: x + QUICK(np.asarray(X), power=2))  # of arguments that are numbers
+    np.testing.assert_allclose(known(X), X + curve(X, 2), rtol=1e-6)
+    np.testing.assert_allclose(jax.vmap(lambda x: QUICK(x, power=2))(X[None]), curve(X, 2)[None], rtol=1e-6)
+    slope = jax.grad(lambda x: QUICK(x, power=2)[-1])(X)
+    np.testing.assert_allclose(slope, 2 * curve(X, 1)[-1] * jnp.cos(X), rtol=1e-5)
+
+
+def test_a_compiler_without_the_options_compiles_as_usual(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(compiling.QUICKLY, "xla_of_another_version", True)
+    compiling._options.cache_clear()
+    assert compiling._options() is None
+    np.testing.assert_allclose(jit_quickly(curve, static_argnames="power")(X, power=3), curve(X, 3), rtol=1e-6)
+    compiling._options.cache_clear()
+
+
+@traced_floats
+@dataclass(frozen=True)
+class Line:
+    slope: float = 2.0
+    copies: int = 1
+
+
+@traced_floats
+@dataclass(frozen=True)
+class Drawing:
+    line: Line = Line()
+    offset: float = 0.5
+    spacing: float = field(default=1.0, metadata={"static": True})
+
+    def __post_init__(self) -> None:
+        if not self.offset >= 0:
+            raise ValueError(f"offset is {self.offset}")
+
+
+@jax.jit
+def draw(drawing: Drawing) -> jax.Array:
+    line = replace(drawing.line, slope=2 * drawing.line.slope)
+    x = np.arange(0.0, 3.0, drawing.spacing)
+    return jnp.tile(line.slope * x + drawing.offset, line.copies)
+
+
+def test_other_floats_of_a_configuration_run_the_same_program_and_what_is_static_another() -> None:
+    np.testing.assert_array_equal(draw(Drawing()), [0.5, 4.5, 8.5])
+    with compilations() as compiled:
+        other = draw(Drawing(Line(-1.0), 1e-3))
+    assert compiled == []
+    np.testing.assert_allclose(other, [1e-3, 1e-3 - 2, 1e-3 - 4], rtol=1e-6)
+    for static, shape in ((Drawing(Line(copies=2)), 6), (Drawing(spacing=0.5), 6)):
+        with compilations() as compiled:
+            assert draw(static).shape == (shape,)
+        assert compiled == ["jit(draw)"]
+
+
+def test_a_configuration_outside_of_programs_is_made_of_numbers_and_its_tree_is_not_checked_again() -> None:
+    assert hash(Drawing()) == hash(Drawing(Line(2.0, 1)))
+    assert jax.tree.leaves(Drawing()) == [2.0, 0.5]
+    assert jax.tree.map(lambda leaf: -leaf, Drawing()).offset == -0.5
+    with pytest.raises(ValueError, match=r"offset is -0\.5"):
+        Drawing(offset=-0.5)
+    paths = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(Drawing())]
+    assert paths == [".line.slope", ".offset"]

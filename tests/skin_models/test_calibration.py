@@ -1,0 +1,131 @@
+"""What a user holds: a calibration from arrays, on disk and back, any board, and what is refused."""
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from i2t.errors import SerializationError
+from i2t.files import serialization
+from i2t.skin import boards
+from i2t.skin.files import load_pad
+from i2t.skin_models import FORCE_HYPERPARAMETERS, Calibration, calibrate, load_calibration, population_gp
+from i2t.skin_models.calibration import FILE_KIND, CalibrationRecord
+
+rng = np.random.default_rng(0)
+POSITIONS, DEPTH = rng.uniform(-10e-3, 10e-3, (30, 2)), rng.uniform(0, 4e-3, 30)
+FORCE = 1e3 * DEPTH
+READINGS = rng.normal(scale=30, size=(30, 15))
+BOARD = boards.reskin_board()
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    return calibrate(POSITIONS, DEPTH, READINGS, load_kind="depth", metadata={"skin": "made up"})
+
+
+@pytest.fixture(scope="module")
+def structured() -> Calibration:
+    """A mixture of one kernel, which given hyperparameters mean."""
+    given = {"board": BOARD, "hyperparameters": FORCE_HYPERPARAMETERS, "metadata": {"skin": "made up"}}
+    return calibrate(POSITIONS, FORCE, READINGS, load_kind="force", **given)
+
+
+@pytest.fixture(scope="module")
+def unknown() -> Calibration:
+    """Made without any load."""
+    return calibrate(POSITIONS, None, READINGS, load_kind="none")
+
+
+BOTH_KINDS = pytest.mark.parametrize(("which", "load"), [("calibration", DEPTH), ("structured", FORCE)])
+
+
+def assert_same_predictions(one: Calibration, other: Calibration, *given, **more) -> None:
+    for a, b in zip(one.predict(*given, **more), other.predict(*given, **more), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+@BOTH_KINDS
+def test_it_comes_back_as_it_was(which, load, request, tmp_path):
+    made = request.getfixturevalue(which)
+    made.save(tmp_path / "skin.npz")
+    again = load_calibration(tmp_path / "skin.npz")
+    assert (again.metadata, again.load_kind) == ({"skin": "made up"}, made.load_kind)
+    assert_same_predictions(made, again, POSITIONS, load)
+    assert made.predict(POSITIONS, load)[0].shape == (30, 15)
+    mean, std = again.predict(POSITIONS[0], load[0])
+    assert mean.shape == std.shape == (15,)
+    assert (std > 0).all()
+    with pytest.raises(SerializationError, match="not a i2t pad"):
+        load_pad(tmp_path / "skin.npz")
+
+
+def depths(position=POSITIONS, load=DEPTH, readings=READINGS, **given):
+    return calibrate(position, load, readings, load_kind="depth", **given)
+
+
+@pytest.mark.parametrize(
+    ("call", "word"),
+    [
+        (lambda made, _: made.predict(POSITIONS, DEPTH[:3]), "do not go with"),
+        (lambda made, _: made.predict(1e3 * POSITIONS, DEPTH), "give metres"),
+        (lambda made, _: made.predict(POSITIONS, -DEPTH - 1), "between 0 and"),
+        (lambda *_: depths(readings=np.where(READINGS > 0, np.nan, READINGS)), "not finite"),
+        (lambda *_: depths(POSITIONS[:4]), "do not belong together"),
+        (lambda _, unknown: depths(previous_session=unknown), "other channels or another kind of load"),
+        (lambda *_: depths(board=boards.grid_board(4, 4)), "16 chips"),
+        (lambda *_: calibrate(None, None, READINGS, load_kind="none"), "say nothing about another press"),
+        (lambda _, unknown: unknown.predict(POSITIONS[:4], DEPTH[:4]), "loads are missing or not known"),
+    ],
+)
+def test_what_cannot_be_is_refused(calibration, unknown, call, word):
+    with pytest.raises(ValueError, match=word):
+        call(calibration, unknown)
+
+
+def test_files_that_cannot_be_understood_any_more_say_how_to_make_them_again(calibration, tmp_path):
+    """Those of terms for the temperature, or of members that name no board."""
+    path = tmp_path / "old.npz"
+    terms = {"load": "depth", "boards": list(calibration.boards), "about": {"linear_terms": ["temperature"]}}
+    record = CalibrationRecord(calibration.gp, calibration.interval_scaling)
+    no_board = record._replace(gp=record.gp._replace(components=record.gp.components._replace(board=None)))
+    for form in (record, no_board):
+        serialization.save(path, FILE_KIND, form, terms)
+        with pytest.raises(SerializationError, match=r"calibrate again|make it again"):
+            load_calibration(path)
+
+
+@pytest.mark.full
+def test_what_is_known_of_presses_may_be_more_or_less(unknown, tmp_path):
+    both = np.column_stack([DEPTH, FORCE])
+    fitted = calibrate(
+        POSITIONS, both, READINGS, load_kind="both", board=boards.eflesh_board(),
+        previous_session=calibrate(POSITIONS, both, READINGS, load_kind="both"),
+    )  # fmt: skip
+    fitted.save(tmp_path / "skin.npz")
+    again = load_calibration(tmp_path / "skin.npz")
+    assert_same_predictions(fitted, again, POSITIONS[1:4], both[1:4])
+    alone = again.predict(POSITIONS[2], both[2])
+    np.testing.assert_allclose(alone[0], fitted.predict(POSITIONS[1:4], both[1:4])[0][1], rtol=1e-6)
+    nowhere = calibrate(None, DEPTH, READINGS, load_kind="depth")
+    assert nowhere.predict(None, DEPTH[:4])[0].shape == (4, 15)
+    assert nowhere.predict(None, 1e-3)[0].shape == (15,)
+    assert unknown.predict(POSITIONS[:4])[0].shape == (4, 15)
+
+
+def test_few_presses_are_fitted_with_one_thread_of_blas_and_the_others_come_back(monkeypatch):
+    """Threads that wait for each other cost many times what small matrices do."""
+    seen, fit = [], population_gp.fit_population
+
+    def fitting(*args, **more):
+        seen.extend(blas_threads())
+        return fit(*args, **more)
+
+    def blas_threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    monkeypatch.setattr(population_gp, "fit_population", fitting)
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        depths(POSITIONS[:5], DEPTH[:5], READINGS[:5])
+        assert blas_threads() == before
+    assert set(seen) == {1}

@@ -1,0 +1,74 @@
+"""Known faults of recorded presses are named, and sound ones are not accused."""
+
+import numpy as np
+
+from i2t.skin_models import check_presses
+
+CHANNELS = 15
+
+
+def presses(rng: np.random.Generator, n: int, half: float = 15e-3) -> tuple[np.ndarray, np.ndarray]:
+    return rng.uniform(-half, half, (n, 2)), rng.uniform(0, 4e-3, n)
+
+
+def skin(rng: np.random.Generator):
+    """A skin f(d) g(x): a function from presses to readings."""
+    centre, size = rng.uniform(-20e-3, 20e-3, (40, 2)), rng.normal(size=(40, CHANNELS))
+
+    def read(position: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        g = np.exp(-((position[:, None] - centre) ** 2).sum(-1) / 2 / 8e-3**2) @ size
+        return 60 * g * (np.maximum(depth + 3e-3, 0) / 5e-3)[:, None] ** 1.75
+
+    return read
+
+
+def session(rng: np.random.Generator, n: int = 600) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    at = presses(rng, n)
+    return *at, skin(rng)(*at) + rng.normal(size=(n, CHANNELS))
+
+
+def test_sound_presses_are_not_accused():
+    for seed in range(10):
+        warnings = check_presses(*session(np.random.default_rng(100 + seed)))
+        assert warnings.messages() == []
+        assert np.isfinite(warnings.change_ratio)
+    assert check_presses(*session(np.random.default_rng(0), 20)).messages() == []
+
+
+def test_each_fault_of_a_recording_is_named():
+    position, load, readings = session(np.random.default_rng(14))
+    repeated = readings.copy()
+    repeated[[5, 6, 200]] = readings[4], readings[4], readings[199]
+    found = check_presses(position, load, repeated)
+    np.testing.assert_array_equal(np.flatnonzero(found.repeated), [5, 6, 200])
+    assert "3 rows repeat" in found.messages()[0]
+
+    changed = readings.copy()
+    changed[300:, 6:9] += 35  # as much as one chip of a real board remembered of the press before
+    found = check_presses(position, load, changed)
+    assert not found.changed
+    assert found.changed_chips == (2,)
+    assert "chip 2" in found.messages()[0]
+
+    moved = position + np.where(np.arange(600)[:, None] < 300, 0, 0.1)  # halves at different places tell nothing
+    found = check_presses(moved, load, readings)
+    assert not found.changed
+    assert np.isnan(found.change_ratio)
+
+
+def test_a_skin_that_slips_is_found():
+    rng = np.random.default_rng(12)
+    position, depth = presses(rng, 600)
+    slipped = position + np.where(np.arange(600)[:, None] < 300, 0.0, 4e-3)
+    found = check_presses(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
+    assert found.changed
+    assert "slipped" in found.messages()[0]
+
+
+def test_a_tip_of_steel_is_found_by_its_strength():
+    position, depth, readings = session(np.random.default_rng(16), 50)
+    force = 300 * depth  # up to 1.2 N
+    readings *= 100 / np.median(np.linalg.norm(readings, axis=1) / force)  # uT/N, as real boards
+    assert check_presses(position, force, readings, by_force=True).messages() == []
+    (sentence,) = check_presses(position, force, 7 * readings, by_force=True).messages()
+    assert "steel" in sentence

@@ -1,0 +1,58 @@
+"""What is found wrong in a recording is put right before anything is fitted to it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.damage import VARIANTS, press
+
+from i2t.heads.recordings import SkinRecording, corrected_recording
+from i2t.recordings.diagnose import Finding, RecordedPresses, estimate_labels
+
+
+def as_recording(one):
+    n = len(one.readings)
+    targets = {"position": one.position, "depth": -one.height[:, None], "force": one.force[:, None]}
+    return SkinRecording("made", one.readings, targets, session=np.zeros(n, int), time=np.arange(n, dtype=float))
+
+
+SOUND = press(3, 90, free=0.0)
+EXPECTED = as_recording(SOUND)
+
+
+def put_right(variant):
+    recording = as_recording(VARIANTS[variant](SOUND))
+    position, depth, force = (recording.targets[name] for name in ("position", "depth", "force"))
+    presses = RecordedPresses(position, recording.readings, height=-depth[:, 0], force=force[:, 0])
+    return recording, corrected_recording(recording, estimate_labels(presses))
+
+
+@pytest.mark.parametrize(
+    "mistake", ["force that pulls", "height into the skin", "positions in millimetres", "readings in millitesla"]
+)
+def test_a_mistaken_column_is_put_right(mistake):
+    found = put_right(mistake)[1]
+    np.testing.assert_allclose(found.readings, EXPECTED.readings)
+    for name in ("position", "force"):
+        np.testing.assert_allclose(found.targets[name], EXPECTED.targets[name])
+    # Turned depths keep their differences; from where they count is another question.
+    assert np.ptp(found.targets["depth"] - EXPECTED.targets["depth"]) < 1e-12
+    assert found.targets["depth"].min() >= 0
+
+
+@pytest.mark.parametrize("mistake", ["labels a row late", "labels two rows early"])
+def test_labels_of_another_row_come_back_to_their_readings(mistake):
+    recording, found = put_right(mistake)
+    assert len(recording) > len(found) >= len(recording) - 2
+    at = np.abs(found.readings[:, None] - SOUND.readings[None]).sum(-1).argmin(1)
+    np.testing.assert_allclose(found.targets["position"], SOUND.position[at])
+    np.testing.assert_allclose(found.targets["force"][:, 0], SOUND.force[at])
+    np.testing.assert_array_equal(np.diff(found.time), 1)
+
+
+def test_a_sound_recording_stays_as_it_is_and_what_was_subtracted_has_the_unit_of_the_readings():
+    recording, same = put_right("sound")
+    assert same is recording
+    finding = Finding("units", "", True, wrong=True, correction={"field_factor": 1e3})
+    found = corrected_recording(replace(EXPECTED, baseline=np.ones((90, 15))), [finding])
+    np.testing.assert_array_equal(found.baseline, 1e3)

@@ -1,0 +1,166 @@
+"""One function for each figure of the documents, here and in the modules it imports; a simulated one says so."""
+
+import json
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import i2t
+from i2t import viz
+from i2t.geometry import inverse
+from i2t.patches.dimensions import PATCH_WINDOW
+from i2t.rendering.render import contact_mask
+from i2t.skin.elasticity import GRID, interior, load
+from i2t.viz.episode_report import EpisodeRecord
+from i2t.viz.style import BLUE, GREY, ORANGE, titled
+from tools.gallery.arguments import FigureName
+from tools.gallery.lab_figures import monitor, registration, rig
+from tools.gallery.page_figures import from_depth, stamps
+from tools.gallery.story import HIDDEN_OBJECT, Draw, Story
+
+SHOWN = ("star", "pyramid", "cylinder", "screwdriver", "hammer")
+MM, UM = 1e3, 1e6
+TIP_RADIUS_M = 4e-3
+DOCS = Path(__file__).parents[2] / "docs"
+NAMED_PROBABILITY = 0.04  # from which an object's name has room next to its curve
+
+
+def overview(story: Story) -> Figure:
+    """From an object to a belief: patch, imagined and felt reading, and which object it is after each touch."""
+    record, touches = story.episode, story.unseen
+    row = story.ranked[len(story.ranked) // 2]  # the touch of median error
+    figure = Figure(figsize=(11.5, 3.5), layout="constrained")
+    figure.suptitle(titled("i2t: imagine a touch before making it", True), fontsize=13)
+    parts = figure.subplots(1, 4, width_ratios=(1.15, 1, 1, 1.1))
+    mesh = record.meshes[record.truth]
+    _draw_scene(parts[0], mesh, inverse(touches.T_w_o[row]) @ touches.T_w_t[row])
+    parts[0].set_title(f"1  an object never touched: {HIDDEN_OBJECT}", fontsize=10)
+    image = viz.draw_patch(parts[1], touches.patch[row])
+    figure.colorbar(image, ax=parts[1], label="mm behind the nearest point", shrink=0.8)
+    _outline(parts[1], np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
+    parts[1].set_title("2  the patch that the camera sees", fontsize=10)
+    _draw_both(parts[2], story, int(row))
+    parts[2].set_title("3  the reading, imagined and felt", fontsize=10)
+    _draw_beliefs(parts[3], record)
+    parts[3].set_title("4  which object is it?", fontsize=10)
+    return figure
+
+
+def patches(story: Story) -> Figure:
+    """Patches of five objects, and where a skin would touch them."""
+    depth = []
+    for number, name in enumerate(SHOWN):
+        mesh = i2t.make_object(name).mesh
+        T_o_t = i2t.sample_touch_sites(mesh, 1, seed=number).T_o_t[0]
+        depth.append(i2t.render_patch(i2t.prepare_surface(mesh), T_o_t).depth)
+    return viz.plot_patches(np.stack(depth), SHOWN, "Patches at random safe sites", True)
+
+
+def press(story: Story) -> Figure:
+    """A ball pressed into the skin: pressure, displacement, reading."""
+    pad = i2t.nominal_pad()
+    squared = (GRID.centres[None, :] - 3e-3) ** 2 + GRID.centres[:, None] ** 2
+    pressed = i2t.press(i2t.nominal_pad(), squared / (2 * TIP_RADIUS_M), 0.4e-3)
+    moved, _ = interior(pad, load(pad, pressed.pressure), 0.0)
+    return viz.plot_press(
+        np.asarray(pressed.pressure), -np.asarray(moved[2]), pad.board, np.asarray(pressed.reading),
+        "A ball of 4 mm radius, 0.4 mm deep", True,
+    )  # fmt: skip
+
+
+def episode(story: Story) -> Figure:
+    """An episode of recognition: each touch, what each candidate would show there, and the belief."""
+    return viz.plot_episode(story.episode)
+
+
+def calibration_curve(story: Story) -> Figure:
+    """Number of presses of a real skin that predict those of whole blocks left out (docs/results/calibrate.json)."""
+    measured = json.loads((DOCS / "results" / "calibrate.json").read_text())
+    curves, over = (measured[name]["blocks of 6 mm"] for name in ("r2", "calibrate_over_blocks"))
+    counts = [int(count) for count in over["r2"]]
+    figure = Figure(figsize=(6.5, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, style in {"k nearest presses": ":", "plain Gaussian process": "--", "i2t.calibrate": "-"}.items():
+        colour = BLUE if name == "i2t.calibrate" else GREY
+        axes.plot(counts, [each["mean"] for each in curves[name].values()], style, color=colour, marker="o", label=name)
+    low, high = np.array([[each["low"], each["high"]] for each in over["r2"].values()]).T
+    axes.fill_between(counts, low, high, color=BLUE, alpha=0.18, lw=0)
+    axes.set_xscale("log")
+    axes.set_xticks(counts, [str(count) for count in counts], minor=False)
+    axes.set(xlabel="presses that it is fitted to", ylabel="R² on presses of blocks left out", ylim=(-0.65, 1))
+    axes.axhline(0, color="black", lw=0.8)
+    axes.legend(loc="lower right")
+    axes.set_title("A real skin from a few presses, 95 % over blocks")
+    return figure
+
+
+def predictors(story: Story) -> Figure:
+    """Every predictor of the run on unseen objects."""
+    methods = json.loads((story.folder / "metrics.json").read_text())["methods"]
+    names = list(methods)
+    r2 = np.array([methods[name]["r2"] for name in names])
+    low, high = np.array([methods[name]["r2_interval"] for name in names], float).T  # none of too few sessions is NaN
+    figure = Figure(figsize=(8, 4.2), layout="constrained")
+    axes = figure.subplots()
+    colours = [BLUE if "predicted contact pressure" in name else GREY for name in names]
+    axes.barh(names, r2, xerr=np.maximum([r2 - low, high - r2], 0), color=colours, capsize=2)
+    axes.invert_yaxis()
+    axes.axvline(0, color="black", lw=0.8)
+    axes.set_xlabel("R² on unseen objects, 95 % over sessions")
+    axes.set_title(titled("Predictors", True))
+    return figure
+
+
+# --- pieces ---
+
+
+def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray) -> None:
+    """An object in three dimensions, with the skin where it touches, or why it cannot be drawn."""
+    axes.set_axis_off()
+    picture = viz.object_image(mesh.vertices, mesh.faces, T_o_t[None])
+    if picture is None:
+        axes.text(0.5, 0.5, viz.why_no_scene(), ha="center", va="center", wrap=True, fontsize=8)
+    else:
+        axes.imshow(picture)
+
+
+def _outline(axes: Axes, mask: np.ndarray) -> None:
+    half = MM * PATCH_WINDOW / 2
+    at = np.linspace(-half, half, len(mask))
+    axes.contour(at, at, mask, levels=[0.5], colors="white", linewidths=1.2)
+
+
+def _draw_both(axes: Axes, story: Story, row: int) -> None:
+    """Imagined and felt reading of a touch, as the field's change at each chip."""
+    board, felt, imagined = story.run.dataset.board, story.unseen.reading[row], story.imagined.mean[row]
+    scale = float(np.abs(np.stack([felt, imagined])).max())
+    viz.draw_skin(axes)
+    viz.draw_reading(axes, board, felt, scale, colour=BLUE, label="felt")
+    viz.draw_reading(axes, board, imagined, scale, colour=ORANGE, label="imagined", width=0.006)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
+    axes.legend(loc="upper right", fontsize=8)
+
+
+def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
+    """Each object's probability after each touch."""
+    n = len(record.names)
+    p = np.vstack([np.full(n, 1 / n), record.p])
+    for i in np.argsort(np.arange(n) == record.truth):
+        there = i == record.truth
+        axes.plot(p[:, i], color=BLUE if there else GREY, lw=2.5 if there else 1, marker="o" if there else "")
+    likely = [i for i in range(n) if p[-1, i] > NAMED_PROBABILITY]
+    ends = [(record.names[i], p[-1, i]) for i in likely]
+    for name, end in ends if len(likely) == n else [*ends, (f"{n - len(likely)} others", 0.0)]:
+        axes.annotate(name, (len(p) - 1, end), xytext=(7, 0), textcoords="offset points", fontsize=9, va="center")
+    axes.set(xlabel="touches", ylabel="probability", ylim=(-0.02, 1.05), xticks=range(len(p)))
+    axes.set_xlim(0, len(p) - 1 + 0.35 * len(p))
+
+
+FIGURES: dict[FigureName, Draw] = {
+    "overview": overview, "patches": patches, "press": press, "episode": episode,
+    "calibration_curve": calibration_curve, "predictors": predictors, "registration": registration, "rig": rig,
+    "monitor": monitor, "from_depth": from_depth, "stamps": stamps,
+}  # fmt: skip

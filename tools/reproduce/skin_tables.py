@@ -1,0 +1,176 @@
+"""Tables of predictors, of skins that are known from few presses, and of what a recording is worth."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from experiments.common.cells import Cell, Measured, Table, estimate, number, numbers_of, rows_over
+from experiments.common.tables import markdown
+
+
+def r2_of(decimals: int, scores: Mapping[str, Any]) -> str:
+    """R² of one pad and seed with its interval over sessions."""
+    return estimate([scores["r2"], *scores["r2_interval"]], decimals)
+
+
+ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / sigma", "median cosine")
+ON_UNSEEN = ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES)
+OVER_PADS = ("method", "R² [95 % over pads]", *ERROR_TITLES)
+OVER_PADS_CELLS: tuple[Cell, ...] = (
+    lambda scores: estimate(scores["r2"], 2),
+    *(lambda scores, key=key: number(scores[key][0], 2) for key in ERRORS),
+)
+
+
+def predictors_on_recording(over: str) -> Table:
+    """Scores of every predictor on a recording's held-out presses; `over` says what the intervals resample."""
+    head = ("on one skin, {source}", f"R² [95 % over {over}]", "median over channels", "in the 90 % range")
+    cells: tuple[Cell, ...] = (partial(r2_of, 3), *numbers_of(["r2_median"], 3), *numbers_of(["coverage_90"]))
+    return rows_over("methods", head, *cells, kept=True)
+
+
+CALIBRATED, PLAIN, NEIGHBOURS = "i2t.calibrate", "plain Gaussian process", "k nearest presses"
+GAIN = f"{CALIBRATED} - {PLAIN}"
+SHOWN_COUNTS = ("5", "20", "100", "300")  # of presses, where there are so many
+SESSIONS = {  # of eFlesh, by the names of their folders
+    "20250316_155729_probe": "`spatial`",
+    "20250401_014340_probe": "`normal`, first",
+    "20250401_015037_probe": "`normal`, second",
+    "20250416_200533_probe": "`shear`",
+}
+SHOWN_HEADS = ("position", "depth"), ("force",), ("force",), ("shear",)  # of each of these sessions
+HEAD_UNITS = {"position": "mm", "depth": "mm", "force": "N", "shear": "N"}
+KEPT_SECTIONS = {
+    "What it is": ("rows", "channels"),
+    "Noise and drift": ("noise", "drift"),
+    "Hysteresis and creep": ("hysteresis", "creep", "hysteresis_of_chips"),
+    "Ceilings": ("repeat_std_uT", "r2_ceiling"),
+    "Heads": ("heads",),
+    "What one session says of another": ("r2",),
+}
+
+
+def press_counts(test: str, held_out: str) -> Table:
+    """R² on one skin by the number of presses; of `i2t.calibrate` and its gain with intervals over blocks.
+
+    Args:
+        test: What is held out, as the metrics name it.
+        held_out: The same in words, for the head.
+    """
+
+    def render(measured: Measured) -> str:
+        curves, over = measured["r2"][test], measured["calibrate_over_blocks"][test]
+        inside = measured["inside_90"][test][CALIBRATED]
+        counts = _shown(over["r2"])
+        rows = [
+            *([name, *(number(curves[name][n]["mean"]) for n in counts)] for name in (NEIGHBOURS, PLAIN)),
+            [f"`{CALIBRATED}`", *(estimate(over["r2"][n]) for n in counts)],
+            [f"its gain on the {PLAIN}", *(estimate(over["differences"][GAIN][n], sign=True) for n in counts)],
+            ["in its 90 % range", *(number(inside[n]["mean"], 2) for n in counts)],
+        ]
+        head = f"{measured['source']}, {measured['held_out'][test]} {held_out} [95 % over {over['blocks']} blocks]"
+        return markdown([head, *counts], rows)
+
+    return render
+
+
+def kinds_of_skin(measured: Measured) -> str:
+    """R² of `i2t.calibrate` on kinds of skin by the number of presses, with its gain on a plain Gaussian process."""
+    rows, counts = [], _shown(next(iter(measured["cases"].values()))["inside_90"])
+    for name, case in measured["cases"].items():
+        r2, gains = case["r2"][CALIBRATED], case["differences"][GAIN]
+        inside = [found["mean"] for found in case["inside_90"].values()]
+        reached = (f"{number(r2[n]['mean'], 2)}, {estimate(gains[n], 2, sign=True)}" for n in counts)
+        rows.append([name, *reached, f"{min(inside):.2f}-{max(inside):.2f}"])
+    return markdown([measured["source"], *counts, "in its 90 % range"], rows)
+
+
+def _shown(curve: Mapping[str, Any]) -> list[str]:
+    """Numbers of presses that a table shows."""
+    return [count for count in SHOWN_COUNTS if count in curve]
+
+
+def sections_of_recordings(recordings: Measured) -> Measured:
+    """What tables show of the sections of a report on recordings."""
+    return {
+        name: {
+            title: {key: section[key] for key in KEPT_SECTIONS[title] if key in section}
+            for title, section in sections.items()
+            if title in KEPT_SECTIONS
+        }
+        for name, sections in recordings.items()
+    }
+
+
+def eflesh_sessions(measured: Measured) -> str:
+    """Noise, drift, hysteresis and creep of eFlesh's sessions, next to the simulator's."""
+    found = {name: measured["recordings"][name] for name in SESSIONS}
+    moving = {name: sections["Hysteresis and creep"] for name, sections in found.items()}
+    restless = {name: sections["Noise and drift"] for name, sections in found.items()}
+    drift = {name: parts["drift"] for name, parts in restless.items()}
+    at_rest = {name: x["noise"] for name, x in restless.items() if "in air" in x["noise"]["how"]}
+    strokes = {name: x["hysteresis"] for name, x in moving.items() if "hysteresis" in x}
+    creep = {name: x["creep"] for name, x in moving.items() if "creep" in x}
+    chips = {name: x["hysteresis_of_chips"] for name, x in moving.items() if "hysteresis_of_chips" in x}
+    ends = {name: sections["Ceilings"] for name, sections in found.items() if "r2_ceiling" in sections["Ceilings"]}
+
+    def noise(x: Any) -> str:
+        return f"{x['xy_uT']:.2f}, {x['z_uT']:.2f}"
+
+    def stroke(x: Any) -> str:
+        return ", ".join(number(sum(x[key]) / len(x[key])) for key in ("loop_share", "left_share"))
+
+    def spread(x: Any) -> str:
+        square = [each**2 for each in x["repeat_std_uT"]]
+        return f"{(sum(square) / len(square)) ** 0.5:.1f}, {x['r2_ceiling']:.3f}"
+
+    def growth(x: Any) -> str:
+        return number(sum(x["share_per_decade"]) / x["holds"])
+
+    quantities: list[tuple[str, Measured, Cell, Callable[[Any], str]]] = [
+        ("noise in x and y, z (µT)", at_rest, noise, lambda x: noise(x["simulator"])),
+        ("drift: median channel, largest (µT)", drift, lambda x: f"{x['median_uT']:.1f}, {x['largest_uT']:.1f}",
+         lambda x: f"{x['simulator_uT']:.1f}, -"),
+        ("hysteresis of a stroke, left after it", strokes, stroke, lambda _: "0, 0"),
+        ("creep per tenfold time", creep, growth, lambda x: number(x["simulator"])),
+        ("kept of the press before", chips, lambda x: number(max(map(abs, x["by_chip"]))),
+         lambda x: number(x["simulator"])),
+        ("scatter of repeats (µT), R² ceiling", ends, spread, lambda _: "-"),
+    ]  # fmt: skip
+    rows = [
+        [title, *(cell(values[name]) if name in values else "-" for name in SESSIONS), own(next(iter(values.values())))]
+        for title, values, cell, own in quantities
+        if values
+    ]
+    return markdown(["real skins", *SESSIONS.values(), "simulator"], rows)
+
+
+def eflesh_heads(measured: Measured) -> str:
+    """Errors of heads on eFlesh's sessions: the kept one with the share in its 90 % range, and a baseline."""
+    splits, rows = ("random rows", "whole blocks or strokes", "later in time"), []
+    for (name, title), targets in zip(SESSIONS.items(), SHOWN_HEADS, strict=True):
+        for target in targets:
+            tests = measured["recordings"][name]["Heads"]["heads"][target]
+            cells = [
+                f"{test['kept']['rmse']:.3f} ({test['kept']['inside_90']:.2f}), {number(nearest['rmse'])}"
+                for test in map(tests.__getitem__, splits)
+                for nearest in [test["baselines"]["k nearest readings"]]
+            ]
+            rows.append([f"{title}, {target} ({HEAD_UNITS[target]})", *cells])
+    return markdown(["real", *splits], rows)
+
+
+TABLES: dict[str, dict[str, Table]] = {
+    "train": {"predictors": rows_over("methods", ON_UNSEEN, partial(r2_of, 2), *numbers_of(ERRORS))},
+    "train_blocks": {"predictors": predictors_on_recording("blocks")},
+    "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
+    "study": {
+        "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
+    },
+    "calibrate": {
+        "random presses": press_counts("random presses", "random presses"),
+        "whole blocks": press_counts("blocks of 6 mm", "presses in whole blocks"),
+    },
+    "calibrate_simulated": {"kinds of skin": kinds_of_skin},
+    "fidelity": {"sessions": eflesh_sessions, "heads": eflesh_heads},
+}

@@ -1,0 +1,107 @@
+"""Steps to run again, in order, and where their numbers appear: one for each command of the documents."""
+
+import shlex
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Step(NamedTuple):
+    """A command whose metrics the documents show."""
+
+    name: str  # of the step, of its folder below --out, and of its file in docs/results
+    command: str  # as a user types it, without --out and --trained-run
+    uses: str | None = None  # the step whose folder it takes as --trained-run
+    minutes: int | None = None  # on two cores, roughly; none where it was not measured
+    again: str | None = "--resume"  # the option with which it takes up an unfinished folder
+    result: str = "metrics.json"  # the file that is there once it is done
+
+    @property
+    def needs(self) -> str | None:
+        """Recording that is not part of the project, a folder or the first of its files, as the command names it."""
+        words = shlex.split(self.command)
+        flags = "--dataset", "--data", "--readings", "--objects"
+        return next((path for flag, path in pairwise(words) if flag in flags), None)
+
+    def arguments(self, out: Path, resume: bool) -> list[str]:
+        """The command's words after `python`.
+
+        Args:
+            out: Folder of all steps.
+            resume: Whether an unfinished run is there.
+        """
+        words = [*shlex.split(self.command), "--out", str(out / self.name)]
+        if self.uses:
+            words += ["--trained-run", str(out / self.uses)]
+        return words + ([self.again] if resume and self.again else [])
+
+
+OVERWRITE = "--overwrite"  # of commands that begin again
+STEPS = (
+    Step("train", "-m experiments.train", minutes=4),
+    Step("study", "-m experiments.train --preset study", minutes=30),
+    Step(
+        "paper",
+        "-m experiments.recognize simulate --preset paper --method paper --paper-episodes 100",
+        uses="study",
+        minutes=85,
+    ),
+    Step(
+        "recognize",
+        "-m experiments.recognize simulate --preset paper --pads 0 1 2 3 4 5 --episodes 10 --paper-episodes 10",
+        uses="study",
+        minutes=60,
+    ),
+    Step("open_set", "-m experiments.studies open_set --pads 0 1 2 --episodes 10", uses="study", minutes=30),
+    Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
+    Step("physics", "-m experiments.studies physics --episodes 10", uses="study", minutes=110),
+    Step("stopping", "-m experiments.studies stopping --episodes 34", uses="study", minutes=90),
+    Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", minutes=9),
+    Step("train_time", "-m experiments.train --dataset data/eflesh --split time --epochs 60", minutes=6),
+    Step("shapes", "-m experiments.shapes", minutes=15),
+    Step(
+        "strokes",
+        "-m experiments.shapes --readings magnetic_digits/strokes.csv.gz --label digit "
+        "--ignore first_row last_row stroke --samples 19",
+        minutes=10,
+    ),
+    Step("tsne", "-m experiments.tsne", again=OVERWRITE),
+    Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again=OVERWRITE),
+    Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=2, again=OVERWRITE),
+    Step(
+        "calibrate",
+        "-m experiments.calibrate --dataset data/eflesh --preset short --draws 5",
+        minutes=1,
+        again=OVERWRITE,
+    ),
+    Step(
+        "fidelity",
+        "-m experiments.fidelity --preset short --dataset eflesh/spatial eflesh/normal eflesh/shear",
+        minutes=5,
+        again=OVERWRITE,
+    ),
+    Step("registration_frames", "-m experiments.registration frames --data DATA", minutes=1, again=OVERWRITE),
+    Step("active_touch", "-m experiments.active_touch", minutes=10, again=OVERWRITE),
+    Step("reconstruct", "-m experiments.reconstruct", minutes=10, again=OVERWRITE),
+    Step(
+        "reconstruct_objects",
+        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 54",
+        minutes=25,
+        again=OVERWRITE,
+    ),
+    Step(
+        "reconstruct_policies",
+        '-m experiments.reconstruct --test 280 --touches 5 --conditions "random sites" uncertainty reading oracle',
+        minutes=50,
+        again=OVERWRITE,
+    ),
+    Step("reconstruct_patch", "-m experiments.reconstruct patch", minutes=8, again=OVERWRITE),
+    Step("reconstruct_patch_exact", "-m experiments.reconstruct patch --exact", minutes=8, again=OVERWRITE),
+    Step(
+        "grasps",
+        "-m experiments.recognize recorded --label object --ignore slipped --readings biotac_sp/bts3v2_palm_45.csv.gz "
+        "biotac_sp/bts3v2_palm_down.csv.gz biotac_sp/bts3v2_palm_side.csv.gz",
+        minutes=3,
+    ),
+    Step("faults", "-m tests.faults", minutes=120, again=None),
+)
