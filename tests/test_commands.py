@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from i2t.__main__ import COMMANDS, EXPERIMENTS, FIRST, main
+from i2t.cli.commands import COMMANDS, EXPERIMENTS, FIRST, main
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
