@@ -8,8 +8,6 @@
 """
 
 import errno
-import os
-import select
 import signal
 import sys
 import threading
@@ -20,12 +18,12 @@ from types import FrameType
 from typing import Any
 
 from i2t.cli.options import check_options, read_options
+from i2t.cli.pipes import NOBODY_READS, nobody_reads
 from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
 from i2t.files.terminal import printable
 from i2t.runtime.compile_cache import use_compile_cache
 
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
-NOBODY_READS = 141  # as shells give it for programs that end by SIGPIPE
 SENT_AGAIN_S = 0.05
 NO_ROOM = {errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)}  # errors of a disk
 REMEDIES: dict[type[OSError], str] = {  # of the system's errors that name a file
@@ -59,7 +57,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
             sys.stdout.flush()  # here, where it is known what to say if that fails
         return result if isinstance(result, int) else 0
     except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
-        if isinstance(error, BrokenPipeError) and _nobody_reads():
+        if isinstance(error, BrokenPipeError) and nobody_reads():
             return NOBODY_READS
         print(f"error: {printable(_sentence(error))}", file=sys.stderr)
         mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
@@ -117,31 +115,6 @@ def _sentence(error: Exception) -> str:
         return str(error)
     remedy = next((f"; {said}" for kind, said in REMEDIES.items() if isinstance(error, kind)), "")
     return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}{remedy}"
-
-
-def _nobody_reads() -> bool:
-    """Test for an output pipe without a reader; further output to it is then dropped.
-
-    A connection to a device breaks with the same error, and is no reason to say nothing.
-    """
-    gone = [stream for stream in (sys.stdout, sys.stderr) if _has_no_reader(stream)]
-    for stream in gone:  # Python would complain again when it writes what is left at its end
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
-    return bool(gone)
-
-
-def _has_no_reader(stream: Any) -> bool:
-    try:
-        descriptor = stream.fileno()
-    except (AttributeError, OSError, ValueError):  # none, replaced by what is no file, or closed
-        return False
-    if not hasattr(select, "poll"):  # Windows
-        return False
-    poll = select.poll()
-    poll.register(descriptor, 0)  # errors are reported anyway
-    return any(what & (select.POLLERR | select.POLLHUP) for _, what in poll.poll(0))
 
 
 @contextmanager

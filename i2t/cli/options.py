@@ -8,6 +8,7 @@ import ast
 import importlib.util
 import math
 import os
+import sys
 import typing
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
@@ -15,6 +16,8 @@ from functools import cache
 from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
+
+from i2t.cli.pipes import NOBODY_READS, nobody_reads
 
 T = TypeVar("T")
 
@@ -75,12 +78,21 @@ def read_options(
         The options.
 
     Raises:
-        SystemExit: After help, or with tyro's answer on stderr where a word makes no sense.
+        SystemExit: After help, or with tyro's answer on stderr where a word makes no sense; 141 without a word if
+            nobody reads the help to its end.
     """
     import tyro  # here, as functions that check options need it not
 
     config = (tyro.conf.FlagCreatePairsOff,) if config is None else config
-    return tyro.cli(kind, args=words, prog=program, description=description or None, config=config)
+    try:
+        try:
+            return tyro.cli(kind, args=words, prog=program, description=description or None, config=config)
+        except SystemExit:
+            sys.stdout.flush()  # here, where it is known what to say if that fails
+            raise
+    except BrokenPipeError:
+        nobody_reads()
+        raise SystemExit(NOBODY_READS) from None
 
 
 def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import io
 import os
 import signal
 import sys
@@ -12,7 +13,7 @@ from typing import Annotated
 import pytest
 
 from i2t.cli.exit_codes import INTERRUPTED_BY_USER, NOBODY_READS, exit_code_of
-from i2t.cli.options import Limits, check_options
+from i2t.cli.options import Limits, check_options, read_options
 from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
 
 WRONG = (
@@ -121,6 +122,20 @@ def test_a_command_whose_output_nobody_reads_ends_without_a_word(monkeypatch, ca
     monkeypatch.setattr(sys, name, stream)
     assert exit_code_of(work) == NOBODY_READS == 141
     print("and another", file=stream)
+    stream.close()
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems say it otherwise")
+@pytest.mark.parametrize("buffered_bytes", [1, 1 << 20])  # the reader is missed while help is printed, or at its end
+def test_help_that_nobody_reads_ends_without_a_word(monkeypatch, capsys, buffered_bytes):
+    read, write = os.pipe()
+    os.close(read)
+    stream = io.TextIOWrapper(io.BufferedWriter(io.FileIO(write, "w"), buffered_bytes))
+    monkeypatch.setattr(sys, "stdout", stream)
+    with pytest.raises(SystemExit) as stopped:
+        read_options(Group, ["--help"], program="a command")
+    assert stopped.value.code == NOBODY_READS
     stream.close()
     assert capsys.readouterr() == ("", "")
 
