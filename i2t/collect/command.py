@@ -64,6 +64,5 @@ def end_by_signal(number: int, *_: Any) -> None:
 
     Args:
         number: Of the signal.
-        *_: The frame in which it came.
     """
     sys.exit(128 + number)

@@ -50,7 +50,12 @@ MAX_READINGS = 8  # by the law; a search that is still further off ends there
 @traced_floats
 @dataclass(frozen=True)
 class PressLimits:
-    """Limits of a press (the paper's values)."""
+    """Limits of a press (the paper's values).
+
+    Example:
+        limits = i2t.PressLimits(force=5.0, stiffness=20e3)  # a stiffer arm, which presses less
+        touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 1000, limits=limits)
+    """
 
     skin_change: float = 25.0  # uT, norm of the reading
     force: float = 8.0  # N

@@ -5,22 +5,11 @@ A converter states what it assumed and what it left out in its notes, which beco
 What it cannot read it refuses with one sentence; with `skip_bad` it leaves that out and says so in a note.
 """
 
-from typing import TYPE_CHECKING, Any
+import lazy_loader
 
-if TYPE_CHECKING:
-    from i2t.convert.common import Converted as Converted
-
-__all__ = ["Converted"]
+__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submod_attrs={"common": ["Converted"]})
 
 # Assumptions of converters that their command shows, which need not import them for that.
 CAMERA_OFFSET_M = 64e-3  # m, of Imagine2touch: the camera behind the tool's origin
 TIP_RADIUS_M = 4e-3  # m, of eFlesh's tip
 EFLESH_WINDOW_M = 40e-3  # m, holds the 31 x 31 mm grid of eFlesh's `spatial` sessions
-
-
-def __getattr__(name: str) -> Any:
-    if name != "Converted":
-        raise AttributeError(f"module 'i2t.convert' has no attribute {name!r}")
-    from i2t.convert.common import Converted
-
-    return Converted

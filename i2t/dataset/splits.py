@@ -32,6 +32,11 @@ class Split:
         test: To report on.
         groups: (n,) session, spatial block or stretch of time of each touch, which is never torn apart.
         how: In words, what is held out.
+
+    Example:
+        session = dataset.touches.session
+        held_out = session % 5 == 4
+        split = i2t.Split(~held_out, held_out, np.zeros(len(session), bool), session, "every fifth session")
     """
 
     train: np.ndarray

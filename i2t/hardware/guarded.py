@@ -254,7 +254,13 @@ class GuardedByPolling(DeviceBase):
             self.close()
 
     def state(self, timeout: float | None = None) -> ArmState:
-        """The newest state, as in `Arm.state`; by default it may be as old as the state timeout.
+        """The newest state, as in `Arm.state`.
+
+        Args:
+            timeout: s, how old it may be; by default as old as the state timeout.
+
+        Returns:
+            The state.
 
         Raises:
             DeviceTimeoutError: It is older; the arm has been told to stop.

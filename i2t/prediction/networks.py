@@ -96,7 +96,15 @@ class NetworkMethod(Method):
         """
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit, as in `Method.fit`.
+        """Fit the network that the touches allow.
+
+        Args:
+            key: A JAX key, of initial weights and minibatches.
+            touches: To fit to, and to choose the best epoch by.
+            split: Which of them are for what.
+
+        Returns:
+            The predictor; None where touches lack what the network sees.
 
         Raises:
             ValueError: Touches cannot be learned from, or no epoch had a finite loss.

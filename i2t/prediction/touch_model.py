@@ -23,7 +23,7 @@ modules of i2t itself.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
-from importlib import import_module
+from importlib import import_module  # noqa: TID251  # of a user's class
 from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
 
 import jax.numpy as jnp

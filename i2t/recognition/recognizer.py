@@ -57,7 +57,15 @@ POSE_STD_M, POSE_STD_RAD = 1e-3, float(np.radians(1.0))  # of an object's pose u
 
 @dataclass(frozen=True)
 class RecognizerConfig:
-    """Settings of a recogniser's choices and stopping. Raises ValueError for numbers that make no sense."""
+    """Settings of a recogniser's choices and stopping.
+
+    Raises:
+        ValueError: The unknown object's probability is no probability, or no surrogates stand for it.
+
+    Example:
+        config = i2t.RecognizerConfig(max_touches=20, max_error_probability=0.01)  # surer, for more touches
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, meshes, config=config)
+    """
 
     num_sites: int = 24  # of each object, to choose among
     num_particles: int = 64  # poses of each object

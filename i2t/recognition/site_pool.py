@@ -182,10 +182,18 @@ def precompute_outcomes(
     overtravel: float,
     label: str,
 ) -> list[PredictedTouch]:
-    """Predict touches as in `predict_outcomes`, with a progress bar.
+    """Predict touches with a progress bar.
 
     Args:
+        surfaces: Of the objects.
+        twist: Of the pose particles (m).
+        T_w_site: Sites.
+        reading_models: Of some pads, at the same loads.
+        overtravel: Distance (m) beyond a site after which a press gives up.
         label: What the bar says the touches are for.
+
+    Returns:
+        For each pad the predicted touches, (sites, objects, k), on the host.
     """
     layers = {tuple(float(part) for part in model.layer) for model in reading_models}
     total = len(layers) * len(surfaces) * len(T_w_site) * len(twist)

@@ -9,7 +9,15 @@ from i2t.patches.dimensions import PAD_WINDOW
 
 @dataclass(frozen=True)
 class SiteLimits:
-    """Limits of a safe site; by default as in the paper's collection, with a fair guess of a UR flange and mount."""
+    """Limits of a safe site; by default as in the paper's collection, with a fair guess of a UR flange and mount.
+
+    Raises:
+        ValueError: A limit is not a number in its range, or the flange's box ends before it begins.
+
+    Example:
+        limits = i2t.SiteLimits(min_cos=0.5, table=-0.02)  # flatter places, of an object that stands on a block
+        sites = i2t.sample_touch_sites(mesh, 36, limits=limits)
+    """
 
     # of the angle between normal and up; the paper's recognition uses 0.5
     min_cos: Annotated[float, Limits(-1, 1)] = 0.25

@@ -54,7 +54,12 @@ CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (th
 @traced_floats
 @dataclass(frozen=True)
 class SimulationErrors:
-    """Standard deviations of the lab's errors about the true world (metres, radians, newtons)."""
+    """Standard deviations of the lab's errors about the true world (metres, radians, newtons).
+
+    Example:
+        errors = i2t.SimulationErrors(placement=2e-3, force=0.2)  # the others as in a usual lab
+        touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 1000)
+    """
 
     placement: float = 1e-3  # of the object, per axis and session
     placement_angle: float = math.radians(1.0)

@@ -172,7 +172,10 @@ class UrArm(GuardedByPolling):
             self.stop()
 
     def tool_pose(self) -> Array:
-        """Pose of the tool now, (4, 4) T_b_t, by listening alone: the arm need not be connected, and is not controlled.
+        """Pose of the tool now, by listening alone: the arm need not be connected, and is not controlled.
+
+        Returns:
+            (4, 4) T_b_t.
 
         Raises:
             DeviceError: The controller does not answer.
