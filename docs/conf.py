@@ -1,16 +1,16 @@
-"""The site: python -m sphinx -W --keep-going docs build/site (pip install "imagine2touch[docs]"), without a network.
+"""The site: python -m sphinx -W -c docs . build/site (pip install "imagine2touch[docs]"), without a network.
 
-Pages are the Markdown files of this folder. Two are made while the site is built: every command with its options, from
-the commands' own help, and the library's public names, from their docstrings.
+Pages are the Markdown files of this folder and of those beside it. Two are made while the site is built: every command
+with its options, from the commands' own help, and the library's names, from their docstrings. A link, an anchor or a
+name of i2t that leads nowhere is a warning; addresses outside are tried by `-b linkcheck`, which needs a network.
 """
 
 import ast
 import contextlib
 import importlib
-import importlib.util
 import inspect
-import io
 import os
+import pkgutil
 import re
 import sys
 import textwrap
@@ -28,7 +28,8 @@ sys.path.insert(0, str(DOCS.parent))
 os.environ["COLUMNS"] = "88"  # of the help of commands, as many as the page is wide
 
 import i2t
-from i2t.__main__ import COMMANDS, EXPERIMENTS
+from i2t.cli.commands import COMMANDS, EXPERIMENTS
+from tools.check_docs import pages
 
 project = "i2t"
 author = project_copyright = "The i2t maintainers"
@@ -40,7 +41,13 @@ html_static_path = ["_static"]
 html_css_files = ["i2t.css"]
 html_show_sphinx = False
 html_copy_source = False
-exclude_patterns = ["figures", "results"]
+html_extra_path = ["_static/index.html"]  # leads to the root of the pages
+root_doc = "docs/index"
+include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/*.md", "examples/*/README.md"]
+exclude_patterns = [".*", "build", "runs", "data"]
+nitpicky = True
+nitpick_ignore = [("py:class", "numpy.ndarray")]  # whose inventory needs a network
+nitpick_ignore_regex = [("py:class", r"i2t\..*\.(?:PopulationGP|TouchModel)")]  # behind what the pages describe
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 html_math_renderer = "mathml"  # which browsers draw by themselves: no script, no network
@@ -54,8 +61,11 @@ napoleon_numpy_docstring = False
 suppress_warnings = ["toc.not_included"]
 
 SECOND_TIER = ("i2t.recognition.recognizer", "i2t.recognition.pad_model", "i2t.skin_models.calibration", "i2t.models",
-               "i2t.hardware.protocols", "i2t.hardware.plugins", "i2t.dataset.store", "i2t.dataset.splits")  # fmt: skip
-GENERATED = {"reference_commands.md": "commands_page", "reference_api.md": "api_page"}
+               "i2t.hardware.protocols", "i2t.hardware.plugins", "i2t.dataset.store", "i2t.dataset.splits",
+               "i2t.errors")  # fmt: skip
+GENERATED = {"docs/reference_commands": "commands_page", "docs/reference_api": "api_page"}
+CODE = re.compile(r"^(`{3,})[^`].*?^\1$|^#.*?$", re.M | re.S)  # and headings, whose anchors are made of their text
+NAME = re.compile(r"(?<!\[)`(((?:i2t|experiments|tools)(?:\.\w+)+)(?:\([^`]*\))?)`")
 
 
 def help_of(command: str) -> str:
@@ -71,14 +81,9 @@ def subcommands_of(text: str) -> list[str]:
     return re.findall(r"^│   • ([\w-]+)", listed, re.M) + (re.split(r",\s+", parts[1])[1:] if parts else [])
 
 
-def _help(command: str, *words: str) -> str:
-    package = importlib.util.find_spec(command).submodule_search_locations
-    main = importlib.import_module(f"{command}.__main__" if package else command).main
-    out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # with an encoding, boxes are drawn as on a terminal
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), contextlib.suppress(SystemExit):
-        main([*words, "--help"])
-    out.flush()
-    return re.sub(r"^(?:[\w(`]|--).*(?:\n(?:[\w(`]|--).*)*", _wrapped, out.buffer.getvalue().decode(), flags=re.M)
+def _help(command: str, part: str = "") -> str:
+    text = pages.help_of(command, part)
+    return re.sub(r"^(?:[\w(`]|--).*(?:\n(?:[\w(`]|--).*)*", _wrapped, text, flags=re.M)
 
 
 def _wrapped(found: re.Match[str]) -> str:
@@ -104,32 +109,64 @@ def api_page() -> str:
     lines += ["```{eval-rst}", ".. highlight:: python", "```", ""]
     for name in i2t.__all__:
         found = getattr(i2t, name)
-        kind = "autofunction" if not isinstance(found, type) else "autoclass"
-        lines += [f"## {name}", "", "```{eval-rst}", f".. {kind}:: {found.__module__}.{found.__qualname__}"]
-        lines += ["   :members:"] * (kind == "autoclass" and not issubclass(found, Exception))
+        lines += [f"## {name}", "", "```{eval-rst}", f".. {_directive(found)}:: i2t.{name}"]
+        lines += ["   :members:"] * (isinstance(found, type) and not issubclass(found, Exception))
         lines += ["```", ""]
     for module in SECOND_TIER:
-        lines += [f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:", "   :no-index:"]
-        lines += ["```", ""]
-    return "\n".join(lines)
+        lines += [f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:"]
+        lines += [f"   :exclude-members: {', '.join(i2t.__all__)}", "```", ""]
+    lines += ["## Other names on these pages", "", "```{eval-rst}", ".. py:currentmodule:: None"]
+    others = other_names()
+    for name in sorted(
+        others, key=lambda name: (inspect.ismodule(others[name]), name)
+    ):
+        lines += ["", f".. {_directive(others[name])}:: {name}"]
+        if inspect.ismodule(others[name]):
+            sentence, *_ = re.split(r"[.?:]\s", others[name].__doc__ or "")
+            lines += ["", f"``{name}``: {' '.join(sentence.split()).rstrip('.')}."]
+    return "\n".join([*lines, "```", ""])
+
+
+def other_names() -> dict[str, Any]:
+    """What pages name that is not public or of the second tier; names of nothing are left out, and warned of there."""
+    found = {}
+    for pattern in include_patterns:
+        for page in DOCS.parent.glob(pattern):
+            for _, name in NAME.findall(CODE.sub("", page.read_text())):
+                with contextlib.suppress(ImportError, AttributeError):
+                    found[name] = pkgutil.resolve_name(name)
+    public = {f"i2t.{name}" for name in i2t.__all__}
+    return {name: of for name, of in found.items() if not name.startswith(SECOND_TIER) and name not in public}
+
+
+def _directive(found: Any) -> str:
+    """What documents it."""
+    if inspect.ismodule(found):
+        return "py:module"
+    return "autoclass" if isinstance(found, type) else "autofunction" if callable(found) else "py:data"
+
+
+def linked(text: str) -> str:
+    """A page whose names of the code lead to what they name."""
+    parts, end = [], 0
+    for code in [*CODE.finditer(text), None]:
+        prose = text[end : code.start() if code else len(text)]
+        parts += [NAME.sub(r"{py:obj}`\1 <\2>`", prose), code[0] if code else ""]
+        end = code.end() if code else end
+    return "".join(parts)
 
 
 def setup(app: Any) -> None:
     """Make pages while they are read, without writing into the checkout, and docstrings ready for Sphinx."""
-    pages: dict[str, str] = {}
 
     def found(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
-        return [name.removesuffix(".md") for name in GENERATED]
+        return [name for name in GENERATED if name in env.found_docs]
 
     def read(app: Any, docname: str, content: list[str]) -> None:
-        name = f"{docname}.md"
-        if name in GENERATED and name not in pages:
-            pages[name] = globals()[GENERATED[name]]()
-        text = pages.get(name, content[0])
-        # Markdown outside of this folder is no page of the site.
-        text = re.sub(r"\[([^\]]+)\]\(\.\./\1(?:#[^)]*)?\)", r"`\1`", text)
-        text = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)[^)]*\)", r"\1 (`\2`)", text)
-        content[0] = text
+        if docname in GENERATED:
+            content[0] = globals()[GENERATED[docname]]()
+        else:
+            content[0] = linked(content[0])
 
     app.add_html_math_renderer("mathml", inline_renderers=(draw_inline, None), block_renderers=(draw_block, None))
     app.connect("env-get-outdated", found)

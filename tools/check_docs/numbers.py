@@ -12,9 +12,11 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from tools.check_docs.pages import BLOCK, HEADING, LINK, Finding, blank, pages_of, slug
+from tools.check_docs.pages import BLOCK, Finding, blank, pages_of
 from tools.reproduce.tables import MARK
 
+LINK = re.compile(r"\]\(([\w./]+\.md)?(?:#([\w-]+))?\)")
+HEADING = re.compile(r"^(#+) (.*)$", re.M)
 UNSPOKEN = (
     r"^```.*?^```", r"<!--.*?-->", r"\$\$.*?\$\$", r"\$[^$\n]+\$", r"`[^`]*`", r"^#.*?$", r"!\[[^\]]*\]",
     r"(?<=\])\([^)]*\)", r"\d+ x \d+(?: x \d+)*", r"Python \d\.\d+(?:(?:,| and| or| to) \d\.\d+)*",
@@ -59,6 +61,11 @@ def numbers(page: Path, text: str) -> Iterator[Finding]:
                 line = text.count("\n", 0, found.start()) + 1
                 number = " ".join(filter(None, (found[1].strip(), found[2])))
                 yield Finding(page, line, f"no table holds the number {number}")
+
+
+def slug(heading: str) -> str:
+    """The anchor that a heading has on the site."""
+    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
 def _section(text: str, anchor: str) -> str:

@@ -24,8 +24,7 @@ from tools.reproduce.tables import MARK, README_TABLE, table
 
 ROOT = Path(__file__).parents[2]
 COMMAND = re.compile(r"python -m (?:i2t|experiments|tools|tests)[^`\n]*")
-LINK = re.compile(r"\]\(([\w./]+\.md)?(?:#([\w-]+))?\)")
-HEADING = re.compile(r"^(#+) (.*)$", re.M)
+FILE = re.compile(r"`((?:i2t|experiments|tools|tests|examples|notebooks|docs)/[\w./-]+\.(?:py|md|ipynb))`")
 BLOCK = re.compile(r"^```([a-z]*)\n(.*?)^```", re.M | re.S)
 
 
@@ -63,29 +62,11 @@ def blank(found: re.Match[str]) -> str:
     return re.sub(r"[^\n]", " ", found[0])
 
 
-def slug(heading: str) -> str:
-    """The anchor that a heading has on the site."""
-    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
-
-
-def anchors(page: Path, text: str) -> Iterator[Finding]:
-    """Headings that links lead to exist."""
-    for found in LINK.finditer(text):
-        other = page.parent / found[1] if found[1] else page
-        if found[2] and other.is_file():
-            headings = HEADING.findall(BLOCK.sub(blank, text if other == page else other.read_text()))
-            if found[2] not in {slug(title) for _, title in headings}:
-                yield Finding(page, _line(text, found.start()), f"{found[1] or page.name} has no heading {found[2]}")
-
-
-def links(page: Path, text: str) -> Iterator[Finding]:
-    """Links lead to files, and files that are named exist."""
-    linked = [found for found in re.finditer(r"\]\(([^)#\s]+)", text) if not re.match(r"\w+://|mailto:", found[1])]
-    named = re.finditer(r"`((?:i2t|experiments|tools|tests|examples|notebooks|docs)/[\w./-]+\.(?:py|md|ipynb))`", text)
-    for folder, places in ((page.parent, linked), (ROOT, named)):
-        for found in places:
-            if not (folder / found[1]).exists():
-                yield Finding(page, _line(text, found.start()), f"{found[1]} does not exist")
+def files(page: Path, text: str) -> Iterator[Finding]:
+    """Files of the repository that are named exist; Sphinx follows the links."""
+    for found in FILE.finditer(text):
+        if not (ROOT / found[1]).exists():
+            yield Finding(page, _line(text, found.start()), f"{found[1]} does not exist")
 
 
 def figures(page: Path, text: str) -> Iterator[Finding]:
@@ -103,28 +84,6 @@ def tests(page: Path, text: str) -> Iterator[Finding]:
         code = "".join(path.read_text() for path in paths if path.is_file())
         if not code or (name and f"def {name}(" not in code):
             yield Finding(page, _line(text, found.start()), f"there is no test {found[0]}")
-
-
-def names(page: Path, text: str) -> Iterator[Finding]:
-    """Dotted names are those of the code."""
-    for found in re.finditer(r"`((?:i2t|experiments|tools)(?:\.\w+)+)(?:\([^`]*\))?`", text):
-        if not _exists(found[1]):
-            yield Finding(page, _line(text, found.start()), f"{found[1]} does not exist")
-
-
-@cache
-def _exists(name: str) -> bool:
-    parts = name.split(".")
-    for split in range(len(parts), 0, -1):
-        with contextlib.suppress(ModuleNotFoundError):
-            if importlib.util.find_spec(".".join(parts[:split])):
-                found: Any = importlib.import_module(".".join(parts[:split]))
-                for attribute in parts[split:]:
-                    if not hasattr(found, attribute):
-                        return False
-                    found = getattr(found, attribute)
-                return True
-    return False
 
 
 def printed_commands(text: str) -> list[tuple[int, list[str]]]:
@@ -272,24 +231,24 @@ def notebook(path: Path, text: str) -> Iterator[Finding]:
 
 
 def site(root: Path) -> list[Finding]:
-    """Builds the site, with every page, formulas without a network, and the options of sub-commands."""
+    """Builds the site, where a link, an anchor or a name that leads nowhere is a warning, and so an error."""
     with tempfile.TemporaryDirectory() as folder:
-        words = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", folder]
+        words = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-c", "docs", ".", folder]
         done = subprocess.run(words, capture_output=True, text=True, cwd=root, check=False)
-        said = done.stderr.strip().splitlines() if done.returncode else []
-        found = [Finding(root / "docs" / "conf.py", 1, f"sphinx: {line}") for line in said]
-        for name, words_of in SITE.items():
-            made = Path(folder, f"{name}.html")
-            text = made.read_text() if made.is_file() else ""
-            found += [Finding(root / f"docs/{name}.md", 1, f"the page lacks {each}") for each in words_of
-                      if each not in text]  # fmt: skip
-    return found
+        lines = done.stderr.strip().splitlines() if done.returncode else []
+        mistakes = [Finding(root / "docs" / "conf.py", 1, f"sphinx: {line}") for line in lines]
+        for name, needed in SITE.items():
+            file = Path(folder, "docs", f"{name}.html")
+            text = file.read_text() if file.is_file() else ""
+            mistakes += [Finding(root / f"docs/{name}.md", 1, f"the page lacks {each}") for each in needed
+                         if each not in text]  # fmt: skip
+    return mistakes
 
 
 SITE = {
     "reference_api": ("load_predictor",),
     "reference_commands": ("--max-touches", "--square", "--dictionary", "--quarter-turns"),
     "physics": ("<math",),
-    "index": ('src="_images/overview.png"',),
+    "index": ('src="../_images/overview.png"',),
 }
-CHECKS = (links, anchors, figures, tests, names, commands, python, tables, advice)
+CHECKS = (files, figures, tests, commands, python, tables, advice)
