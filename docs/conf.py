@@ -26,6 +26,7 @@ from sphinx.errors import ExtensionError
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
 os.environ["COLUMNS"] = "88"  # of the help of commands, as many as the page is wide
+os.environ.setdefault("JAX_PLATFORMS", "cpu")  # nothing is computed
 
 import i2t
 from i2t.cli.commands import COMMANDS, EXPERIMENTS
@@ -117,9 +118,7 @@ def api_page() -> str:
         lines += [f"   :exclude-members: {', '.join(i2t.__all__)}", "```", ""]
     lines += ["## Other names on these pages", "", "```{eval-rst}", ".. py:currentmodule:: None"]
     others = other_names()
-    for name in sorted(
-        others, key=lambda name: (inspect.ismodule(others[name]), name)
-    ):
+    for name in sorted(others, key=lambda name: (inspect.ismodule(others[name]), name)):
         lines += ["", f".. {_directive(others[name])}:: {name}"]
         if inspect.ismodule(others[name]):
             sentence, *_ = re.split(r"[.?:]\s", others[name].__doc__ or "")

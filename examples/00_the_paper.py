@@ -7,8 +7,6 @@ import jax
 import numpy as np
 
 import i2t
-from i2t.contact.press import PressLimits
-from i2t.dataset import Split
 from i2t.paper import loop
 from i2t.prediction.methods import TrainingTouches
 from i2t.prediction.networks import PaperDepth
@@ -16,7 +14,6 @@ from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator
 from i2t.recognition.paper_rules import reading_scorers, run_loop
 from i2t.recognition.site_pool import prepare_surfaces, sample_pools
 from i2t.simulation.sites import RECOGNITION_LIMITS
-from i2t.simulation.touches import SimulationErrors
 from i2t.training import TrainConfig
 
 TRAINING, UNSEEN = ("hexagon", "parallelogram"), ("star", "square", "cylinder")
@@ -25,7 +22,7 @@ TRAINING, UNSEEN = ("hexagon", "parallelogram"), ("star", "square", "cylinder")
 def main(touches: int = 936, epochs: int = 60, episodes: int = 24, count: int = loop.TOUCHES) -> float:
     """Run the paper's experiment, and return the share of episodes whose object is recognised."""
     keys, pad = jax.random.split(jax.random.key(0), 5), i2t.nominal_pad()
-    errors, limits = SimulationErrors(), PressLimits()
+    errors, limits = i2t.SimulationErrors(), i2t.PressLimits()
 
     # Touch two objects at random places, in sessions of 36; a fifth of the sessions chooses the best epoch.
     surfaces = prepare_surfaces([i2t.make_object(name).mesh for name in TRAINING])
@@ -33,7 +30,7 @@ def main(touches: int = 936, epochs: int = 60, episodes: int = 24, count: int = 
     dataset = i2t.Dataset.simulated(touched, TRAINING, pad)
     session = dataset.touches.session
     held_out = session % 5 == 4
-    split = Split(~held_out, held_out, np.zeros(len(session), bool), session, "session")
+    split = i2t.Split(~held_out, held_out, np.zeros(len(session), bool), session, "session")
 
     # Learn tau~ = f(patch): 48 x 48 -> 200 -> 5 -> 500 -> 15, with the decoded patch as a second task.
     predictor = PaperDepth().fit(

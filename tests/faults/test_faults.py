@@ -4,6 +4,7 @@ import json
 import signal
 import sys
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,10 @@ def fault(trial, *measures, count=4):
 
 
 def test_a_goal_is_missed_by_the_worst_trial_by_the_share_of_all_by_nan_and_where_half_could_not_be_made():
-    trials = [{"gained": 1.0, "lost": 1, "sent": 10, "said": "stopped"}, {"gained": 3.0, "lost": 0, "sent": 90}]
+    trials: list[dict[str, Any]] = [
+        {"gained": 1.0, "lost": 1, "sent": 10, "said": "stopped"},
+        {"gained": 3.0, "lost": 0, "sent": 90},
+    ]
 
     def met(*measures, made=trials, count=2):
         return judge(fault(None, *measures), made, count).met

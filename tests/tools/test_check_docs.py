@@ -1,35 +1,33 @@
 """`tools.check_docs` finds a planted fault of each kind, says where it is, and says nothing of what is right."""
 
-import ast
 import json
-import textwrap
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
 from tools.check_docs import __main__ as command
-from tools.check_docs import code, numbers, pages
+from tools.check_docs import code, linters, numbers, pages
 from tools.check_docs.pages import ROOT, Finding
 
+SCRIPTS = Path(sys.executable).parent
+LINTED = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
 PLANTED = [
-    (pages.links, "See [it](nowhere.md).", "nowhere.md does not exist"),
-    (pages.links, "See `i2t/nowhere.py`.", "i2t/nowhere.py does not exist"),
-    (pages.links, "See [it](start.md), [that](https://example.org/x) and `i2t/types.py`.", ""),
-    (pages.anchors, "See [it](limits.md#nowhere) and [that](#here).\n\n## Here", "limits.md has no heading nowhere"),
-    (pages.anchors, "See [it](recognition.md#how-sure-it-is) and [that](#it-is-here).\n\n## It is here!", ""),
+    (pages.files, "See `i2t/nowhere.py`.", "i2t/nowhere.py does not exist"),
+    (pages.files, "See `i2t/types.py`.", ""),
     (pages.figures, "![short](figures/a.png)", "has no text"),
     (pages.tests, "`test_nowhere.py` shows it.", "no test test_nowhere.py"),
     (pages.tests, "`test_check_docs.py::test_nothing` shows it.", "test_nothing"),
     (pages.tests, "`tests/tools/test_check_docs.py` shows it.", ""),
-    (pages.names, "`i2t.types.Nothing` is taken.", "i2t.types.Nothing does not exist"),
-    (pages.names, "`i2t.types.Patch` and `i2t.press(pad)` are taken.", ""),
     (pages.commands, "Say `python -m i2t.nowhere\n--help`.", "no command i2t.nowhere"),
     (pages.commands, "    python -m i2t.rather nothing", "no command i2t.rather"),
     (pages.commands, "```\npython -m i2t.place \\\n  --nothing 3 && true  # a minute\n```", "no option --nothing"),
     (pages.commands, "Say `python -m i2t.place ...`.", "not complete"),
     (pages.commands, "```python\nx = 'python -m i2t.nowhere'\n```\n\n    python -m i2t.place --host h | cat", ""),
-    (pages.python, "```python\ni2t.nothing()\n```", "i2t.nothing does not exist"),
-    (pages.python, "```python\ni2t.make_object('a', unknown=1)\n```", "unknown"),
-    (pages.python, "```python\ni2t.make_object('a').mesh.anything()\n```", ""),
     (pages.tables, "<!-- table: paper methods -->\n| before |\n<!-- end of table -->", "not what docs/results holds"),
     (pages.tables, "<!-- table: all summary -->\n| before |\n<!-- end of table -->", "not what docs/results holds"),
     (pages.tables, "<!-- table: nothing methods -->\n<!-- end of table -->", "no step nothing"),
@@ -55,53 +53,126 @@ def test_a_planted_fault_of_a_page_is_found(check, text, said):
     assert all(each.path == page and 1 <= each.line <= 2 + text.count("\n") for each in found)
 
 
-def _trees(**sources: str) -> dict[str, ast.Module]:
-    return {name.replace("__", "."): ast.parse(textwrap.dedent(source)) for name, source in sources.items()}
+def _run(*words, cwd=ROOT):
+    """What a linter prints where it finds mistakes."""
+    done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False, cwd=cwd)
+    assert done.returncode == 1, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+IMPORTS = {  # of a module that is planted, and which contract forbids them
+    "i2t/dataset/planted_upward.py": ("def late():\n    from i2t.recognition.belief import Particles", "floors"),
+    "i2t/dataset/planted_relative.py": ("from ..recognition.belief import Particles", "floors"),
+    "i2t/planted_package/__init__.py": ("", "floors"),
+    "i2t/skin/planted_face.py": ("if TYPE_CHECKING:\n    import i2t", "face"),
+    "i2t/skin/planted_test.py": ("from tests.helpers import touches", "library"),
+    "i2t/objects/planted_jax.py": ("def late():\n    import jax", "jax"),
+    "i2t/hardware/planted_indirect.py": ("import i2t.depth.planted_flax", "jax"),
+    "i2t/depth/planted_flax.py": ("from flax import nnx", "jax"),
+    "i2t/skin/planted_circle.py": ("from i2t.skin import planted_other", "circles"),
+    "i2t/skin/planted_other.py": ("def late():\n    from .planted_circle import name", "circles"),
+    "experiments/planted_tool.py": ("from tools import gallery", "experiments"),
+    "tools/planted_test.py": ("import tests.conftest", "tools"),
+}
+
+
+def test_imports_against_a_contract_are_found_however_they_are_written(tmp_path):
+    for source in (path for name in ("i2t", "experiments", "tools") for path in (ROOT / name).rglob("*.py")):
+        copy = tmp_path / source.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source, copy)
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for path, (source, _) in IMPORTS.items():
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(source)
+    report = _run(SCRIPTS / "lint-imports", "--no-cache", "--no-logo", cwd=tmp_path)
+    contracts = {each["id"]: each["name"] for each in LINTED["importlinter"]["contracts"]}
+    sections = {name: re.split(r"\n.+\n-{9,}\n", report.split(f"\n{name}\n-")[1])[0] for name in contracts.values()}
+    for path, (_, contract) in IMPORTS.items():
+        module = path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        assert module.rpartition(".")[2] in sections[contracts[contract]]
+    assert len(set(contracts)) == len({contract for _, contract in IMPORTS.values()})
+
+
+def test_imports_by_name_are_found():
+    source = "import importlib\n\nimportlib.import_module('..recognition.belief', __package__)\n"
+    words = [sys.executable, "-m", "ruff", "check", "--stdin-filename", "i2t/dataset/planted.py", "-"]
+    done = subprocess.run(words, input=source, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert "importlib.import_module` is banned" in done.stdout
 
 
 @pytest.mark.parametrize(
-    "source",
+    ("docstring", "missing"),
     [
-        "from i2t.recognition import belief",
-        "from ..recognition.belief import Particles",
-        "from .. import ObjectRecognizer",
-        "import_module('..recognition.belief', __package__)",
-        "def late():\n    from i2t.recognition.belief import Particles",
-        "if TYPE_CHECKING:\n    import i2t",
-        "from tests.helpers import touches",
+        ("Args:\n        a: One.\n\n    Returns:\n        It.", "b"),
+        ("Args:\n        a: One.\n        b: Two.", "return"),
     ],
 )
-def test_an_import_upwards_is_found_however_it_is_written(source):
-    trees = _trees(i2t__dataset__case=source, i2t__recognition__belief="")
-    assert [name for name, *_ in code.floors(trees)] == ["i2t.dataset.case"]
-    below = _trees(i2t__dataset__case="import numpy\nfrom ..types import Array\nfrom . import files", i2t__types="")
-    assert not list(code.floors(below))
+def test_what_a_docstring_leaves_out_is_found(tmp_path, docstring, missing):
+    path = tmp_path / "case.py"
+    path.write_text(f'def f(a: int, b: int) -> int:\n    """Add.\n\n    {docstring}\n    """\n    return a + b\n')
+    assert missing in _run(SCRIPTS / "pydoclint", "--config", ROOT / "pyproject.toml", path)
 
 
-def test_a_circle_is_found_however_it_is_written():
-    one = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .two import B"
-    trees = _trees(i2t__dataset__one=one, i2t__dataset__two="def f():\n    from i2t.dataset import one")
-    ((_, _, said),) = code.circle(trees)
-    assert "i2t.dataset.one -> i2t.dataset.two -> i2t.dataset.one" in said
+def test_a_docstring_without_sections_is_found(tmp_path):
+    (finding,) = code.docstrings(tmp_path, "def f(a: int) -> int:\n    'Double.'")
+    assert (finding.line, finding.sentence) == (1, "f has no section Args, Returns")
+    right = (
+        "def _f(a): ...\nclass A:\n    def f(self, a):\n        'Halve, as in `B.f`.'\n    def test_it(self, make): ..."
+    )
+    assert not list(code.docstrings(tmp_path, right))
 
 
-def test_what_a_docstring_leaves_out_is_found():
-    source = '''
-    def f(a: int, b: int) -> int:
-        """Add.
+def test_links_anchors_and_names_that_lead_nowhere_are_found(tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text(
+        "# A\n\n[file](nowhere.md) [page](other.md#lost) [here](#gone) `i2t.types.Nothing` [right](other.md#kept)\n"
+    )
+    (tmp_path / "docs" / "other.md").write_text("# Other\n\n## Kept\n")
+    words = [
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "dummy",
+        "-c",
+        ROOT / "docs",
+        tmp_path,
+        tmp_path / "site",
+    ]
+    report = _run(sys.executable, *words)
+    assert [name for name in ("nowhere.md", "lost", "gone", "i2t.types.Nothing") if name not in report] == []
+    assert "kept" not in report
 
-        Args:
-            a: One.
-        """
-    '''
-    ((_, line, said),) = code.docstrings(_trees(i2t__case=source))
-    assert (line, said) == (2, "f does not say b, return")
+
+def test_code_on_a_page_that_calls_what_is_not_there_is_found(tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "case.md").write_text(
+        "# Case\n\n```python\ni2t.nothing()\ni2t.make_object('a', unknown=1)\nmine.say(i2t.DataError)\n```\n"
+    )
+    for name in ("README", "CONTRIBUTING", "CHANGELOG"):
+        (tmp_path / f"{name}.md").touch()
+    files = linters.write_code(tmp_path, tmp_path / "code")
+    assert len(files) > 40
+    report = _run(sys.executable, "-m", "mypy", *[path for path in files if path.stem == "case"])
+    assert 'case.py:4: error: Module has no attribute "nothing"' in report
+    assert 'case.py:5: error: Unexpected keyword argument "unknown"' in report
+    assert "case.py:6" not in report
 
 
 def test_findings_are_lines_and_the_exit_code(monkeypatch, capsys):
     for module in (pages, numbers, code):
         monkeypatch.setattr(module, "findings", lambda root: [])
+    monkeypatch.setattr(linters, "start", lambda root, folder, site: {})
     assert command.main(["--no-site"]) == 0
-    monkeypatch.setattr(pages, "site", lambda root: [Finding(root / "docs" / "a.md", 3, "it is wrong")])
+    monkeypatch.setattr(numbers, "findings", lambda root: [Finding(root / "docs" / "a.md", 3, "it is wrong")])
     assert command.main([]) == 1
     assert capsys.readouterr().out.splitlines()[-1] == "docs/a.md:3: it is wrong"
+    monkeypatch.setattr(numbers, "findings", lambda root: [])
+    monkeypatch.setattr(linters, "start", lambda root, folder, site: {
+        "a linter": subprocess.Popen([sys.executable, "-c", "print('b.py:1: wrong, too'); exit(1)"],
+                                     stdout=subprocess.PIPE, text=True)})  # fmt: skip
+    assert command.main([]) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "a linter: b.py:1: wrong, too"

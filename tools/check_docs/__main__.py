@@ -3,15 +3,16 @@
     python -m tools.check_docs             all of it, a minute
     python -m tools.check_docs --no-site   without building the site
 
-Each finding is one line, `file:line: sentence`. The exit code is 1 if there is any.
+Each finding is one line, `file:line: sentence`, or a linter's own report. The exit code is 1 if there is any.
 
-Pages: links, files, tests, names, commands and their options exist; Python calls what exists; tables repeat what was
-measured (docs/results), and results that sentences name stand in tables. Code: a package imports from lower floors
-only, nothing imports itself in a circle, and docstrings say what is taken and given. The site is built, and a warning
-is a finding.
+Pages: files, tests, commands and their options exist; tables repeat what was measured (docs/results), and results that
+sentences name stand in tables. mypy checks their Python, and Sphinx, which builds the site, their links and names.
+Code: floors, circles and forbidden imports are contracts of import-linter; docstrings say what is taken and given, and
+pydoclint compares them with the signature. pyproject.toml and docs/conf.py configure these.
 """
 
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,16 +30,18 @@ class CheckDocsArgs:
 
 def run(args: CheckDocsArgs) -> int:
     """Print what is wrong; returns the exit code."""
-    from tools.check_docs import code, numbers, pages
+    from tools.check_docs import code, linters, numbers, pages
 
-    found = [*pages.findings(ROOT), *numbers.findings(ROOT), *code.findings(ROOT)]
-    if args.site:
-        found += pages.site(ROOT)
-    for path, line, sentence in found:
+    with tempfile.TemporaryDirectory() as folder:
+        running = linters.start(ROOT, Path(folder), site=args.site)
+        mistakes = [*pages.findings(ROOT), *numbers.findings(ROOT), *code.findings(ROOT)]
+        reports = linters.finish(running, Path(folder))
+    for path, line, sentence in mistakes:
         print(f"{path.relative_to(ROOT)}:{line}: {sentence}")
-    if not found:
+    print(*reports, sep="\n", end="\n" if reports else "")
+    if not mistakes and not reports:
         print("documents and house are in order")
-    return 1 if found else 0
+    return 1 if mistakes or reports else 0
 
 
 main = command(CheckDocsArgs, "tools.check_docs.__main__")

@@ -1,22 +1,17 @@
 """Checks of each page. A check takes a page and its text, and gives what is wrong, and where."""
 
-import ast
 import contextlib
 import importlib
 import importlib.util
-import inspect
 import io
 import json
 import re
 import shlex
-import subprocess
-import sys
-import tempfile
 import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import i2t
 from tools.reproduce.steps import STEPS
@@ -142,41 +137,6 @@ def _mentions(said: str, word: str) -> bool:
     return bool(re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", said))
 
 
-def python(page: Path, text: str) -> Iterator[Finding]:
-    """Python on a page calls what exists, with its arguments. (That it runs, tests/test_page_code.py shows.)"""
-    for block in BLOCK.finditer(text):
-        if block[1] == "python":
-            tree = ast.parse(block[2])
-            space: dict[str, Any] = {"i2t": i2t}
-            for node in ast.walk(tree):
-                if isinstance(node, ast.Import | ast.ImportFrom):
-                    exec(compile(ast.Module([node], []), page.name, "exec"), space)
-            for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-                if wrong := wrong_call(call, space):
-                    yield Finding(page, _line(text, block.start(2)) + call.lineno - 1, wrong)
-
-
-def wrong_call(call: ast.Call, space: dict[str, Any]) -> str:
-    """Find the mistake in a call of something in a name space; methods of what the code itself made are not judged."""
-    first, *rest = ast.unparse(call.func).split(".")
-    if first not in space or not all(part.isidentifier() for part in rest):
-        return ""
-    function = space[first]
-    for part in rest:
-        if not hasattr(function, part):
-            return f"{ast.unparse(call.func)} does not exist"
-        function = getattr(function, part)
-    if any(isinstance(each, ast.Starred) for each in call.args) or any(each.arg is None for each in call.keywords):
-        return ""
-    try:
-        inspect.signature(function).bind(*call.args, **{str(keyword.arg): None for keyword in call.keywords})
-    except ValueError:  # a function of C has no signature
-        return ""
-    except TypeError as error:
-        return f"{ast.unparse(call.func)}: {error}"
-    return ""
-
-
 def tables(page: Path, text: str) -> Iterator[Finding]:
     """Tables are what was measured, on a page that prints the command."""
     printed = {step.name: f"python {step.command}" for step in STEPS} | {README_TABLE[0]: ""}  # it links to them
@@ -230,25 +190,4 @@ def notebook(path: Path, text: str) -> Iterator[Finding]:
             yield Finding(path, 1, "it imports experiments, which is not installed")
 
 
-def site(root: Path) -> list[Finding]:
-    """Builds the site, where a link, an anchor or a name that leads nowhere is a warning, and so an error."""
-    with tempfile.TemporaryDirectory() as folder:
-        words = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-c", "docs", ".", folder]
-        done = subprocess.run(words, capture_output=True, text=True, cwd=root, check=False)
-        lines = done.stderr.strip().splitlines() if done.returncode else []
-        mistakes = [Finding(root / "docs" / "conf.py", 1, f"sphinx: {line}") for line in lines]
-        for name, needed in SITE.items():
-            file = Path(folder, "docs", f"{name}.html")
-            text = file.read_text() if file.is_file() else ""
-            mistakes += [Finding(root / f"docs/{name}.md", 1, f"the page lacks {each}") for each in needed
-                         if each not in text]  # fmt: skip
-    return mistakes
-
-
-SITE = {
-    "reference_api": ("load_predictor",),
-    "reference_commands": ("--max-touches", "--square", "--dictionary", "--quarter-turns"),
-    "physics": ("<math",),
-    "index": ('src="../_images/overview.png"',),
-}
-CHECKS = (files, figures, tests, commands, python, tables, advice)
+CHECKS = (files, figures, tests, commands, tables, advice)

@@ -1,0 +1,99 @@
+"""What libraries judge by their own commands: imports, docstrings, Python on the pages, and the site.
+
+import-linter checks the contracts of pyproject.toml, pydoclint the sections of docstrings, mypy the code that pages and
+the examples of public names show, and Sphinx every link, anchor and name.
+"""
+
+import inspect
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import i2t
+from tools.check_docs.pages import BLOCK, pages_of
+
+PRELUDE = "import i2t; import jax; import numpy as np\n"  # of an example; what a reader is to bring is free
+SITE = {
+    "reference_api": ("load_predictor",),
+    "reference_commands": ("--max-touches", "--square", "--dictionary", "--quarter-turns"),
+    "physics": ("<math",),
+    "index": ('src="../_images/overview.png"',),
+}
+
+
+def start(root: Path, folder: Path, *, site: bool = True) -> dict[str, subprocess.Popen[str]]:
+    """Start all linters, next to each other.
+
+    Args:
+        root: Of the checkout.
+        folder: Empty, for code and pages that are made.
+        site: Whether to build the site, too.
+
+    Returns:
+        What runs, by the linter's name.
+    """
+    scripts = Path(sys.executable).parent
+    commands = {
+        "import-linter": [str(scripts / "lint-imports"), "--no-cache", "--no-logo"],
+        "pydoclint": [str(scripts / "pydoclint"), "i2t"],
+        "mypy": [sys.executable, "-m", "mypy", "--no-error-summary",
+                 *map(str, write_code(root, folder / "code"))],
+    }  # fmt: skip
+    if site:
+        commands["sphinx"] = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-c", "docs", ".",
+                              str(folder / "site")]  # fmt: skip
+    return {
+        name: subprocess.Popen(words, cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        for name, words in commands.items()
+    }
+
+
+def finish(running: dict[str, subprocess.Popen[str]], folder: Path) -> list[str]:
+    """Wait for the linters.
+
+    Args:
+        running: As `start` returns it.
+        folder: As `start` took it.
+
+    Returns:
+        Reports of those that found mistakes.
+    """
+    outputs = {name: process.communicate()[0] for name, process in running.items()}
+    reports = [f"{name}: {outputs[name].strip()}" for name, process in running.items() if process.returncode]
+    for name, needed in SITE.items() if "sphinx" in running and not reports else ():
+        text = (folder / "site" / "docs" / f"{name}.html").read_text()
+        reports += [f"docs/{name}.md: the page lacks {words}" for words in needed if words not in text]
+    return reports
+
+
+def write_code(root: Path, folder: Path) -> list[Path]:
+    """Write the Python of each page, on the page's own lines, and of each public name's example.
+
+    Args:
+        root: Of the checkout.
+        folder: To write to; it is made.
+
+    Returns:
+        The files, named as the pages and names are.
+    """
+    sources = {f"example_{name}": _example(name) for name in i2t.__all__}
+    for page in pages_of(root):
+        text = page.read_text()
+        lines = [""] * (text.count("\n") + 1)
+        for block in BLOCK.finditer(text):
+            if block[1] == "python":
+                first = text.count("\n", 0, block.start(2))
+                lines[first : first + block[2].count("\n")] = block[2].splitlines()
+        sources[page.stem] = PRELUDE + "\n".join(lines[1:])  # of which the first is a title
+    folder.mkdir()
+    files = {folder / f"{name}.py": source for name, source in sources.items() if source.strip() != PRELUDE.strip()}
+    for path, source in files.items():
+        path.write_text(source)
+    return list(files)
+
+
+def _example(name: str) -> str:
+    """The example in a public name's docstring."""
+    docstring = inspect.getdoc(getattr(i2t, name)) or ""
+    return PRELUDE + textwrap.dedent(docstring.partition("Example:\n")[2])
