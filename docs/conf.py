@@ -109,13 +109,14 @@ def api_page() -> str:
     lines = ["# Names of the library", "", "`import i2t` gives these; arguments say their shapes and units.", ""]
     lines += ["```{eval-rst}", ".. highlight:: python", "```", ""]
     for name in i2t.__all__:
-        found = getattr(i2t, name)
-        lines += [f"## {name}", "", "```{eval-rst}", f".. {_directive(found)}:: i2t.{name}"]
-        lines += ["   :members:"] * (isinstance(found, type) and not issubclass(found, Exception))
+        value = getattr(i2t, name)
+        lines += [f"## {name}", "", "```{eval-rst}", f".. {_directive(value)}:: i2t.{name}"]
+        lines += ["   :members:"] * (isinstance(value, type) and not issubclass(value, Exception))
         lines += ["```", ""]
     for module in SECOND_TIER:
+        shown = [name for name in i2t.__all__ if getattr(i2t, name).__module__ == module]  # above
         lines += [f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:"]
-        lines += [f"   :exclude-members: {', '.join(i2t.__all__)}", "```", ""]
+        lines += [f"   :exclude-members: {', '.join(shown)}", "```", ""]
     lines += ["## Other names on these pages", "", "```{eval-rst}", ".. py:currentmodule:: None"]
     others = other_names()
     for name in sorted(others, key=lambda name: (inspect.ismodule(others[name]), name)):
@@ -127,22 +128,25 @@ def api_page() -> str:
 
 
 def other_names() -> dict[str, Any]:
-    """What pages name that is not public or of the second tier; names of nothing are left out, and warned of there."""
-    found = {}
+    """Values, by the names that pages have for them, outside of the public face and the second tier.
+
+    A name of nothing is left out, so that Sphinx warns of it on its page.
+    """
+    values = {}
     for pattern in include_patterns:
         for page in DOCS.parent.glob(pattern):
             for _, name in NAME.findall(CODE.sub("", page.read_text())):
                 with contextlib.suppress(ImportError, AttributeError):
-                    found[name] = pkgutil.resolve_name(name)
+                    values[name] = pkgutil.resolve_name(name)
     public = {f"i2t.{name}" for name in i2t.__all__}
-    return {name: of for name, of in found.items() if not name.startswith(SECOND_TIER) and name not in public}
+    return {name: value for name, value in values.items() if not name.startswith(SECOND_TIER) and name not in public}
 
 
-def _directive(found: Any) -> str:
-    """What documents it."""
-    if inspect.ismodule(found):
+def _directive(value: Any) -> str:
+    """The directive of Sphinx that documents a value."""
+    if inspect.ismodule(value):
         return "py:module"
-    return "autoclass" if isinstance(found, type) else "autofunction" if callable(found) else "py:data"
+    return "autoclass" if isinstance(value, type) else "autofunction" if callable(value) else "py:data"
 
 
 def linked(text: str) -> str:
