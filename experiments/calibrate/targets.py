@@ -11,7 +11,7 @@ from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
 from i2t.files.terminal import printable
 from i2t.heads.heads import fit_head
-from i2t.heads.recordings import SkinRecording, read_recordings
+from i2t.recordings.read import SkinRecording, read_recordings
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:

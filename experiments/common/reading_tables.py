@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from i2t.convert.cells import GROUPED_MARK, as_written, parse_number
-from i2t.convert.common import ConversionLog
-from i2t.convert.tables import FIELD_STEM, beginning_of, open_text_table
 from i2t.errors import DataError, did_you_mean
+from i2t.recordings.cells import GROUPED_MARK, as_written, parse_number
+from i2t.recordings.log import ReadingLog
+from i2t.recordings.tables import FIELD_STEM, beginning_of, open_text_table
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
@@ -213,7 +213,7 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
     if not readings:
         raise DataError(f"{path}: holds no row below the names of its columns; give one a touch")
     columns, reading = tuple(header[i] for i in kept), np.array(readings)
-    log = ConversionLog(skip_bad=False, lines=list(notes))
+    log = ReadingLog(skip_bad=False, lines=list(notes))
     heard = log.keep_heard(_silent(columns, reading))
     log.require_heard(path)
     labels, groups, touches = zip(*(row for row, keep in zip(texts, heard, strict=True) if keep), strict=True)

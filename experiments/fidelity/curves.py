@@ -27,7 +27,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.dataset import square_blocks
-from i2t.heads.recordings import SkinRecording
+from i2t.recordings.read import SkinRecording
 from i2t.types import Board
 
 RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"

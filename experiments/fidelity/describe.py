@@ -4,9 +4,9 @@ import numpy as np
 
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
-from i2t.heads.recordings import TARGETS, SkinRecording
 from i2t.recordings.diagnose import Finding, RecordedPresses, estimate_unknowns, metrics_of
 from i2t.recordings.diagnose.findings import AXES
+from i2t.recordings.read import TARGETS, SkinRecording
 from i2t.recordings.segmentation import MAD_TO_STD
 from i2t.skin_models import check_presses
 

@@ -21,8 +21,8 @@ from experiments.fidelity.forward import (
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.heads.recordings import STREAM_GAP_S, SkinRecording
 from i2t.recordings.diagnose.findings import AXES
+from i2t.recordings.read import STREAM_GAP_S, SkinRecording
 from i2t.skin.faults import LAYER_SHARE, Faults
 from i2t.skin.noise import Noise
 

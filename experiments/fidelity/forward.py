@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from experiments.fidelity.sections import CannotTellError
-from i2t.heads.recordings import SkinRecording
 from i2t.recordings.diagnose.smooth import left_out
+from i2t.recordings.read import SkinRecording
 
 SIMPLE_GP = "plain Gaussian process"
 # Lengths (m), widths in standard deviations of the load, and noises as a share of a channel's variance.

@@ -19,8 +19,8 @@ from i2t.heads.heads import (
     hold_out_groups,
     target_rows,
 )  # fmt: skip
-from i2t.heads.recordings import TARGETS, SkinRecording
 from i2t.heads.regression import BASELINE_HEADS, HeadBudget
+from i2t.recordings.read import TARGETS, SkinRecording
 
 PUBLISHED_FIGURES = {
     "position": "eFlesh 0.5 mm, eflesh-touch 1.22 mm",

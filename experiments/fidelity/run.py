@@ -28,8 +28,8 @@ from experiments.fidelity.sections import Section, text_of, written
 from i2t import viz
 from i2t.errors import DataError
 from i2t.files.writing import replacing
-from i2t.heads.recordings import SkinRecording, corrected_recording, is_dataset, read_recordings
 from i2t.recordings.diagnose import Finding
+from i2t.recordings.read import SkinRecording, corrected_recording, is_dataset, read_recordings
 
 FOUND_BY_CONVERTER = "found in "  # so begins a note of `i2t.convert` on what a session does not contradict
 

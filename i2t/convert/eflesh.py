@@ -17,11 +17,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from i2t.convert import EFLESH_WINDOW_M, TIP_RADIUS_M
-from i2t.convert.clocks import judge_stamps, require_order
-from i2t.convert.common import ConversionLog, Converted, data_error, read_numbers
+from i2t.convert.common import Converted, converted
 from i2t.convert.press_table import (
     PressTable,
     SessionCheck,
@@ -33,20 +31,26 @@ from i2t.convert.press_table import (
 )
 from i2t.errors import DataError
 from i2t.patches.dimensions import REACH
+from i2t.recordings.clocks import judge_stamps, require_order
 from i2t.recordings.diagnose import RecordedPresses, find_units, findings_to_meta, turn_board
+from i2t.recordings.eflesh import (
+    EFLESH_READINGS,
+    SAME_ROW,
+    load_of_states,
+    rows_together,
+    silent_chips_of,
+    stroke_numbers,
+    table_path,
+)
+from i2t.recordings.files import data_error, read_numbers
+from i2t.recordings.log import ReadingLog
 from i2t.skin import boards
-from i2t.skin.boards import silent_chips
 from i2t.types import Board
 
-EFLESH_READINGS = 15  # of one board, AnySkin's
-NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram
-RAW_DECIMALS = 6  # of raw values, which are sums here
-SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
 BOARD_FROM_STAGE = ((0.0, -1.0), (1.0, 0.0))  # by what the five chips read together in the `spatial` session
 REFERENCE = "reference of "  # of the data set's meta: where a session's positions and heights count from
 ONE_HEIGHT_M = 0.1e-3  # presses whose heights differ by less go to one height
 MAX_RAW_VALUE = 1e10  # of any recorded number: Unix times are 1.7e9 s
-STROKE_PAUSE_S = 0.5  # without rows between the strokes of a `normal` or `shear` session; rows are 0.03 to 0.14 s apart
 
 
 def convert(
@@ -84,7 +88,7 @@ def convert(
     """
     if not 0 < radius < np.inf:
         raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is no radius; give a positive length in mm")
-    notes = ConversionLog(skip_bad)
+    notes = ReadingLog(skip_bad)
     sessions = sorted({file.parent for file in source.rglob("states.csv*")}) if source.is_dir() else []
     if not sessions:
         raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
@@ -110,10 +114,10 @@ def convert(
         window=window, reach=reach, source=stated_source or "real",
         meta={"converter": "eflesh", "tip_radius_m": f"{radius:g}"} | {k: v for c in checks for k, v in c.meta.items()},
     )  # fmt: skip
-    return notes.close(dataset)
+    return converted(dataset, notes)
 
 
-def _common_board(checks: list[SessionCheck], notes: ConversionLog) -> Board:
+def _common_board(checks: list[SessionCheck], notes: ReadingLog) -> Board:
     """The board of all sessions: the described one where they do not agree on how it lies."""
     first = checks[0].board
     if all(np.allclose(a, b) for check in checks for a, b in zip(check.board, first, strict=True)):
@@ -128,7 +132,7 @@ def _board() -> Board:
 
 
 def _session(
-    folder: Path, notes: ConversionLog, *, zero: float | None, pad: str | None, as_stated: bool
+    folder: Path, notes: ReadingLog, *, zero: float | None, pad: str | None, as_stated: bool
 ) -> tuple[list[PressTable], SessionCheck]:
     """The presses of a session, a table for each board, and what was found out about it."""
     states = _table(folder, "states", (4, 5), notes)
@@ -154,7 +158,7 @@ def _session(
 
 
 def _pressed(
-    name: str, table: PressTable, notes: ConversionLog, *, stated_zero: float | None, as_stated: bool
+    name: str, table: PressTable, notes: ReadingLog, *, stated_zero: float | None, as_stated: bool
 ) -> tuple[PressTable, SessionCheck]:
     """A session in which the probe presses one skin from above."""
     middle, check = _middle(table.position), SessionCheck(_board())
@@ -177,7 +181,7 @@ def _pressed(
 
 
 def _zero(
-    name: str, heights: np.ndarray, check: SessionCheck, notes: ConversionLog, *, stated: float | None, as_stated: bool
+    name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog, *, stated: float | None, as_stated: bool
 ) -> float:
     """Height of first contact (m): as given, as found, or else as assumed; NaN where nothing can be assumed."""
     found = check.zero
@@ -198,7 +202,7 @@ def _zero(
     return top
 
 
-def _sheared(name: str, table: PressTable, notes: ConversionLog, *, as_stated: bool) -> tuple[PressTable, SessionCheck]:
+def _sheared(name: str, table: PressTable, notes: ReadingLog, *, as_stated: bool) -> tuple[PressTable, SessionCheck]:
     """A session in which the probe moves along two skins: the robot's z is the direction of shear, and how deep it
     presses is not recorded. Of what it does not say only the units are looked at.
     """
@@ -222,112 +226,7 @@ def _middle(values: np.ndarray) -> np.ndarray:
     return (values.min(0) + values.max(0)) / 2
 
 
-def rows_together(
-    states: Float[np.ndarray, " n"], values: Float[np.ndarray, " m"]
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Sensor rows that have a state at their time.
-
-    Args:
-        states: s, increasing.
-        values: s, of the sensor's rows.
-
-    Returns:
-        These rows, and the states that are theirs.
-    """
-    after = np.clip(np.searchsorted(states, values), 0, len(states) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(states[before] - values) < np.abs(states[after] - values), before, after)
-    rows = np.flatnonzero(np.abs(states[nearest] - values) <= SAME_ROW)
-    return rows, nearest[rows]
-
-
-def baselines(folder: Path, values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n c"] | None:
-    """What was subtracted from each row, by the raw values (`sensor.csv`) in the same folder.
-
-    Args:
-        folder: Of the session.
-        values: As recorded: time (s), and differences (uT).
-
-    Returns:
-        uT; None where the raw values are missing, damaged or of other rows.
-    """
-    try:
-        raw = read_numbers(table_path(folder, "sensor"), (values.shape[1],))
-    except DataError:
-        return None
-    raw = raw[np.isfinite(raw[:, 0])]
-    raw = raw[np.argsort(raw[:, 0], kind="stable")]
-    if not len(raw):
-        return None
-    rows, partner = rows_together(raw[:, 0], values[:, 0])
-    return raw[partner, 1:] - values[:, 1:] if len(rows) == len(values) else None
-
-
-def silent_chips_of(folder: Path, values: Float[np.ndarray, "n columns"]) -> Bool[np.ndarray, "n chips"]:
-    """Chips that did not answer, by the raw values where these are in the folder, else by the differences.
-
-    Args:
-        folder: Of the session.
-        values: As recorded: time (s), and differences (uT).
-
-    Returns:
-        Where a chip did not answer.
-    """
-    subtracted = baselines(folder, values)
-    if subtracted is None:
-        return silent_chips(values[:, 1:], differences=True)
-    return silent_chips(np.round(values[:, 1:] + subtracted, RAW_DECIMALS))
-
-
-def stroke_numbers(time: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """The stroke, down and up, that each row belongs to: strokes begin at the top, after a pause.
-
-    Args:
-        time: s.
-        z: Height of the probe, in any unit; NaN where it is not known.
-
-    Returns:
-        Numbers from 0.
-    """
-    at_top = z > np.nanmax(z) - 0.1 * (np.nanmax(z) - np.nanmin(z))
-    begins = np.concatenate([[False], (np.diff(time) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
-    return np.cumsum(begins)
-
-
-def load_of_states(states: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, " n"]:
-    """What the scale read.
-
-    Args:
-        states: As recorded, the load (grams, -1 where it was not read) in the fifth column if there is one.
-
-    Returns:
-        N; NaN where it was not read.
-    """
-    if states.shape[1] < 5:
-        return np.full(len(states), np.nan)
-    return np.where(states[:, 4] == -1, np.nan, NEWTONS_PER_GRAM * states[:, 4])
-
-
-def table_path(folder: Path, name: str) -> Path:
-    """The file of a session's table, plain or gzip-ed.
-
-    Args:
-        folder: Of the session.
-        name: Of the table.
-
-    Returns:
-        The file.
-
-    Raises:
-        DataError: There is none.
-    """
-    path = next((p for p in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if p.is_file()), None)
-    if path is None:
-        raise data_error(folder, f"{name}.csv or {name}.csv.gz is missing")
-    return path
-
-
-def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionLog) -> np.ndarray:
+def _table(folder: Path, name: str, columns: tuple[int, int], notes: ReadingLog) -> np.ndarray:
     """One table of a session, its times increasing; rows that are not finite are damage."""
     path = table_path(folder, name)
     table = read_numbers(path, columns)
@@ -350,9 +249,7 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ConversionL
     return table[~verdict.damaged]
 
 
-def _matched(
-    folder: Path, states: np.ndarray, values: np.ndarray, notes: ConversionLog
-) -> tuple[np.ndarray, np.ndarray]:
+def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
     """The rows of both tables that belong together by time."""
     if not len(states) or not len(values):
         raise data_error(folder, "has no rows")

@@ -26,13 +26,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.convert import CAMERA_OFFSET_M, npy, samples
-from i2t.convert.common import ConversionLog, Converted, data_error
+from i2t.convert.common import Converted, converted
 from i2t.dataset import Dataset, concatenate, missing_context
 from i2t.dataset.sets import NOT_STATED
 from i2t.depth.camera import read_image, stored_mask
 from i2t.errors import DataError
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.recordings.diagnose import correction_of, find_force_sign, find_units, findings_to_meta
+from i2t.recordings.files import data_error
+from i2t.recordings.log import ReadingLog
 from i2t.types import Board, ReturnCode, Touches
 
 MAX_LOOK_OFFSET_M = 2e-3  # m; a look from further off the contact's axis showed another place
@@ -83,7 +85,7 @@ def convert(
     Raises:
         DataError: The folder cannot be read as such a recording.
     """
-    notes = ConversionLog(skip_bad, unit="touches")
+    notes = ReadingLog(skip_bad, unit="touches")
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
     notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
@@ -107,10 +109,10 @@ def convert(
             source, f"no touch is left to convert ({' | '.join(notes.lines[3 + (stated_source is None) :])})"
         )
     dataset = concatenate(parts)
-    return notes.close(dataset if as_stated else _corrected(dataset, notes))
+    return converted(dataset if as_stated else _corrected(dataset, notes), notes)
 
 
-def _corrected(dataset: Dataset, notes: ConversionLog) -> Dataset:
+def _corrected(dataset: Dataset, notes: ReadingLog) -> Dataset:
     """The data set with pressing forces positive and readings in microtesla."""
     touches = dataset.touches
     units = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
@@ -138,7 +140,7 @@ class _Options(NamedTuple):
     source: str
 
 
-def _convert_run(folder: Path, run: str, options: _Options, notes: ConversionLog) -> Dataset:
+def _convert_run(folder: Path, run: str, options: _Options, notes: ReadingLog) -> Dataset:
     """One run of an object: its touches that have a reading and an image."""
     tactile = folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin"
     reading, time = samples.readings(tactile, options.order, notes)
@@ -209,7 +211,7 @@ def _remarks(folder: Path, run: str) -> dict[str, str]:
     return {f"remarks on {folder.name} {run}": words} if words else {}
 
 
-def _poses(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+def _poses(stem: Path, damaged: np.ndarray, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
     """Poses (n, 4, 4) at the contact, and the way (n,) in m along tool z from where the camera looked to it."""
     n = len(damaged)
     final, prepare = (_optional(stem, name, (3,), damaged, notes) for name in ("final_contact", "prepare_contact"))
@@ -233,7 +235,7 @@ def _poses(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> tuple[np.nd
     return T_w_t, approach
 
 
-def _rotations(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> np.ndarray:
+def _rotations(stem: Path, damaged: np.ndarray, notes: ReadingLog) -> np.ndarray:
     """Rotations (n, 3, 3) of the tool, NaN where unknown."""
     values = _optional(stem, "rotations", (4,), damaged, notes)
     result = np.full((len(damaged), 3, 3), np.nan)
@@ -247,7 +249,7 @@ def _rotations(stem: Path, damaged: np.ndarray, notes: ConversionLog) -> np.ndar
     return result
 
 
-def _forces(stem: Path, axis: np.ndarray, damaged: np.ndarray, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+def _forces(stem: Path, axis: np.ndarray, damaged: np.ndarray, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
     """Force (n,) N along tool z, which is `axis` in the axes of the wrenches; return codes (n,)."""
     wrenches = _optional(stem, "forces_torques", (6,), damaged, notes)
     codes = _optional(stem, "contact_returns", (), damaged, notes, unknown=float(ReturnCode.UNDEFINED))
@@ -259,7 +261,7 @@ def _forces(stem: Path, axis: np.ndarray, damaged: np.ndarray, notes: Conversion
     return -np.sum(wrenches[:, :3] * axis, axis=1), codes
 
 
-def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+def _patches(stem: Path, n: int, options: _Options, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
     """Patches (n, 48, 48) m, and the depth of their nearest pixels (n,) m, NaN where the image is damaged."""
     patches, closest = np.zeros((n, PATCH_PIXELS, PATCH_PIXELS), np.float32), np.full(n, np.nan)
     for k in range(n):
@@ -276,7 +278,7 @@ def _patches(stem: Path, n: int, options: _Options, notes: ConversionLog) -> tup
     return patches, closest
 
 
-def _note_distance(nearest: np.ndarray, images: Path, notes: ConversionLog) -> None:
+def _note_distance(nearest: np.ndarray, images: Path, notes: ReadingLog) -> None:
     """Note that the nearest surface in the images, at distances (n,) m from the skin, lies far from it."""
     middle = float(np.median(nearest[np.isfinite(nearest)])) if np.isfinite(nearest).any() else 0.0
     if abs(middle) > FAR_M:
@@ -291,7 +293,7 @@ def _optional(
     name: str,
     width: tuple[int, ...],
     damaged: np.ndarray,
-    notes: ConversionLog,
+    notes: ReadingLog,
     *,
     unknown: float = math.nan,
 ) -> np.ndarray:
@@ -321,7 +323,7 @@ def _optional(
     return numbers
 
 
-def _depth_image(path: Path, notes: ConversionLog) -> np.ndarray:
+def _depth_image(path: Path, notes: ReadingLog) -> np.ndarray:
     """The crop (48, 48) in metres, infinite where nothing was measured; another size is resampled, each pixel taking
     the one under its centre.
     """

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from i2t.convert.common import data_error, read_bytes
 from i2t.errors import DataError
 from i2t.files.kinds import HEAD_BYTES, kind_of
+from i2t.recordings.files import data_error, read_bytes
 
 MAX_LIST_LEVELS = 16  # nested lists: real files have five levels
 OPCODES = re.compile(

@@ -15,7 +15,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from i2t.convert.common import ConversionLog
 from i2t.dataset import Dataset, missing_context
 from i2t.errors import DataError
 from i2t.patches.dimensions import PATCH_PIXELS
@@ -32,6 +31,7 @@ from i2t.recordings.diagnose import (
 )
 from i2t.recordings.diagnose.chip_field import turn_board
 from i2t.recordings.diagnose.heights import HEIGHT_ZERO
+from i2t.recordings.log import ReadingLog
 from i2t.types import Board, ReturnCode, Touches
 
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
@@ -115,7 +115,7 @@ def check_session(
     name: str,
     presses: RecordedPresses,
     board: Board,
-    notes: ConversionLog,
+    notes: ReadingLog,
     *,
     stated_zero: float | None = None,
 ) -> SessionCheck:
@@ -165,7 +165,7 @@ def presses_dataset(
     table: PressTable,
     tip: Tip,
     board: Board,
-    notes: ConversionLog,
+    notes: ReadingLog,
     *,
     whose: object,
     window: float,

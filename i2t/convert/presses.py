@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from i2t import validation
-from i2t.convert.common import ZERO_AMBIENT, ConversionLog, Converted, require_ambient
+from i2t.convert.common import Converted, converted
 from i2t.convert.press_table import (
     PressTable,
     SessionCheck,
@@ -27,7 +27,12 @@ from i2t.convert.press_table import (
     round_tip,
     sphere,
 )
-from i2t.convert.tables import (
+from i2t.errors import DataError
+from i2t.files.kinds import MESH_SUFFIXES
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.recordings.diagnose import RecordedPresses
+from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
+from i2t.recordings.tables import (
     HEIGHT_COLUMNS,
     NAME_COLUMNS,
     SOURCE_COLUMN,
@@ -38,10 +43,6 @@ from i2t.convert.tables import (
     read_text_table,
     sound_rows,
 )
-from i2t.errors import DataError
-from i2t.files.kinds import MESH_SUFFIXES
-from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
-from i2t.recordings.diagnose import RecordedPresses
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
 
@@ -85,7 +86,7 @@ def convert(
     Raises:
         DataError: The table or the indenter cannot be used.
     """
-    notes = ConversionLog(skip_bad, unit="presses")
+    notes = ReadingLog(skip_bad, unit="presses")
     tip = _tip(indenter, unit, notes)
     presses, column = _read(source, table or read_text_table(source), board.num_chips, notes)
     checks: list[SessionCheck] = []
@@ -107,10 +108,10 @@ def convert(
         }
         | {key: text for check in checks for key, text in check.meta.items()},
     )
-    return notes.close(dataset)
+    return converted(dataset, notes)
 
 
-def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[PressTable, list[SessionCheck]]:
+def _corrected(table: PressTable, board: Board, notes: ReadingLog) -> tuple[PressTable, list[SessionCheck]]:
     """The presses, with units, signs, axes and heights that a session contradicts corrected in that session."""
     kept, checks = [], []
     for pad, session in dict.fromkeys(zip(table.pad.tolist(), table.session.tolist(), strict=True)):
@@ -128,7 +129,7 @@ def _corrected(table: PressTable, board: Board, notes: ConversionLog) -> tuple[P
     return join_tables(kept), checks
 
 
-def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> tuple[PressTable, str | None]:
+def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tuple[PressTable, str | None]:
     """The presses of a table, and whether they are real, simulated or mixed. `notes` refuses or counts damaged rows."""
     for note in table.notes:
         notes.info(note)
@@ -179,7 +180,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ConversionLog) -> t
     return presses, _sources(source, header, [row for row, keep in zip(rows, kept, strict=True) if keep])
 
 
-def _silent(source: Path, fields: np.ndarray, chips: int, notes: ConversionLog) -> np.ndarray:
+def _silent(source: Path, fields: np.ndarray, chips: int, notes: ReadingLog) -> np.ndarray:
     """Mask (n, chips) of chips for which a press is left out, because they sent zeros or no chip has a value.
 
     A press is kept if fields of only some chips are empty. Ambient columns that are zero in every row subtract nothing.
@@ -225,7 +226,7 @@ def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]])
     return "mixed" if len(line_of) > 1 else next(iter(line_of))
 
 
-def _value_columns(source: Path, header: list[str], chips: int, notes: ConversionLog) -> tuple[list[str], list[str]]:
+def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLog) -> tuple[list[str], list[str]]:
     """The columns of a board's values and of its ambient field; a table that lacks some is refused."""
     by_force = "depth_mm" not in header and "force_N" in header
     values = field_columns(source, header, chips, PLACES[:2] if by_force else PLACES)
@@ -243,7 +244,7 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: Conversio
     return values, ambient if has_ambient else []
 
 
-def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
     """Depths into the skin, and a mask of rows to keep: all are turned where nearly all are negative, a single one is
     damage.
     """
@@ -259,7 +260,7 @@ def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: Conversi
     return depth, ~(depth < 0)
 
 
-def _tip(indenter: str, unit: str | None, notes: ConversionLog) -> Tip:
+def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Tip:
     kind, _, value = indenter.partition(":")
     kind = kind.strip().lower()
     if kind == "mesh" and value:
@@ -278,7 +279,7 @@ def _tip(indenter: str, unit: str | None, notes: ConversionLog) -> Tip:
     return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](MM * radius))
 
 
-def _mesh_tip(file: Path, unit: str | None, notes: ConversionLog) -> Tip:
+def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Tip:
     if unit is None:
         raise DataError(f"--indenter mesh:{file}: say in which unit the file is, for instance --unit mm")
     import jax.numpy as jnp

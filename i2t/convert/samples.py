@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from i2t.convert import npy
-from i2t.convert.common import ZERO_AMBIENT, ConversionLog, data_error, require_ambient
 from i2t.errors import DataError
+from i2t.recordings.files import data_error
+from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.skin.boards import AXES_OF_CHIP, mean_known, without_silent_chips
 
 CHIPS = 5  # of the boards that this layout is of
@@ -25,7 +26,7 @@ MAX_SAMPLE_VALUE = 1e6  # uT: the chips end at 1.3e5
 STEADINESS_RATIO = 3.0  # times: how much steadier one column must be to be the temperature where both could be
 
 
-def readings(tactile: Path, order: str, notes: ConversionLog) -> tuple[np.ndarray, np.ndarray]:
+def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
     """Readings of one run: mean in contact minus mean ambient, over the samples in which all chips answered.
 
     Args:
@@ -90,7 +91,7 @@ def _list(path: Path) -> list[Any]:
     return items
 
 
-def _means(path: Path, touches: list[list[list[float]]], order: str, notes: ConversionLog) -> np.ndarray:
+def _means(path: Path, touches: list[list[list[float]]], order: str, notes: ReadingLog) -> np.ndarray:
     """Mean fields (n, 15): infinite, and noted as damage, where a value is no plausible field; NaN where a chip did not
     answer in any sample.
     """

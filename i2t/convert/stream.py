@@ -10,7 +10,7 @@ rows; its time is that of its beginning. A height becomes a depth, which counts 
 left its rest. Where the pad changes, after a pause and where the clock begins again, the search begins anew, unless the
 skin is pressed there and goes on to read the same. A press has the session of its steady rows. Rows in which a chip did
 not answer are no part of a press, and end none but those that they hide for longer than a pause. Rows that repeat
-earlier ones after a step back are left out. What the time stamps tell is for `i2t.convert.clocks`.
+earlier ones after a step back are left out. What the time stamps tell is for `i2t.recordings.clocks`.
 """
 
 import csv
@@ -24,7 +24,12 @@ from typing import NamedTuple
 import numpy as np
 
 from i2t.convert import presses
-from i2t.convert.clocks import (
+from i2t.convert.common import Converted
+from i2t.convert.presses import PLACES
+from i2t.errors import DataError
+from i2t.files.writing import replacing
+from i2t.patches.dimensions import PATCH_WINDOW, REACH
+from i2t.recordings.clocks import (
     COUNTERS_S,
     PAUSE_S,
     ClockVerdict,
@@ -36,21 +41,7 @@ from i2t.convert.clocks import (
     rolls_over,
     row_clock,
 )
-from i2t.convert.common import ConversionLog, Converted
-from i2t.convert.presses import PLACES
-from i2t.convert.tables import (
-    HEIGHT_COLUMNS,
-    TEXT_COLUMNS,
-    TIME,
-    TableRows,
-    TextTable,
-    field_columns,
-    open_text_table,
-    sound_rows,
-)
-from i2t.errors import DataError
-from i2t.files.writing import replacing
-from i2t.patches.dimensions import PATCH_WINDOW, REACH
+from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
     LONGEST_S,
     MIN_NOISE_UT,
@@ -62,6 +53,16 @@ from i2t.recordings.segmentation import (
     open_recording,
     segmentation_rules,
     true_presses,
+)
+from i2t.recordings.tables import (
+    HEIGHT_COLUMNS,
+    TEXT_COLUMNS,
+    TIME,
+    TableRows,
+    TextTable,
+    field_columns,
+    open_text_table,
+    sound_rows,
 )
 from i2t.runtime.progress import progress
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
@@ -268,7 +269,7 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     """
     table = open_text_table(source)
     columns = _columns(source, table, board.num_chips, timed=rate is None)
-    notes = ConversionLog(skip_bad, [*table.notes, *columns.notes])
+    notes = ReadingLog(skip_bad, [*table.notes, *columns.notes])
     names: list[tuple[str, ...]] = []
     searches = _Searches(columns)
     timed = _on_one_clock(_rows(source, table, columns, notes, names), f"{source}: its time", notes, rate)
@@ -343,7 +344,7 @@ class _Searches:
         depth = abs(heights[0] - press.steady[LABELS + self.height])
         return bool(abs(np.diff(heights)).max(initial=0.0) > UNSURE_DEPTH * depth)
 
-    def say(self, notes: ConversionLog) -> None:
+    def say(self, notes: ReadingLog) -> None:
         """Note what was found, assumed and left out."""
         pieces = ", between which it paused, its clock was set, or the pad changed"
         parts = f" of {self.parts} parts{pieces}" if self.parts > 1 else ""
@@ -398,7 +399,7 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
 
 
 def _rows(
-    source: Path, table: TableRows, columns: _Columns, notes: ConversionLog, known_names: list[tuple[str, ...]]
+    source: Path, table: TableRows, columns: _Columns, notes: ReadingLog, known_names: list[tuple[str, ...]]
 ) -> Iterator[_Rows]:
     """The rows of a log, some at a time; those in which a chip did not answer are counted, and new names added."""
     timed = [TIME] if TIME in table.header else []
@@ -481,7 +482,7 @@ class _Timed(NamedTuple):
     step: float  # s, between rows
 
 
-def _on_one_clock(pieces: Iterator[_Rows], name: str, notes: ConversionLog, rate: float | None) -> Iterator[_Timed]:
+def _on_one_clock(pieces: Iterator[_Rows], name: str, notes: ReadingLog, rate: float | None) -> Iterator[_Timed]:
     """Rows without those whose stamp is damaged and those that repeat earlier ones, in even time where a clock is
     coarse.
     """
@@ -581,7 +582,7 @@ class _Stamps:
         settled = max(verdict.settled - 1, 0)
         return ClockVerdict(verdict.damaged[1:], verdict.restarts - 1, settled)
 
-    def timed(self, rows: _Rows, verdict: ClockVerdict, clock: RowClock, notes: ConversionLog) -> _Timed:
+    def timed(self, rows: _Rows, verdict: ClockVerdict, clock: RowClock, notes: ReadingLog) -> _Timed:
         """Settled rows in the order of time, evenly spaced where they share a stamp."""
         parts: list[_Rows] = []
         begins: list[np.ndarray] = []
@@ -607,7 +608,7 @@ class _Stamps:
         whole = reduce(_Rows.then, parts) if parts else rows.pick(slice(0, 0))
         return _Timed(whole, np.concatenate(begins) if begins else np.zeros(0, bool), clock.step)
 
-    def _begin_again(self, part: _Rows, clock: RowClock, notes: ConversionLog) -> bool:
+    def _begin_again(self, part: _Rows, clock: RowClock, notes: ReadingLog) -> bool:
         """Whether a part begins with rows at which the clock goes back; otherwise it is counted on."""
         line, back = f"{part.labels[0, LINE]:.0f}", self.last - float(part.time[0])
         other_session = part.labels[0, NAMES] != self.names
@@ -625,7 +626,7 @@ class _Stamps:
         return True
 
 
-def _say_clock(clock: RowClock, time: np.ndarray, notes: ConversionLog) -> None:
+def _say_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
     """Note what the stamps tell, where they do not tell all."""
     steps = np.diff(time)
     shared = int(np.sum((steps >= 0) & (steps <= clock.within)))

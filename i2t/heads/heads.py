@@ -1,7 +1,7 @@
 """Heads: contact estimates from a skin's readings, position, depth, normal force and shear, with their spread.
 
     from i2t.heads.heads import fit_head
-    from i2t.heads.recordings import read_recordings
+    from i2t.recordings.read import read_recordings
 
     (recording,) = read_recordings("my_presses.csv")
     head = fit_head(recording, "position")
@@ -37,12 +37,6 @@ from scipy.spatial import cKDTree
 
 from i2t.dataset import square_blocks
 from i2t.files import serialization
-from i2t.heads.recordings import (
-    MIN_CHANGE,
-    TARGETS,
-    SkinRecording,
-    is_stream,
-)
 from i2t.heads.regression import (
     HEAD_METHODS,
     MEAN_TARGET,
@@ -58,6 +52,12 @@ from i2t.heads.regression import (
     predict_regression,
 )
 from i2t.recordings.diagnose.smooth import thinned
+from i2t.recordings.read import (
+    MIN_CHANGE,
+    TARGETS,
+    SkinRecording,
+    is_stream,
+)
 
 FILE_KIND_OF_HEAD = "i2t head"
 HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.yes_no)

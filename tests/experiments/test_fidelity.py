@@ -15,9 +15,9 @@ from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import press_set
 from experiments.fidelity.sections import CannotTellError, Section, written
 from i2t.heads.heads import load_head
-from i2t.heads.recordings import SkinRecording, from_dataset
 from i2t.heads.regression import HeadBudget
 from i2t.recordings.diagnose import estimate_labels
+from i2t.recordings.read import SkinRecording, from_dataset
 
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
 TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW)

@@ -14,8 +14,8 @@ from sklearn.neighbors import KNeighborsRegressor
 from i2t.errors import DataError, SerializationError
 from i2t.heads import regression as methods
 from i2t.heads.heads import fit_head, hold_out_groups, load_head, target_rows
-from i2t.heads.recordings import SkinRecording, is_stream, read_recordings
 from i2t.heads.regression import BASELINE_HEADS, HeadBudget
+from i2t.recordings.read import SkinRecording, is_stream, read_recordings
 
 SMALL = HeadBudget(selection_rows=150, known_rows=250)
 

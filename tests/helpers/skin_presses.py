@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from i2t.heads.recordings import SkinRecording
+from i2t.recordings.read import SkinRecording
 
 
 def presses_of_a_skin(n: int, *, channels: int = 15, seed: int = 0, noise_ut: float = 0.5) -> SkinRecording:

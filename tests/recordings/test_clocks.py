@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from i2t.convert.clocks import even_times, judge_stamps, row_clock
 from i2t.errors import DataError
+from i2t.recordings.clocks import even_times, judge_stamps, row_clock
 
 TIME = np.arange(400) * 0.01
 

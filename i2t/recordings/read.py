@@ -1,6 +1,6 @@
 """Recordings of a skin: readings and their known targets, from several file formats.
 
-    from i2t.heads.recordings import read_recordings
+    from i2t.recordings.read import read_recordings
 
     (recording,) = read_recordings("eflesh/spatial/20250316_155729_probe")
     recording.readings                # (n, c) uT
@@ -24,9 +24,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from i2t.convert.cells import parse_number
-from i2t.convert.common import read_text
-from i2t.convert.eflesh import (
+from i2t.dataset import Dataset, load_dataset
+from i2t.dataset.sets import times_of
+from i2t.errors import DataError
+from i2t.files.kinds import TABLE_SUFFIXES
+from i2t.geometry import inverse
+from i2t.recordings.cells import parse_number
+from i2t.recordings.diagnose import Finding, correction_of, lag_rows, turn_board
+from i2t.recordings.eflesh import (
     EFLESH_READINGS,
     SAME_ROW,
     baselines,
@@ -36,13 +41,8 @@ from i2t.convert.eflesh import (
     stroke_numbers,
     table_path,
 )
-from i2t.convert.tables import HEIGHT_COLUMNS, TextTable, read_text_table
-from i2t.dataset import Dataset, load_dataset
-from i2t.dataset.sets import times_of
-from i2t.errors import DataError
-from i2t.files.kinds import TABLE_SUFFIXES
-from i2t.geometry import inverse
-from i2t.recordings.diagnose import Finding, correction_of, lag_rows, turn_board
+from i2t.recordings.files import read_text
+from i2t.recordings.tables import HEIGHT_COLUMNS, TextTable, read_text_table
 from i2t.skin.boards import without_silent_chips
 from i2t.types import Board, ReturnCode
 
@@ -313,7 +313,7 @@ def read_tables(path: Path) -> list[SkinRecording]:
 
     Columns by name: b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (any number of chips), and of `TABLE_COLUMNS`, a0x_uT ...
     (ambient, subtracted), time_s, session and pad what there is; z_mm or height_mm of the tip in place of a depth.
-    Separators and units may be those of `i2t.convert.tables`. Empty or unreadable cells are unknown.
+    Separators and units may be those of `i2t.recordings.tables`. Empty or unreadable cells are unknown.
 
     Args:
         path: of the table, plain or gzip-ed.

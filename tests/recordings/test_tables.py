@@ -11,10 +11,10 @@ from helpers.recordings import READING_NAMES, converted, refused, write_table
 from helpers.skin_presses import presses_of_a_skin
 
 from experiments.calibrate.data import read_presses
-from i2t.convert.tables import read_text_table
 from i2t.dataset import load_dataset
 from i2t.errors import DataError
-from i2t.heads.recordings import read_recordings
+from i2t.recordings.read import read_recordings
+from i2t.recordings.tables import read_text_table
 
 SKIN = presses_of_a_skin(40)
 NAMES = ["x_mm", "y_mm", "depth_mm", *READING_NAMES]

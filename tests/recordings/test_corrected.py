@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from helpers.damage import VARIANTS, press
 
-from i2t.heads.recordings import SkinRecording, corrected_recording
 from i2t.recordings.diagnose import Finding, RecordedPresses, estimate_labels
+from i2t.recordings.read import SkinRecording, corrected_recording
 
 
 def as_recording(one):

@@ -3,7 +3,7 @@
 Differences between programs that do not change the meaning are removed here, each with a note: other delimiters and
 decimal commas, titles and comments before the names, columns without a name (a row's number), capital letters, units in
 brackets or below the names, and units other than mm, uT, N and s. Two modules interpret the columns:
-`i2t.convert.presses` refuses damaged rows, and `i2t.heads.recordings` keeps what it can.
+`i2t.convert.presses` refuses damaged rows, and `i2t.recordings.read` keeps what it can.
 """
 
 import csv
@@ -16,7 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.convert.cells import (
+from i2t.errors import DataError
+from i2t.files.kinds import UTF_8, WINDOWS_1252
+from i2t.files.reading import encoding_of_file, read_lines, require_unpackable
+from i2t.recordings.cells import (
     DECIMAL,
     GROUPED_MARK,
     MAYBE,
@@ -27,11 +30,9 @@ from i2t.convert.cells import (
     kind_of_number,
     parse_number,
 )
-from i2t.convert.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
-from i2t.convert.common import ConversionLog, os_errors_as_data_errors
-from i2t.errors import DataError
-from i2t.files.kinds import UTF_8, WINDOWS_1252
-from i2t.files.reading import encoding_of_file, read_lines, require_unpackable
+from i2t.recordings.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
+from i2t.recordings.files import os_errors_as_data_errors
+from i2t.recordings.log import ReadingLog
 
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
 FIELD_COLUMN = re.compile("b[0-9]+[xyz]_uT")  # column of a chip's value under our name
@@ -163,7 +164,7 @@ def sound_rows(
     rows: Iterable[tuple[int, list[str]]],
     columns: Sequence[str],
     needed: Callable[[np.ndarray], np.ndarray],
-    notes: ConversionLog,
+    notes: ReadingLog,
 ) -> tuple[list[tuple[int, list[str]]], np.ndarray]:
     """Read the numbers of rows, and leave out rows without plausible numbers as damaged.
 
@@ -559,7 +560,8 @@ def _form_of_times(cells: list[str], *, has_unit: bool) -> tuple[bool, float | N
     if 2 * count > len(numbers):
         return False, unit
     step = DAY_S * np.median(np.abs(np.diff(numbers))) if len(numbers) > 1 else 0.0  # s, if they count days
-    return 0 < step < STEPS_S[1] and all(EXCEL_DAYS[0] <= number < EXCEL_DAYS[1] for number in numbers), None
+    are_days = all(EXCEL_DAYS[0] <= number < EXCEL_DAYS[1] for number in numbers)
+    return bool(0 < step < STEPS_S[1]) and are_days, None
 
 
 def _are_units(cells: list[str]) -> bool:

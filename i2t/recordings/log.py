@@ -1,0 +1,135 @@
+"""What a person must know of a recording that is read: what was assumed and left out, and how damage is treated."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool
+
+from i2t.errors import DataError
+
+ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"
+
+
+@dataclass
+class ReadingLog:
+    """Sentences that a person must read about a recording, each once; damage ends reading unless it may be skipped."""
+
+    skip_bad: bool
+    lines: list[str] = field(default_factory=list)
+    damaged_rows: int = 0
+    first_damage: str = ""
+    unit: str = "rows"  # what a reading stands for
+    heard_rows: int = 0  # rows in which every chip answered
+    silent_rows: int = 0  # rows that are left out because a chip did not answer
+    silent_chips: Counter[int] = field(default_factory=Counter)  # rows in which each chip did not answer
+
+    def info(self, line: str) -> None:
+        """Note a sentence, once.
+
+        Args:
+            line: The sentence.
+        """
+        if line not in self.lines:
+            self.lines.append(line)
+
+    def skip(self, error: DataError) -> None:
+        """Raise an error, or note what is left out for it.
+
+        Args:
+            error: What is wrong with the source.
+
+        Raises:
+            DataError: The error, unless `skip_bad`.
+        """
+        if not self.skip_bad:
+            raise error
+        self.info(f"left out: {error}")
+
+    def skip_row(self, error: DataError) -> None:
+        """Raise an error, or leave out a row of a table for it and count it.
+
+        Args:
+            error: What is wrong with the row.
+
+        Raises:
+            DataError: The error, unless `skip_bad`.
+        """
+        if not self.skip_bad:
+            raise error
+        self.damaged_rows, self.first_damage = self.damaged_rows + 1, self.first_damage or str(error)
+
+    def keep_heard(self, silent: Bool[np.ndarray, "n chips"]) -> Bool[np.ndarray, " n"]:
+        """Leave out rows in which a chip did not answer, and count them.
+
+        Args:
+            silent: (n, chips) mask of chips that did not answer.
+
+        Returns:
+            (n,) mask of the rows in which all chips answered.
+        """
+        heard = np.asarray(~silent.any(1))
+        self.heard_rows, self.silent_rows = self.heard_rows + int(heard.sum()), self.silent_rows + int((~heard).sum())
+        self.silent_chips.update(dict(enumerate(silent.sum(0).tolist())))
+        return heard
+
+    def require_heard(self, source: object, remedy: str = "check the board's cable, and record again") -> None:
+        """Refuse a source in which a chip was silent in every row.
+
+        Args:
+            source: Name of the source, for the message.
+            remedy: What the user is to do.
+
+        Raises:
+            DataError: Rows were left out because a chip did not answer, and no other row was read.
+        """
+        if self.silent_rows and not self.heard_rows:
+            rows = f"in any of its {self.silent_rows} {self.unit}"
+            never = [chip for chip, count in self.silent_chips.items() if count == self.silent_rows]
+            if len(never) == len(self.silent_chips):
+                problem = f"no chip answers {rows}, which hold zeros or nothing"
+            elif never:
+                problem = f"chip {', '.join(map(str, never))} does not answer {rows}, but sends zeros or nothing"
+            else:
+                problem = f"a chip does not answer in each of its {self.silent_rows} {self.unit} ({self._chips()})"
+            raise DataError(f"{source}: {problem}; {remedy}")
+
+    def _chips(self) -> str:
+        """Half a sentence that counts the rows in which each chip did not answer."""
+        counts = {chip: count for chip, count in self.silent_chips.items() if count}
+        if len(counts) == len(self.silent_chips) and set(counts.values()) == {self.silent_rows}:
+            return "every chip in all of them"
+        return ", ".join(f"chip {chip} in {count}" for chip, count in counts.items())
+
+    def sentences(self) -> list[str]:
+        """All notes, with the numbers of damaged rows and of those in which a chip did not answer.
+
+        Returns:
+            The sentences.
+        """
+        counted = {
+            f"left out: {self.damaged_rows} damaged rows; the first: {self.first_damage}": self.damaged_rows,
+            f"left out: {self.silent_rows} {self.unit} in which a chip did not answer": self.silent_rows,
+            f"did not answer, but sent zeros or nothing: {self._chips()}": self.silent_rows,
+        }
+        return [*self.lines, *(sentence for sentence, count in counted.items() if count)]
+
+
+def require_ambient(
+    source: object, silent: Bool[np.ndarray, "n chips"], silent_ambient: Bool[np.ndarray, "n chips"], remedy: str
+) -> None:
+    """Refuse a source without the ambient field of a chip that has readings.
+
+    Args:
+        source: Name of the file, for the message.
+        silent: (n, chips) mask of chips that did not answer.
+        silent_ambient: (n, chips) mask of ambient fields that are zero.
+        remedy: What the user is to do.
+
+    Raises:
+        DataError: A chip that answered has no ambient field in any row.
+    """
+    missing = silent_ambient.all(0) & ~silent.all(0)
+    if len(silent) and missing.any():
+        chips = ", ".join(map(str, np.flatnonzero(missing)))
+        raise DataError(f"{source}: the ambient field of chip {chips} is zero in every row; {remedy}")
