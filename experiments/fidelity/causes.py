@@ -26,7 +26,7 @@ from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
 from i2t.prediction.baselines import features_of, patch_components, touch_features
-from i2t.recordings.diagnose.labels import lag_between
+from i2t.recordings.diagnose.lag import lag_between
 
 HEIGHT, SIGN, TIP, VIEW, UNITS, LAG = "height zero", "force sign", "tip radius", "view", "units", "lag of rows"
 SOFTNESS = "softness"

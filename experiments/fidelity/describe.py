@@ -4,8 +4,9 @@ import numpy as np
 
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
-from i2t.recordings.diagnose import Finding, RecordedPresses, estimate_unknowns, metrics_of
+from i2t.recordings.diagnose import Finding, diagnose, metrics_of
 from i2t.recordings.diagnose.findings import AXES
+from i2t.recordings.presses import Presses
 from i2t.recordings.read import TARGETS, SkinRecording
 from i2t.recordings.segmentation import MAD_TO_STD
 from i2t.skin_models import check_presses
@@ -61,10 +62,10 @@ def check(recording: SkinRecording, section: Section, findings: list[Finding]) -
     section.sentences[:0] = found or ["Nothing that was looked for contradicts a sound recording."]
 
 
-def recorded_presses(recording: SkinRecording) -> RecordedPresses:
+def recorded_presses(recording: SkinRecording) -> Presses:
     """The recording as `i2t.recordings.diagnose` takes it."""
     depth, force = recording.targets.get("depth"), recording.targets.get("force")
-    return RecordedPresses(
+    return Presses(
         position=recording.targets["position"],
         readings=recording.readings,
         height=None if depth is None else -depth[:, 0],
@@ -211,7 +212,7 @@ def _check_unknowns(recording: SkinRecording, found: list[str], section: Section
     one_tip(recording)
     if not recording.known("position").any():
         raise CannotTellError("What a recording does not say of itself is estimated where positions are known.")
-    findings += estimate_unknowns(recorded_presses(recording), recording.board)
+    findings += diagnose(recorded_presses(recording), recording.board)
     section.numbers["unknowns"] = metrics_of(findings)
     found += [finding.sentence for finding in findings if finding.wrong]
     section.sentences += [finding.sentence for finding in findings if finding.identifiable and not finding.wrong]

@@ -21,10 +21,8 @@ import numpy as np
 from i2t.convert import EFLESH_WINDOW_M, TIP_RADIUS_M
 from i2t.convert.common import Converted, converted
 from i2t.convert.press_table import (
-    PressTable,
     SessionCheck,
     check_session,
-    join_tables,
     presses_dataset,
     round_tip,
     sphere,
@@ -32,7 +30,7 @@ from i2t.convert.press_table import (
 from i2t.errors import DataError
 from i2t.patches.dimensions import REACH
 from i2t.recordings.clocks import judge_stamps, require_order
-from i2t.recordings.diagnose import RecordedPresses, find_units, findings_to_meta, turn_board
+from i2t.recordings.diagnose import corrected_presses, find_units, findings_to_meta, first_contact, turn_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
     SAME_ROW,
@@ -44,12 +42,12 @@ from i2t.recordings.eflesh import (
 )
 from i2t.recordings.files import data_error, read_numbers
 from i2t.recordings.log import ReadingLog
+from i2t.recordings.presses import Presses, join_presses
 from i2t.skin import boards
 from i2t.types import Board
 
 BOARD_FROM_STAGE = ((0.0, -1.0), (1.0, 0.0))  # by what the five chips read together in the `spatial` session
 REFERENCE = "reference of "  # of the data set's meta: where a session's positions and heights count from
-ONE_HEIGHT_M = 0.1e-3  # presses whose heights differ by less go to one height
 MAX_RAW_VALUE = 1e10  # of any recorded number: Unix times are 1.7e9 s
 
 
@@ -97,7 +95,7 @@ def convert(
         "assumed: values are microtesla (their steps are the chip's); board order as AnySkin's, chips as aligned, the "
         "board turned by a quarter on the stage, as the readings of the `spatial` session show"
     )
-    parts: list[PressTable] = []
+    parts: list[Presses] = []
     checks: list[SessionCheck] = []
     for session in sessions:
         try:
@@ -110,7 +108,7 @@ def convert(
             f"{source}: no press is left to convert ({' | '.join(notes.lines)}); restore it from the source"
         )
     dataset = presses_dataset(
-        join_tables(parts), round_tip("probe", sphere(radius)), _common_board(checks, notes), notes, whose=source,
+        join_presses(parts), round_tip("probe", sphere(radius)), _common_board(checks, notes), notes, whose=source,
         window=window, reach=reach, source=stated_source or "real",
         meta={"converter": "eflesh", "tip_radius_m": f"{radius:g}"} | {k: v for c in checks for k, v in c.meta.items()},
     )  # fmt: skip
@@ -133,7 +131,7 @@ def _board() -> Board:
 
 def _session(
     folder: Path, notes: ReadingLog, *, zero: float | None, pad: str | None, as_stated: bool
-) -> tuple[list[PressTable], SessionCheck]:
+) -> tuple[list[Presses], SessionCheck]:
     """The presses of a session, a table for each board, and what was found out about it."""
     states = _table(folder, "states", (4, 5), notes)
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
@@ -142,9 +140,9 @@ def _session(
     notes.require_heard(source=folder)
     states, values = states[heard], values[heard]
     n, name, position = len(states), folder.name, 1e-3 * states[:, 1:4]
-    table = PressTable(
-        position[:, :2], position[:, 2], load_of_states(states), values[:, 1:], states[:, 0],
-        np.full(n, pad or name), _strokes(name, states),
+    table = Presses(
+        position[:, :2], values[:, 1:], height=position[:, 2], force=load_of_states(states), time=states[:, 0],
+        pad=np.full(n, pad or name), session=_strokes(name, states),
     )  # fmt: skip
     if values.shape[1] == 1 + EFLESH_READINGS:
         table, check = _pressed(name, table, notes, stated_zero=zero, as_stated=as_stated)
@@ -158,51 +156,47 @@ def _session(
 
 
 def _pressed(
-    name: str, table: PressTable, notes: ReadingLog, *, stated_zero: float | None, as_stated: bool
-) -> tuple[PressTable, SessionCheck]:
+    name: str, table: Presses, notes: ReadingLog, *, stated_zero: float | None, as_stated: bool
+) -> tuple[Presses, SessionCheck]:
     """A session in which the probe presses one skin from above."""
     middle, check = _middle(table.position), SessionCheck(_board())
     if not as_stated:
-        presses = RecordedPresses(
-            table.position - middle, table.readings, height=table.height, force=table.force, seconds=table.time
-        )
-        check = check_session(name, presses, _board(), notes, stated_zero=stated_zero)
+        centred = table._replace(position=table.position - middle)
+        check = check_session(name, centred, _board(), notes, stated_zero=stated_zero, keep_zero=True)
+    assert table.height is not None
     heights = table.height * check.correction.height
-    zero = _zero(name, heights, check, notes, stated=stated_zero, as_stated=as_stated)
+    zero = _zero(name, heights, check, notes, stated=stated_zero)
     centre = check.correction.length * middle
     reference = {
         "centre_m": centre.tolist(),
         "zero_m": zero if np.isfinite(zero) else None,
         "lowest_z_m": float(heights.min()),
     }
-    table = check.apply(table)
+    table = corrected_presses(table, check.findings)
+    assert table.height is not None
     table = table._replace(position=table.position - centre, height=table.height - zero)
     return table, check._replace(meta={**check.meta, REFERENCE + name: json.dumps(reference)})
 
 
-def _zero(
-    name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog, *, stated: float | None, as_stated: bool
-) -> float:
+def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog, *, stated: float | None) -> float:
     """Height of first contact (m): as given, as found, or else as assumed; NaN where nothing can be assumed."""
-    found = check.zero
     if stated is not None:
         notes.info(f"as given for {name}: first contact at the robot's z = {1e3 * stated:.3f} mm")
         return stated
-    if found is not None and found.identifiable and found.estimate is not None:
-        notes.info(f"depth in {name} counts from z = {1e3 * found.estimate:.3f} mm, where readings begin")
-        return found.estimate
-    if np.ptp(heights) < ONE_HEIGHT_M and not as_stated:
+    zero = first_contact(heights, check.zero)
+    if check.zero is not None and check.zero.identifiable:
+        notes.info(f"depth in {name} counts from z = {1e3 * zero:.3f} mm, where readings begin")
+    elif np.isnan(zero):
         notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm where it is known")
-        return float("nan")
-    top = float(heights.max())
-    notes.info(
-        f"assumed in {name}: first contact at the highest z = {1e3 * top:.3f} mm; depth counts from there, so that all "
-        "depths may be too small by one number"
-    )
-    return top
+    else:
+        notes.info(
+            f"assumed in {name}: first contact at the highest z = {1e3 * zero:.3f} mm; depth counts from there, so "
+            "that all depths may be too small by one number"
+        )
+    return zero
 
 
-def _sheared(name: str, table: PressTable, notes: ReadingLog, *, as_stated: bool) -> tuple[PressTable, SessionCheck]:
+def _sheared(name: str, table: Presses, notes: ReadingLog, *, as_stated: bool) -> tuple[Presses, SessionCheck]:
     """A session in which the probe moves along two skins: the robot's z is the direction of shear, and how deep it
     presses is not recorded. Of what it does not say only the units are looked at.
     """
@@ -212,7 +206,8 @@ def _sheared(name: str, table: PressTable, notes: ReadingLog, *, as_stated: bool
         if found.wrong:
             notes.info(f"corrected in {name}: {found.sentence}")
         check = SessionCheck(_board(), (found,), findings_to_meta(name, [found]))
-    table = check.apply(table)
+    table = corrected_presses(table, check.findings)
+    assert table.height is not None
     x, y = (table.position - _middle(table.position)).T
     notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
     notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")

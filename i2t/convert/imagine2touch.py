@@ -41,7 +41,6 @@ MAX_LOOK_OFFSET_M = 2e-3  # m; a look from further off the contact's axis showed
 QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
 MAX_POSE_VALUE = 1e6  # bound of any recorded number, in its unit
 FAR_M = 10e-3  # m; a touched surface that lies farther from the skin has a wrong distance or unit
-MIN_PUSHES = 8  # fewest touches with a force by which the sign of forces is corrected
 NOTE_LENGTH = 2000  # characters kept of a run's own notes
 
 _TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
@@ -117,11 +116,9 @@ def _corrected(dataset: Dataset, notes: ReadingLog) -> Dataset:
     touches = dataset.touches
     units = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
     sign = find_force_sign(touches.force.astype(np.float64), touches.reading)
-    enough = sign.evidence.get("presses", 0) >= MIN_PUSHES
     for finding in (units, sign):
-        if finding is units or enough or finding.wrong is False:
-            notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
-    todo = correction_of([units, sign] if enough else [units])
+        notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
+    todo = correction_of([units, sign])
     touches = touches._replace(force=todo.force * touches.force, reading=todo.field * touches.reading)
     return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [units, sign]))
 

@@ -1,15 +1,13 @@
-"""Presses of one tip as columns in SI units: the table that every recording of presses is read into, and from which its
-data set is made.
+"""The data set of presses of one tip (`i2t.recordings.presses`), which every converter of presses ends in.
 
-Reading a foreign format ends here. What the recording does not say or says wrongly is estimated session by session
-(`i2t.recordings.diagnose`), said in a sentence and put right; patches, poses and names of the data set follow from the
-columns.
+What the recording does not say or says wrongly is diagnosed session by session (`i2t.recordings.diagnose`), said in a
+sentence and corrected; patches, poses and names of the data set follow from the columns.
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the tip, its axes as T's and its origin
 at its lowest point; a mesh keeps its own frame, whose z axis is the tip's.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple, TypeAlias
 
@@ -21,17 +19,15 @@ from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.recordings.diagnose import (
     Correction,
     Finding,
-    RecordedPresses,
-    corrected_presses,
     correction_of,
-    estimate_unknowns,
+    diagnose,
     find,
     findings_to_meta,
-    lag_rows,
+    turn_board,
 )
-from i2t.recordings.diagnose.chip_field import turn_board
-from i2t.recordings.diagnose.heights import HEIGHT_ZERO
+from i2t.recordings.diagnose.height import HEIGHT_ZERO
 from i2t.recordings.log import ReadingLog
+from i2t.recordings.presses import Presses
 from i2t.types import Board, ReturnCode, Touches
 
 ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
@@ -39,41 +35,6 @@ ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
 # A tip is a body of revolution whose axis stands on the skin: the height (m) of its surface above its lowest point at a
 # distance (m) from its axis, infinite where there is nothing.
 Profile: TypeAlias = Callable[[np.ndarray], np.ndarray]
-
-
-class PressTable(NamedTuple):
-    """Presses, a row each, in the order of time."""
-
-    position: np.ndarray  # (n, 2) m, of the tip's axis from the skin's centre
-    height: np.ndarray  # (n,) m, of the tip's lowest point above first contact; NaN where it is not recorded
-    force: np.ndarray  # (n,) N; NaN where it was not read
-    readings: np.ndarray  # (n, c) uT; NaN of a chip that did not answer
-    time: np.ndarray  # (n,) s; NaN where it is not known
-    pad: np.ndarray  # (n,) names
-    session: np.ndarray  # (n,) names
-
-    def rows(self, which: np.ndarray) -> "PressTable":
-        """Some of the presses.
-
-        Args:
-            which: A mask, or row numbers.
-
-        Returns:
-            These.
-        """
-        return PressTable(*(column[which] for column in self))
-
-
-def join_tables(parts: Sequence[PressTable]) -> PressTable:
-    """Presses one after the other.
-
-    Args:
-        parts: Tables of one board, at least one.
-
-    Returns:
-        All rows.
-    """
-    return PressTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 class SessionCheck(NamedTuple):
@@ -93,31 +54,15 @@ class SessionCheck(NamedTuple):
         """What to do to the session's columns."""
         return correction_of(self.findings)
 
-    def apply(self, table: PressTable) -> PressTable:
-        """Put right what the session contradicts; the height of first contact is left to the caller.
-
-        Args:
-            table: Of the session, as recorded.
-
-        Returns:
-            Its rows whose labels and readings belong together.
-        """
-        columns = RecordedPresses(table.position, table.readings, height=table.height, force=table.force)
-        right = corrected_presses(columns, self.findings)
-        assert right.height is not None
-        assert right.force is not None
-        return table.rows(lag_rows(len(table.readings), self.correction.lag)[0])._replace(
-            position=right.position, readings=right.readings, height=right.height, force=right.force
-        )
-
 
 def check_session(
     name: str,
-    presses: RecordedPresses,
+    presses: Presses,
     board: Board,
     notes: ReadingLog,
     *,
     stated_zero: float | None = None,
+    keep_zero: bool = False,
 ) -> SessionCheck:
     """Estimate the unknowns of a session and note every sentence.
 
@@ -127,13 +72,16 @@ def check_session(
         board: As described.
         notes: That hear the sentences.
         stated_zero: Height of first contact (m) that the recording states.
+        keep_zero: Whether that height stays, whatever readings say.
 
     Returns:
         What to apply.
     """
-    findings = estimate_unknowns(presses, board, stated_zero=stated_zero)
-    for finding in sorted(findings, key=lambda one: not one.wrong):
-        notes.info(f"{'corrected' if finding.wrong else 'found'} in {name}: {finding.sentence}")
+    findings = diagnose(presses, board, stated_zero=stated_zero)
+    for finding in sorted(findings, key=lambda finding: not finding.wrong):
+        kept = keep_zero and finding.name == HEIGHT_ZERO
+        verdict = "found" if not finding.wrong else "contradicted" if kept else "corrected"
+        notes.info(f"{verdict} in {name}: {finding.sentence}")
     turn = correction_of(findings).board_from_stage
     return SessionCheck(
         board if turn is None else turn_board(board, turn), tuple(findings), findings_to_meta(name, findings)
@@ -162,7 +110,7 @@ def round_tip(name: str, profile: Profile) -> Tip:
 
 
 def presses_dataset(
-    table: PressTable,
+    presses: Presses,
     tip: Tip,
     board: Board,
     notes: ReadingLog,
@@ -176,7 +124,7 @@ def presses_dataset(
     """The data set of presses.
 
     Args:
-        table: Of one skin or several with one board, corrected.
+        presses: Of one skin or several with one board, corrected; with heights, forces, times, pads and sessions.
         tip: What pressed.
         board: Which the readings are of.
         notes: That hear what is left out.
@@ -192,30 +140,34 @@ def presses_dataset(
     Raises:
         DataError: No press lies inside the window.
     """
-    inside = (np.abs(table.position) <= window / 2).all(1)
+    inside = (np.abs(presses.position) <= window / 2).all(1)
     if not inside.all():
         notes.info(f"left out: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
     if not inside.any():
         raise DataError(f"{whose}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
-    table = table.rows(inside)
-    n, (x, y) = len(table.time), table.position.T
-    pads, sessions = (tuple(dict.fromkeys(names.tolist())) for names in (table.pad, table.session))
+    position, readings, height, force, time, pad, session = presses.rows(inside)
+    assert height is not None
+    assert time is not None
+    assert pad is not None
+    assert session is not None
+    n, (x, y) = len(readings), position.T
+    pads, sessions = (tuple(dict.fromkeys(names.tolist())) for names in (pad, session))
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
-    T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(table.height) - tip.lowest])
+    T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(height) - tip.lowest])
     touches = Touches(
         patch=tip.patches(x, y, window, reach),
         wide=missing_context(n),
-        nearest=table.height,
-        reading=table.readings,
-        force=table.force,
-        depth=np.maximum(-table.height, 0),
+        nearest=height,
+        reading=readings,
+        force=force,
+        depth=np.maximum(-height, 0),
         T_w_t=np.tile(np.eye(4), (n, 1, 1)),
         T_w_o=T_w_o,
         object=np.zeros(n),
-        pad=np.array([pads.index(name) for name in table.pad]),
-        session=np.array([sessions.index(name) for name in table.session]),
-        code=np.where(table.height > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
-        time=None if np.isnan(table.time).all() else table.time,
+        pad=np.array([pads.index(name) for name in pad]),
+        session=np.array([sessions.index(name) for name in session]),
+        code=np.where(height > 0, ReturnCode.FREE, ReturnCode.UNDEFINED),
+        time=None if np.isnan(time).all() else time,
     )
     return Dataset(
         touches, (tip.name,), pads, sessions, board=board, source=source, window=window, reach=reach, meta=meta or {}

@@ -17,12 +17,10 @@ import numpy as np
 from i2t import validation
 from i2t.convert.common import Converted, converted
 from i2t.convert.press_table import (
-    PressTable,
     SessionCheck,
     Tip,
     check_session,
     cylinder,
-    join_tables,
     presses_dataset,
     round_tip,
     sphere,
@@ -30,8 +28,9 @@ from i2t.convert.press_table import (
 from i2t.errors import DataError
 from i2t.files.kinds import MESH_SUFFIXES
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
-from i2t.recordings.diagnose import RecordedPresses
+from i2t.recordings.diagnose import corrected_presses, find_depth_sign, first_contact
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
+from i2t.recordings.presses import Presses, join_presses
 from i2t.recordings.tables import (
     HEIGHT_COLUMNS,
     NAME_COLUMNS,
@@ -48,8 +47,6 @@ from i2t.types import Board
 
 PLACES = ("x_mm", "y_mm", "depth_mm")
 PRESS_SOURCES = ("real", "simulated")
-TURNED_SHARE = 0.9  # share of negative depths above which the sign of all depths is turned
-MIN_TURNED = 5  # rows with a depth that this share counts at least
 MM = 1e-3  # m
 
 
@@ -111,25 +108,24 @@ def convert(
     return converted(dataset, notes)
 
 
-def _corrected(table: PressTable, board: Board, notes: ReadingLog) -> tuple[PressTable, list[SessionCheck]]:
+def _corrected(table: Presses, board: Board, notes: ReadingLog) -> tuple[Presses, list[SessionCheck]]:
     """The presses, with units, signs, axes and heights that a session contradicts corrected in that session."""
+    assert table.pad is not None
+    assert table.session is not None
     kept, checks = [], []
     for pad, session in dict.fromkeys(zip(table.pad.tolist(), table.session.tolist(), strict=True)):
         part = table.rows((table.pad == pad) & (table.session == session))
-        height, force = (None if np.isnan(column).all() else column for column in (part.height, part.force))
-        recorded = RecordedPresses(part.position, part.readings, height=height, force=force)
-        check = check_session(session, recorded, board, notes, stated_zero=0.0)
+        check = check_session(session, part, board, notes, stated_zero=0.0)
         checks.append(check)
-        part = check.apply(part)
-        zero = check.zero
-        if check.correction.height < 0 or (zero is not None and zero.wrong):
-            estimate = zero.estimate if zero is not None and zero.identifiable else None
-            part = part._replace(height=part.height - (part.height.max() if estimate is None else estimate))
+        part = corrected_presses(part, check.findings)
+        assert part.height is not None
+        if check.correction.height < 0 or (check.zero is not None and check.zero.wrong):
+            part = part._replace(height=part.height - first_contact(part.height, check.zero))
         kept.append(part)
-    return join_tables(kept), checks
+    return join_presses(kept), checks
 
 
-def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tuple[PressTable, str | None]:
+def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tuple[Presses, str | None]:
     """The presses of a table, and whether they are real, simulated or mixed. `notes` refuses or counts damaged rows."""
     for note in table.notes:
         notes.info(note)
@@ -168,10 +164,11 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     readings = np.column_stack([column[name] for name in values])
     if ambient:
         readings = readings - np.column_stack([column[name] for name in ambient])
-    presses = PressTable(
-        MM * np.column_stack([column["x_mm"], column["y_mm"]]), -MM * depth, column.get("force_N", unknown), readings,
-        np.array([_time(header, cells) for _, cells in rows]),
-        *(np.array([names_in(header, cells, kind) for _, cells in rows]) for kind in NAME_COLUMNS),
+    presses = Presses(
+        MM * np.column_stack([column["x_mm"], column["y_mm"]]), readings,
+        height=-MM * depth, force=column.get("force_N", unknown),
+        time=np.array([_time(header, cells) for _, cells in rows]),
+        **{kind: np.array([names_in(header, cells, kind) for _, cells in rows]) for kind in NAME_COLUMNS},
     ).rows(kept)  # fmt: skip
     if not kept.any():
         raise DataError(f"{source}: holds no press; give at least one row")
@@ -248,11 +245,9 @@ def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: ReadingL
     """Depths into the skin, and a mask of rows to keep: all are turned where nearly all are negative, a single one is
     damage.
     """
-    if np.sum(depth < 0) > TURNED_SHARE * max(np.sum(depth != 0), MIN_TURNED):
-        notes.info(
-            f"corrected: depths are negative in {np.sum(depth < 0)} of {len(depth)} rows, as heights are: they are "
-            "turned"
-        )
+    sign = find_depth_sign(MM * depth)
+    if sign.wrong:
+        notes.info(f"corrected: {sign.sentence}")
         depth = -depth
     for k in np.flatnonzero(depth < 0):
         counts = "depth_mm counts from first contact into the skin"

@@ -16,7 +16,7 @@ from experiments.fidelity.forward import press_set
 from experiments.fidelity.sections import CannotTellError, Section, written
 from i2t.heads.heads import load_head
 from i2t.heads.regression import HeadBudget
-from i2t.recordings.diagnose import estimate_labels
+from i2t.recordings.diagnose import diagnose_labels
 from i2t.recordings.read import SkinRecording, from_dataset
 
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
@@ -84,7 +84,7 @@ FAST = ("nothing but readings", "one press", "a dead board")
 @pytest.fixture(autouse=True)
 def _labels_alone(monkeypatch):
     """What a recording does not say of itself takes seconds to estimate, and is tested where it lives."""
-    monkeypatch.setattr(describe, "estimate_unknowns", lambda presses, board=None: estimate_labels(presses))
+    monkeypatch.setattr(describe, "diagnose", lambda presses, board=None: diagnose_labels(presses))
 
 
 @pytest.mark.parametrize(

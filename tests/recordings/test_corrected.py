@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from helpers.damage import VARIANTS, press
 
-from i2t.recordings.diagnose import Finding, RecordedPresses, estimate_labels
+from i2t.recordings.diagnose import Finding, diagnose_labels
+from i2t.recordings.presses import Presses
 from i2t.recordings.read import SkinRecording, corrected_recording
 
 
@@ -23,8 +24,8 @@ EXPECTED = as_recording(SOUND)
 def put_right(variant):
     recording = as_recording(VARIANTS[variant](SOUND))
     position, depth, force = (recording.targets[name] for name in ("position", "depth", "force"))
-    presses = RecordedPresses(position, recording.readings, height=-depth[:, 0], force=force[:, 0])
-    return recording, corrected_recording(recording, estimate_labels(presses))
+    presses = Presses(position, recording.readings, height=-depth[:, 0], force=force[:, 0])
+    return recording, corrected_recording(recording, diagnose_labels(presses))
 
 
 @pytest.mark.parametrize(

@@ -1,23 +1,23 @@
-"""Unknowns and wrong statements of a recording of a skin: estimated, with evidence and a sentence each.
+"""What a recording of a skin leaves out or states wrongly: hypotheses, each with its evidence, sentence and correction.
 
-    from i2t.recordings import diagnose as unknowns
+    from i2t.recordings.diagnose import corrected_presses, diagnose
+    from i2t.recordings.presses import Presses
 
-    presses = unknowns.RecordedPresses(position, readings, height=height)  # m, uT, m
-    for finding in unknowns.estimate_unknowns(presses, board):
-        print(finding.sentence)
+    presses = Presses(position, readings, height=height)  # m, uT, m
+    findings = diagnose(presses, board)
+    print(*(finding.sentence for finding in findings), sep="\n")
+    presses = corrected_presses(presses, findings)
 
-`estimate` runs the hypotheses: `labels` a lag, signs and units, `heights` the height of first contact, `chip_field` how
-the board lies under the skin. `segmentation` finds the presses in a stream of readings. Every function is pure and
-takes arrays; what estimates returns a `Finding`, which says whether the recording can tell at all. NumPy and SciPy
-only, so that converters can use it.
+`hypotheses` is the list: `units`, `signs`, `lag`, `height` (of first contact) and `board` (how it lies under the skin).
+Every function is pure and takes arrays; what it returns is a `Finding`, which says whether the recording can tell at
+all. Each fault has one threshold, beside its hypothesis. NumPy and SciPy only, so that readers and converters can use
+it.
 """
 
-from i2t.recordings.diagnose.chip_field import find_board, turn_board
-from i2t.recordings.diagnose.estimate import estimate_labels, estimate_unknowns
+from i2t.recordings.diagnose.board import find_board, turn_board
 from i2t.recordings.diagnose.findings import (
     Correction,
     Finding,
-    RecordedPresses,
     corrected_presses,
     correction_of,
     find,
@@ -26,20 +26,23 @@ from i2t.recordings.diagnose.findings import (
     lag_rows,
     metrics_of,
 )
-from i2t.recordings.diagnose.heights import find_approaches, find_height_zero
-from i2t.recordings.diagnose.labels import find_force_sign, find_height_axis, find_lag, find_units
+from i2t.recordings.diagnose.height import find_approaches, find_height_zero, first_contact
+from i2t.recordings.diagnose.hypotheses import diagnose, diagnose_labels
+from i2t.recordings.diagnose.lag import find_lag
+from i2t.recordings.diagnose.signs import find_depth_sign, find_force_sign, find_height_axis
+from i2t.recordings.diagnose.units import find_units
 
 __all__ = [
     "Correction",
     "Finding",
-    "RecordedPresses",
     "corrected_presses",
     "correction_of",
-    "estimate_labels",
-    "estimate_unknowns",
+    "diagnose",
+    "diagnose_labels",
     "find",
     "find_approaches",
     "find_board",
+    "find_depth_sign",
     "find_force_sign",
     "find_height_axis",
     "find_height_zero",
@@ -47,6 +50,7 @@ __all__ = [
     "find_units",
     "findings_from_meta",
     "findings_to_meta",
+    "first_contact",
     "lag_rows",
     "metrics_of",
     "turn_board",

@@ -9,29 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from i2t.recordings.presses import Presses
+
 META_PREFIX = "unknowns of "  # of a data set's meta: one entry for each session
 AXES = 3  # of a chip
-
-
-class RecordedPresses(NamedTuple):
-    """Presses of one tip on one skin in the order of time, as they were recorded: nothing of them is trusted yet."""
-
-    position: Float[np.ndarray, "n 2"]  # m, of the tip on the skin
-    readings: Float[np.ndarray, "n c"]  # uT, three channels for each chip
-    height: Float[np.ndarray, " n"] | None = None  # m, of the tip along the skin's outward normal, from anywhere
-    force: Float[np.ndarray, " n"] | None = None  # N; NaN where it was not read
-    seconds: Float[np.ndarray, " n"] | None = None  # when
-
-    def rows(self, part: Any) -> "RecordedPresses":
-        """Some of them.
-
-        Args:
-            part: An index, as of an array.
-
-        Returns:
-            These presses.
-        """
-        return self._replace(**{name: values[part] for name, values in self._asdict().items() if values is not None})
 
 
 @dataclass(frozen=True)
@@ -119,7 +100,7 @@ def correction_of(findings: Iterable[Finding]) -> Correction:
     )
 
 
-def corrected_presses(presses: RecordedPresses, findings: Iterable[Finding]) -> RecordedPresses:
+def corrected_presses(presses: Presses, findings: Iterable[Finding]) -> Presses:
     """A recording with what was found put right: units, signs and lag.
 
     Height zero stays where it is: it is a number, not a mistake of a column.

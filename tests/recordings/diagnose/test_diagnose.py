@@ -5,10 +5,11 @@ import pytest
 from helpers.damage import VARIANTS, Recorded, press
 
 from i2t.recordings import diagnose as unknowns
-from i2t.recordings.diagnose import Finding, RecordedPresses
-from i2t.recordings.diagnose.chip_field import STAGES
-from i2t.recordings.diagnose.heights import HEIGHT_ZERO
-from i2t.recordings.diagnose.labels import LAG
+from i2t.recordings.diagnose import Finding
+from i2t.recordings.diagnose.board import STAGES
+from i2t.recordings.diagnose.height import HEIGHT_ZERO
+from i2t.recordings.diagnose.lag import LAG
+from i2t.recordings.presses import Presses
 from i2t.skin.boards import eflesh_board, reskin_board
 
 
@@ -24,24 +25,24 @@ from i2t.skin.boards import eflesh_board, reskin_board
 def test_too_few_presses_say_how_many_are_enough(find, enough):
     rng = np.random.default_rng(0)
     place, depth, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
-    recorded = {n: RecordedPresses(place[:n], readings[:n], height=-depth[:n]) for n in (enough - 1, enough)}
+    recorded = {n: Presses(place[:n], readings[:n], height=-depth[:n]) for n in (enough - 1, enough)}
     sentences = {n: find(some).sentence for n, some in recorded.items()}
     assert f"{enough - 1} presses are too few ({enough} are enough)" in sentences[enough - 1]
     assert "too few" not in sentences[enough]
 
 
-def presses(recorded: Recorded) -> RecordedPresses:
-    return RecordedPresses(recorded.position, recorded.readings, height=recorded.height, force=recorded.force)
+def presses(recorded: Recorded) -> Presses:
+    return Presses(recorded.position, recorded.readings, height=recorded.height, force=recorded.force)
 
 
-def damaged(name: str, seed: int = 0, n: int = 140) -> RecordedPresses:
+def damaged(name: str, seed: int = 0, n: int = 140) -> Presses:
     return presses(VARIANTS[name](press(seed, n)))
 
 
 def test_a_lag_of_a_few_rows_is_found_and_put_right():
     one = presses(press(1, 90))
     for rows in (-3, 0, 1):
-        late = RecordedPresses(np.roll(one.position, rows, 0), one.readings, height=np.roll(one.height, rows))
+        late = Presses(np.roll(one.position, rows, 0), one.readings, height=np.roll(one.height, rows))
         found = unknowns.find_lag(late)
         assert found.identifiable
         assert (found.estimate, found.wrong) == (rows, rows != 0)
@@ -54,7 +55,7 @@ def test_a_lag_of_a_few_rows_is_found_and_put_right():
 def test_signs_and_units_are_found_and_put_right():
     sound = damaged("sound")
 
-    def found_in(one: RecordedPresses) -> dict[str, Finding]:
+    def found_in(one: Presses) -> dict[str, Finding]:
         return {
             "height": unknowns.find_height_axis(one),
             "force": unknowns.find_force_sign(one.force, one.readings),
@@ -79,10 +80,10 @@ def test_what_a_recording_cannot_tell_is_said():
     """Rows that are alike tell no lag, forces that push and pull no sign, and presses to one height no height zero."""
     height = 1e-3 * np.cos(np.linspace(0, 6 * np.pi, 600))
     readings = np.outer(np.maximum(-height, 0) ** 1.5, np.linspace(-3e6, 3e6, 15))
-    alike = unknowns.find_lag(RecordedPresses(np.zeros((600, 2)), readings, height=height))
+    alike = unknowns.find_lag(Presses(np.zeros((600, 2)), readings, height=height))
     both_ways = unknowns.find_force_sign(np.random.default_rng(0).normal(size=100))
     one_height = unknowns.find_height_zero(damaged("one height", n=600))
-    no_height = unknowns.find_height_zero(RecordedPresses(np.zeros((600, 2)), readings))
+    no_height = unknowns.find_height_zero(Presses(np.zeros((600, 2)), readings))
     for found, words in (
         (alike, "nearly alike"), (both_ways, "axes"), (one_height, "one height"), (no_height, "no height"),
     ):  # fmt: skip
@@ -95,7 +96,7 @@ def test_what_a_recording_cannot_tell_is_said():
 def test_too_few_rows_that_are_whole_tell_nothing():
     one = damaged("sound")
     lost = np.where(np.arange(140)[:, None] < 3, one.position, np.nan)
-    assert unknowns.estimate_unknowns(RecordedPresses(lost, one.readings, height=one.height), None) == []
+    assert unknowns.diagnose(Presses(lost, one.readings, height=one.height), None) == []
 
 
 def test_an_approach_tells_where_the_readings_begin():
@@ -107,7 +108,7 @@ def test_an_approach_tells_where_the_readings_begin():
     approaches = unknowns.find_approaches(height, readings)
     assert len(approaches) == 3
     np.testing.assert_allclose(approaches, 0.2504, atol=0.1e-3)
-    one = RecordedPresses(np.zeros((len(height), 2)), readings, height=height)
+    one = Presses(np.zeros((len(height), 2)), readings, height=height)
     found = unknowns.find_height_zero(one)
     assert found.identifiable
     assert [unknowns.find_height_zero(one, stated=found.estimate + off).wrong for off in (0, 1e-3)] == [False, True]
@@ -160,7 +161,7 @@ def test_a_mirrored_stage_never_passes_for_right():
     ],
 )
 def test_a_damaged_recording_is_judged_without_falling_over(name, expected):
-    findings = unknowns.estimate_unknowns(damaged(name, n=200), anyskin_like())
+    findings = unknowns.diagnose(damaged(name, n=200), anyskin_like())
     wrong = {finding.name for finding in findings if finding.wrong}
     assert expected <= wrong
     assert expected or wrong <= {HEIGHT_ZERO}
@@ -176,7 +177,7 @@ def test_sound_real_recordings_raise_no_alarm(shared_data, kind):
         )
         at = 1e-3 * states[:, 1:4]
         middle = (at.min(0) + at.max(0)) / 2
-        one = RecordedPresses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
+        one = Presses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
         board = unknowns.turn_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
-        findings = unknowns.estimate_unknowns(one, board)
+        findings = unknowns.diagnose(one, board)
         assert not [finding.sentence for finding in findings if finding.wrong]

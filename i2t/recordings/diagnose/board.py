@@ -19,8 +19,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
-from i2t.recordings.diagnose.findings import Finding, RecordedPresses
+from i2t.recordings.diagnose.findings import Finding
 from i2t.recordings.diagnose.smooth import thinned
+from i2t.recordings.presses import Presses
 from i2t.types import Board
 
 STAGE = "board on the stage"
@@ -60,7 +61,7 @@ class _Sample(NamedTuple):
     readings: np.ndarray  # (n, chips, 3), of mean square 1
 
 
-def find_board(presses: RecordedPresses, board: Board, *, growth: Float[np.ndarray, " n"] | None = None) -> Finding:
+def find_board(presses: Presses, board: Board, *, growth: Float[np.ndarray, " n"] | None = None) -> Finding:
     """Ask how the board lies under the skin.
 
     Args:
@@ -106,7 +107,7 @@ def turn_board(board: Board, matrix: Float[np.ndarray, "2 2"]) -> Board:
     return Board(chips.astype(np.float32), turned.astype(np.float32))
 
 
-def _sample(presses: RecordedPresses, growth: np.ndarray | None, chips: int) -> _Sample:
+def _sample(presses: Presses, growth: np.ndarray | None, chips: int) -> _Sample:
     grown = np.ones(len(presses.readings)) if growth is None else np.asarray(growth, np.float64)
     firm = np.flatnonzero(grown > 0.15 * np.quantile(grown, 0.95))
     rows = firm[thinned(len(firm), FIELD_PRESSES)]

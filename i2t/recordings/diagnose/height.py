@@ -28,12 +28,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from i2t.recordings.diagnose.findings import Finding, RecordedPresses
+from i2t.recordings.diagnose.findings import Finding
 from i2t.recordings.diagnose.smooth import left_out, thinned
+from i2t.recordings.presses import Presses
 
 HEIGHT_ZERO = "height zero"
 MIN_HEIGHT_RANGE_M = 0.1e-3  # between the lowest and the highest tenth of the presses: less is one height
 MIN_ZERO_PRESSES = 30
+ONE_HEIGHT_M = 0.1e-3  # presses whose heights differ by less go to one height
 HEIGHT_SUBSETS = 3  # of many presses, whose estimates are put together
 HEIGHT_SUBSET_PRESSES = 160
 FIRST_PRESSES = 80  # by which the zero is found coarsely
@@ -44,6 +46,8 @@ USABLE_ZERO_M = 0.1e-3  # an interval of at most this half width is used
 SHAPE_ERROR_M = 0.02e-3  # of the zero, as no skin grows by a power exactly
 MIN_SHIFT_M = 0.05e-3  # between the zero found and the one stated
 FREE_SHARE = 0.01  # of the presses that are above first contact, where it shows
+# Of the presses that read although they stand above the stated height: beyond it, what is stated is no first contact.
+READING_ABOVE_SHARE = 0.2
 ZERO_R2 = 0.3  # of readings that depend on position and height
 ZERO_STEP_M = 4e-6
 APPROACH_ROWS = 12  # at least, on one way down
@@ -77,7 +81,7 @@ NOISES = (1e-5, 1e-4, 1e-3, 1e-2)  # variance, of the readings' mean square
 HEIGHT_SHAPES = tuple(_Shape(*values) for values in product((3e-3, 6e-3, 12e-3), (0.03, 0.3), NOISES, (0.01, 0.1)))
 
 
-def find_height_zero(presses: RecordedPresses, stated: float | None = None) -> Finding:
+def find_height_zero(presses: Presses, stated: float | None = None) -> Finding:
     """Estimate the height of first contact.
 
     Args:
@@ -109,6 +113,24 @@ def find_height_zero(presses: RecordedPresses, stated: float | None = None) -> F
     parts = min(HEIGHT_SUBSETS, max(len(height) // HEIGHT_SUBSET_PRESSES, 1))
     subsets = [presses.rows(np.sort(order[i::parts][:HEIGHT_SUBSET_PRESSES])) for i in range(parts)]
     return _judge([_fit(subset) for subset in subsets], height, stated)
+
+
+def first_contact(height: Float[np.ndarray, " n"], finding: Finding | None = None) -> float:
+    """The height that depths count from.
+
+    Args:
+        height: Of presses along the skin's outward normal (m), corrected; NaN where it is not known.
+        finding: About the height of first contact, if it was looked for.
+
+    Returns:
+        Where readings begin (m), if the presses tell; else that of the highest press, from which all depths may be too
+        small by one number; NaN where all presses go to one height, so that nothing is known of a depth.
+    """
+    if finding is not None and finding.identifiable and finding.estimate is not None:
+        return finding.estimate
+    if not np.isfinite(height).any() or (finding is not None and np.ptp(height[np.isfinite(height)]) < ONE_HEIGHT_M):
+        return float("nan")
+    return float(np.nanmax(height))
 
 
 def find_approaches(height: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " k"]:
@@ -207,6 +229,19 @@ def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Findin
     usual = [end for fit in fits for end in fit.usual]
     low, high = min(zero - half, *usual), max(zero + half, *usual)
     off_top = 1e3 * (np.array([low, high]) - float(np.quantile(height, 0.99)))
+    if stated is not None and r2 > ZERO_R2:
+        reading = float(np.mean((height > stated) & (height < low)))
+        if reading > READING_ABOVE_SHARE:
+            top = float(height.max())
+            off = f"{1e3 * (top - stated):.2f} mm"
+            return Finding(
+                HEIGHT_ZERO,
+                f"The height of first contact that depths count from is too low: {100 * reading:.0f} % of the presses "
+                f"stand above it and read all the same. Depth counts from the highest press, {off} "
+                "above it; give the height of first contact if it is known (--z0-mm of the converter).",
+                identifiable=False, wrong=True, estimate=zero, low=low, high=high, unit="m",
+                evidence=evidence | {"share_reading_above": reading}, correction={"height_zero_m": top},
+            )  # fmt: skip
     return Finding(
         HEIGHT_ZERO,
         f"Height zero is not identifiable to {1e3 * USABLE_ZERO_M:g} mm: {why}; if readings grow with the depth to the "
@@ -216,7 +251,7 @@ def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Findin
     )  # fmt: skip
 
 
-def _fit(presses: RecordedPresses) -> _Fit:
+def _fit(presses: Presses) -> _Fit:
     """Zero of the growth, first coarsely and by few presses, then finely by all."""
     assert presses.height is not None
     low, high = np.quantile(np.asarray(presses.height, np.float64), [0.05, 1.0])
@@ -238,7 +273,7 @@ def _fit(presses: RecordedPresses) -> _Fit:
     return _Fit(zero, r2, statistical=abs(halves[1] - halves[0]) / 2, of_power=abs(more - less) / 2, usual=usual)
 
 
-def _zero_of(presses: RecordedPresses, zero: float, power: float, shape: _Shape, step: float) -> float:
+def _zero_of(presses: Presses, zero: float, power: float, shape: _Shape, step: float) -> float:
     """The zero of most density within two steps of a given one."""
     found = minimize_scalar(
         lambda at: -_try(presses, at, power, shape)[0], bounds=(zero - 2 * step, zero + 2 * step), method="bounded",
@@ -247,7 +282,7 @@ def _zero_of(presses: RecordedPresses, zero: float, power: float, shape: _Shape,
     return float(found.x)
 
 
-def _try(presses: RecordedPresses, zero: float, power: float, shape: _Shape) -> tuple[float, float]:
+def _try(presses: Presses, zero: float, power: float, shape: _Shape) -> tuple[float, float]:
     """Log density and R2 of presses that are predicted from each other with this zero and power."""
     assert presses.height is not None
     depth = np.maximum(zero - np.asarray(presses.height, np.float64), 0)
