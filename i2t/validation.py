@@ -136,14 +136,13 @@ def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, 
         raise ValueError(f"{name}: is {array:g}; give {hint}")
 
 
-def forces(name: str, value: Any, *, measured: bool = False, reversed_sign: bool = False) -> np.ndarray:
+def forces(name: str, value: Any, *, measured: bool = False) -> np.ndarray:
     """Check forces (N) along tool z that press a skin.
 
     Args:
         name: Name of the argument, for the message.
         value: A number or an array of numbers.
         measured: Whether the forces were measured, so that noise may make them zero or negative.
-        reversed_sign: Whether a recording counts pressing forces as negative.
 
     Returns:
         The forces as an array, with their signs as given.
@@ -156,12 +155,9 @@ def forces(name: str, value: Any, *, measured: bool = False, reversed_sign: bool
     if not np.isfinite(array).all():
         wrong = array[~np.isfinite(array)].ravel()[0]
         raise ValueError(f"{name} is {wrong:g}, which is not finite; give newtons, or leave this touch out")
-    pressing = -array if reversed_sign else array
-    sign = ", which this model's recording counts negative" if reversed_sign else ""
-    if not measured and pressing.size and pressing.min() <= 0:
-        least = array.ravel()[pressing.argmin()]
-        raise ValueError(f"{name} is {least:g} N; a skin is pressed{sign}, not pulled; give a pressing force")
-    largest = np.abs(pressing).max(initial=0.0)
+    if not measured and array.size and array.min() <= 0:
+        raise ValueError(f"{name} is {array.min():g} N; a skin is pressed, not pulled; give a pressing force")
+    largest = np.abs(array).max(initial=0.0)
     if largest > MAX_SKIN_FORCE_N:
         raise ValueError(f"{name} is {largest:g} N; a skin bears at most {MAX_SKIN_FORCE_N:g} N; give newtons")
     return array

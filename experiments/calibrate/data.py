@@ -7,13 +7,13 @@ import numpy as np
 
 from i2t.dataset import Dataset, square_blocks
 from i2t.geometry import inverse
+from i2t.recordings.sets import corrected_dataset
 from i2t.skin.boards import name_of_board
 from i2t.skin_models import LoadKind
 from i2t.skin_models.magnetization import Presses
 from i2t.types import Board, ReturnCode
 
 MM_PER_M = 1e3
-PULLING_SHARE = 0.8  # of loads below zero, from which on the sign is taken to be the other
 DEPTH_OF_UNKNOWN_M = 2e-3  # of every press, where neither depth nor force is known
 LEAST_LOAD_RANGE = 1e-6  # of the largest load: less is one load
 
@@ -50,6 +50,7 @@ class PressRecording:
 
 def read_presses(dataset: Dataset, load: str) -> PressRecording:
     """Positions of the tool's origin on the skin, and depth or force; presses that failed or met air are left out."""
+    dataset, corrected = corrected_dataset(dataset)
     touches = dataset.touches
     T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
     good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
@@ -70,24 +71,20 @@ def read_presses(dataset: Dataset, load: str) -> PressRecording:
         raise ValueError("the data set holds several skins; calibrate them one at a time")
     if len(np.unique(touches.object[good])) > 1:
         raise ValueError("the data set holds several objects; calibration needs presses of one tip")
-    amount, pushing, notes = _pushing_loads(amount, good, kind)
+    pushing, notes = _pushing_loads(amount, good, kind)
     if unknown:
         notes = ("neither depth nor force is known: all presses are taken to go to one depth",)
     good &= pushing
     readings = touches.reading[good].astype(np.float64)
     own = None if name_of_board(dataset.board) else dataset.board
-    return PressRecording(T_t_o[good, :2, 3], amount[good], readings, by_force, notes=notes, own_board=own)
+    return PressRecording(
+        T_t_o[good, :2, 3], amount[good], readings, by_force, notes=(*corrected, *notes), own_board=own
+    )
 
 
-def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Loads as presses have them, which of them push, and what was odd about them; ValueError where none pushes."""
-    negative, notes = float(np.mean(amount[good] < 0)), []
-    if negative >= PULLING_SHARE:
-        amount = -amount
-        notes.append(
-            f"{100 * negative:.0f} % of the {kind}s are negative, and a press pushes: their sign is turned; correct "
-            "the axes of the recording"
-        )
+def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Which loads push, and what is odd about them; ValueError where none pushes."""
+    notes = []
     pushing = amount >= 0
     if lost := int(np.sum(good & ~pushing)):
         notes.append(f"{lost} presses with a negative {kind} are left out")
@@ -98,4 +95,4 @@ def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.
         )
     if float(np.ptp(amount[good & pushing])) <= LEAST_LOAD_RANGE * max(largest, 1e-9):
         notes.append(f"all presses have one {kind}, so only what depends on the position is learned")
-    return amount, pushing, tuple(notes)
+    return pushing, tuple(notes)

@@ -1,6 +1,4 @@
-"""Load of each touch, chosen before anything is computed: the force or the depth, in the sign and from the height that
-the recording counts them, or nothing.
-"""
+"""Load of each touch, chosen before anything is computed: the force, the depth, or nothing."""
 
 from typing import Literal, NamedTuple
 
@@ -10,14 +8,12 @@ import numpy as np
 from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset
 from i2t.prediction.methods import ALIKE_FORCE_N, views_of
+from i2t.recordings.sets import MIN_DEPTH_M
 from i2t.skin_models import pressure_gp as gp
 from i2t.types import Touches
 
 MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor depth is known of them
-PULLING_SHARE = 0.8  # of touches with a force below zero, from which on the sign is taken to be the other
 NIL_SHARE = 0.5  # of touches without a load, from which on it says nothing
-LEAST_DEPTH_M = 10e-6  # that counts as a press
-NIL_SHARE_TO_SHIFT = 0.2  # of touches without a depth, from which on another height of first contact is looked for
 HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
 MIN_GAIN = 0.05  # of R2, from which on a change is taken for right
 TRIED_TOUCHES = 200  # on which changes are tried
@@ -28,8 +24,6 @@ class PressLoad(NamedTuple):
     """Quantity that contact pressure can be predicted from."""
 
     control: Literal["force", "depth"] | None  # None: nothing says how hard a touch was pressed
-    force_sign: float  # -1 where a pressing force is counted negative
-    nil_share: float  # of touches that this load says were not pressed at all
     notes: tuple[str, ...]  # what a person is told, a sentence each
     constant: bool = False  # nothing is known, and all touches are taken to be pressed alike
 
@@ -38,7 +32,7 @@ def press_load(touches: Touches) -> PressLoad:
     """Choose the load of a recording: its force where it was measured, else its depth.
 
     Args:
-        touches: That methods are to learn from.
+        touches: That methods are to learn from, of a set that `corrected_dataset` gave.
 
     Returns:
         The load, and what is odd about it.
@@ -54,42 +48,32 @@ def press_load(touches: Touches) -> PressLoad:
         return _deep(depth)
     if not np.isfinite(force).any() and not np.isfinite(depth).any():
         said = "neither force nor depth is known: contact pressure is predicted as if all touches were pressed with"
-        return PressLoad("force", 1.0, 0.0, (f"{said} {ALIKE_FORCE_N:g} N",), constant=True)
+        return PressLoad("force", (f"{said} {ALIKE_FORCE_N:g} N",), constant=True)
     missing = f"force is missing at {np.sum(~np.isfinite(force))} and depth at {np.sum(~np.isfinite(depth))}"
-    return PressLoad(
-        None, 1.0, 1.0, (f"{missing} of {len(force)} touches: methods on predicted contact pressure are left out",)
-    )
+    return PressLoad(None, (f"{missing} of {len(force)} touches: methods on predicted contact pressure are left out",))
 
 
 def _forced(force: np.ndarray) -> PressLoad:
     """Judge forces as a load."""
     floor = PressureModelConfig.floor
-    pulling, median = float(np.mean(force < -floor)), float(np.median(force))
-    if pulling >= PULLING_SHARE:
-        said = (
-            f"forces along the pressing axis are negative at {100 * pulling:.0f} % of the touches (median "
-            f"{median:.2f} N), and a press pushes: their sign is turned to predict contact pressure; correct the axes "
-            "of the recording"
-        )
-        return PressLoad("force", -1.0, float(np.mean(-force <= floor)), (said,))
-    nil = float(np.mean(force <= floor))
+    nil, median = float(np.mean(force <= floor)), float(np.median(force))
     if nil > NIL_SHARE:
         said = f"{100 * nil:.0f} % of the forces do not push (median {median:.3f} N), so forces do not say how hard"
-        return PressLoad(None, 1.0, nil, (f"{said}: methods on predicted contact pressure cannot use them",))
+        return PressLoad(None, (f"{said}: methods on predicted contact pressure cannot use them",))
     notes = (f"{100 * nil:.0f} % of the forces do not push and count as {floor:g} N",) if nil > 0.02 else ()
-    return PressLoad("force", 1.0, nil, notes)
+    return PressLoad("force", notes)
 
 
 def _deep(depth: np.ndarray) -> PressLoad:
     """Judge depths as a load."""
-    nil = float(np.mean(depth < LEAST_DEPTH_M))
+    nil = float(np.mean(depth < MIN_DEPTH_M))
     if nil > NIL_SHARE:
         said = (
             f"{100 * nil:.0f} % of the depths are zero: the height of first contact that they count from is too low; "
             "give its height (--z0-mm of the converter)"
         )
-        return PressLoad("depth", 1.0, nil, (said,))
-    return PressLoad("depth", 1.0, nil, ())
+        return PressLoad("depth", (said,))
+    return PressLoad("depth", ())
 
 
 def with_known_load(dataset: Dataset) -> tuple[Dataset, str | None]:
@@ -130,32 +114,6 @@ class Tried(NamedTuple):
     depth: np.ndarray  # (n,) m
     readings: np.ndarray  # (n, 3 chips) uT
     groups: np.ndarray  # (n,)
-
-
-def likely_height(
-    dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig
-) -> tuple[float, str | None]:
-    """The height by which depths should count from elsewhere, so that predicted pressures explain the most.
-
-    Args:
-        dataset: Of n touches.
-        rows: (n,) bool, those that methods learn from.
-        groups: (n,) which cross-validation leaves whole.
-        cfg: How contact pressure is predicted, from depths.
-
-    Returns:
-        m to add to depths, 0 where none explains clearly more, and a sentence where it is not.
-    """
-    seen = tried_touches(dataset, some_groups(np.flatnonzero(rows), groups, TRIED_TOUCHES), groups)
-    as_is = explained(seen, cfg)
-    r2 = {h: explained(seen._replace(depth=seen.depth + np.float32(h)), cfg) for h in HEIGHTS_M if h > 0}
-    best = max(r2, key=lambda height: r2[height])
-    if r2[best] <= max(as_is, 0.0) + MIN_GAIN:
-        return 0.0, None
-    return best, (
-        f"depths are taken to count from {1e3 * best:g} mm too low: with it predicted pressures explain {r2[best]:.2f} "
-        f"of held-out training touches instead of {max(as_is, 0.0):.2f}"
-    )
 
 
 def tried_touches(dataset: Dataset, which: np.ndarray, groups: np.ndarray) -> Tried:

@@ -7,9 +7,7 @@ import numpy as np
 
 from experiments.train.configs import TrainExperiment
 from experiments.train.loads import (
-    NIL_SHARE_TO_SHIFT,
     PressLoad,
-    likely_height,
     press_load,
     several_skins,
     with_known_load,
@@ -18,6 +16,7 @@ from experiments.train.splitting import conditions_of, split_dataset
 from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset, Split
 from i2t.prediction.methods import ALIKE_FORCE_N, TrainingTouches, views_of
+from i2t.recordings.sets import corrected_dataset
 
 NOISY_CURVATURE_M = 20e-6  # median second difference of pixels that a surface without noise stays below
 LARGE_WINDOW_M = 25e-3  # from here on the skin is taken to be as large as the window, and cells are coarser
@@ -48,10 +47,11 @@ def prepare(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int, softnes
     Raises:
         DataError: A part of the split would hold too few touches.
     """
+    dataset, corrected = corrected_dataset(dataset)
     dataset, left_out = with_known_load(dataset)
     split = split_dataset(dataset, cfg, how, seed)
     load = press_load(dataset.select(split.train | split.validation | split.test).touches)
-    notes = (*([left_out] if left_out else []), *several_skins(dataset), *load.notes)
+    notes = (*corrected, *([left_out] if left_out else []), *several_skins(dataset), *load.notes)
     touches = TrainingTouches(dataset, conditions_of(dataset.touches, split))
     model = pressure_model_of(dataset, load, cfg, softness)
     if model is None:
@@ -77,7 +77,6 @@ def pressure_model_of(
         smooth=noisy,
         tilt=cfg.hidden_tilt if noisy else 0.0,
         control=load.control,
-        force_sign=load.force_sign,
         softness=softness,
         cell=1e-3 if large else PressureModelConfig.cell,
     )
@@ -87,9 +86,6 @@ def with_pressure(prepared: Prepared, model: PressureModelConfig, load: PressLoa
     """Predict the contact pressure of each touch; none where almost all predicted pressures are zero."""
     split, dataset, notes = prepared.split, prepared.touches.dataset, prepared.notes
     print("predicting contact pressures")
-    if load.control == "depth" and load.nil_share > NIL_SHARE_TO_SHIFT:
-        height, said = likely_height(dataset, split.train, split.groups, model)
-        model, notes = replace(model, depth_offset=height), (*notes, *([said] if said else []))
     force = np.full(len(dataset), ALIKE_FORCE_N, np.float32) if load.constant else dataset.touches.force
     pressure = predict_pressures(model, views_of(dataset), force, dataset.touches.depth)
     total = np.asarray(pressure.pressure)[split.train].sum((1, 2))

@@ -7,9 +7,9 @@ two tilts, because one degree over 20 mm is as large as a press is deep and a si
 the wrong edge. The result, a pressure map and its load, says where and how hard the skin is met; which reading that
 gives is a property of one pad's magnetisation and is learned from its touches (`i2t.skin_models.pressure_gp`).
 
-Wide views are used where there are any; of a cropped one the outermost pixels are continued. A recording's own
-conventions, a pressing force that it counts negative and a height that its depths count from, are part of the
-configuration, so that a predictor takes the numbers that its recording has.
+Wide views are used where there are any; of a cropped one the outermost pixels are continued. Forces are positive where
+they press, and depths count from first contact; what a recording counts otherwise is corrected when it is read
+(`i2t.recordings.sets`).
 """
 
 from dataclasses import dataclass, field
@@ -61,9 +61,7 @@ class PressureModelConfig:
     cell: float = field(default=0.5e-3, metadata={"static": True})
     iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
-    force_sign: float = 1.0  # -1 where the recording counts a pressing force negative
     softness: float = 1.0  # of the layer that is pressed, in units of the pad's: of one twice as soft, E is halved
-    depth_offset: float = 0.0  # m, added to depths that count from a height above or below first contact
 
     def __post_init__(self) -> None:
         """Refuse cells that do not tile the skin, and a layer of no stiffness (ValueError)."""
@@ -115,7 +113,7 @@ def predict_pressure(
         cfg: How pressure is predicted.
         pad: Whose layer is pressed.
         view: m, depth view; NaN where nothing is known.
-        force: N, along tool z.
+        force: N, along tool z, positive where it presses.
         depth: m, past first contact.
 
     Returns:
@@ -130,13 +128,13 @@ def predict_pressure(
         tilted = height + cfg.tilt * (tilt[0] * x + tilt[1] * y)
         tilted = tilted - jnp.min(tilted)
         if cfg.control == "force":
-            load = jnp.maximum(cfg.force_sign * force, cfg.floor)
+            load = jnp.maximum(force, cfg.floor)
             contact = solve_force(pad, tilted, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations)
             return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
         return solve(
             pad,
             tilted,
-            jnp.maximum(depth + cfg.depth_offset, 0.0),
+            jnp.maximum(depth, 0.0),
             grid,
             tolerance=SOLVER_TOLERANCE,
             max_steps=cfg.iterations,

@@ -128,10 +128,7 @@ class TrainingTouches:
         except (LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"a {type(model).__name__} could not be loaded again: {error}") from error
         pressed = self.dataset.touches
-        force, depth = (
-            _median(pressed.force[split.train], ALIKE_FORCE_N),
-            _median(pressed.depth[split.train], USUAL_DEPTH_M),
-        )
+        force, depth = _usual_force(pressed.force[split.train]), _median(pressed.depth[split.train], USUAL_DEPTH_M)
         known = pressed.force[split.train]
         known = known[np.isfinite(known)]
         metadata: dict[str, Any] = {"board": board_as_lists(self.dataset.board)}
@@ -224,6 +221,12 @@ def views_of(dataset: Dataset) -> np.ndarray:
     wide = dataset.touches.wide
     centre = wide.shape[-1] // 2
     return dataset.touches.patch if np.isnan(wide[:, centre, centre]).any() else wide
+
+
+def _usual_force(force: np.ndarray) -> float:
+    """The median of the forces (N); where most of them do not press, of those that do."""
+    median = _median(force, ALIKE_FORCE_N)
+    return median if median > 0 else _median(np.where(force > 0, force, np.nan), ALIKE_FORCE_N)
 
 
 def _median(values: np.ndarray, default: float) -> float:

@@ -321,6 +321,7 @@ def load_predictor(directory: Path | str) -> Predictor:
     directory = nested if nested.is_dir() else directory
     about = _description(directory, hint)
     try:
+        _drop_conventions(directory, about)
         arrays = _load_arrays(directory, about)
         return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _FIELDS})
     except CheckpointError:
@@ -382,6 +383,22 @@ def _description(directory: Path, hint: str) -> dict[str, Any]:
     if missing:
         raise CheckpointError(f"the predictor in {directory} lacks {', '.join(missing)}; train again")
     return about
+
+
+def _drop_conventions(directory: Path, about: dict[str, Any]) -> None:
+    """Drop the conventions of a recording that predictors were once saved with; refuse those that were not the usual
+    ones, as forces press and depths count from first contact.
+    """
+    odd = about["default_force"] < 0
+    for setting in about["model"]["settings"].values():
+        if isinstance(setting, dict) and "force_sign" in setting.get("values", {}):
+            odd |= setting["values"].pop("force_sign") != 1 or setting["values"].pop("depth_offset", 0.0) != 0
+    if odd:
+        raise CheckpointError(
+            f"the predictor in {directory} was trained on forces or depths as its recording counted them (a pressing "
+            "force negative, or a depth from another height than first contact), which this i2t corrects before it "
+            "trains; train again: python -m experiments.train --dataset DATA"
+        )
 
 
 def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:

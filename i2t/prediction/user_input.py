@@ -242,19 +242,19 @@ def check_press(
     """Refuse presses that no skin makes or of which a model knows nothing, and warn of those beyond its training.
 
     Args:
-        force: N, along tool z.
+        force: N, along tool z, positive where it presses.
         depth: m, past first contact; NaN where it is unknown.
-        usual_force: N, the median of the training touches; negative where the recording counts a pressing force so.
+        usual_force: N, the median of the training touches.
         largest_force: N, of the training touches; None where it is not known.
 
     Raises:
         ValueError: A force pulls, presses nothing, breaks a skin or is far beyond the training touches, or a length is
             none in metres.
     """
-    validation.forces("force", force, reversed_sign=usual_force < 0)
-    trained = largest_force or UNUSUAL_FORCE_RATIO * abs(usual_force)
-    about = f"presses of at most {trained:.2g} N" if largest_force else f"presses of about {abs(usual_force):.2g} N"
-    hardest = float(np.abs(force).max())
+    validation.forces("force", force)
+    trained = largest_force or UNUSUAL_FORCE_RATIO * usual_force
+    about = f"presses of at most {trained:.2g} N" if largest_force else f"presses of about {usual_force:.2g} N"
+    hardest = float(force.max())
     if trained and hardest > MAX_FORCE_RATIO * trained:
         raise ValueError(
             f"force is {hardest:g} N, and the model was trained on {about}: it knows nothing of so hard a press; "

@@ -54,7 +54,7 @@ def test_other_numbers_of_the_model_compile_nothing_and_without_a_tilt_one_press
     views, force, depth = np.float32(BOWL)[None], np.float32([2.0]), np.float32([0.2e-3])
     predict_pressures(CFG, views, force, depth)
     with compilations() as compiled:
-        changes = {"tilt": 0.01, "pitch": 0.9 * PITCH, "floor": 0.1, "force_sign": -1.0, "softness": 2.0}
+        changes = {"tilt": 0.01, "pitch": 0.9 * PITCH, "floor": 0.1, "softness": 2.0}
         predict_pressures(replace(CFG, **changes), views, force, depth)
         slightly = predict_pressures(replace(CFG, tilt=1e-9), views, force, depth)
     assert compiled == []
@@ -113,14 +113,3 @@ def test_a_cropped_view_goes_on_at_its_rim():
 def test_impossible_layers_and_cells_are_refused(change, words):
     with pytest.raises(ValueError, match=words):
         replace(CFG, **change)
-
-
-@pytest.mark.full
-def test_a_recordings_own_signs_and_heights_are_undone():
-    """A force that it counts negative, and depths from 0.3 mm too low, give the pressure of the press that it was."""
-    close(press(replace(CFG, force_sign=-1.0), BOWL, force=-1.5), press(CFG, BOWL, force=1.5), 1e-6)
-    by_depth = replace(CFG, control="depth")
-    moved = press(replace(by_depth, depth_offset=0.3e-3), BOWL, depth=0.0)
-    assert moved.max() > 0
-    close(moved, press(by_depth, BOWL, depth=0.3e-3), 1e-6)
-    assert press(by_depth, BOWL, depth=0.0).max() == 0

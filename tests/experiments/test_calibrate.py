@@ -219,7 +219,7 @@ NO_DEPTH = {"depth": np.full(60, np.nan)}
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"force": -np.linspace(4, 8, 60)} | NO_DEPTH, "100 % of the forces are negative"),
+        ({"force": -np.linspace(4, 8, 60)} | NO_DEPTH, "negative in 100 % of the presses"),
         ({"depth": np.zeros(60)}, "all presses have one depth"),
         ({"force": np.r_[-1.0, np.linspace(1, 3, 59)]} | NO_DEPTH, "1 presses with a negative force"),
     ],

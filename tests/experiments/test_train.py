@@ -209,7 +209,7 @@ def small_recording(board: Board, **columns) -> dataset.Dataset:
 @pytest.mark.full
 def test_whatever_is_wrong_with_a_load_the_run_ends_with_a_predictor_and_says_so(tmp_path, capsys):
     """On any board, and what it keeps is no worse than a baseline on test touches, within its interval over groups."""
-    said = "negative at 100 %"
+    said = "negative in 100 %"
     pulled = small_recording(grid_board(2, 2), force=np.linspace(-3, -6, 160))
     dataset.save_dataset(tmp_path / "set.h5", pulled)
     arguments = ["--preset", "debug", "--dataset", str(tmp_path / "set.h5"), "--split", "block"]

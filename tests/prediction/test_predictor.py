@@ -185,6 +185,34 @@ def test_predictors_that_cannot_be_read_are_refused_in_one_sentence(network, tmp
         assert "\n" not in str(error.value)
 
 
+def edit_metadata(folder, edit):
+    path = folder / "_CHECKPOINT_METADATA"
+    about = json.loads(path.read_text())
+    edit(about["custom_metadata"])
+    path.write_text(json.dumps(about))
+
+
+@pytest.mark.parametrize(
+    ("sign", "offset", "force"), [(1.0, 0.0, 0.8), (-1.0, 0.0, 0.8), (1.0, 1e-3, 0.8), (1.0, 0, -2)]
+)
+def test_a_predictor_of_before_knew_signs_and_is_refused_where_they_were_not_the_usual_ones(
+    patches, tmp_path, sign, offset, force
+):
+    fitted, _ = fitted_gp(patches, 12)
+    predictor.save(tmp_path / "p", replace(fitted, default_force=0.8))
+
+    def add_conventions(about):
+        about["default_force"] = force
+        about["model"]["settings"]["pressure"]["values"] |= {"force_sign": sign, "depth_offset": offset}
+
+    edit_metadata(tmp_path / "p", add_conventions)
+    if (sign, offset, force) == (1.0, 0.0, 0.8):
+        assert_same_predictions(predictor.load_predictor(tmp_path / "p"), fitted, patches, force=1.0, nearest=-1e-4)
+        return
+    with pytest.raises(CheckpointError, match=r"as its recording counted them .*; train again: python -m"):
+        predictor.load_predictor(tmp_path / "p")
+
+
 @pytest.mark.full
 def test_any_board_is_predicted(patches):
     fitted, readings = fitted_gp(patches, 12)

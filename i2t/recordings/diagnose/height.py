@@ -233,11 +233,11 @@ def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Findin
         reading = float(np.mean((height > stated) & (height < low)))
         if reading > READING_ABOVE_SHARE:
             top = float(height.max())
-            off = f"{1e3 * (top - stated):.2f} mm"
+            too_low = f"{1e3 * (top - stated):.2f} mm"
             return Finding(
                 HEIGHT_ZERO,
                 f"The height of first contact that depths count from is too low: {100 * reading:.0f} % of the presses "
-                f"stand above it and read all the same. Depth counts from the highest press, {off} "
+                f"stand above it and read all the same. Depth counts from the highest press, {too_low} "
                 "above it; give the height of first contact if it is known (--z0-mm of the converter).",
                 identifiable=False, wrong=True, estimate=zero, low=low, high=high, unit="m",
                 evidence=evidence | {"share_reading_above": reading}, correction={"height_zero_m": top},
