@@ -10,8 +10,8 @@ from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import explained
 from i2t import dataset as data
 from i2t.dataset import Dataset
+from i2t.recordings.diagnose import repeated_rows
 from i2t.skin.files import save_pad
-from i2t.skin_models import check_presses
 from i2t.skin_models.magnetization import fit_pad, parse_tip
 from i2t.types import Board
 
@@ -30,8 +30,8 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     touches = dataset.touches
     load = args.load if args.load != "auto" else "force" if np.isfinite(touches.force).any() else "depth"
     recording = read_presses(dataset, load)
-    found = check_presses(recording.position, recording.load, recording.readings, by_force=recording.by_force)
-    rows = np.random.default_rng(args.seed).permutation(np.flatnonzero(~found.repeated))[:MAX_PAD_PRESSES]
+    new = np.flatnonzero(~repeated_rows(recording.readings))
+    rows = np.random.default_rng(args.seed).permutation(new)[:MAX_PAD_PRESSES]
     if len(rows) < MIN_PAD_PRESSES:
         raise ValueError(f"{len(rows)} presses are too few to fit a pad to; give at least {MIN_PAD_PRESSES}")
     tip = args.tip or tip_of(dataset) or dataset.objects[int(touches.object[0])]

@@ -1,5 +1,6 @@
 """Tables, the figure and the warnings of the calibration experiment."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from experiments.common.tables import text_table
 from i2t.prediction.metrics import MIN_CLUSTERS
-from i2t.skin_models import DataWarnings
+from i2t.recordings.diagnose import Finding
+from i2t.recordings.diagnose.changes import CHANGED_SKIN, REPEATED_ROWS
 from i2t.viz import style
 
 COLOURS = {
@@ -83,10 +85,11 @@ def write(out: Path, metrics: dict[str, Any]) -> None:
     print_tables(metrics)
 
 
-def warning_metrics(found: DataWarnings) -> dict[str, Any]:
+def warning_metrics(findings: Sequence[Finding]) -> dict[str, Any]:
     """Findings of the checks of the presses."""
+    values = {finding.name: finding.estimate for finding in findings}
     return {
-        "warnings": found.messages(),
-        "repeated_rows": int(found.repeated.sum()),
-        "change_ratio": found.change_ratio,
+        "warnings": [finding.sentence for finding in findings if finding.wrong],
+        "repeated_rows": int(values[REPEATED_ROWS] or 0),
+        "change_ratio": values[CHANGED_SKIN],
     }

@@ -39,7 +39,8 @@ from experiments.common.runs import begin
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.files.terminal import printable
-from i2t.skin_models import calibrate, check_presses
+from i2t.recordings.diagnose import check_presses, repeated_rows
+from i2t.skin_models import calibrate
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
@@ -59,15 +60,17 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
     for note in recording.notes:
         print(printable(f"note: {note}"))
     warnings = check_presses(recording.position, recording.load, recording.readings, by_force=recording.by_force)
-    held = hold_out(recording, cfg, args.seed, ~warnings.repeated, str(args.dataset))
+    new = ~repeated_rows(recording.readings)
+    held = hold_out(recording, cfg, args.seed, new, str(args.dataset))
     counts, draws = counts_and_draws(args, cfg, held)
     begin(args.out, args, cfg, None, args.overwrite)
-    for message in warnings.messages():
-        print(f"warning: {message}")
+    for finding in warnings:
+        if finding.wrong:
+            print(f"warning: {finding.sentence}")
     for sentence in held.sentences:
         print(f"held out: {sentence}")
     scores = learning_curves(recording, held.splits, counts=counts, draws=draws, seed=args.seed)
-    kept = save_calibration(args, cfg, dataset, recording, ~warnings.repeated)
+    kept = save_calibration(args, cfg, dataset, recording, new)
     tests = held.tests
     metrics = {
         "source": dataset.source,

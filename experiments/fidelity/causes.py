@@ -11,14 +11,13 @@ because their covariance is the same for mirrored pressures.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.sections import CannotTellError, Section
 from experiments.train.configs import PRESETS
-from experiments.train.loads import HEIGHTS_M, MIN_GAIN, TRIED_TOUCHES, Tried, explained, some_groups, tried_touches
+from experiments.train.loads import MIN_GAIN, TRIED_TOUCHES, Tried, explained, some_groups, tried_touches
 from experiments.train.prepare import prepare
 from i2t.contact.pressure import PressureModelConfig
 from i2t.convert.press_table import sphere, tip_patches
@@ -26,25 +25,22 @@ from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
 from i2t.prediction.baselines import features_of, patch_components, touch_features
-from i2t.recordings.diagnose.lag import lag_between
+from i2t.recordings.diagnose import Finding
+from i2t.recordings.diagnose.height import HEIGHT_ZERO
+from i2t.recordings.diagnose.lag import LAG, lag_between
+from i2t.recordings.diagnose.signs import FORCE_SIGN
+from i2t.recordings.diagnose.units import UNITS
 
-HEIGHT, SIGN, TIP, VIEW, UNITS, LAG = "height zero", "force sign", "tip radius", "view", "units", "lag of rows"
+TIP, VIEW = "tip radius", "view"
 SOFTNESS = "softness"
-CAUSES = (HEIGHT, SIGN, TIP, VIEW, UNITS, LAG, SOFTNESS)
+CAUSES = (HEIGHT_ZERO, FORCE_SIGN, TIP, VIEW, UNITS, LAG, SOFTNESS)
 
 LAG_TOUCHES = 1500  # in the order of their rows
 LAG_FEATURES = 4  # of the views, that vary most
 TIP_FACTORS = (0.5, 2.0)
 SCALES = (0.1, 10.0)
+HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
 SOFTNESSES = (4.0, 16.0)  # of a skin, in units of the nominal one's
-
-
-class CauseFound(NamedTuple):
-    """A cause that was tested and the result."""
-
-    cause: str  # one of CAUSES
-    found: bool
-    evidence: str  # a sentence
 
 
 def cause_section(path: Path, preset: FidelityPreset, seed: int, section: Section) -> None:
@@ -62,17 +58,17 @@ def cause_section(path: Path, preset: FidelityPreset, seed: int, section: Sectio
     if cfg is not None and preset.try_causes:
         known = np.isfinite(getattr(touches.dataset.touches, cfg.control)[split.train]).all()
         found += tried_changes(touches.dataset, split.train, split.groups, cfg) if known else []
-    section.sentences += [each.evidence for each in found if each.found]
-    guilty, tested = {each.cause for each in found if each.found}, {each.cause for each in found}
+    section.sentences += [finding.sentence for finding in found if finding.wrong]
+    guilty, tested = {finding.name for finding in found if finding.wrong}, {finding.name for finding in found}
     for said, causes in (
         ("Tested and not found: ", [cause for cause in CAUSES if cause in tested - guilty]),
         ("Could not be tested: ", [cause for cause in CAUSES if cause not in tested]),
     ):
         section.sentences += [said + ", ".join(causes)] if causes else []
-    section.numbers["causes"] = [each._asdict() for each in found]
+    section.numbers["causes"] = [finding.to_json() for finding in found]
 
 
-def late_rows(dataset: Dataset) -> Iterator[CauseFound]:
+def late_rows(dataset: Dataset) -> Iterator[Finding]:
     """Lag: whether readings agree better with what was seen some rows before or after.
 
     Args:
@@ -89,10 +85,10 @@ def late_rows(dataset: Dataset) -> Iterator[CauseFound]:
     points = points[:, np.argsort(-points.std(0))[:LAG_FEATURES]]
     found = lag_between(points.astype(np.float64), touches.reading[which].astype(np.float64))
     if found.identifiable:
-        yield CauseFound(LAG, found.wrong, found.sentence)
+        yield found
 
 
-def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig) -> list[CauseFound]:
+def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: PressureModelConfig) -> list[Finding]:
     """Height zero, force sign, tip radius, the view's direction, units and softness: each is changed, and the Gaussian
     process on predicted pressures is scored again.
 
@@ -112,10 +108,12 @@ def tried_changes(dataset: Dataset, rows: np.ndarray, groups: np.ndarray, cfg: P
     for cause, said, changed in _changes(dataset, which, seen, cfg):
         best[cause] = max(best.get(cause, (-np.inf, "")), (explained(changed, cfg), said))
     return [
-        CauseFound(
+        Finding(
             cause,
-            r2 > as_is + MIN_GAIN,
             f"with {said} predicted pressures explain {r2:.2f} of held-out training touches instead of {as_is:.2f}",
+            identifiable=True,
+            wrong=r2 > as_is + MIN_GAIN,
+            evidence={"r2": r2, "r2_as_recorded": as_is},
         )
         for cause, (r2, said) in best.items()
     ]
@@ -129,13 +127,13 @@ def _changes(
     upside_down = np.asarray(dataset.reach - known, np.float32)
     yield VIEW, "the view upside down (near for far)", seen._replace(views=upside_down)
     if cfg.control == "force":
-        yield SIGN, "forces of the other sign", seen._replace(force=-seen.force)
+        yield FORCE_SIGN, "forces of the other sign", seen._replace(force=-seen.force)
         for softness in SOFTNESSES:  # pressures of a softer layer are in proportion to those of a larger force
             said = f"a layer {softness:g} times as soft (--softness {softness * cfg.softness:g})"
             yield SOFTNESS, said, seen._replace(force=np.float32(softness) * seen.force)
     else:
         for height in HEIGHTS_M:
-            yield HEIGHT, f"depths {1e3 * height:+g} mm", seen._replace(depth=seen.depth + np.float32(height))
+            yield HEIGHT_ZERO, f"depths {1e3 * height:+g} mm", seen._replace(depth=seen.depth + np.float32(height))
     for scale in SCALES:
         changed = seen._replace(**{cfg.control: np.float32(scale) * load})
         yield UNITS, f"{cfg.control}s {scale:g} times as large", changed

@@ -4,12 +4,11 @@ import numpy as np
 
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
-from i2t.recordings.diagnose import Finding, diagnose, metrics_of
-from i2t.recordings.diagnose.findings import AXES
+from i2t.recordings.diagnose import Finding, check_presses, diagnose, metrics_of
 from i2t.recordings.presses import Presses
 from i2t.recordings.read import TARGETS, SkinRecording
 from i2t.recordings.segmentation import MAD_TO_STD
-from i2t.skin_models import check_presses
+from i2t.skin.boards import AXES_OF_CHIP
 
 # uT for each step of x and y and of z, by gain at resolution 0 (MLX90393 data sheet, sensitivity table, 0xC);
 # resolutions 1 to 3 double it each.
@@ -34,7 +33,8 @@ def describe(recording: SkinRecording, section: Section) -> None:
     n, c = recording.readings.shape
     sessions, numbers = len(np.unique(recording.session)), section.numbers
     section.sentences += [
-        f"{n} {recording.source} readings of {c // AXES} chips ({c} channels) in {sessions} strokes or sessions.",
+        f"{n} {recording.source} readings of {c // AXES_OF_CHIP} chips ({c} channels) in {sessions} strokes or "
+        "sessions.",
         *recording.notes,
     ]
     numbers |= {"rows": n, "channels": c, "sessions": sessions, "source": recording.source}
@@ -94,7 +94,7 @@ def _raw(recording: SkinRecording) -> np.ndarray:
 def _unit(recording: SkinRecording, numbers: dict) -> str:
     """Unit that the steps of the values suggest."""
     steps = np.array([_step(channel) for channel in _raw(recording).T])
-    axes = np.delete(steps, np.s_[2::AXES]), steps[2::AXES]
+    axes = np.delete(steps, np.s_[2::AXES_OF_CHIP]), steps[2::AXES_OF_CHIP]
     found = np.array([np.nanmedian(part) if np.isfinite(part).any() else np.nan for part in axes])
     numbers["steps"] = dict(zip(("xy", "z"), found.tolist(), strict=True))
     if not np.isfinite(found).all():
@@ -198,13 +198,8 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
         raise CannotTellError("Repeated rows and changes are looked for where positions and loads are known.")
     position = recording.targets["position"][rows]
     warned = check_presses(position, np.abs(load[rows]), recording.readings[rows], by_force=name == "force")
-    found += [message[0].upper() + message[1:] for message in warned.messages()]
-    numbers |= {
-        "repeated_rows": int(warned.repeated.sum()),
-        "change_ratio": warned.change_ratio,
-        "changed_chips": list(warned.changed_chips),
-        "ut_per_newton": warned.sensitivity_ut_per_n,
-    }
+    found += [finding.sentence for finding in warned if finding.wrong]
+    numbers["presses"] = metrics_of(warned)
 
 
 def _check_unknowns(recording: SkinRecording, found: list[str], section: Section, findings: list[Finding]) -> None:

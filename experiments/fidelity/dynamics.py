@@ -21,8 +21,8 @@ from experiments.fidelity.forward import (
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
-from i2t.recordings.diagnose.findings import AXES
 from i2t.recordings.read import STREAM_GAP_S, SkinRecording
+from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin.faults import LAYER_SHARE, Faults
 from i2t.skin.noise import Noise
 
@@ -98,12 +98,12 @@ def _noise_rows(recording: SkinRecording, section: Section, rows: list[list[str]
     else:
         size = _repeat_noise(press_set(recording))
         how = "presses that were repeated, which adds what a skin does not repeat"
-    by_axis = size.reshape(-1, AXES)
+    by_axis = size.reshape(-1, AXES_OF_CHIP)
     xy, z = (float(np.sqrt(np.mean(part**2))) for part in (by_axis[:, :2], by_axis[:, 2]))
     for axis, found, own in (("x, y", xy, simulated.xy), ("z", z, simulated.z)):
         rows.append([f"noise of one sample, {axis} (uT)", cell(found, 2), cell(own, 2), cell(found / own, 2)])
     strong = float(np.percentile(np.linalg.norm(recording.readings, axis=1), 90))
-    ratio = strong / float(np.sqrt(len(size) * (2 * xy**2 + z**2) / AXES))
+    ratio = strong / float(np.sqrt(len(size) * (2 * xy**2 + z**2) / AXES_OF_CHIP))
     section.numbers["noise"] = {
         "xy_uT": xy, "z_uT": z, "how": how, "signal_to_noise": ratio,
         "simulator": {"xy_uT": simulated.xy, "z_uT": simulated.z},
@@ -252,7 +252,7 @@ def _press_hysteresis(
     chosen, predicted = predicted_from_others(presses, preset.forward_rows)
     residual, row = presses.readings[chosen] - predicted, presses.row[chosen]
     before = np.where((row > 0)[:, None], recording.readings[np.maximum(row - 1, 0)], 0.0)
-    x, y = (part.reshape(len(part), -1, AXES) for part in (before - before.mean(0), residual))
+    x, y = (part.reshape(len(part), -1, AXES_OF_CHIP) for part in (before - before.mean(0), residual))
     weight = (x**2).sum((0, 2)) + 1e-12
     kept = (x * y).sum((0, 2)) / weight
     left = ((y - kept[:, None] * x) ** 2).sum((0, 2))

@@ -14,7 +14,6 @@ from i2t.types import Touches
 
 MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor depth is known of them
 NIL_SHARE = 0.5  # of touches without a load, from which on it says nothing
-HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
 MIN_GAIN = 0.05  # of R2, from which on a change is taken for right
 TRIED_TOUCHES = 200  # on which changes are tried
 TRIED_STEPS = 20  # of the choice of hyperparameters

@@ -43,11 +43,10 @@ from i2t.recordings.eflesh import (
 )
 from i2t.recordings.files import read_text
 from i2t.recordings.tables import HEIGHT_COLUMNS, TextTable, read_text_table
-from i2t.skin.boards import without_silent_chips
+from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board, ReturnCode
 
 CHIP_AXES = ("x", "y", "z")
-VALUES_PER_CHIP = 3
 MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
 TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
 AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
@@ -426,7 +425,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
         DataError: a table is missing, or no row has a finite reading.
     """
     states, values = _loose_table(folder, "states"), _loose_table(folder, "sensor_post_baselines")
-    if states.shape[1] < 4 or values.shape[1] < 1 + VALUES_PER_CHIP or (values.shape[1] - 1) % VALUES_PER_CHIP:
+    if states.shape[1] < 4 or values.shape[1] < 1 + AXES_OF_CHIP or (values.shape[1] - 1) % AXES_OF_CHIP:
         raise DataError(
             f"{folder}: has {states.shape[1]} columns of states and {values.shape[1]} of values; give time, x, y, z "
             "and time with three values for each chip"
@@ -438,7 +437,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
         [f"left out: {len(values) - len(rows)} rows without a state at their time"] if len(rows) < len(values) else []
     )
     states, values = states[partner], values[rows]
-    silent = np.repeat(silent_chips_of(folder, values), VALUES_PER_CHIP, axis=1)
+    silent = np.repeat(silent_chips_of(folder, values), AXES_OF_CHIP, axis=1)
     readings, place = np.where(silent, np.nan, values[:, 1:]), 1e-3 * states[:, 1:4]
     sheared = readings.shape[1] > EFLESH_READINGS
     middle = (np.nanmin(place, 0) + np.nanmax(place, 0)) / 2

@@ -8,9 +8,9 @@ fits a pad to presses. `heads` go from readings to position, depth and force, by
 what `recordings` reads.
 """
 
+from i2t.recordings.diagnose import check_presses
 from i2t.recordings.segmentation import SegmentedPresses, segment_presses
 from i2t.skin_models.calibration import Calibration, LoadKind, calibrate, load_calibration
-from i2t.skin_models.checks import DataWarnings, check_presses
 from i2t.skin_models.structured_gp import (
     DEPTH_HYPERPARAMETERS,
     FORCE_HYPERPARAMETERS,
@@ -21,7 +21,6 @@ __all__ = [
     "DEPTH_HYPERPARAMETERS",
     "FORCE_HYPERPARAMETERS",
     "Calibration",
-    "DataWarnings",
     "LoadKind",
     "SegmentedPresses",
     "StructuredGPHyperparameters",

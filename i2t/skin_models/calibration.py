@@ -24,9 +24,9 @@ from i2t import validation
 from i2t.errors import did_you_mean
 from i2t.files import serialization
 from i2t.models import ready_hint, ready_path
+from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin_models import population_gp
 from i2t.skin_models.candidates import board_candidates
-from i2t.skin_models.checks import AXES_PER_CHIP
 from i2t.skin_models.left_out import Conditioned, one_thread_for_few
 from i2t.skin_models.population_gp import PopulationGP, PressTable
 from i2t.skin_models.structured_gp import StructuredGPHyperparameters, fit_structured
@@ -295,7 +295,7 @@ def _checked(
         raise ValueError(
             f"{np.sum(~np.isfinite(readings).all(1))} presses have readings that are not finite; drop them"
         )
-    if board is not None and readings.shape[1] != AXES_PER_CHIP * len(board.chips):
+    if board is not None and readings.shape[1] != AXES_OF_CHIP * len(board.chips):
         raise ValueError(
             f"readings of {readings.shape[1]} values are not those of a board with {len(board.chips)} chips; "
             "give the board that was pressed"

@@ -8,8 +8,7 @@ candidates. Which of them it is, or none, is for what presses left out say (`i2t
 import numpy as np
 from jaxtyping import Float
 
-from i2t.skin.boards import BOARDS
-from i2t.skin_models.checks import AXES_PER_CHIP
+from i2t.skin.boards import AXES_OF_CHIP, BOARDS
 
 MAX_CANDIDATE_BOARDS = 2
 MIN_RANKED_PRESSES = 3
@@ -30,8 +29,8 @@ def board_candidates(
         Positions of the chips (m) of at most MAX_CANDIDATE_BOARDS boards by name, the best first; none where no board
         of a name has as many chips, or presses say nothing of where chips are.
     """
-    chips = readings.shape[1] // AXES_PER_CHIP
-    if readings.shape[1] % AXES_PER_CHIP or len(positions) < MIN_RANKED_PRESSES or not np.ptp(positions, axis=0).all():
+    chips = readings.shape[1] // AXES_OF_CHIP
+    if readings.shape[1] % AXES_OF_CHIP or len(positions) < MIN_RANKED_PRESSES or not np.ptp(positions, axis=0).all():
         return {}
     found = _named_boards(chips)
     fit = {name: _fit(positions, readings, at) for name, at in found.items()}
@@ -53,7 +52,7 @@ def _named_boards(chips: int) -> dict[str, np.ndarray]:
 
 def _fit(positions: np.ndarray, readings: np.ndarray, chips: np.ndarray) -> float:
     """Correlation of chip positions with the centres of their share of the readings' power."""
-    power = (readings.reshape(len(readings), len(chips), AXES_PER_CHIP) ** 2).sum(2)
+    power = (readings.reshape(len(readings), len(chips), AXES_OF_CHIP) ** 2).sum(2)
     share = power / np.maximum(power.sum(1, keepdims=True), 1e-12)
     centre = share.T @ (positions - positions.mean(0)) / np.maximum(share.sum(0), 1e-12)[:, None]
     centre, lie = centre - centre.mean(0), chips - chips.mean(0)

@@ -8,7 +8,7 @@ import pytest
 from helpers.baselines import placed_dataset, round_tip
 
 from experiments.fidelity import causes
-from experiments.fidelity.causes import LAG, SIGN, SOFTNESS
+from experiments.fidelity.causes import FORCE_SIGN, LAG, SOFTNESS
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.sections import written
 from experiments.train.loads import press_load, with_known_load
@@ -68,9 +68,9 @@ def test_late_labels_are_found(lag):
     late = np.roll(made.touches.reading, -lag, axis=0)
     shifted = replace(made, touches=made.touches._replace(reading=late))
     (found,) = causes.late_rows(shifted)
-    assert (found.cause, found.found) == (LAG, lag != 0)
+    assert (found.name, found.wrong) == (LAG, lag != 0)
     if lag:
-        assert f"shifted by {lag:+d} rows" in found.evidence
+        assert f"shifted by {lag:+d} rows" in found.sentence
 
 
 def test_a_data_set_is_told_what_was_found_and_what_was_not(tmp_path):
@@ -84,7 +84,7 @@ def test_a_data_set_is_told_what_was_found_and_what_was_not(tmp_path):
     said = "\n".join(section.sentences)
     assert "shifted by +1 rows" in said
     assert "Could not be tested: height zero" in said
-    assert {each["cause"] for each in section.numbers["causes"] if each["found"]} >= {LAG}
+    assert {each["name"] for each in section.numbers["causes"] if each["wrong"]} >= {LAG}
 
     save_dataset(tmp_path / "simulated.h5", made)
     other = partial(causes.cause_section, tmp_path / "simulated.h5", FIDELITY_PRESETS["debug"], 0)
@@ -98,9 +98,9 @@ def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch
         return 0.5 if np.allclose(seen.force, 4 * made.touches.force) else 0.3
 
     monkeypatch.setattr(causes, "explained", explained)
-    found = {one.cause: one for one in causes.tried_changes(made, every, groups, FORCED)}
-    assert [cause for cause, one in found.items() if one.found] == [SOFTNESS]
-    assert "with a layer 4 times as soft (--softness 4) predicted pressures explain 0.50" in found[SOFTNESS].evidence
+    found = {one.name: one for one in causes.tried_changes(made, every, groups, FORCED)}
+    assert [cause for cause, one in found.items() if one.wrong] == [SOFTNESS]
+    assert "with a layer 4 times as soft (--softness 4) predicted pressures explain 0.50" in found[SOFTNESS].sentence
 
 
 @pytest.mark.full
@@ -111,8 +111,8 @@ def test_a_changed_sign_or_height_is_found_by_trying_it():
     sound = causes.tried_changes(
         made, every, groups, replace(FORCED, pitch=17e-3 / 24, smooth=False, tilt=0.0, cell=1e-3)
     )
-    assert not any(found.found for found in sound)
+    assert not any(found.wrong for found in sound)
     pulled = replace(made, touches=made.touches._replace(force=-made.touches.force))
     cfg = replace(FORCED, pitch=17e-3 / 24, smooth=False, tilt=0.0, cell=1e-3)
-    found = {one.cause: one for one in causes.tried_changes(pulled, every, groups, cfg)}
-    assert found[SIGN].found
+    found = {one.name: one for one in causes.tried_changes(pulled, every, groups, cfg)}
+    assert found[FORCE_SIGN].wrong

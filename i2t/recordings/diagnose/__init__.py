@@ -9,12 +9,14 @@
     presses = corrected_presses(presses, findings)
 
 `hypotheses` is the list: `units`, `signs`, `lag`, `height` (of first contact) and `board` (how it lies under the skin).
+`changes` finds what nothing corrects: repeated rows, a skin that changed, a tip of steel.
 Every function is pure and takes arrays; what it returns is a `Finding`, which says whether the recording can tell at
 all. Each fault has one threshold, beside its hypothesis. NumPy and SciPy only, so that readers and converters can use
 it.
 """
 
 from i2t.recordings.diagnose.board import find_board, turn_board
+from i2t.recordings.diagnose.changes import check_presses, repeated_rows
 from i2t.recordings.diagnose.findings import (
     Correction,
     Finding,
@@ -35,6 +37,7 @@ from i2t.recordings.diagnose.units import find_units
 __all__ = [
     "Correction",
     "Finding",
+    "check_presses",
     "corrected_presses",
     "correction_of",
     "diagnose",
@@ -53,5 +56,6 @@ __all__ = [
     "first_contact",
     "lag_rows",
     "metrics_of",
+    "repeated_rows",
     "turn_board",
 ]

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from i2t.recordings.presses import Presses
 
 META_PREFIX = "unknowns of "  # of a data set's meta: one entry for each session
-AXES = 3  # of a chip
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Finding:
     low: float | None = None
     high: float | None = None
     unit: str = ""
-    evidence: Mapping[str, float | int] = field(default_factory=dict)
+    evidence: Mapping[str, float | int | list[int]] = field(default_factory=dict)
     correction: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from i2t.skin_models import check_presses
+from i2t.recordings.diagnose import check_presses, repeated_rows
 
 CHANNELS = 15
 
@@ -27,48 +27,52 @@ def session(rng: np.random.Generator, n: int = 600) -> tuple[np.ndarray, np.ndar
     return *at, skin(rng)(*at) + rng.normal(size=(n, CHANNELS))
 
 
+def wrong_in(*given, **more):
+    """Sentences of what is wrong."""
+    return [finding.sentence for finding in check_presses(*given, **more) if finding.wrong]
+
+
 def test_sound_presses_are_not_accused():
     for seed in range(10):
-        warnings = check_presses(*session(np.random.default_rng(100 + seed)))
-        assert warnings.messages() == []
-        assert np.isfinite(warnings.change_ratio)
-    assert check_presses(*session(np.random.default_rng(0), 20)).messages() == []
+        given = session(np.random.default_rng(100 + seed))
+        assert wrong_in(*given) == []
+        assert np.isfinite(check_presses(*given)[1].estimate)
+    assert wrong_in(*session(np.random.default_rng(0), 20)) == []
 
 
 def test_each_fault_of_a_recording_is_named():
     position, load, readings = session(np.random.default_rng(14))
     repeated = readings.copy()
     repeated[[5, 6, 200]] = readings[4], readings[4], readings[199]
-    found = check_presses(position, load, repeated)
-    np.testing.assert_array_equal(np.flatnonzero(found.repeated), [5, 6, 200])
-    assert "3 rows repeat" in found.messages()[0]
+    np.testing.assert_array_equal(np.flatnonzero(repeated_rows(repeated)), [5, 6, 200])
+    assert "3 rows repeat" in wrong_in(position, load, repeated)[0]
 
     changed = readings.copy()
     changed[300:, 6:9] += 35  # as much as one chip of a real board remembered of the press before
-    found = check_presses(position, load, changed)
-    assert not found.changed
-    assert found.changed_chips == (2,)
-    assert "chip 2" in found.messages()[0]
+    found = check_presses(position, load, changed)[1]
+    assert found.wrong
+    assert found.evidence["changed_chips"] == [2]
+    assert "Chip 2" in found.sentence
 
     moved = position + np.where(np.arange(600)[:, None] < 300, 0, 0.1)  # halves at different places tell nothing
-    found = check_presses(moved, load, readings)
-    assert not found.changed
-    assert np.isnan(found.change_ratio)
+    found = check_presses(moved, load, readings)[1]
+    assert not found.wrong
+    assert not found.identifiable
+    assert np.isnan(found.estimate)
 
 
 def test_a_skin_that_slips_is_found():
     rng = np.random.default_rng(12)
     position, depth = presses(rng, 600)
     slipped = position + np.where(np.arange(600)[:, None] < 300, 0.0, 4e-3)
-    found = check_presses(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
-    assert found.changed
-    assert "slipped" in found.messages()[0]
+    (said,) = wrong_in(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
+    assert "the skin slipped or changed" in said
 
 
 def test_a_tip_of_steel_is_found_by_its_strength():
     position, depth, readings = session(np.random.default_rng(16), 50)
     force = 300 * depth  # up to 1.2 N
     readings *= 100 / np.median(np.linalg.norm(readings, axis=1) / force)  # uT/N, as real boards
-    assert check_presses(position, force, readings, by_force=True).messages() == []
-    (sentence,) = check_presses(position, force, 7 * readings, by_force=True).messages()
+    assert wrong_in(position, force, readings, by_force=True) == []
+    (sentence,) = wrong_in(position, force, 7 * readings, by_force=True)
     assert "steel" in sentence
