@@ -6,10 +6,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import PressRecording
 from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED, METHODS, calibrated_with_std
 from i2t.prediction.metrics import grouped_interval, student_interval
+from i2t.recordings.presses import LoadedPresses
 from i2t.runtime.progress import progress
 from i2t.skin_models.population_gp import STDS_WITHIN_90_PERCENT
 
@@ -28,7 +28,7 @@ class Scores(NamedTuple):
 
 
 def learning_curves(
-    recording: PressRecording, splits: Sequence[PressSplit], *, counts: Sequence[int], draws: int, seed: int
+    recording: LoadedPresses, splits: Sequence[PressSplit], *, counts: Sequence[int], draws: int, seed: int
 ) -> Scores:
     """Scores of every method at every number of presses, a value for each draw.
 
@@ -72,7 +72,7 @@ class _Tested(NamedTuple):
     inside: np.ndarray  # (n, c) readings in the 90 % range of `i2t.calibrate`
 
 
-def _tested(recording: PressRecording, rows: np.ndarray, tests: dict[str, np.ndarray]) -> dict[str, _Tested]:
+def _tested(recording: LoadedPresses, rows: np.ndarray, tests: dict[str, np.ndarray]) -> dict[str, _Tested]:
     """Each test's rows as all methods predict them from some rows."""
     predicted, inside = predict_all(recording, rows, np.concatenate(list(tests.values())))
     results, start = {}, 0
@@ -85,7 +85,7 @@ def _tested(recording: PressRecording, rows: np.ndarray, tests: dict[str, np.nda
 
 
 def predict_all(
-    recording: PressRecording, rows: np.ndarray, test: np.ndarray
+    recording: LoadedPresses, rows: np.ndarray, test: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Readings at the test by every method, and which of them (n, c) lie in the 90 % range of `i2t.calibrate`."""
     predicted = {name: method(recording, rows, test) for name, method in METHODS.items() if name != CALIBRATED}

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from experiments.calibrate.arguments import Preset
-from experiments.calibrate.data import MM_PER_M, PressRecording
 from i2t.dataset import square_blocks
 from i2t.prediction.metrics import MIN_CLUSTERS
+from i2t.recordings.presses import MM_PER_M, LoadedPresses
 
 RANDOM = "random presses"
 EACH_PRESS = "each press left out"
@@ -64,7 +64,7 @@ class HeldOut(NamedTuple):
         return {name: np.concatenate([s.tests[name] for s in self.splits if name in s.tests]) for name in names}
 
 
-def hold_out(recording: PressRecording, cfg: Preset, seed: int, usable: np.ndarray, source: str) -> HeldOut:
+def hold_out(recording: LoadedPresses, cfg: Preset, seed: int, usable: np.ndarray, source: str) -> HeldOut:
     """Choose the presses to hold out by their number and places.
 
     Args:

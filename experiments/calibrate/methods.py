@@ -5,32 +5,32 @@ from typing import TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import PressRecording
 from i2t.prediction.baselines import tuned
 from i2t.prediction.metrics import nearest_neighbours
+from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate, plain_gp
 from i2t.skin_models.left_out import one_thread_for_few
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
 CALIBRATED = "i2t.calibrate"
 
-Predict: TypeAlias = Callable[[PressRecording, np.ndarray, np.ndarray], np.ndarray]
+Predict: TypeAlias = Callable[[LoadedPresses, np.ndarray, np.ndarray], np.ndarray]
 """From known rows and test rows of a recording to readings (n, c) uT."""
 
 
-def mean(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+def mean(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
     """The mean of the rows, wherever and however hard is pressed."""
     return np.tile(recording.readings[rows].mean(0), (len(test), 1))
 
 
-def neighbours(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+def neighbours(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
     """k nearest presses in position and load, k by cross-validation."""
     x, at = recording.features(rows), recording.features(test)
     counts, each = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), np.arange(len(rows))
     return tuned(nearest_neighbours, counts, x, recording.readings[rows], each, at=at)
 
 
-def plain(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+def plain(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
     """A Gaussian process over position and load, its scales fitted to the rows."""
     known = recording.position[rows], recording.load[rows], recording.readings[rows]
     at = recording.position[test], recording.load[test]
@@ -38,12 +38,12 @@ def plain(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.n
         return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, at)
 
 
-def calibrated(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
+def calibrated(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
     """Predictions of `i2t.calibrate`."""
     return calibrated_with_std(recording, rows, test)[0]
 
 
-def calibrated_with_std(recording: PressRecording, rows: np.ndarray, test: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def calibrated_with_std(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Predictions of `i2t.calibrate` and their standard deviations."""
     known = recording.position[rows], recording.load[rows], recording.readings[rows]
     calibration = calibrate(*known, load_kind=recording.load_kind, board=recording.own_board)

@@ -12,7 +12,7 @@ from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.recordings.diagnose import repeated_rows
 from i2t.skin.files import save_pad
-from i2t.skin_models.magnetization import fit_pad, parse_tip
+from i2t.skin_models.magnetization import Presses, fit_pad, parse_tip
 from i2t.types import Board
 
 MAX_PAD_PRESSES = 300  # at random: a map is known by then, and every press costs
@@ -37,7 +37,11 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     tip = args.tip or tip_of(dataset) or dataset.objects[int(touches.object[0])]
     readings, board = recording.readings[rows], Board(*(jnp.float32(part) for part in dataset.board))
     fitted = fit_pad(
-        recording.presses(rows), jnp.float32(readings), tip=parse_tip(tip), board=board, by_force=recording.by_force
+        Presses(jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows])),
+        jnp.float32(readings),
+        tip=parse_tip(tip),
+        board=board,
+        by_force=recording.by_force,
     )
     square = (readings - np.asarray(fitted.leave_one_out, np.float64)) ** 2
     r2, error_std = explained(readings, square.sum(1)), float(np.sqrt(np.mean(square)))

@@ -32,7 +32,7 @@ import numpy as np
 
 from experiments.calibrate import pad, prior_search, report, simulated, targets
 from experiments.calibrate.arguments import CalibrateArgs, Preset, preset_of
-from experiments.calibrate.data import PressRecording, read_presses
+from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import gains, learning_curves, over_blocks, summarise
 from experiments.calibrate.held_out import HeldOut, hold_out
 from experiments.common.runs import begin
@@ -40,6 +40,7 @@ from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.files.terminal import printable
 from i2t.recordings.diagnose import check_presses, repeated_rows
+from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
 
 
@@ -117,7 +118,7 @@ def counts_and_draws(args: CalibrateArgs, cfg: Preset, held: HeldOut) -> tuple[t
 
 
 def save_calibration(
-    args: CalibrateArgs, cfg: Preset, dataset: Dataset, recording: PressRecording, usable: np.ndarray
+    args: CalibrateArgs, cfg: Preset, dataset: Dataset, recording: LoadedPresses, usable: np.ndarray
 ) -> dict[str, Any]:
     """Calibrate on all presses, write calibration.npz and say on which board, by what presses left out say."""
     rows = np.random.default_rng(args.seed).permutation(np.flatnonzero(usable))[: cfg.saved_presses]

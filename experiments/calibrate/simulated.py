@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.calibrate.arguments import CalibrateArgs
-from experiments.calibrate.data import PressRecording
 from experiments.calibrate.evaluate import Curves, append, explained, gains, predict_all, summarise
 from experiments.calibrate.methods import CALIBRATED
 from experiments.calibrate.report import count_table
 from experiments.calibrate.skins import PressedSkinOfKind, simulate_skins
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
+from i2t.recordings.presses import LoadedPresses, LoadName
 from i2t.runtime.progress import progress
 from i2t.skin.boards import eflesh_board, reskin_board
 
@@ -88,12 +88,12 @@ def _score(case: Case, cfg: SimulatedPreset) -> dict[str, Any]:
     return {"r2": summarise(r2), "differences": summarise(gains(r2)), "inside_90": summarise(coverage)[CALIBRATED]}
 
 
-def _recording(skin: PressedSkinOfKind, load: str) -> PressRecording:
+def _recording(skin: PressedSkinOfKind, load: str) -> LoadedPresses:
     """A skin's presses, on the board whose chips lie where the skin's do."""
-    by_force = load == "force"
+    kind: LoadName = "force" if load == "force" else "depth"
     board = eflesh_board() if skin.kind == "lattice" else reskin_board()
-    return PressRecording(
-        skin.position, skin.force if by_force else skin.depth, skin.readings, by_force, own_board=board
+    return LoadedPresses(
+        skin.position, skin.force if kind == "force" else skin.depth, skin.readings, kind, own_board=board
     )
 
 

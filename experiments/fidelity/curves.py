@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M, PressRecording
+from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M
 from experiments.calibrate.evaluate import INTERVAL, ErrorCurves, learning_curves, summarise
 from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED
@@ -19,7 +19,6 @@ from experiments.common.intervals import with_interval
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import (
     SIMPLE_GP,
-    PressSet,
     explained_share,
     loses_beyond_chance,
     press_set,
@@ -27,6 +26,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
 from i2t.dataset import square_blocks
+from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import SkinRecording
 from i2t.types import Board
 
@@ -39,7 +39,7 @@ Splits: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]  # rows to learn fr
 def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: int, section: Section) -> None:
     """R2 of readings by the number of presses, for each method and each way of holding out."""
     presses = press_set(recording)
-    if presses.load_name == "none":
+    if presses.load_kind == "none":
         section.sentences.append("No load is known that varies: presses are known by their position alone.")
     splits = hold_out_presses(presses, preset, seed)
     most = max(len(pool) for pool, _ in splits.values())
@@ -60,11 +60,11 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
             *([method, *(_interval_cell(by_count.get(n)) for n in counts)] for method, by_count in r2[name].items()),
         ]
         section.sentences.append(compare_with_baselines(name, scores.errors[name]))
-    section.numbers |= {"load": presses.load_name, "r2": r2, "held_out": {n: len(t) for n, (_, t) in splits.items()}}
+    section.numbers |= {"load": presses.load_kind, "r2": r2, "held_out": {n: len(t) for n, (_, t) in splits.items()}}
     section.figures["calibration_curves"] = figure({"r2": r2, "source": recording.source, "draws": preset.draws})
 
 
-def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> Splits:
+def hold_out_presses(presses: LoadedPresses, preset: FidelityPreset, seed: int) -> Splits:
     """Rows to learn from and to test on, by how they are held out; ways that leave too few are left out."""
     n, rng, share = len(presses.load), np.random.default_rng(seed), preset.held_out_share
     every = rng.permutation(n)
@@ -90,17 +90,16 @@ def hold_out_presses(presses: PressSet, preset: FidelityPreset, seed: int) -> Sp
     return usable
 
 
-def pushing_presses(presses: PressSet, board: Board | None) -> PressRecording:
+def pushing_presses(presses: LoadedPresses, board: Board | None) -> LoadedPresses:
     """Presses as methods of calibration take them: loads that push, or one depth where none is known, and positions
-    about the middle where the board is not known.
+    about the middle where the board is not known. Signs were judged by the checks.
     """
     own = board if board is not None and board.num_readings == presses.readings.shape[1] else None
     at = presses.position - ((presses.position.min(0) + presses.position.max(0)) / 2 if own is None else 0)
-    # Of a force sensor with its axis turned, which the checks report.
-    load = np.maximum(-presses.load if np.mean(presses.load < 0) > 0.5 else presses.load, 0)
-    if presses.load_name == "none":
-        load = np.full(len(load), DEPTH_OF_UNKNOWN_M)
-    return PressRecording(at, load, presses.readings, presses.load_name == "force", own_board=own)
+    load, kind = np.maximum(presses.load, 0), presses.load_kind
+    if kind == "none":
+        load, kind = np.full(len(load), DEPTH_OF_UNKNOWN_M), "depth"
+    return presses._replace(position=at, load=load, load_kind=kind, own_board=own)
 
 
 def compare_with_baselines(split: str, errors: ErrorCurves) -> str:
@@ -161,14 +160,14 @@ def _across(
     rows.append([known.name, other.name, *map(cell, scores.values())])
 
 
-def _alike(known: SkinRecording, other: SkinRecording) -> tuple[PressSet, PressSet]:
+def _alike(known: SkinRecording, other: SkinRecording) -> tuple[LoadedPresses, LoadedPresses]:
     """The presses of both with one kind of load."""
     if known.readings.shape[1] != other.readings.shape[1]:
         raise CannotTellError(f"{known.name} and {other.name} have another number of channels.")
     before, now = press_set(known), press_set(other)
-    if before.load_name != now.load_name:
+    if before.load_kind != now.load_kind:
         raise CannotTellError(
-            f"{known.name} knows {before.load_name} as its load and {other.name} {now.load_name}; what one says of the "
+            f"{known.name} knows {before.load_kind} as its load and {other.name} {now.load_kind}; what one says of the "
             "other needs one kind of load."
         )
     return before, now

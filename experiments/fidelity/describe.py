@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
-from i2t.recordings.diagnose import Finding, check_presses, diagnose, metrics_of
+from i2t.recordings.diagnose import Finding, check_presses, diagnose, find_force_sign, metrics_of
 from i2t.recordings.presses import Presses
 from i2t.recordings.read import TARGETS, SkinRecording
 from i2t.recordings.segmentation import MAD_TO_STD
@@ -205,9 +205,12 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
 def _check_unknowns(recording: SkinRecording, found: list[str], section: Section, findings: list[Finding]) -> None:
     """Height zero, lag, signs, units and the board's place, as `i2t.recordings.diagnose` estimates them."""
     one_tip(recording)
-    if not recording.known("position").any():
+    if recording.known("position").any():
+        findings += diagnose(recorded_presses(recording), recording.board)
+    elif recording.known("force").any():
+        findings.append(find_force_sign(recording.targets["force"][:, 0], recording.readings))
+    else:
         raise CannotTellError("What a recording does not say of itself is estimated where positions are known.")
-    findings += diagnose(recorded_presses(recording), recording.board)
     section.numbers["unknowns"] = metrics_of(findings)
     found += [finding.sentence for finding in findings if finding.wrong]
     section.sentences += [finding.sentence for finding in findings if finding.identifiable and not finding.wrong]

@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.describe import changes_in_air
 from experiments.fidelity.forward import (
-    PressSet,
     explained_share,
     load_of,
     one_tip,
@@ -21,6 +20,7 @@ from experiments.fidelity.forward import (
     press_set,
 )
 from experiments.fidelity.sections import CannotTellError, Section, cell
+from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import STREAM_GAP_S, SkinRecording
 from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin.faults import LAYER_SHARE, Faults
@@ -113,7 +113,7 @@ def _noise_rows(recording: SkinRecording, section: Section, rows: list[list[str]
     )
 
 
-def _repeat_noise(presses: PressSet) -> np.ndarray:
+def _repeat_noise(presses: LoadedPresses) -> np.ndarray:
     """Noise (c,) uT of one press, from pairs of neighbours as near as can be, less what their loads explain."""
     one, other = _repeated_pairs(presses)
     if len(one) < MIN_REPEATS:
@@ -129,7 +129,7 @@ def _repeat_noise(presses: PressSet) -> np.ndarray:
     return np.sqrt(np.sum(np.where(inside, change, 0) ** 2, axis=0) / np.maximum(inside.sum(0), 1) / 2)
 
 
-def _repeated_pairs(presses: PressSet) -> tuple[np.ndarray, np.ndarray]:
+def _repeated_pairs(presses: LoadedPresses) -> tuple[np.ndarray, np.ndarray]:
     """Rows of presses at one place with about one load that do not follow each other in one stroke."""
     range_of_load = max(float(np.ptp(presses.load)), 1e-12)
     x = np.column_stack([presses.position / REPEAT_DISTANCE_M, presses.load / (REPEAT_LOAD_SHARE * range_of_load)])
@@ -140,6 +140,7 @@ def _repeated_pairs(presses: PressSet) -> tuple[np.ndarray, np.ndarray]:
     if len(found) > MOST_PAIRS:
         found = found[np.random.default_rng(0).choice(len(found), MOST_PAIRS, replace=False)]
     one, other = some[found[:, 0]], some[found[:, 1]]
+    assert presses.session is not None
     if len(np.unique(presses.session)) == 1:
         return one, other
     apart = presses.session[one] != presses.session[other]
@@ -172,6 +173,7 @@ class _Stroke(NamedTuple):
 
 def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
     one_tip(recording)
+    name: str
     name, load = load_of(recording)
     if name == "none" and recording.varies("shear") and recording.known("position").all():
         position = recording.targets["position"]
@@ -250,6 +252,7 @@ def _press_hysteresis(
     if np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S:
         raise CannotTellError("Rows follow each other in strokes: what a press leaves in the next one is unknown.")
     chosen, predicted = predicted_from_others(presses, preset.forward_rows)
+    assert presses.row is not None
     residual, row = presses.readings[chosen] - predicted, presses.row[chosen]
     before = np.where((row > 0)[:, None], recording.readings[np.maximum(row - 1, 0)], 0.0)
     x, y = (part.reshape(len(part), -1, AXES_OF_CHIP) for part in (before - before.mean(0), residual))

@@ -3,13 +3,13 @@ does not. NumPy and SciPy.
 """
 
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from experiments.fidelity.sections import CannotTellError
 from i2t.recordings.diagnose.smooth import left_out
+from i2t.recordings.presses import LoadedPresses, LoadName
 from i2t.recordings.read import SkinRecording
 
 SIMPLE_GP = "plain Gaussian process"
@@ -18,22 +18,6 @@ GP_SETTINGS = ((8e-3, 4e-3, 2e-3, 16e-3, 32e-3), (1.0, 0.5, 2.0, 4.0), (1e-2, 1e
 GP_SELECTION_ROWS = 300
 SMALLEST = 1e-9
 RUNS_OF_ROWS = 20
-
-
-class PressSet(NamedTuple):
-    """Presses of one tip whose positions are known, in the order of time."""
-
-    position: np.ndarray  # (n, 2) m
-    load: np.ndarray  # (n,) m or N; zero where none is known that varies
-    load_name: str  # depth, force or none
-    readings: np.ndarray  # (n, c) uT
-    session: np.ndarray  # (n,)
-    row: np.ndarray  # (n,) of the recording
-
-    @property
-    def coordinates(self) -> np.ndarray:
-        """(n, 3) position in units of 1 m and load in its standard deviations."""
-        return np.column_stack([self.position, self.load / max(self.load.std(), SMALLEST)])
 
 
 def one_tip(recording: SkinRecording) -> None:
@@ -45,11 +29,12 @@ def one_tip(recording: SkinRecording) -> None:
         )
 
 
-def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
+def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
     """Name and values (n,) of the load: depth where it is known and varies, else force, else nothing (one load for
     all).
     """
-    for name in ("depth", "force"):
+    names: tuple[LoadName, ...] = ("depth", "force")
+    for name in names:
         if recording.varies(name) and recording.known(name).mean() > 0.5:
             return name, recording.targets[name][:, 0]
     if recording.varies("force"):
@@ -57,7 +42,7 @@ def load_of(recording: SkinRecording) -> tuple[str, np.ndarray]:
     return "none", np.zeros(len(recording))
 
 
-def press_set(recording: SkinRecording, at_least: int = 10) -> PressSet:
+def press_set(recording: SkinRecording, at_least: int = 10) -> LoadedPresses:
     """The presses of a recording from which readings can be predicted, or CannotTellError."""
     one_tip(recording)
     name, load = load_of(recording)
@@ -72,10 +57,12 @@ def press_set(recording: SkinRecording, at_least: int = 10) -> PressSet:
     if not (np.ptp(recording.readings[good], axis=0) > 0).any():
         raise CannotTellError("No channel ever changes.")
     row = np.flatnonzero(good)
-    return PressSet(position[row], load[row], name, recording.readings[row], recording.session[row], row)
+    return LoadedPresses(
+        position[row], load[row], recording.readings[row], name, session=recording.session[row], row=row
+    )
 
 
-def simple_gp(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndarray:
+def simple_gp(presses: LoadedPresses, known: np.ndarray, test: np.ndarray) -> np.ndarray:
     """A GP over position and load, squared exponential in both, its three settings by leaving one out."""
     settings = choose_simple_gp(presses, known)
     x, y = presses.coordinates[known], presses.readings[known]
@@ -83,7 +70,7 @@ def simple_gp(presses: PressSet, known: np.ndarray, test: np.ndarray) -> np.ndar
     return middle + _kernel(settings, presses.coordinates[test], x) @ cho_solve(factor, y - middle)
 
 
-def choose_simple_gp(presses: PressSet, known: np.ndarray) -> tuple[float, ...]:
+def choose_simple_gp(presses: LoadedPresses, known: np.ndarray) -> tuple[float, ...]:
     """Length (m), load width and noise with the least leave-one-out error."""
     some = known[:GP_SELECTION_ROWS]
     x, y = presses.coordinates[some], presses.readings[some]
@@ -101,7 +88,7 @@ def choose_simple_gp(presses: PressSet, known: np.ndarray) -> tuple[float, ...]:
     return best
 
 
-def predicted_from_others(presses: PressSet, limit: int) -> tuple[np.ndarray, np.ndarray]:
+def predicted_from_others(presses: LoadedPresses, limit: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the set, at most so many in order of time, and their readings (n, c) as a GP of the others of them
     predicts each.
     """

@@ -16,7 +16,7 @@ earlier ones after a step back are left out. What the time stamps tell is for `i
 import csv
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
+from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -25,22 +25,12 @@ import numpy as np
 
 from i2t.convert import presses
 from i2t.convert.common import Converted
+from i2t.convert.log_rows import LABELS, LINE, NAMES, ROWS_READ_AT_ONCE, STAMP, LogRows, TimedRows, on_one_clock
 from i2t.convert.presses import PLACES
 from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
-from i2t.recordings.clocks import (
-    COUNTERS_S,
-    PAUSE_S,
-    ClockVerdict,
-    RowClock,
-    even_times,
-    judge_stamps,
-    pause_of,
-    require_order,
-    rolls_over,
-    row_clock,
-)
+from i2t.recordings.clocks import pause_of
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
     LONGEST_S,
@@ -68,18 +58,14 @@ from i2t.runtime.progress import progress
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board
 
-ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are found from the first of them
 HEAD_ROWS, LEVEL_ROWS = 20, 3  # at the beginning of a part, at rest; and of which a level is the mean
 GOES_ON, IS_PRESSED = 4.0, 8.0  # standard deviations between rows: up to the one two levels are the same, beyond the
 # other a level is none of rest
 SAME_LABEL = 0.2  # mm or N, up to which a press that goes on is at the same place and as strong
 PRESS_DECIMALS = 6  # of the table's numbers
-REMEMBERED_ROWS = 2**20  # that are compared with those that follow a step back in time
-REPEATED_ROWS = 8  # one after the other, at least, that repeat earlier ones
 GAP_ROWS = 3.0  # steps of rows in one where a press begins, beyond which its beginning was not recorded
 STEADY_SHARE_AT_END = 1 / 6  # of a press's rows that are steady, at least, where a part ends in it: a ramp has less
 UNSURE_DEPTH = 0.05  # of a depth, up to which the tip may move meanwhile
-LINE, STAMP, NAMES, LABELS = 0, 1, 2, 3  # columns of a row's labels
 
 
 class _Columns(NamedTuple):
@@ -91,43 +77,21 @@ class _Columns(NamedTuple):
     notes: list[str]  # on the others
 
 
-class _Rows(NamedTuple):
-    """Rows in the order of the log."""
-
-    time: np.ndarray  # (n,) s
-    readings: np.ndarray  # (n, c) uT; NaN of a chip that did not answer
-    labels: np.ndarray  # (n, 3 + e): line in the file, time (s; NaN where stamps say nothing), number of its
-    # pad's and session's names, and the labels
-
-    def pick(self, which: slice | np.ndarray) -> "_Rows":
-        """Some of the rows, by a slice or a mask."""
-        return _Rows(self.time[which], self.readings[which], self.labels[which])
-
-    def then(self, more: "_Rows") -> "_Rows":
-        """These rows and further ones."""
-        return _Rows(*(np.concatenate(both) for both in zip(self, more, strict=True)))
-
-    @property
-    def heard(self) -> np.ndarray:
-        """Rows in which every chip answered."""
-        return ~np.isnan(self.readings).any(1)
-
-
 @dataclass
 class _Search:
     """Presses of rows that belong together: of one pad, without a pause."""
 
     origin: float  # s, of the clock, from which the time of its rows counts
-    early: list[_Rows] = field(default_factory=list)  # before rate and noise are known
+    early: list[LogRows] = field(default_factory=list)  # before rate and noise are known
     recording: OpenRecording | None = None
     found: list[FoundPress] = field(default_factory=list)
     rows: int = 0
     end: float = 0.0  # s, of the last row
     head: np.ndarray | None = None  # first readings, at rest
-    tail: _Rows | None = None  # the last
+    tail: LogRows | None = None  # the last
     earlier: np.ndarray | None = None  # (c,) uT, the rest of the search before
 
-    def take(self, rows: _Rows, step: float) -> None:
+    def take(self, rows: LogRows, step: float) -> None:
         """Look for presses in further rows, of a clock with this step (s), leaving out those of silent chips."""
         self.end = float(rows.time[-1]) - self.origin
         rows = rows.pick(rows.heard)
@@ -146,7 +110,7 @@ class _Search:
         if self.rows >= ROWS_READ_AT_ONCE:
             self._begin()
 
-    def goes_on_pressed(self, rows: _Rows) -> bool:
+    def goes_on_pressed(self, rows: LogRows) -> bool:
         """Test whether the skin was pressed last, and these rows go on from there."""
         if self.head is None or self.tail is None or not len(rows.time) or self.rows < MIN_ROWS:
             return False
@@ -272,7 +236,7 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     notes = ReadingLog(skip_bad, [*table.notes, *columns.notes])
     names: list[tuple[str, ...]] = []
     searches = _Searches(columns)
-    timed = _on_one_clock(_rows(source, table, columns, notes, names), f"{source}: its time", notes, rate)
+    timed = on_one_clock(_rows(source, table, columns, notes, names), f"{source}: its time", notes, rate)
     for search in _searches(timed, columns.names, names):
         searches.add(search)
     for note in table.notes:  # the last of which came with the last row
@@ -400,7 +364,7 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
 
 def _rows(
     source: Path, table: TableRows, columns: _Columns, notes: ReadingLog, known_names: list[tuple[str, ...]]
-) -> Iterator[_Rows]:
+) -> Iterator[LogRows]:
     """The rows of a log, some at a time; those in which a chip did not answer are counted, and new names added."""
     timed = [TIME] if TIME in table.header else []
     wanted = [*timed, *columns.values, *columns.labels]
@@ -422,7 +386,7 @@ def _rows(
             known_names[:] = number_of
             time = numbers[:, 0] if timed else np.zeros(len(rows))
             labels = np.column_stack([np.array([line for line, _ in rows], float), time, codes, numbers[:, end:]])
-            yield _Rows(time, readings, labels)
+            yield LogRows(time, readings, labels)
 
 
 def _needed(empty: np.ndarray, *, timed: int) -> np.ndarray:
@@ -430,7 +394,7 @@ def _needed(empty: np.ndarray, *, timed: int) -> np.ndarray:
     return np.tile(np.arange(empty.shape[1]) < timed, (len(empty), 1))
 
 
-def _searches(pieces: "Iterator[_Timed]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
+def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
     """Searches of which each begins after a pause, or where the clock begins again or the pad changes."""
     search: _Search | None = None
     last_heard, pad = np.nan, ""
@@ -462,7 +426,7 @@ def _searches(pieces: "Iterator[_Timed]", columns: list[str], names: list[tuple[
         yield search
 
 
-def _other_pads(rows: _Rows, pads: list[str], pad: str) -> tuple[set[int], str]:
+def _other_pads(rows: LogRows, pads: list[str], pad: str) -> tuple[set[int], str]:
     """Rows with which another pad begins than the one before, and the last; one without a name is the one before."""
     others = set()
     codes = rows.labels[:, NAMES]
@@ -472,193 +436,3 @@ def _other_pads(rows: _Rows, pads: list[str], pad: str) -> tuple[set[int], str]:
             others.add(at)
         pad = pad_there
     return others, pad
-
-
-class _Timed(NamedTuple):
-    """Rows whose stamps are sound."""
-
-    rows: _Rows  # their time does not go back but where a part begins
-    begins: np.ndarray  # (n,) rows before which there was a pause, or at which the clock begins again
-    step: float  # s, between rows
-
-
-def _on_one_clock(pieces: Iterator[_Rows], name: str, notes: ReadingLog, rate: float | None) -> Iterator[_Timed]:
-    """Rows without those whose stamp is damaged and those that repeat earlier ones, in even time where a clock is
-    coarse.
-    """
-    clock: RowClock | None = None
-    held: _Rows | None = None
-    stamps, memory = _Stamps(), _Memory()
-    for piece, last in _with_last(pieces):
-        new = piece if rate is not None else memory.leave_out(piece)
-        held = new if held is None else held.then(new)
-        if clock is None and len(held.time) < ROWS_READ_AT_ONCE and not last:
-            continue
-        begins = np.append(False, np.diff(held.labels[:, NAMES]) != 0)
-        if clock is None:
-            clock = row_clock(held.time, name, rate=rate, begins=begins)
-            _say_clock(clock, held.time, notes)
-        if clock.by_rows:
-            yield stamps.counted(held, clock)
-            held = None
-            continue
-        require_order(held.time, name, begins)
-        verdict = stamps.judge(held.time, last=last)
-        for line, stamp in held.labels[: verdict.settled][verdict.damaged, :2]:
-            notes.skip_row(
-                DataError(
-                    f"{name} at line {line:.0f}, {stamp:.6f} s, contradicts the rows before and after it; correct it"
-                )
-            )
-        if verdict.settled:
-            yield stamps.timed(held.pick(slice(0, verdict.settled)), verdict, clock, notes)
-        held = held.pick(slice(verdict.settled, None))
-    if memory.repeats:
-        notes.info(
-            f"left out: {memory.repeats} rows that repeat earlier ones with their times, the first at line "
-            f"{memory.first}"
-        )
-
-
-@dataclass
-class _Memory:
-    """Which rows a log has had, by a number that is computed from each."""
-
-    prints: list[np.ndarray] = field(default_factory=list)
-    latest: float = -np.inf  # s, of all stamps
-    repeats: int = 0  # rows left out
-    first: int = 0  # line of the first of them
-
-    def leave_out(self, rows: _Rows) -> _Rows:
-        """Rows without those that go back in time and repeat earlier ones with their time, at least several in turn."""
-        before = np.maximum.accumulate(np.append(self.latest, rows.time))[:-1]
-        parts = np.ascontiguousarray(np.column_stack([rows.time, rows.labels[:, NAMES], rows.readings])).view(np.uint64)
-        odd = 2 * np.random.default_rng(0).integers(2**62, size=parts.shape[1], dtype=np.uint64) + np.uint64(1)
-        prints = ((parts * odd).sum(1) >> np.uint64(32)).astype(np.uint32)
-        repeated = np.zeros(len(rows.time), bool)
-        if (rows.time < before).any():
-            whole = np.concatenate([*self.prints, prints])
-            _, firsts, which = np.unique(whole, return_index=True, return_inverse=True)
-            again = (firsts[which] < np.arange(len(whole)))[-len(prints) :] & (rows.time <= before)
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]])))
-            for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-                varied = np.diff(rows.readings[start:end], axis=0).any()
-                repeated[start:end] = end - start >= REPEATED_ROWS and rows.time[start] < before[start] and varied
-        if repeated.any():
-            self.first = self.first or int(rows.labels[repeated, LINE][0])
-            self.repeats += int(repeated.sum())
-        self.latest = max(self.latest, float(rows.time.max()))
-        self.prints = [*self.prints, prints][-(REMEMBERED_ROWS // ROWS_READ_AT_ONCE) :]
-        return rows.pick(~repeated) if repeated.any() else rows
-
-
-@dataclass
-class _Stamps:
-    """A log's clock up to the rows that were settled."""
-
-    last: float = np.nan  # s, stamp of the last sound row
-    names: float = np.nan  # number of its names
-    offset: float = 0.0  # s, added to stamps after a counter began again
-    end: float = np.nan  # s, even time of the last sound row
-    sharing: int = 0  # rows that have its stamp
-    rows: int = 0
-
-    def counted(self, rows: _Rows, clock: RowClock) -> _Timed:
-        """Rows that are evenly spaced, whatever their stamps; each session may be another recording."""
-        n = len(rows.time)
-        time = clock.step * np.arange(self.rows, self.rows + n)
-        codes = rows.labels[:, NAMES]
-        begins = np.diff(codes, prepend=codes[0] if np.isnan(self.names) else self.names) != 0
-        self.rows, self.names = self.rows + n, float(codes[-1])
-        labels = rows.labels.copy()
-        labels[:, STAMP] = np.nan
-        return _Timed(rows._replace(time=time, labels=labels), begins, clock.step)
-
-    def judge(self, time: np.ndarray, *, last: bool) -> ClockVerdict:
-        """The verdict on stamps that follow."""
-        if np.isnan(self.last):
-            return judge_stamps(time, last=last)
-        verdict = judge_stamps(np.concatenate([[self.last], time]), begun=True, last=last)
-        settled = max(verdict.settled - 1, 0)
-        return ClockVerdict(verdict.damaged[1:], verdict.restarts - 1, settled)
-
-    def timed(self, rows: _Rows, verdict: ClockVerdict, clock: RowClock, notes: ReadingLog) -> _Timed:
-        """Settled rows in the order of time, evenly spaced where they share a stamp."""
-        parts: list[_Rows] = []
-        begins: list[np.ndarray] = []
-        for start, end in pairwise([0, *verdict.restarts.tolist(), len(rows.time)]):
-            part = rows.pick(slice(start, end)).pick(~verdict.damaged[start:end])
-            if not len(part.time):
-                continue
-            again = start in verdict.restarts and self._begin_again(part, clock, notes)
-            stamps = part.time + self.offset
-            shared = self.sharing if stamps[0] <= self.last + self.offset + clock.within and not again else 0
-            time = even_times(stamps, clock, shared)
-            before = time[0] if again or np.isnan(self.end) else self.end
-            time = np.maximum(time, before) if not again else time
-            pauses = np.diff(time, prepend=before) > pause_of(clock.step)
-            pauses[0] |= again
-            self.last, self.end, self.names = float(part.time[-1]), float(time[-1]), float(part.labels[-1, NAMES])
-            apart = np.flatnonzero(np.diff(part.time) > clock.within)
-            self.sharing = len(part.time) - (int(apart[-1]) + 1 if len(apart) else -shared)
-            labels = part.labels.copy()
-            labels[:, STAMP] = time
-            parts.append(part._replace(time=time, labels=labels))
-            begins.append(pauses)
-        whole = reduce(_Rows.then, parts) if parts else rows.pick(slice(0, 0))
-        return _Timed(whole, np.concatenate(begins) if begins else np.zeros(0, bool), clock.step)
-
-    def _begin_again(self, part: _Rows, clock: RowClock, notes: ReadingLog) -> bool:
-        """Whether a part begins with rows at which the clock goes back; otherwise it is counted on."""
-        line, back = f"{part.labels[0, LINE]:.0f}", self.last - float(part.time[0])
-        other_session = part.labels[0, NAMES] != self.names
-        if counter := rolls_over(self.last, float(part.time[0])):
-            self.offset += COUNTERS_S[counter]
-            notes.info(f"time begins again at line {line}, where {counter} is full: it was counted on")
-            return False
-        if back <= PAUSE_S and not other_session:
-            self.offset += back + clock.step
-            notes.info(f"time goes back by {back:.3g} s at line {line}: it was taken as running on")
-            return False
-        self.offset = 0.0
-        if not other_session:
-            notes.info(f"time goes back by {back:.6g} s at line {line}, where the clock was set or began again")
-        return True
-
-
-def _say_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
-    """Note what the stamps tell, where they do not tell all."""
-    steps = np.diff(time)
-    shared = int(np.sum((steps >= 0) & (steps <= clock.within)))
-    if clock.assumed:
-        seen = f"in steps of {clock.resolution:g} s" if clock.resolution else "always the same"
-        notes.info(
-            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} and does not tell (Unix time in float32 "
-            "has steps of 128 s); give --rate-hz where it is known; the times of presses are unknown"
-        )
-    elif clock.by_rows and clock.resolution:
-        notes.info(
-            f"time has steps of {clock.resolution:g} s: rows are evenly spaced at {1 / clock.step:.4g} Hz, and the "
-            "times of presses are unknown"
-        )
-    elif clock.within:
-        notes.info(
-            f"rows come in batches, {clock.resolution:.3g} s one after the other: they are evenly spaced at "
-            f"{1 / clock.step:.4g} Hz"
-        )
-    elif shared and not clock.by_rows:
-        notes.info(
-            f"{shared} of the first {len(time)} rows have the time of the row before, as the clock has steps of "
-            f"{clock.resolution:.3g} s: such rows are evenly spaced at {1 / clock.step:.4g} Hz"
-        )
-
-
-def _with_last(pieces: Iterator[_Rows]) -> Iterator[tuple[_Rows, bool]]:
-    """Pieces, and whether each is the last."""
-    before = next(pieces, None)
-    for piece in pieces:
-        if before is not None:
-            yield before, False
-        before = piece
-    if before is not None:
-        yield before, True

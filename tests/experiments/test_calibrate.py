@@ -11,7 +11,7 @@ from helpers.baselines import placed_dataset
 
 from experiments.calibrate import __main__ as command
 from experiments.calibrate import arguments, methods, pad, prior_search, simulated, skins
-from experiments.calibrate.data import PressRecording, read_presses
+from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import explained, learning_curves, over_blocks
 from experiments.calibrate.held_out import EACH_PRESS, RANDOM, HeldOut, hold_out, share_masks
 from experiments.train.configs import PRESETS as TRAINING
@@ -21,6 +21,7 @@ from i2t import skin_models as calibration
 from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.files import serialization
+from i2t.recordings.presses import LoadedPresses
 from i2t.skin import boards
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.skin.pad import sample_pad
@@ -94,7 +95,7 @@ GRID = np.stack(np.meshgrid(*2 * [np.linspace(-8e-3, 8e-3, 5)]), -1).reshape(-1,
 def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
     """Presses at these places to many depths, held out as `experiments.calibrate` does it."""
     n = len(place)
-    presses = PressRecording(place, np.linspace(1e-3, 3e-3, n), np.zeros((n, 15)), by_force=False)
+    presses = LoadedPresses(place, np.linspace(1e-3, 3e-3, n), np.zeros((n, 15)), load_kind="depth")
     return hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(n, bool) if usable is None else usable, "set")
 
 
@@ -149,7 +150,7 @@ def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
 def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough():
     with pytest.raises(ValueError, match=r"7 usable presses, too few .* 8 are enough .* some 20"):
         held_out_of(SPREAD[:7])
-    alike = PressRecording(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), by_force=False)
+    alike = LoadedPresses(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), load_kind="depth")
     with pytest.raises(ValueError, match="one place and one depth, which says nothing of any other press"):
         hold_out(alike, arguments.PRESETS["paper"], 0, np.ones(20, bool), "set")
 
@@ -160,7 +161,7 @@ def test_presses_left_out_in_turn_are_scored_as_one_test(monkeypatch):
     simple = lambda r, rows, test: (methods.mean(r, rows, test), np.ones((len(test), 15)))  # noqa: E731
     monkeypatch.setattr("experiments.calibrate.evaluate.calibrated_with_std", simple)
     readings = np.random.default_rng(0).normal(size=(24, 15))
-    presses = PressRecording(SPREAD, np.linspace(1e-3, 3e-3, 24), readings, by_force=False)
+    presses = LoadedPresses(SPREAD, np.linspace(1e-3, 3e-3, 24), readings, load_kind="depth")
     splits = hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(24, bool), "set").splits
     scores = learning_curves(presses, splits, counts=(23,), draws=1, seed=0)
     assert scores.r2[EACH_PRESS][methods.MEAN][23] == pytest.approx([1 - (24 / 23) ** 2])
