@@ -16,8 +16,9 @@ from jaxtyping import Bool, Float, Int
 
 from i2t.errors import DataError, did_you_mean
 from i2t.recordings.cells import GROUPED_MARK, as_written, parse_number
+from i2t.recordings.columns import FIELD_STEM, beginning_of
 from i2t.recordings.log import ReadingLog
-from i2t.recordings.tables import FIELD_STEM, beginning_of, open_text_table
+from i2t.recordings.tables import open_text_table
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"

@@ -5,8 +5,7 @@ import numpy as np
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
 from i2t.recordings.diagnose import Finding, check_presses, diagnose, find_force_sign, metrics_of
-from i2t.recordings.presses import Presses
-from i2t.recordings.read import TARGETS, SkinRecording
+from i2t.recordings.read import STREAM_GAP_S, TARGETS, SkinRecording
 from i2t.recordings.segmentation import MAD_TO_STD
 from i2t.skin.boards import AXES_OF_CHIP
 
@@ -25,7 +24,6 @@ JUMP_TOLERANCE = 0.1  # of a jump of so many steps
 STILL_IN_AIR = 0.1  # of the readings' size in contact, that they may keep in air
 EQUAL_CHANNEL_CORRELATION = 0.9999  # correlation of two channels that are one
 MIN_ALIKE_ROWS = 30
-STREAM_GAP_S = 0.5  # up to which rows follow each other
 
 
 def describe(recording: SkinRecording, section: Section) -> None:
@@ -60,17 +58,6 @@ def check(recording: SkinRecording, section: Section, findings: list[Finding]) -
     section.part(lambda: _check_unknowns(recording, found, section, findings))
     section.numbers["warnings"] = found
     section.sentences[:0] = found or ["Nothing that was looked for contradicts a sound recording."]
-
-
-def recorded_presses(recording: SkinRecording) -> Presses:
-    """The recording as `i2t.recordings.diagnose` takes it."""
-    depth, force = recording.targets.get("depth"), recording.targets.get("force")
-    return Presses(
-        position=recording.targets["position"],
-        readings=recording.readings,
-        height=None if depth is None else -depth[:, 0],
-        force=None if force is None else force[:, 0],
-    )
 
 
 def _known(recording: SkinRecording, numbers: dict) -> list[list[str]]:
@@ -206,7 +193,7 @@ def _check_unknowns(recording: SkinRecording, found: list[str], section: Section
     """Height zero, lag, signs, units and the board's place, as `i2t.recordings.diagnose` estimates them."""
     one_tip(recording)
     if recording.known("position").any():
-        findings += diagnose(recorded_presses(recording), recording.board)
+        findings += diagnose(recording.presses(), recording.board)
     elif recording.known("force").any():
         findings.append(find_force_sign(recording.targets["force"][:, 0], recording.readings))
     else:

@@ -28,24 +28,23 @@ from i2t.convert.press_table import (
 from i2t.errors import DataError
 from i2t.files.kinds import MESH_SUFFIXES
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
+from i2t.recordings.columns import (
+    FORCE,
+    HEIGHT_COLUMNS,
+    NAME_COLUMNS,
+    PLACES,
+    SOURCE_COLUMN,
+    TIME,
+    ambient_columns,
+    field_columns,
+)
 from i2t.recordings.diagnose import corrected_presses, find_depth_sign, first_contact
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.recordings.presses import Presses, join_presses
-from i2t.recordings.tables import (
-    HEIGHT_COLUMNS,
-    NAME_COLUMNS,
-    SOURCE_COLUMN,
-    TIME,
-    TextTable,
-    field_columns,
-    names_in,
-    read_text_table,
-    sound_rows,
-)
+from i2t.recordings.tables import TextTable, names_in, read_text_table, sound_rows
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
 
-PLACES = ("x_mm", "y_mm", "depth_mm")
 PRESS_SOURCES = ("real", "simulated")
 MM = 1e-3  # m
 
@@ -133,7 +132,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     header = ["depth_mm" if name == height else name for name in table.header]
     values, ambient = _value_columns(source, header, chips, notes)
     places = [name for name in PLACES if name in header]
-    columns = [*places, *values, *ambient, *(["force_N"] if "force_N" in header else [])]
+    columns = [*places, *values, *ambient, *([FORCE] if FORCE in header else [])]
 
     def needed(empty: np.ndarray) -> np.ndarray:
         """Mask of fields that may not be empty: places, and the values of chips that answered."""
@@ -166,7 +165,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
         readings = readings - np.column_stack([column[name] for name in ambient])
     presses = Presses(
         MM * np.column_stack([column["x_mm"], column["y_mm"]]), readings,
-        height=-MM * depth, force=column.get("force_N", unknown),
+        height=-MM * depth, force=column.get(FORCE, unknown),
         time=np.array([_time(header, cells) for _, cells in rows]),
         **{kind: np.array([names_in(header, cells, kind) for _, cells in rows]) for kind in NAME_COLUMNS},
     ).rows(kept)  # fmt: skip
@@ -225,17 +224,17 @@ def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]])
 
 def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLog) -> tuple[list[str], list[str]]:
     """The columns of a board's values and of its ambient field; a table that lacks some is refused."""
-    by_force = "depth_mm" not in header and "force_N" in header
+    by_force = "depth_mm" not in header and FORCE in header
     values = field_columns(source, header, chips, PLACES[:2] if by_force else PLACES)
     if by_force:
         notes.info("no depth was recorded: presses are known by their force")
-    ambient = ["a" + name[1:] for name in values]
+    ambient = ambient_columns(values)
     has_ambient = set(ambient) <= set(header)
     if not has_ambient and set(ambient) & set(header):
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    understood = {*PLACES, *values, "force_N", TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    understood = {*PLACES, *values, FORCE, TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
     if unknown := [name for name in header if name not in understood]:
         notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
     return values, ambient if has_ambient else []

@@ -26,11 +26,11 @@ import numpy as np
 from i2t.convert import presses
 from i2t.convert.common import Converted
 from i2t.convert.log_rows import LABELS, LINE, NAMES, ROWS_READ_AT_ONCE, STAMP, LogRows, TimedRows, on_one_clock
-from i2t.convert.presses import PLACES
 from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.recordings.clocks import pause_of
+from i2t.recordings.columns import FORCE, HEIGHT_COLUMNS, PLACES, TEXT_COLUMNS, TIME, field_columns
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
     LONGEST_S,
@@ -44,16 +44,7 @@ from i2t.recordings.segmentation import (
     segmentation_rules,
     true_presses,
 )
-from i2t.recordings.tables import (
-    HEIGHT_COLUMNS,
-    TEXT_COLUMNS,
-    TIME,
-    TableRows,
-    TextTable,
-    field_columns,
-    open_text_table,
-    sound_rows,
-)
+from i2t.recordings.tables import TableRows, TextTable, open_text_table, sound_rows
 from i2t.runtime.progress import progress
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board
@@ -353,7 +344,7 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
     if timed and TIME not in header:
         remedy = "name the column of time by its unit (time_s, time_ms, time_us), or give --rate-hz where there is none"
     values = field_columns(source, header, chips, [TIME] if timed else [], remedy)
-    labels = [name for name in (*PLACES, "force_N") if name in header]
+    labels = [name for name in (*PLACES, FORCE) if name in header]
     if "depth_mm" not in header:
         labels += [name for name in HEIGHT_COLUMNS if name in header][:1]
     names = [name for name in TEXT_COLUMNS if name in header]

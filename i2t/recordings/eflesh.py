@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from i2t.errors import DataError
+from i2t.recordings.columns import NEWTONS_PER_GRAM
 from i2t.recordings.files import data_error, read_numbers
 from i2t.skin.boards import silent_chips
 
 EFLESH_READINGS = 15  # of one board, AnySkin's
-NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of a gram
 RAW_DECIMALS = 6  # of raw values, which are sums here
 SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
 STROKE_PAUSE_S = 0.5  # without rows between the strokes of a `normal` or `shear` session; rows are 0.03 to 0.14 s apart

@@ -7,14 +7,13 @@
     recording.targets["position"]     # (n, 2) m
 
 Three forms are read: a data set of i2t (a file or a folder), sessions of eFlesh as they were recorded (a folder with
-`states.csv`), and a table with one row for each reading (a `.csv` file, columns by name; `TABLE_COLUMNS`). Unlike the
-converters of `i2t.convert`, which refuse what is damaged, this reader keeps what can be kept: a row that is not finite
-is left out, what was not measured is NaN, and each such thing is said in a note. `corrected_recording` puts right what
+`states.csv`), and a table with one row for each reading (a `.csv` file with the columns of `i2t.recordings.columns`).
+Unlike the converters of `i2t.convert`, which refuse what is damaged, this reader keeps what can be kept: a row that is
+not finite is left out, what was not measured is NaN, and each such thing is said in a note. `corrected_recording` puts right what
 `i2t.recordings.diagnose` finds wrong. NumPy only.
 """
 
 import csv
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +29,16 @@ from i2t.errors import DataError
 from i2t.files.kinds import TABLE_SUFFIXES
 from i2t.geometry import inverse
 from i2t.recordings.cells import parse_number
+from i2t.recordings.columns import (
+    FIELD_COLUMN,
+    HEIGHT_COLUMNS,
+    NAME_COLUMNS,
+    TARGET_COLUMNS,
+    TIME,
+    ambient_columns,
+    library_factor,
+    value_columns,
+)
 from i2t.recordings.diagnose import Finding, correction_of, lag_rows, turn_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
@@ -42,11 +51,11 @@ from i2t.recordings.eflesh import (
     table_path,
 )
 from i2t.recordings.files import read_text
-from i2t.recordings.tables import HEIGHT_COLUMNS, TextTable, read_text_table
+from i2t.recordings.presses import Presses
+from i2t.recordings.tables import TextTable, read_text_table
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board, ReturnCode
 
-CHIP_AXES = ("x", "y", "z")
 MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
 TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
 AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
@@ -69,15 +78,6 @@ TARGETS: Mapping[str, TargetKind] = {
     "shear": TargetKind("N", 1.0),
     "contact": TargetKind("", 1.0, yes_no=True),
     "slip": TargetKind("", 1.0, yes_no=True),
-}
-# Columns of a table that are targets; several of one target stand next to each other.
-TABLE_COLUMNS: Mapping[str, tuple[tuple[str, float], ...]] = {
-    "position": (("x_mm", 1e-3), ("y_mm", 1e-3)),
-    "depth": (("depth_mm", 1e-3),),
-    "force": (("force_N", 1.0),),
-    "shear": (("shear_x_N", 1.0), ("shear_y_N", 1.0), ("shear_N", 1.0)),
-    "contact": (("contact", 1.0),),
-    "slip": (("slip", 1.0),),
 }
 
 
@@ -123,6 +123,20 @@ class SkinRecording:
         """
         values = self.targets.get(target)
         return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
+
+    def presses(self) -> Presses:
+        """The rows as presses.
+
+        Returns:
+            A press for each row; its height is minus its depth.
+        """
+        depth, force = self.targets.get("depth"), self.targets.get("force")
+        return Presses(
+            self.targets.get("position", np.full((len(self), 2), np.nan)),
+            self.readings,
+            height=None if depth is None else -depth[:, 0],
+            force=None if force is None else force[:, 0],
+        )
 
     def varies(self, target: str) -> bool:
         """Test that a target varies, so that a head can be fitted to it.
@@ -310,7 +324,7 @@ def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -
 def read_tables(path: Path) -> list[SkinRecording]:
     """Read a table with a line of names and one row for each reading.
 
-    Columns by name: b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (any number of chips), and of `TABLE_COLUMNS`, a0x_uT ...
+    Columns by name: b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (any number of chips), and of `TARGET_COLUMNS`, a0x_uT ...
     (ambient, subtracted), time_s, session and pad what there is; z_mm or height_mm of the tip in place of a depth.
     Separators and units may be those of `i2t.recordings.tables`. Empty or unreadable cells are unknown.
 
@@ -325,16 +339,16 @@ def read_tables(path: Path) -> list[SkinRecording]:
     """
     table = _LooseTable.read(path)
     names, notes = _reading_columns(table, path), list(table.text.notes)
-    ambient = ["a" + name[1:] for name in names]
+    ambient = ambient_columns(names)
     readings = table.some(names)
     if all(name in table.columns for name in ambient) and (table.some(ambient) != 0).any():
         readings = without_silent_chips(readings) - without_silent_chips(table.some(ambient))
     else:
         readings, ambient = without_silent_chips(readings, differences=True), []
     targets = {
-        target: np.column_stack([scale * table.column(name) for name, scale in kinds if name in table.columns])
-        for target, kinds in TABLE_COLUMNS.items()
-        if any(name in table.columns for name, _ in kinds)
+        target: np.column_stack([library_factor(name) * table.column(name) for name in columns])
+        for target, every in TARGET_COLUMNS.items()
+        if (columns := [name for name in every if name in table.columns])
     }
     height = next((name for name in HEIGHT_COLUMNS if name in table.columns), None)
     if height is not None and "depth" not in targets and np.isfinite(z := table.column(height)).any():
@@ -345,7 +359,7 @@ def read_tables(path: Path) -> list[SkinRecording]:
     session, _ = table.named("session")
     pad, pads = table.named("pad")
     name, notes = path.name.split(".")[0], notes + _unused_columns(table, {*names, *ambient})
-    whole = _cleaned(SkinRecording(name, readings, targets, session, table.column("time_s"), notes=tuple(notes)))
+    whole = _cleaned(SkinRecording(name, readings, targets, session, table.column(TIME), notes=tuple(notes)))
     if len(pads) < 2:
         return [_finite(whole, path)]
     return [_finite(replace(whole.rows(pad == i), name=f"{whole.name} ({one})"), path) for i, one in enumerate(pads)]
@@ -386,8 +400,8 @@ class _LooseTable(NamedTuple):
 
 def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
     """The names of the columns that hold readings, chip by chip."""
-    chips = sorted({int(match[1]) for name in table.columns if (match := re.fullmatch(r"b([0-9]+)[xyz]_uT", name))})
-    names = [f"b{chip}{axis}_uT" for chip in chips for axis in CHIP_AXES]
+    chips = sorted({int(match[1]) for name in table.columns if (match := FIELD_COLUMN.fullmatch(name))})
+    names = value_columns(chips)
     if not chips or any(name not in table.columns for name in names):
         raise DataError(
             f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({table.text.beginning}); name them as in "
@@ -398,8 +412,7 @@ def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
 
 def _unused_columns(table: _LooseTable, readings: set[str]) -> list[str]:
     """Sentences on columns that were left out."""
-    used = readings | {"time_s", "session", "pad", *HEIGHT_COLUMNS}
-    used |= {name for kinds in TABLE_COLUMNS.values() for name, _ in kinds}
+    used = readings | {TIME, *NAME_COLUMNS, *HEIGHT_COLUMNS}.union(*TARGET_COLUMNS.values())
     notes = []
     if unknown := [name for name in table.columns if name not in used]:
         notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")

@@ -31,33 +31,24 @@ from i2t.recordings.cells import (
     parse_number,
 )
 from i2t.recordings.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
+from i2t.recordings.columns import (
+    MICRO_SIGNS,
+    STAMPS,
+    TEXT_COLUMNS,
+    TIME,
+    UNIT_WORDS,
+    beginning_of,
+    is_field_or_ours,
+    is_number,
+    is_ours,
+    is_read,
+    our_name,
+    plain_name,
+)
 from i2t.recordings.files import os_errors_as_data_errors
 from i2t.recordings.log import ReadingLog
 
-FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
-FIELD_COLUMN = re.compile("b[0-9]+[xyz]_uT")  # column of a chip's value under our name
-QUANTITY_OF = {
-    **dict.fromkeys(("x", "y", "z", "height", "depth"), "length"),
-    **dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force"),
-    "time": "time",
-}  # quantity of a column by its name without the unit
-UNITS: dict[str, tuple[str, dict[str, float]]] = {  # our unit of each quantity, and other units with their factors
-    "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
-    "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
-    "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "kg": 9.80665}),
-    "time": ("s", {"sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}),
-}
-WORDS = {name: name for name in ("session", "pad", "contact", "slip")} | {"run": "session"}
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, in place of a depth
-MAX_SHOWN = 60  # letters that a message shows of a single name
-SHOWN_NAMES = 6  # names that a message shows of a first line
-MAX_NAMED = 5  # missing columns that a message names
 MAX_TABLE_VALUE = 1e9  # bound of a plausible number, in its unit
-TIME = "time_s"
-NAME_COLUMNS = ("pad", "session")
-SOURCE_COLUMN = "source"
-TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
-STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
 SAMPLE_ROWS = 64  # first rows, which decide decimals, times and units
 COMMENT_MARK, SPREADSHEET_ERROR = "#", re.compile("#(N/A|[A-Z0-9/]+[!?])")
 SEPARATOR_LINE = re.compile(r"sep=(\\t|.)", re.IGNORECASE)  # line in which spreadsheets name the delimiter
@@ -66,8 +57,6 @@ EMPTY = " \t\r\n\0\x1a\ufeff\u00a0"  # characters of empty cells, with the end-o
 MAX_TITLE_LINES = 20  # lines above the names of the columns
 EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count days
 UNIT_BRACKETS = re.compile(r"[\s\[\]()]")
-UNIT_WORDS = {"-", "1", "#"} | {word for own, others in UNITS.values() for word in (own.lower(), *others)}
-MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # the last is that of cp850, read as cp1252
 ENCODING_NAMES = {WINDOWS_1252: "Windows-1252 (cp1252)"}
 
 
@@ -125,37 +114,6 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
         DataError: The file cannot be read, or is not a table. Errors in a row are raised when that row is read.
     """
     return _table(path, as_named, texts)
-
-
-def field_columns(
-    path: Path, header: list[str], chips: int, needed: Sequence[str], remedy: str = "name columns as in docs/data.md"
-) -> list[str]:
-    """Name the columns of a board's values, and refuse a table without them or with those of more chips.
-
-    Args:
-        path: The file, for messages.
-        header: Names of its columns.
-        chips: Number of chips of the board.
-        needed: Other columns that the table must have.
-        remedy: What the user is to do where a column is missing.
-
-    Returns:
-        The names b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
-
-    Raises:
-        DataError: A column is missing, stands twice, or belongs to a chip that the board lacks.
-    """
-    values = [f"b{chip}{axis}_uT" for chip in range(chips) for axis in "xyz"]
-    if missing := [name for name in (*needed, *values) if name not in header]:
-        named = ", ".join(missing[:MAX_NAMED]) + (" ..." if len(missing) > MAX_NAMED else "")
-        raise DataError(f"{path}: column {named} is missing ({beginning_of(header)}); {remedy}")
-    if beyond := [name for name in header if FIELD_COLUMN.fullmatch(name) and name not in values]:
-        raise DataError(
-            f"{path}: column {', '.join(beyond)} is of no chip of the board, which has {chips}; name it with --board"
-        )
-    if twice := next((name for name in header if header.count(name) > 1 and _is_read(name)), ""):
-        raise DataError(f"{path}: a column name, {twice}, stands twice in the first line; rename one")
-    return values
 
 
 def sound_rows(
@@ -230,25 +188,6 @@ def names_in(header: list[str], cells: list[str], kind: str) -> str:
     return (cells[header.index(kind)] if kind in header else "").strip() or kind
 
 
-def beginning_of(header: list[str]) -> str:
-    """Describe the first line of a table, for a sentence that refuses it.
-
-    Args:
-        header: Names of its columns.
-
-    Returns:
-        Half a sentence on what its first line holds.
-    """
-    if not header:
-        return "it holds no name of a column"
-    if all(_is_number(name) for name in header):
-        return "its first line holds numbers and no names"
-    if len(header) == 1:
-        return f"its first line holds {header[0][:MAX_SHOWN]!r} alone: delete lines above the names"
-    more = " ..." if len(header) > SHOWN_NAMES else ""
-    return f"its first line names {', '.join(header[:SHOWN_NAMES])}{more}"
-
-
 def _numbers(texts: list[list[str]], columns: int) -> np.ndarray:
     """Numbers (n, columns): NaN for an empty text, infinite for a text that is not a number."""
     try:
@@ -310,7 +249,7 @@ def _table(path: Path, as_named: bool = False, texts: Sequence[str] = ()) -> Tab
     dates = columns.where(lambda name, _: columns.stamps and name == TIME)
     seconds = columns.where(lambda name, factor: name == TIME and factor == 1)
     seconds = [i for i in seconds if not as_named and i not in dates and _is_decimal_time(cells_of[i])]
-    numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or _is_read(name)))
+    numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or is_read(name)))
     numbers = [i for i in numbers if i not in (*dates, *seconds)]
     at, counters = [kept[i] for i in numbers], [kept[i] for i in columns.where(lambda name, _: name == TIME)]
 
@@ -346,7 +285,7 @@ def _without_other_lines(
     for line, cells in rows:
         if _is_empty(cells) or cells == units:
             continue
-        if not _is_number(cells[0].replace(",", ".")):
+        if not is_number(cells[0].replace(",", ".")):
             words = [cell.strip().strip(EMPTY) for cell in [cells[0].lstrip(EMPTY + COMMENT_MARK + "%"), *cells[1:]]]
             if words[:width] == begins.names and not any(words[width:]):
                 repeats += 1
@@ -429,9 +368,9 @@ def _is_empty(cells: list[str]) -> bool:
 def _names_other_columns(words: list[str], names: list[str]) -> bool:
     """Test for a line of names: half of them are names of columns, or each column has a name of its own."""
     words = [word.strip() for word in (re.split("[;\t|]", words[0]) if len(words) == 1 else words) if word.strip()]
-    if len(words) < 2 or any(_is_number(word.replace(",", ".")) for word in words):
+    if len(words) < 2 or any(is_number(word.replace(",", ".")) for word in words):
         return False
-    if 2 * sum(word in names or _is_field_or_ours(word) for word in words) >= len(words):
+    if 2 * sum(word in names or is_field_or_ours(word) for word in words) >= len(words):
         return True
     as_many = len(words) == len(set(words)) == len(names) > 2
     return as_many and all(re.fullmatch(r"[^\W\d][\w .()/\[\]-]*", word) for word in words)
@@ -464,7 +403,7 @@ def _beginning(lines: Iterator[str], texts: Sequence[str]) -> _Beginning:
         return [name.strip() for name in _fields(line, delimiter)]
 
     hidden, delimiter = comment.lstrip(COMMENT_MARK + "% "), delimiter_of(first, sample)
-    is_numeric = all(_is_number(text.replace(",", ".")) for text in _fields(first, delimiter) if text.strip())
+    is_numeric = all(is_number(text.replace(",", ".")) for text in _fields(first, delimiter) if text.strip())
     if hidden and is_numeric and not first.startswith("%"):
         separated = delimiter_of(hidden, [first])
         if len(names := parsed(hidden, separated)) == len(_fields(first, separated)) > 1:
@@ -474,7 +413,7 @@ def _beginning(lines: Iterator[str], texts: Sequence[str]) -> _Beginning:
             break
         below = sample[titles:]
         names = parsed(line.lstrip("%" + COMMENT_MARK + " "), separated := delimiter_of(line, below))
-        if all(name in names for name in texts) if texts else sum(map(_is_field_or_ours, names)) > 1:
+        if all(name in names for name in texts) if texts else sum(map(is_field_or_ours, names)) > 1:
             sample = [*below, *islice(lines, titles)]
             return _Beginning(names, separated, before + titles, comments, titles, sample)
     return _Beginning(parsed(first.lstrip("% "), delimiter), delimiter, before, comments, 0, sample)
@@ -514,9 +453,9 @@ def _notes_on(encoding: str, begins: _Beginning) -> list[str]:
 
 def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str]) -> _Columns:
     """Columns under our names and in our units, by the stated names and the non-empty cells of the first rows."""
-    ours = _one_clock(stated, [_our_name(name) for name in stated])
+    ours = _one_clock(stated, [our_name(name) for name in stated])
     header, factors = [name for name, _ in ours], [factor for _, factor in ours]
-    bare = next((i for i, name in enumerate(stated) if _plain_name(name).lstrip("%") in STAMPS), None)
+    bare = next((i for i, name in enumerate(stated) if plain_name(name).lstrip("%") in STAMPS), None)
     at = header.index(TIME) if TIME in header else bare
     stamps = False
     if at is not None:
@@ -541,7 +480,7 @@ def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str])
 def _one_clock(stated: list[str], ours: list[tuple[str, float]]) -> list[tuple[str, float]]:
     """Names and factors in which one column is the time: `time_s` and the like before `timestamp_s` and the like."""
     times = [i for i, (name, _) in enumerate(ours) if name == TIME]
-    others = [i for i in times if not _plain_name(stated[i]).startswith("time_") or "stamp" in _plain_name(stated[i])]
+    others = [i for i in times if not plain_name(stated[i]).startswith("time_") or "stamp" in plain_name(stated[i])]
     dropped = others if len(others) < len(times) else others[1:]
     return [(stated[i], 1.0) if i in dropped else own for i, own in enumerate(ours)]
 
@@ -567,7 +506,7 @@ def _form_of_times(cells: list[str], *, has_unit: bool) -> tuple[bool, float | N
 def _are_units(cells: list[str]) -> bool:
     """Test for a line of units below the names."""
     words = [UNIT_BRACKETS.sub("", cell).lower().translate(MICRO_SIGNS) for cell in cells]
-    return any(words) and all(word in UNIT_WORDS or not word for word in words) and not any(map(_is_number, words))
+    return any(words) and all(word in UNIT_WORDS or not word for word in words) and not any(map(is_number, words))
 
 
 def _with_unit(path: Path, name: str, unit: str = "") -> str:
@@ -575,30 +514,13 @@ def _with_unit(path: Path, name: str, unit: str = "") -> str:
     states another unit.
     """
     plain = UNIT_BRACKETS.sub("", unit)
-    if _is_ours(name):
-        stem, _, own = _plain_name(name).rpartition("_")
-        if plain and _our_name(f"{stem}_{plain}") != _our_name(name):
+    if is_ours(name):
+        stem, _, own = plain_name(name).rpartition("_")
+        if plain and our_name(f"{stem}_{plain}") != our_name(name):
             raise DataError(f"{path}: column {name} has the unit {own} by its name and {plain} below it; correct one")
         return name
     both = f"{name}_{plain}"
-    return both if _is_ours(both) else name
-
-
-def _is_ours(name: str) -> bool:
-    """Test for the name of a quantity with its unit."""
-    stem, _, unit = _our_name(name)[0].rpartition("_")
-    quantity = "field" if FIELD_STEM.fullmatch(stem) else QUANTITY_OF.get(stem)
-    return quantity is not None and unit == UNITS[quantity][0]
-
-
-def _is_read(name: str) -> bool:
-    """Test for a column that some reader of tables looks at."""
-    return _is_ours(name) or name in WORDS.values() or name in TEXT_COLUMNS
-
-
-def _is_field_or_ours(name: str) -> bool:
-    """Test for the name of a column that is read, with or without its unit."""
-    return _is_read(name) or FIELD_STEM.fullmatch(_plain_name(name)) is not None
+    return both if is_ours(both) else name
 
 
 def _parsed(
@@ -617,34 +539,7 @@ def _parsed(
         raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
 
 
-def _plain_name(name: str) -> str:
-    """A column's name in small letters, with its unit after an underscore: x_mm for X [mm] or x/mm."""
-    plain = re.sub(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]$", r"_\1", name)
-    plain = re.sub(r"\s*/\s*([^\s/]+)$", r"_\1", plain)
-    return plain.translate(MICRO_SIGNS).replace(" ", "_").lower()
-
-
-def _our_name(name: str) -> tuple[str, float]:
-    """Our name of a column, and the factor from its unit to ours."""
-    plain = _plain_name(name)
-    if plain in WORDS:
-        return WORDS[plain], 1.0
-    stem, _, unit = plain.lstrip("%").rpartition("_")
-    stem = "time" if stem in STAMPS else stem
-    quantity = "field" if FIELD_STEM.fullmatch(stem) else QUANTITY_OF.get(stem)
-    if quantity is None:
-        return name, 1.0
-    ours, others = UNITS[quantity]
-    if unit == ours.lower():
-        return f"{stem}_{ours}", 1.0
-    return (f"{stem}_{ours}", others[unit]) if unit in others else (name, 1.0)
-
-
 def _scaled(text: str, factor: float) -> str:
     """A number in another unit; a text that is not a number stays as it is, and is judged later."""
     number = parse_number(text)
     return text if number is None else repr(factor * number)
-
-
-def _is_number(text: str) -> bool:
-    return parse_number(text) is not None

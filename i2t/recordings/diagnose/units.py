@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
+from i2t.recordings.columns import NEWTONS_PER_GRAM
 from i2t.recordings.diagnose.findings import Finding
 from i2t.recordings.diagnose.smooth import smooth_r2, thinned
-from i2t.recordings.eflesh import NEWTONS_PER_GRAM
 
 UNITS = "units"
 PLACED_ROWS = 300  # that are looked at
