@@ -18,6 +18,7 @@ from i2t.errors import DataError, did_you_mean
 from i2t.recordings.cells import GROUPED_MARK, as_written, parse_number
 from i2t.recordings.columns import FIELD_STEM, beginning_of
 from i2t.recordings.log import ReadingLog
+from i2t.recordings.samples import first_samples, mean_samples
 from i2t.recordings.tables import open_text_table
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
@@ -132,9 +133,8 @@ def _merge_samples(table: ReadingTable, touches: Sequence[tuple[int, str]]) -> R
     """The means of successive rows with the same label, group and touch (number of the file, and name)."""
     names = np.unique(touches, axis=0, return_inverse=True)[1].reshape(-1)
     keys = np.column_stack([table.label, table.group, names])
-    starts = np.flatnonzero(np.r_[True, (keys[1:] != keys[:-1]).any(1)])
-    counts = np.diff(np.r_[starts, len(keys)])
-    means = np.add.reduceat(table.reading, starts, axis=0) / counts[:, None]
+    starts = first_samples((keys[1:] == keys[:-1]).all(1))
+    means = mean_samples(table.reading, starts)
     return table._replace(reading=means, label=table.label[starts], group=table.group[starts], samples=len(keys))
 
 

@@ -29,6 +29,7 @@ from i2t.recognition import pad_model_files
 from i2t.recognition.pad_model import PadModel, fit_pad_model, with_press_errors
 from i2t.recognition.pad_model_files import KnownPad, PadOrigin, SkinIdentity, load_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
+from i2t.recordings.sets import corrected_dataset
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import files as pad_files
@@ -68,7 +69,7 @@ def find_pad_source(
     if not ready.exists():
         raise ValueError(f"--pad {pad}: there is no such file or folder")
     if pad.is_dir() or pad.suffix == DATASET_SUFFIX:
-        recorded = data.load_dataset(pad)
+        recorded, _ = corrected_dataset(data.load_dataset(pad))
         touches = recognition_data.known_touches(recorded, np.ones(len(recorded), bool), meshes, str(pad))
         return _of_touches(touches, cfg, errors, str(pad), None)
     kind = serialization.file_kind(ready)

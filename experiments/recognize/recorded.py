@@ -26,6 +26,8 @@ from i2t.recognition.episodes import BeliefModel, believe, episodes_from_dataset
 from i2t.recognition.pad_model_files import KnownPad, require_skin, save_pad_model
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import prepare_surfaces
+from i2t.recordings.samples import first_samples, mean_samples
+from i2t.recordings.sets import corrected_dataset
 
 SAME_PLACE_M, SAME_TURN, SAME_PRESS_S = 2e-4, 4e-3, 1.0  # m, rad and s within which touches are of one contact
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given
@@ -56,7 +58,7 @@ class Sessions(NamedTuple):
 def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     """Recognise the objects of recorded sessions, and write down how often and how sure."""
     assert args.dataset is not None
-    loaded = data.load_dataset(args.dataset, skin=args.skin_name)
+    loaded, corrections = corrected_dataset(data.load_dataset(args.dataset, skin=args.skin_name))
     recorded = merge_samples(loaded)
     meshes = candidate_meshes(args, recorded)
     sessions = choose_sessions(recorded, cfg.touches, args.max_touches)
@@ -70,6 +72,8 @@ def run(args: SimulateArgs, cfg: Recognition) -> dict[str, Any]:
     begin(args.out, args, cfg, args.resume, args.overwrite)
     known = source.make(jax.random.key(args.seed))
     print(pad_sources.describe(known))
+    for correction in corrections:
+        print(f"note: {correction}")
     print(f"{args.dataset} ({source_words(recorded.source)}): {sessions.describe()}")
     if len(recorded) < len(loaded):
         print(
@@ -168,15 +172,14 @@ def merge_samples(recorded: Dataset) -> Dataset:
         follows &= same[1:] == same[:-1]
     with np.errstate(invalid="ignore"):
         follows &= (np.diff(time) >= 0) & (np.diff(time) < SAME_PRESS_S)  # false where a time is unknown
-    starts = np.flatnonzero(np.r_[True, ~follows])
+    starts = first_samples(follows)
     if len(starts) == len(recorded):
         return recorded
-    merged, counts = recorded.select(starts), np.diff(np.r_[starts, len(recorded)])
-    means = {}
-    for name in ("reading", "force", "depth"):
-        values = np.asarray(getattr(touches, name), np.float64)
-        sums = np.add.reduceat(values, starts, axis=0)
-        means[name] = (sums / counts.reshape(-1, *[1] * (values.ndim - 1))).astype(np.float32)
+    merged = recorded.select(starts)
+    means: dict[str, Any] = {
+        name: mean_samples(np.asarray(getattr(touches, name), np.float64), starts).astype(np.float32)
+        for name in ("reading", "force", "depth")
+    }
     return replace(merged, touches=merged.touches._replace(**means))
 
 

@@ -9,8 +9,8 @@
 Three forms are read: a data set of i2t (a file or a folder), sessions of eFlesh as they were recorded (a folder with
 `states.csv`), and a table with one row for each reading (a `.csv` file with the columns of `i2t.recordings.columns`).
 Unlike the converters of `i2t.convert`, which refuse what is damaged, this reader keeps what can be kept: a row that is
-not finite is left out, what was not measured is NaN, and each such thing is said in a note. `corrected_recording` puts right what
-`i2t.recordings.diagnose` finds wrong. NumPy only.
+not finite is left out, what was not measured is NaN, and each such thing is said in a note. `corrected_recording`
+applies what `i2t.recordings.diagnose` finds wrong. NumPy only.
 """
 
 import csv
