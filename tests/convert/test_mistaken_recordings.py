@@ -10,6 +10,7 @@ from helpers.damage import VARIANTS, Recorded, press
 from helpers.recordings import READING_NAMES, converted, write_session, write_table
 
 from i2t.recordings import diagnose as unknowns
+from i2t.recordings.sets import corrected_dataset
 from i2t.types import ReturnCode
 
 N = 12
@@ -67,6 +68,17 @@ def test_a_mistake_in_a_table_of_presses_is_found_and_put_right(tmp_path, capsys
             np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
         (findings,) = unknowns.findings_from_meta(found.meta).values()
         assert {finding.name for finding in findings} >= {"units", "height zero"}
+
+
+def test_a_set_of_which_most_forces_pull_is_turned_by_the_converter_and_stays_so(tmp_path, capsys):
+    """Of 85 %: whoever reads the set afterwards finds it corrected."""
+    sound = press(0, 60, free=0.0)
+    force = np.where(np.arange(60) % 20 < 17, -sound.force, sound.force)
+    path = write_presses(tmp_path / "pulling.csv", sound._replace(force=force))
+    dataset = converted("presses", path, tmp_path / "data", "--indenter", "sphere:4", "--window-mm", 40)
+    np.testing.assert_allclose(dataset.touches.force, -force, rtol=1e-5, atol=1e-5)
+    assert "as if they pulled: they are turned" in capsys.readouterr().out
+    assert corrected_dataset(dataset) == (dataset, ())
 
 
 @pytest.mark.full
