@@ -3,8 +3,7 @@
 import numpy as np
 
 from i2t.dataset import Dataset
-from i2t.geometry import inverse
-from i2t.recordings.presses import LoadedPresses, LoadName
+from i2t.recordings.presses import LoadedPresses, LoadName, dataset_presses
 from i2t.recordings.sets import corrected_dataset
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
@@ -17,14 +16,14 @@ def read_presses(dataset: Dataset, load: str) -> LoadedPresses:
     """Positions of the tool's origin on the skin, and depth or force; presses that failed or met air are left out."""
     dataset, corrected = corrected_dataset(dataset)
     touches = dataset.touches
-    T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
+    position = dataset_presses(dataset).position
     good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
     by_force = load == "force" or (load == "auto" and not np.isfinite(touches.depth[good]).all())
     amount = (touches.force if by_force else touches.depth).astype(np.float64)
     unknown = load == "auto" and not np.isfinite(amount[good]).any()
     if unknown:  # as where all presses go to one height, whose depth nothing tells
         by_force, amount = False, np.full(len(amount), DEPTH_OF_UNKNOWN_M)
-    good &= np.isfinite(amount) & np.isfinite(T_t_o).all((1, 2))
+    good &= np.isfinite(amount) & np.isfinite(position).all(1)
     kind: LoadName = "force" if by_force else "depth"
     if not good.any():
         other = "depth" if by_force else "force"
@@ -42,7 +41,7 @@ def read_presses(dataset: Dataset, load: str) -> LoadedPresses:
     good &= pushing
     readings = touches.reading[good].astype(np.float64)
     own = None if name_of_board(dataset.board) else dataset.board
-    return LoadedPresses(T_t_o[good, :2, 3], amount[good], readings, kind, notes=(*corrected, *notes), own_board=own)
+    return LoadedPresses(position[good], amount[good], readings, kind, notes=(*corrected, *notes), own_board=own)
 
 
 def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -67,10 +67,9 @@ def dataset_presses(dataset: Dataset) -> Presses:
     """
     touches = dataset.touches
     T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
-    known = np.isfinite(T_t_o).all((1, 2))
     depth, nearest = (np.asarray(column, np.float64) for column in (touches.depth, touches.nearest))
     return Presses(
-        np.where(known[:, None], T_t_o[:, :2, 3], np.nan),
+        T_t_o[:, :2, 3],
         touches.reading.astype(np.float64),
         height=np.where(depth > 0, -depth, np.where(np.isnan(depth), np.nan, np.fmax(nearest, 0))),
         force=touches.force.astype(np.float64),

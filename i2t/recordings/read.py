@@ -27,7 +27,6 @@ from i2t.dataset import Dataset, load_dataset
 from i2t.dataset.sets import times_of
 from i2t.errors import DataError
 from i2t.files.kinds import TABLE_SUFFIXES
-from i2t.geometry import inverse
 from i2t.recordings.cells import parse_number
 from i2t.recordings.columns import (
     FIELD_COLUMN,
@@ -51,7 +50,7 @@ from i2t.recordings.eflesh import (
     table_path,
 )
 from i2t.recordings.files import read_text
-from i2t.recordings.presses import Presses
+from i2t.recordings.presses import Presses, dataset_presses
 from i2t.recordings.tables import TextTable, read_text_table
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board, ReturnCode
@@ -234,17 +233,12 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
         DataError: no touch has a finite reading.
     """
     touches, several = dataset.touches, len(np.unique(dataset.touches.pad)) > 1
-    T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
-    free = np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
-    force = touches.force.astype(np.float64)
-    contact = np.full(len(dataset), np.nan)
-    if free.any():
-        contact = np.where(free, 0.0, 1.0)
-    tool = np.where(np.isfinite(T_t_o[:, :2, 3]).all(1), 1.0, np.nan)
+    presses, free = dataset_presses(dataset), np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
+    contact = np.where(free, 0.0, 1.0) if free.any() else np.full(len(dataset), np.nan)
     targets = {
-        "position": T_t_o[:, :2, 3] * tool[:, None],
+        "position": presses.position,
         "depth": np.where(free, np.nan, touches.depth.astype(np.float64))[:, None],
-        "force": force[:, None],
+        "force": touches.force.astype(np.float64)[:, None],
         "contact": contact[:, None],
     }
     usable = (touches.code != ReturnCode.FAILED) & np.isfinite(touches.reading).all(1)

@@ -20,11 +20,10 @@ MISSING_SHARE = 0.2  # of the rows in which a channel may be missing
 
 
 class _Stated(NamedTuple):
-    """What a recording states of itself, and what was found before."""
+    """What a recording states of itself."""
 
-    board: Board | None
-    zero: float | None  # m, height of first contact
-    findings: Sequence[Finding] = ()
+    board: Board | None = None
+    zero: float | None = None  # m, height of first contact
 
 
 def diagnose(presses: Presses, board: Board | None = None, *, stated_zero: float | None = None) -> list[Finding]:
@@ -59,7 +58,7 @@ def diagnose_labels(presses: Presses) -> list[Finding]:
     Returns:
         The findings.
     """
-    return _test(LABEL_HYPOTHESES, presses, _Stated(None, None))
+    return _test(LABEL_HYPOTHESES, presses, _Stated())
 
 
 def growth_of(presses: Presses, zero: Finding) -> np.ndarray | None:
@@ -86,37 +85,34 @@ def _is_unread(column: np.ndarray | None) -> bool:
     return column is None or not np.isfinite(column).any()
 
 
-def _units(presses: Presses, _: _Stated) -> Finding:
+def _units(presses: Presses) -> Finding:
     height = presses.height
     depth = None if height is None or _is_unread(height) else np.abs(height - np.nanmax(height))
     return find_units(presses.position, presses.readings, depth=depth, force=presses.force)
 
 
-def _board(presses: Presses, stated: _Stated) -> Finding | None:
-    zero = find(stated.findings, HEIGHT_ZERO)
+def _board(presses: Presses, stated: _Stated, found: Sequence[Finding]) -> Finding | None:
+    zero = find(found, HEIGHT_ZERO)
     if stated.board is None or zero is None:
         return None
     return find_board(presses, stated.board, growth=growth_of(presses, zero))
 
 
-Hypothesis: TypeAlias = Callable[[Presses, _Stated], Finding | None]  # None where the recording has no such column
+# Of presses, what is stated, and the findings so far; None where the recording has no such column.
+Hypothesis: TypeAlias = Callable[[Presses, _Stated, Sequence[Finding]], Finding | None]
 LABEL_HYPOTHESES: tuple[Hypothesis, ...] = (
-    _units,
-    lambda presses, _: None if presses.force is None else find_force_sign(presses.force, presses.readings),
-    lambda presses, _: None if presses.height is None else find_height_axis(presses),
-    lambda presses, _: find_lag(presses),
+    lambda presses, *_: _units(presses),
+    lambda presses, *_: None if presses.force is None else find_force_sign(presses.force, presses.readings),
+    lambda presses, *_: None if presses.height is None else find_height_axis(presses),
+    lambda presses, *_: find_lag(presses),
 )
-HYPOTHESES: tuple[Hypothesis, ...] = (
-    *LABEL_HYPOTHESES,
-    lambda presses, stated: find_height_zero(presses, stated.zero),
-    _board,
-)
+HYPOTHESES = (*LABEL_HYPOTHESES, lambda presses, stated, _: find_height_zero(presses, stated.zero), _board)
 
 
 def _test(hypotheses: Sequence[Hypothesis], presses: Presses, stated: _Stated) -> list[Finding]:
     findings: list[Finding] = []
     for hypothesis in hypotheses:
-        finding = hypothesis(presses, stated._replace(findings=findings))
+        finding = hypothesis(presses, stated, findings)
         if finding is not None:
             findings.append(finding)
             presses = corrected_presses(presses, [finding])
