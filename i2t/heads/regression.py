@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve
 
+from i2t.leave_one_out import leave_out_blocks
 from i2t.recordings.diagnose.smooth import thinned
 
 MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS = "mean", "linear", "k nearest readings"
@@ -293,11 +294,11 @@ def _choose_gp(readings: np.ndarray, targets: np.ndarray, folds: np.ndarray) -> 
         K = _covariance(settings, x, x) + (settings[2] + JITTER_VARIANCE) * np.eye(len(x))
         try:
             precision = cho_solve(cho_factor(K, lower=True), np.eye(len(x)))
-            # A fold B predicted from all others errs by [K^-1]_BB^-1 [K^-1 y]_B.
-            left = [np.linalg.solve(precision[np.ix_(block, block)], (precision @ y)[block]) for block in blocks]
+            weights = precision @ y
+            left_out = [leave_out_blocks(precision[np.ix_(block, block)], weights[block]) for block in blocks]
         except np.linalg.LinAlgError:
             return np.inf
-        return float(sum(np.sum(part**2) for part in left))
+        return float(sum(np.sum(fold.error**2) for fold in left_out))
 
     kinds = tuple(map(float, range(len(FEATURE_KINDS))))
     grid = ((float(COMPRESSED_FEATURES), *kinds), COVARIANCE_LENGTHS, HEAD_NOISES, COVARIANCE_SHAPES, LINEAR_PARTS)

@@ -35,6 +35,7 @@ from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
 from i2t.contact.pressure import ContactPressure
+from i2t.leave_one_out import leave_out_blocks
 from i2t.recognition.outcomes import LOADS_N, Layer, LinearReadingModel
 from i2t.runtime.batching import map_batches, select_rows, usable_cores
 from i2t.runtime.compiling import jit_quickly
@@ -274,19 +275,15 @@ def _posterior(weighted: _Weighted, a: float) -> _Posterior:
 
 
 def _left_out(system: _System, weighted: _Weighted, posterior: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
-    """Errors of each touch as predicted from all others, in units of the channels' signals, and their log density: what
-    is left out of a normal distribution of precision K^-1 is [K^-1]_tt^-1 [K^-1 y]_t (Rasmussen and Williams, 5.12).
-    """
+    """Errors of each touch as predicted from all others, in units of the channels' signals, and their log density."""
     n, c, k = weighted.features.shape
     alpha = weighted.vectors @ system.reading - posterior.a * (weighted.features @ posterior.mean)
     own = np.sum(weighted.vectors * system.vectors, axis=1)
     half = posterior.a * solve_triangular(posterior.factor, weighted.features.reshape(-1, k).T, lower=True)
     half = half.T.reshape(n, c, k)
     block = own[:, None, None] * np.eye(c) - np.einsum("nck,ndk->ncd", half, half, optimize=True)
-    errors = np.linalg.solve(block, alpha[..., None])[..., 0]
-    log_determinant = np.linalg.slogdet(block)[1]
-    density = 0.5 * (log_determinant - np.sum(alpha * errors, axis=1)) - 0.5 * c * np.log(2 * np.pi)
-    return errors, float(np.sum(density) - n * np.sum(np.log(system.scale)))
+    left_out = leave_out_blocks(block, alpha[..., None])
+    return left_out.error[..., 0], float(np.sum(left_out.log_density) - n * np.sum(np.log(system.scale)))
 
 
 def _densities(system: _System, r: float, v: float, amplitudes: Sequence[float]) -> list[float]:

@@ -1,9 +1,4 @@
-"""Each press as predicted from all others, in closed form and for many kernels at once.
-
-Rasmussen and Williams, "Gaussian Processes for Machine Learning", equations 5.10 to 5.12: with A the inverse of the
-covariance of the readings, y - (A y) / diag A is the mean of a press left out and 1 / diag A its variance. Of presses b
-that are left out together these are y_b - inv(A_bb) (A y)_b and the diagonal of inv(A_bb).
-"""
+"""Each press as predicted from all others, in closed form (`i2t.leave_one_out`) and for many kernels at once."""
 
 import contextlib
 from collections.abc import Iterator
@@ -12,19 +7,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import lapack
 from threadpoolctl import ThreadpoolController
 
+from i2t.leave_one_out import UNINFORMED_VARIANCE, inverses, leave_out_parts, leave_out_rows
 from i2t.skin_models import kernel
 from i2t.skin_models.kernel import PressGeometry, SkinKernels
 
-SMALL_SYSTEM = 40  # presses up to which all groups are inverted in one call
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once
 ONE_THREAD_PRESSES = 400  # most presses for which BLAS gets one thread
 SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
 MIN_SCALE_UT = 1e-3
 CURVE_CELLS = 64  # of a curve that fills the plane, along an edge; a power of two
-FAILED_VARIANCE = 1e6  # of a matrix that is not positive definite, which rounding can bring about
 
 
 class Observed(NamedTuple):
@@ -89,12 +82,12 @@ def left_out(
     error, variance, scale = np.empty((s, n, c)), np.empty((s, n, c)), np.empty((s, c))
     part_error, part_variance = (error, variance) if part is None else (np.empty((s, n, c)), np.empty((s, n, c)))
     for i, given in enumerate(condition_all(kernels, at, observed)):
-        own = _own_precision(given, c)
-        error[i] = given.weights / own
-        variance[i] = given.scale**2 / own
-        scale[i] = given.scale
+        groups, diagonal = len(given.inverse), np.diagonal(given.inverse, axis1=1, axis2=2)
+        weights, own_scale = grouped(given.weights, groups), grouped(given.scale[None], groups)
+        alone = leave_out_rows(np.maximum(diagonal, 1 / UNINFORMED_VARIANCE), weights, own_scale)
+        error[i], variance[i], scale[i] = *map(ungrouped, alone), given.scale
         if part is not None:
-            part_error[i], part_variance[i] = _left_out_together(given, part)
+            part_error[i], part_variance[i] = map(ungrouped, leave_out_parts(given.inverse, weights, part, own_scale))
     return LeftOutPresses(error, variance, scale, part_error, part_variance)
 
 
@@ -136,8 +129,8 @@ def left_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed)
         weights = grouped(given.weights, groups)
         # Weights without press i are w - A_i w_i / A_ii, A the inverse: zero at i itself.
         own = np.einsum("gij,gji->gi", change, given.inverse)[..., None]
-        diagonal = np.diagonal(given.inverse, axis1=1, axis2=2)[..., None]
-        slopes.append(ungrouped(change @ weights - own * weights / diagonal))
+        lost = leave_out_rows(np.diagonal(given.inverse, axis1=1, axis2=2), own * weights).error
+        slopes.append(ungrouped(change @ weights - lost))
     return np.stack(slopes)
 
 
@@ -191,47 +184,9 @@ def ungrouped(values: Float[np.ndarray, "groups n each"]) -> Float[np.ndarray, "
 
 def _condition(system: np.ndarray, observed: Observed) -> Conditioned:
     """One kernel, from the covariances (groups, n, n) of the readings."""
-    inverse = _inverses(system)
+    inverse = inverses(system, failed=1 / UNINFORMED_VARIANCE)
     weights = ungrouped(inverse @ grouped(observed.target, len(inverse)))
     return Conditioned(inverse, weights, _channel_scale(observed.target, weights))
-
-
-def _own_precision(given: Conditioned, channels: int) -> Float[np.ndarray, "n c"]:
-    """Diagonal of the inverse, for each channel."""
-    diagonal = np.diagonal(given.inverse, axis1=1, axis2=2)
-    return np.maximum(np.repeat(diagonal, channels // len(given.inverse), axis=0).T, 1 / FAILED_VARIANCE)
-
-
-def _left_out_together(given: Conditioned, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Errors and variances (n, c) of presses that are left out part by part."""
-    n, c = given.weights.shape
-    error, variance = np.empty((n, c)), np.empty((n, c))
-    for i in range(part.max() + 1):
-        rows = np.flatnonzero(part == i)
-        covariance = _inverses(given.inverse[:, rows[:, None], rows])
-        error[rows] = ungrouped(covariance @ grouped(given.weights[rows], len(covariance)))
-        variance[rows] = np.repeat(np.diagonal(covariance, axis1=1, axis2=2), c // len(covariance), axis=0).T
-    return error, np.maximum(variance, 0) * given.scale**2
-
-
-def _inverses(system: np.ndarray) -> np.ndarray:
-    """Inverses of symmetric positive definite matrices (groups, n, n)."""
-    n = system.shape[1]
-    if n <= SMALL_SYSTEM:
-        with contextlib.suppress(np.linalg.LinAlgError):
-            return np.linalg.inv(system)
-    return np.stack([_inverse(matrix) for matrix in system])
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    factor, failed = lapack.dpotrf(matrix, lower=1)
-    if not failed:
-        inverse, failed = lapack.dpotri(factor, lower=1)  # its lower half; the upper one of the factor is zero
-    if failed:
-        return np.eye(len(matrix)) / FAILED_VARIANCE
-    whole = inverse + inverse.T
-    whole[np.diag_indices(len(matrix))] *= 0.5
-    return whole
 
 
 def _channel_scale(target: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -31,6 +31,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 from scipy import optimize
 
+from i2t.leave_one_out import leave_out_blocks
 from i2t.runtime.batching import map_batches
 from i2t.skin import elasticity as elastic
 from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
@@ -426,12 +427,10 @@ def bayesian_linear_regression(
     half = jax.scipy.linalg.solve_triangular(cholesky, rows.T, lower=True).T.reshape(features.shape)
     rest = jnp.eye(channels)[None] - jnp.einsum("nok,npk->nop", half, half, precision="highest")
     error = (readings - jnp.einsum("nok,k->no", features, weights, precision="highest")) / noise_std
-    factor = jnp.linalg.cholesky(rest + 1e-5 * jnp.eye(channels)[None])
-    # The error without the press is (I - H)^-1 e, its covariance (I - H)^-1.
-    lone = jax.vmap(lambda L, e: jax.scipy.linalg.cho_solve((L, True), e))(factor, error)
-    log_rest = 2 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=1, axis2=2)), axis=1)
-    log_density = -0.5 * (jnp.sum(error * lone, axis=1) - log_rest) - channels * jnp.log(noise_std * np.sqrt(2 * np.pi))
-    return LinearRegression(weights, readings - noise_std * lone, log_density)
+    # In units of the noise the precision of a press's readings is I - H, H its part of the hat matrix.
+    left_out = leave_out_blocks(rest + 1e-5 * jnp.eye(channels)[None], error[..., None])
+    log_density = left_out.log_density[:, 0] - channels * jnp.log(noise_std)
+    return LinearRegression(weights, readings - noise_std * left_out.error[..., 0], log_density)
 
 
 class PadFit(NamedTuple):

@@ -35,6 +35,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import logsumexp
 from scipy.stats import t as student_t
 
+from i2t.leave_one_out import leave_out_rows
 from i2t.skin_models import kernel
 from i2t.skin_models.kernel import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
 from i2t.skin_models.left_out import (
@@ -605,7 +606,8 @@ def _height_shares(gp: PopulationGP, tried: Heights, error: np.ndarray, slope: n
     missed = [np.sum((error + slope * without[:, None]) ** 2)]
     for std, length in zip(tried.std, tried.length, strict=True):
         inverse = np.linalg.inv(std**2 * np.exp(-square / (2 * length**2)) + np.diag(tried.variance))
-        height = tried.measured - inverse @ tried.measured / np.diagonal(inverse)
+        left_out = leave_out_rows(np.diagonal(inverse), (inverse @ tried.measured)[:, None])
+        height = tried.measured - left_out.error[:, 0]
         missed.append(np.sum((error - slope * (height - without)[:, None]) ** 2))
     prior = np.full(len(missed), HEIGHT_SHARE / len(tried.std))
     prior[0] = 1 - HEIGHT_SHARE

@@ -28,6 +28,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from i2t.contact.pressure import CELL_MM, ContactPressure
+from i2t.leave_one_out import leave_out_blocks
 from i2t.runtime.batching import select_rows
 from i2t.runtime.compiling import jit_quickly
 from i2t.types import in_one_line
@@ -289,9 +290,8 @@ def _descend(
         K = gram(now, unit, linear, load, load)
         precision = _inverse(K + (now.noise + JITTER) * jnp.eye(len(K)))
         weights = jnp.matmul(precision, standard, precision="highest")
-        # A fold B predicted from all others errs by [K^-1]_BB^-1 [K^-1 y]_B: equation 5.12 for more than one touch.
-        errors = [_solve(precision[block, block], weights[block]) for block in blocks]
-        return sum(jnp.sum(error**2) for error in errors) / jnp.sum(standard**2)
+        left_out = [leave_out_blocks(precision[block, block], weights[block]) for block in blocks]
+        return sum(jnp.sum(fold.error**2) for fold in left_out) / jnp.sum(standard**2)
 
     optimizer = optax.adam(0.25)
 
@@ -322,15 +322,10 @@ def _hyperparameters(free: dict[str, Array]) -> GPHyperparameters:
     )
 
 
-def _solve(system: Float[Array, "n n"], values: Float[Array, "n m"]) -> Float[Array, "n m"]:
-    """Solve a symmetric positive system."""
-    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(system), True), values)
-
-
 @jax.custom_jvp
 def _inverse(system: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Inverse of a symmetric positive matrix."""
-    return _solve(system, jnp.eye(len(system)))
+    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(system), True), jnp.eye(len(system)))
 
 
 @_inverse.defjvp

@@ -1,6 +1,5 @@
-"""Fit of a smooth model to readings: leave-one-out errors of a Gaussian process, in closed form.
-
-    y ~ N(0, s^2 K),  error of row i = [K^-1 y]_i / [K^-1]_ii  (Rasmussen and Williams, equations 5.10 to 5.12)
+"""Fit of a smooth model to readings: errors of a Gaussian process, y ~ N(0, s^2 K), on rows left out in closed form
+(`i2t.leave_one_out`).
 
 The scale s of all channels together is its most likely value. NumPy only.
 """
@@ -10,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_solve, cholesky
+
+from i2t.leave_one_out import leave_out_rows
 
 SMOOTH_LENGTHS = (0.35, 0.7, 1.4, 2.8)  # of the labels' standard deviations
 SMOOTH_NOISES = (3e-3, 3e-2, 0.3)  # of the signal's variance
@@ -37,15 +38,10 @@ def left_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n 
     except LinAlgError:
         return LeftOut(np.full_like(values, np.inf), -np.inf)
     inverse = cho_solve((factor, True), np.eye(len(values)))
-    return _left_out(inverse, inverse @ values)
-
-
-def _left_out(inverse: np.ndarray, weights: np.ndarray) -> LeftOut:
-    precision = np.diagonal(inverse)
-    scale = np.mean(weights**2 / precision[:, None])
-    channels = weights.shape[1]
-    density = 0.5 * channels * np.log(precision).sum() - 0.5 * weights.size * np.log(max(scale, 1e-300))
-    return LeftOut(weights / precision[:, None], float(density))
+    error, variance = leave_out_rows(np.diagonal(inverse), inverse @ values)
+    square = max(float(np.mean(error**2 / variance)), 1e-300)  # the most likely s^2
+    density = -0.5 * values.shape[1] * np.log(variance).sum() - 0.5 * values.size * np.log(square)
+    return LeftOut(error, float(density))
 
 
 def smooth_r2(labels: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n c"]) -> float:
@@ -72,9 +68,8 @@ def smooth_r2(labels: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n c"]
         along = vectors.T @ centred
         for noise in SMOOTH_NOISES:
             shrunk = 1 / (np.maximum(eigenvalues, 0) + noise)
-            precision = (vectors**2) @ shrunk
-            error = (vectors @ (shrunk[:, None] * along)) / precision[:, None]
-            best = min(best, float((error**2).sum()))
+            left_out = leave_out_rows((vectors**2) @ shrunk, vectors @ (shrunk[:, None] * along))
+            best = min(best, float((left_out.error**2).sum()))
     return 1 - best / float(total)
 
 
