@@ -61,7 +61,7 @@ napoleon_numpy_docstring = False
 # A page that no list names is no defect of the others.
 suppress_warnings = ["toc.not_included"]
 
-SECOND_TIER = ("i2t.recognition.recognizer", "i2t.recognition.pad_model", "i2t.skin_models.calibration", "i2t.models",
+SECOND_TIER = ("i2t.recognition.recognizer", "i2t.skin_models.pad_model", "i2t.skin_models.calibration", "i2t.models",
                "i2t.hardware.protocols", "i2t.hardware.plugins", "i2t.dataset.store", "i2t.dataset.splits",
                "i2t.errors")  # fmt: skip
 GENERATED = {"docs/reference_commands": "commands_page", "docs/reference_api": "api_page"}

@@ -8,9 +8,9 @@ import numpy as np
 
 import i2t
 from i2t.contact.press import PressLimits
-from i2t.recognition.pad_model import fit_pad_model
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import SimulationErrors, touch_simulator
+from i2t.skin_models.pad_model import fit_pad_model
 from i2t.types import ReturnCode
 
 FEW = RecognizerConfig(num_sites=12, num_particles=32)  # of each object; half of the default, to start sooner

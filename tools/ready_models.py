@@ -79,7 +79,7 @@ def _of_a_run(args: ReadyModelsArgs, cfg: Any) -> dict[str, Any]:
     from experiments.recognize.pad_sources import known_pad
     from experiments.recognize.trained_run import load_trained_run
     from i2t.prediction import predictor as predictors
-    from i2t.recognition.pad_model_files import save_pad_model
+    from i2t.skin_models.pad_model_files import save_pad_model
 
     folder = finished_runs(args.trained_run)[0]
     trained = load_trained_run(jax.random.key(args.seed), folder, cfg.errors, cfg.limits)

@@ -27,11 +27,12 @@ from i2t.geometry import full_precision
 from i2t.paper import loss, network
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, STANDOFF
 from i2t.recognition.belief import sample_particles
-from i2t.recognition.outcomes import LOADS_N, placement_std, predict_contact
+from i2t.recognition.outcomes import placement_std, predict_contact
 from i2t.simulation.sites import RECOGNITION_LIMITS, collect_sites
 from i2t.simulation.touches import PressLimits, SimulationErrors, sample_session_errors, simulate_touch
 from i2t.skin.contact import solve
 from i2t.skin.elasticity import GRID, compliance, convolve
+from i2t.skin_models.reading_model import LOADS_N
 from i2t.training import Learner
 from i2t.types import Surface, Touches
 

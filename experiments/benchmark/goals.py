@@ -15,10 +15,12 @@ import numpy as np
 import i2t
 from experiments.benchmark.contests import Work, interleave
 from i2t.recognition import belief, policy
-from i2t.recognition.outcomes import LOADS_N, PredictedTouch, placement_std
+from i2t.recognition.outcomes import PredictedTouch, placement_std
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import PressLimits, SimulationErrors
 from i2t.skin.contact import FINE_GRID
+from i2t.skin_models.likelihood import fit_likelihood
+from i2t.skin_models.reading_model import LOADS_N
 
 TOUCHES_PER_SECOND = 370.0
 LATENCY_S = 0.5  # each is repeated for so long in each turn
@@ -101,7 +103,7 @@ def _decision(sites: int, objects: int, particles: int) -> Work:
         reading=jnp.float32(rng.normal(scale=10, size=(*shape, len(loads), channels)) * loads[:, None]),
         variance=jnp.float32(rng.uniform(0, 0.1, (*shape, len(loads)))),
     )
-    likelihood = belief.fit_likelihood(
+    likelihood = fit_likelihood(
         rng.normal(scale=3, size=(200, channels)), jnp.full(channels, 20.0), jnp.float32(loads),
         overtravel=PressLimits.overtravel, position_std=1e-4,
     )  # fmt: skip

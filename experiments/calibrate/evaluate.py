@@ -11,7 +11,7 @@ from experiments.calibrate.methods import CALIBRATED, METHODS, calibrated_with_s
 from i2t.prediction.metrics import grouped_interval, student_interval
 from i2t.recordings.presses import LoadedPresses
 from i2t.runtime.progress import progress
-from i2t.skin_models.population_gp import STDS_WITHIN_90_PERCENT
+from i2t.skin_models.tip_gp.population import STDS_WITHIN_90_PERCENT
 
 Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of presses -> a value for each draw
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]

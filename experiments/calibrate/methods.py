@@ -8,8 +8,9 @@ import numpy as np
 from i2t.prediction.baselines import tuned
 from i2t.prediction.metrics import nearest_neighbours
 from i2t.recordings.presses import LoadedPresses
-from i2t.skin_models import calibrate, plain_gp
-from i2t.skin_models.left_out import one_thread_for_few
+from i2t.skin_models import calibrate
+from i2t.skin_models.tip_gp import plain as plain_gp
+from i2t.skin_models.tip_gp.left_out import one_thread_for_few
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
 CALIBRATED = "i2t.calibrate"

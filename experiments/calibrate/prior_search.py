@@ -1,4 +1,4 @@
-"""The prior over kernels of `i2t.skin_models.prior`, made from simulated skins of all kinds.
+"""The prior over kernels of `i2t.skin_models.tip_gp.prior`, made from simulated skins of all kinds.
 
 Candidates are drawn from wide ranges and about two sets of hyperparameters that were known before. Each is tried on
 every skin: conditioned on 10, 30 and 100 presses it predicts others. Candidates of a second generation are drawn about
@@ -18,9 +18,9 @@ from experiments.calibrate.skins import SKIN_KINDS, PressedSkinOfKind, simulate_
 from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
 from i2t.runtime.progress import progress
-from i2t.skin_models.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
-from i2t.skin_models.left_out import Observed, condition_all, grouped, ungrouped
-from i2t.skin_models.prior import PRIOR_FILE, KernelPrior, save_prior
+from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
+from i2t.skin_models.tip_gp.left_out import Observed, condition_all, grouped, ungrouped
+from i2t.skin_models.tip_gp.prior import PRIOR_FILE, KernelPrior, save_prior
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search
 SEARCH_PRESS_COUNTS = (10, 30, 100)
@@ -37,7 +37,7 @@ RANGES: dict[str, tuple[float, float, bool]] = {
     "constant_variance": (1e-3, 0.5, True), "noise_variance": (5e-4, 0.3, True),
     "gain_noise_variance": (1e-4, 0.1, True), "chip_reach": (3e-3, 20e-3, True), "far_amplitude": (0.01, 0.7, True),
 }  # fmt: skip
-# What the two sets of `structured_gp` are at a typical load of 2.3 mm and of 0.65 N, and a guess by geometry.
+# What the two sets of `tip_gp.structured` are at a typical load of 2.3 mm and of 0.65 N, and a guess by geometry.
 ANCHORS: dict[str, SkinKernels] = {
     "depth": SkinKernels(*(np.array([v]) for v in (
         1.8, 1.2, 16.5e-3, 0.0145, 2e-3, 3.0, 0.024, 16.5e-3, 1.6e-3, 3.6e-3, 1e-4, 10e-3, UNIFORM_FAR_AMPLITUDE,

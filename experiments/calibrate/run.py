@@ -19,7 +19,7 @@ Of 8 to 59 presses each is left out in turn, and each block or place, and predic
 fewer of these. The command says which way it took, and what that cannot show: at one place, nothing about others.
 
 --simulated tries them on skins of its own seed (`experiments.calibrate.skins`), and --prior makes prior.npz from others
-(`experiments.calibrate.prior_search`), which becomes i2t/skin_models/prior.npz.
+(`experiments.calibrate.prior_search`), which becomes i2t/skin_models/tip_gp/prior.npz.
 
 Results go to --out: metrics.json, config.json, curves.png, and calibration.npz for `i2t.load_calibration`: the skin as
 calibrated on all presses (of more than 1500, that many at random) by `i2t.calibrate`.

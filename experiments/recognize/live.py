@@ -44,7 +44,6 @@ from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.hardware.world import WorldArgs
 from i2t.objects.solids import Mesh
-from i2t.recognition.pad_model_files import KnownPad, require_skin
 from i2t.recognition.policy import NUM_CANDIDATES
 from i2t.recognition.recognizer import (
     MAX_EMPTY_DRAWS,
@@ -54,6 +53,7 @@ from i2t.recognition.recognizer import (
     RecognizerConfig,
 )
 from i2t.skin import boards
+from i2t.skin_models.pad_model_files import KnownPad, require_skin
 from i2t.types import Board, ReturnCode
 from i2t.viz import EpisodeRecord, write_episode_report
 

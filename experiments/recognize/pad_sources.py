@@ -1,6 +1,6 @@
 """The pad model that recorded touches and live runs are judged by: of a finished run, a data set, or a file.
 
-It is of one skin, which `i2t.recognition.pad_model_files.require_skin` compares with the one that touches.
+It is of one skin, which `i2t.skin_models.pad_model_files.require_skin` compares with the one that touches.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,14 +25,14 @@ from i2t.models import ready_path
 from i2t.objects import Mesh, catalogue
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.prediction.predictor import Predictor, load_predictor
-from i2t.recognition import pad_model_files
-from i2t.recognition.pad_model import PadModel, fit_pad_model, with_press_errors
-from i2t.recognition.pad_model_files import KnownPad, PadOrigin, SkinIdentity, load_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recordings.sets import corrected_dataset
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import files as pad_files
+from i2t.skin_models import pad_model_files
+from i2t.skin_models.pad_model import PadModel, fit_pad_model, with_press_errors
+from i2t.skin_models.pad_model_files import KnownPad, PadOrigin, SkinIdentity, load_pad_model
 
 
 class PadSource(NamedTuple):

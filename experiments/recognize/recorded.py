@@ -23,11 +23,11 @@ from i2t.prediction.predictor import Predictor
 from i2t.recognition import belief, metrics
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, believe, episodes_from_dataset, usable_touches
-from i2t.recognition.pad_model_files import KnownPad, require_skin, save_pad_model
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recordings.samples import first_samples, mean_samples
 from i2t.recordings.sets import corrected_dataset
+from i2t.skin_models.pad_model_files import KnownPad, require_skin, save_pad_model
 
 SAME_PLACE_M, SAME_TURN, SAME_PRESS_S = 2e-4, 4e-3, 1.0  # m, rad and s within which touches are of one contact
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given

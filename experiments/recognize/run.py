@@ -49,9 +49,9 @@ from i2t.prediction.predictor import Predictor
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
 from i2t.recognition.metrics import to_json
-from i2t.recognition.pad_model import PadModel, fit_oracle_pad_model
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
+from i2t.skin_models.pad_model import PadModel, fit_oracle_pad_model
 from i2t.types import Board, Surface
 
 ORACLE_EVIDENCE = ("readings and presence", "fused")

@@ -16,11 +16,11 @@ from i2t.dataset import Dataset
 from i2t.objects import Mesh, catalogue
 from i2t.objects.named import read_object
 from i2t.prediction.predictor import Predictor, load_predictor
-from i2t.recognition.pad_model import PadModel, fit_pad_model
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import load_pad
 from i2t.skin.pad import numbered_pad
+from i2t.skin_models.pad_model import PadModel, fit_pad_model
 from i2t.types import Pad, Surface
 
 

@@ -18,8 +18,7 @@ from i2t.dataset import Dataset
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
-from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
-from i2t.recognition.pad_model import PadModel, fit_pad_model
+from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.site_pool import (
     SitePool,
     TouchPlan,
@@ -31,6 +30,8 @@ from i2t.recognition.site_pool import (
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
+from i2t.skin_models.pad_model import PadModel, fit_pad_model
+from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Pad, Surface
 
 MAX_PARTICLES = 64  # of each object: with 64 to 512 accuracies are the same within 0.01

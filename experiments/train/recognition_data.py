@@ -2,7 +2,7 @@
 meshes of what was touched.
 
 A run of `experiments.train --dataset` keeps `recognition.h5`, the training touches with their surroundings left out,
-`recognition.json`, and copies of mesh files. `i2t.recognition.pad_model` makes a pad model of these.
+`recognition.json`, and copies of mesh files. `i2t.skin_models.pad_model` makes a pad model of these.
 """
 
 import hashlib

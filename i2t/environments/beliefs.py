@@ -14,13 +14,18 @@ from jaxtyping import Array, Float, Key
 from i2t.environments.core import EnvironmentParams, TouchBeliefs, TouchEnvironment, sensor_noise
 from i2t.environments.tables import tabulate
 from i2t.geometry import to_twist
-from i2t.recognition import belief as recognition_belief
-from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, outlier_range
-from i2t.recognition.outcomes import LOADS_N, LinearReadingModel, PredictedTouch, interpolate_load
-from i2t.recognition.pad_model import fit_position_errors
+from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 from i2t.recognition.site_pool import pose_particles, predict_outcomes
 from i2t.rendering.ops import element
 from i2t.skin.elasticity import CELL_GRID
+from i2t.skin_models.likelihood import (
+    INDENTATION_ERROR,
+    OUTLIER_RATE,
+    fit_likelihood,
+    fit_position_errors,
+    outlier_range,
+)
+from i2t.skin_models.reading_model import LOADS_N, LinearReadingModel
 
 CALIBRATION_PLACEMENTS = 3  # of every object, on which errors of predictions are measured
 
@@ -54,7 +59,7 @@ def with_beliefs(
     position = fit_position_errors(
         ends - softness * indentation, (INDENTATION_ERROR * softness * indentation) ** 2, outlier_density=density
     )
-    likelihood = recognition_belief.fit_likelihood(
+    likelihood = fit_likelihood(
         errors, jnp.ones(params.channels), jnp.float32(LOADS_N),
         overtravel=config.limits.overtravel, position_std=position, stiffness=config.limits.stiffness,
     )  # fmt: skip

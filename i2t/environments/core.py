@@ -28,7 +28,7 @@ from i2t.contact.press import PressLimits
 from i2t.environments.press import TouchOutcome, touch_outcome
 from i2t.geometry import random_motion
 from i2t.recognition import belief as beliefs
-from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
+from i2t.recognition.belief import Belief, Particles, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.rendering.ops import element
 from i2t.runtime.compiling import traced_floats
@@ -36,6 +36,7 @@ from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.sites import RECOGNITION_LIMITS
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.noise import Noise
+from i2t.skin_models.likelihood import Likelihood
 from i2t.types import Board, Pad, Surface
 
 HOME_HEIGHT_M = 0.15  # of the tool above the world's origin before the first touch

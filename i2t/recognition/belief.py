@@ -27,7 +27,7 @@ has c = 3 * chips channels. Metres, newtons, microtesla.
 """
 
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,21 +36,14 @@ from jax.scipy.special import gammaln, log_ndtr, logsumexp
 from jaxtyping import Array, Bool, Float
 from scipy.stats import norm, qmc
 
-from i2t.contact.press import PressLimits
-from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch, interpolate_load
+from i2t.recognition.outcomes import PredictedTouch, interpolate_load
+from i2t.skin_models.layer import MIN_LOAD_N
+from i2t.skin_models.likelihood import Likelihood, outlier_range
 from i2t.types import in_one_line
 
-Length = TypeVar("Length", float, Array)  # m
-
 MIN_PROBABILITY = 1e-30  # probabilities below are treated as equal
-PARTICLE_STD_RATIO = 0.5  # standard deviation of the pose about a particle, relative to that of the prior
-# Indentations on objects that were not trained on are so far from the nominal layer's, relative to these: the most
-# probable value for the validation objects at their true places, among 0.1, 0.2, ... 0.5.
-INDENTATION_ERROR = 0.2
-OUTLIER_RATE = 0.01  # share of touches that may be anything
 MIN_OUTLIER_RATE = 1e-12
-STRAY_RANGE_M = 20e-3  # added to twice the overtravel: the length over which an outlier's press may end
-ARM_STIFFNESS_N_PER_M = PressLimits.stiffness  # of arm and mount in series
+PARTICLE_STD_RATIO = 0.5  # standard deviation of the pose about a particle, relative to that of the prior
 
 
 @in_one_line
@@ -61,34 +54,6 @@ class TouchObservation(NamedTuple):
     force: Float[Array, ""]  # N
     advance: Float[Array, ""]  # m, from the site to where the press ended, along the approach
     contact: Bool[Array, ""]  # whether anything was met
-
-
-class ScaleMixture(NamedTuple):
-    """A distribution with heavy tails: normal about 0, with one of several standard deviations."""
-
-    std: Float[np.ndarray, " s"]  # m
-    share: Float[np.ndarray, " s"]  # of each; they sum to 1
-
-
-@in_one_line
-class Likelihood(NamedTuple):
-    """Likelihood of a touch given the predicted one; see `fit_likelihood`, the rest chosen on validation episodes."""
-
-    whiten: Float[Array, "c c"]  # W, with W S W' = 1 and W diag(scale^2) W' = diag(growth), S the errors' covariance
-    growth: Float[Array, " c"]  # of the whitened variance with the GP's own variance
-    loads: Float[Array, " l"]  # N, of the predicted touches
-    overtravel: Float[Array, ""]  # m beyond the site after which a press gives up
-    dof: Float[Array, ""]  # degrees of freedom of Student's t
-    inflation: Float[Array, ""]  # of the errors' standard deviation, on objects that were not trained on
-    position_std: Float[Array, " s"]  # m, of the components of the error of where a press ends at a known pose
-    position_share: Float[Array, " s"]  # of touches that have each of these standard deviations
-    indentation_error: Float[Array, ""]  # standard deviation of an indentation, relative to the predicted one
-    outlier_rate: Float[Array, ""]  # share of touches that may be anything
-    tactile_weight: Float[Array, ""]  # of the reading's evidence; 0 leaves it out
-    spatial_weight: Float[Array, ""]  # of the position's evidence; 0 leaves it out
-    presence_weight: Float[Array, ""]  # of having met something, or nothing; 0 leaves it out
-    stiffness: Float[Array, ""]  # N/m, of arm and mount
-    drift_std: Float[Array, ""]  # uT by which the bias drifts from touch to touch; 0 where it is measured at each
 
 
 @in_one_line
@@ -154,55 +119,6 @@ def sample_particles(
     twist[0] = 0.0
     covariance = np.broadcast_to(std_ratio**2 * (root @ root.T), (count, 6, 6))
     return Particles(jnp.float32(twist), jnp.float32(covariance))
-
-
-def fit_likelihood(
-    errors: Float[np.ndarray, "n c"],
-    scale: Float[Array, " c"],
-    loads: Float[Array, " l"],
-    *,
-    overtravel: float,
-    position_std: float | ScaleMixture,
-    stiffness: float = ARM_STIFFNESS_N_PER_M,
-) -> Likelihood:
-    """Fit a likelihood to a Gaussian process's errors on held-out touches, in double precision.
-
-    Args:
-        errors: Measured minus predicted readings (uT) of touches that the GP was not conditioned on.
-        scale: Scale (uT) of each channel by which the GP's relative variance is multiplied.
-        loads: Loads (N) at which touches are predicted.
-        overtravel: Distance (m) beyond the site after which a press gives up.
-        position_std: Standard deviation (m) of where a press ends at a known pose, or a mixture of several.
-        stiffness: Of arm and mount in series (N/m).
-
-    Returns:
-        The likelihood, with defaults for what errors cannot tell.
-    """
-    # Shrunk towards its diagonal as by as many touches as there are channels.
-    sample, n, channels = np.cov(np.asarray(errors, np.float64).T), *np.shape(errors)
-    covariance = (n * sample + channels * np.diag(np.diag(sample))) / (n + channels) + 1e-3 * np.eye(channels)
-    factor = np.linalg.inv(np.linalg.cholesky(covariance))
-    growth, rotation = np.linalg.eigh(factor @ np.diag(np.asarray(scale, np.float64) ** 2) @ factor.T)
-    number = partial(jnp.asarray, dtype=jnp.float32)
-    if not isinstance(position_std, ScaleMixture):
-        position_std = ScaleMixture(np.array([position_std]), np.ones(1))
-    return Likelihood(
-        whiten=number(rotation.T @ factor),
-        growth=number(np.maximum(growth, 0)),
-        loads=loads,
-        overtravel=number(overtravel),
-        dof=number(8.0),
-        inflation=number(1.0),
-        position_std=number(position_std.std),
-        position_share=number(position_std.share),
-        indentation_error=number(INDENTATION_ERROR),
-        outlier_rate=number(OUTLIER_RATE),
-        tactile_weight=number(1.0),
-        spatial_weight=number(1.0),
-        presence_weight=number(1.0),
-        stiffness=number(stiffness),
-        drift_std=number(0.0),
-    )
 
 
 def init(
@@ -344,18 +260,6 @@ def reading_log_density(
     dof = likelihood.dof
     level = gammaln((dof + channels) / 2) - gammaln(dof / 2) - channels / 2 * jnp.log(dof * jnp.pi)
     return level - 0.5 * jnp.sum(jnp.log(spread)) - (dof + channels) / 2 * jnp.log1p(square / dof)
-
-
-def outlier_range(overtravel: Length) -> Length:
-    """The length (m) over which an outlier's press may end.
-
-    Args:
-        overtravel: Distance (m) beyond the site after which a press gives up.
-
-    Returns:
-        The length (m).
-    """
-    return 2 * overtravel + STRAY_RANGE_M
 
 
 def posterior(belief: Belief) -> Float[Array, " objects"]:

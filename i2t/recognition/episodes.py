@@ -21,8 +21,8 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
 from i2t.recognition import belief
-from i2t.recognition.belief import Likelihood, Particles, TouchObservation
-from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
+from i2t.recognition.belief import Particles, TouchObservation
+from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
 from i2t.runtime.batching import everywhere, filled_batches, map_batches, select_rows, spread, spread_rows
@@ -31,6 +31,8 @@ from i2t.runtime.progress import Progress, progress
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SessionErrors, SimulationErrors
 from i2t.skin.pad import press as press_pad
+from i2t.skin_models.likelihood import Likelihood
+from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Pad, ReturnCode, Surface, Touches
 
 FEW_TOUCHES = 16_000  # of no more, compiling them quickly pays; last digits may differ from those of more

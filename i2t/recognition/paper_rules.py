@@ -30,11 +30,11 @@ from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
-from i2t.recognition.outcomes import MIN_LOAD_N
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
 from i2t.runtime.batching import filled_batches, spread
 from i2t.skin.elasticity import CELL_GRID
+from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.types import Surface
 
 BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)

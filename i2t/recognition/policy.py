@@ -24,18 +24,11 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.recognition.belief import (
-    Belief,
-    Likelihood,
-    TouchObservation,
-    evidence,
-    log_likelihood,
-    outlier_range,
-    posterior,
-)
+from i2t.recognition.belief import Belief, TouchObservation, evidence, log_likelihood, posterior
 from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 from i2t.rendering.ops import element
 from i2t.runtime.batching import map_batches
+from i2t.skin_models.likelihood import Likelihood, outlier_range
 
 NUM_CANDIDATES = 48  # sites that the next touch is chosen among, drawn anew for each
 NUM_DRAWS = 24  # imagined outcomes of a site

@@ -29,9 +29,8 @@ from i2t.contact.press import PressLimits
 from i2t.geometry import from_twist, inverse, nearest_rigid
 from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, outcomes
-from i2t.recognition.belief import Belief, Likelihood, TouchObservation
+from i2t.recognition.belief import Belief, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
-from i2t.recognition.pad_model import PadModel
 from i2t.recognition.policy import choose_informative_site
 from i2t.recognition.site_pool import (
     SitePool,
@@ -44,6 +43,8 @@ from i2t.recognition.site_pool import (
 from i2t.rendering.ops import element
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation import sites as touch_sites
+from i2t.skin_models.likelihood import Likelihood
+from i2t.skin_models.pad_model import PadModel
 from i2t.types import in_one_line
 
 MAX_EMPTY_DRAWS = 10  # of candidates among which no site is allowed, after which no touch is chosen
@@ -150,7 +151,7 @@ class ObjectRecognizer:
 
         Args:
             key: Of the sites.
-            pad_model: Fitted to touches of the skin that will touch (`i2t.recognition.pad_model.fit_pad_model`).
+            pad_model: Fitted to touches of the skin that will touch (`i2t.skin_models.pad_model.fit_pad_model`).
             meshes: Of the known objects, by name.
             T_w_o: Where the object is believed to stand; the world's origin by default. Sites are drawn and checked on
                 the objects there, over the table of `config.site_limits`.

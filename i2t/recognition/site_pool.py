@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from i2t.paper import loop
 from i2t.recognition import belief, outcomes
 from i2t.recognition.belief import Particles
-from i2t.recognition.outcomes import LinearReadingModel, PredictedTouch
+from i2t.recognition.outcomes import PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.runtime.batching import filled_batches, spread
@@ -28,6 +28,7 @@ from i2t.runtime.compiling import jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.touches import SimulationErrors
+from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Surface, in_one_line
 
 BATCH_TOUCHES = 512  # predicted at a time

@@ -11,7 +11,7 @@ what `recordings` reads.
 from i2t.recordings.diagnose import check_presses
 from i2t.recordings.segmentation import SegmentedPresses, segment_presses
 from i2t.skin_models.calibration import Calibration, LoadKind, calibrate, load_calibration
-from i2t.skin_models.structured_gp import (
+from i2t.skin_models.tip_gp.structured import (
     DEPTH_HYPERPARAMETERS,
     FORCE_HYPERPARAMETERS,
     StructuredGPHyperparameters,

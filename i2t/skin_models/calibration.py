@@ -8,8 +8,8 @@
     calibration = i2t.load_calibration("skin.npz")
 
 A press's load is its depth (m), its normal force (N), both, or not known at all, the same throughout a calibration. The
-model is the Gaussian process of `i2t.skin_models.population_gp`, whose hyperparameters are marginalised over a
-population of skins; with `hyperparameters` given it is the one kernel of `i2t.skin_models.structured_gp`.
+model is the Gaussian process of `i2t.skin_models.tip_gp.population`, whose hyperparameters are marginalised over a
+population of skins; with `hyperparameters` given it is the one kernel of `i2t.skin_models.tip_gp.structured`.
 """
 
 from dataclasses import dataclass, field
@@ -25,11 +25,11 @@ from i2t.errors import did_you_mean
 from i2t.files import serialization
 from i2t.models import ready_hint, ready_path
 from i2t.skin.boards import AXES_OF_CHIP
-from i2t.skin_models import population_gp
-from i2t.skin_models.candidates import board_candidates
-from i2t.skin_models.left_out import Conditioned, one_thread_for_few
-from i2t.skin_models.population_gp import PopulationGP, PressTable
-from i2t.skin_models.structured_gp import StructuredGPHyperparameters, fit_structured
+from i2t.skin_models.tip_gp import population
+from i2t.skin_models.tip_gp.candidates import board_candidates
+from i2t.skin_models.tip_gp.left_out import Conditioned, one_thread_for_few
+from i2t.skin_models.tip_gp.population import PopulationGP, PressTable
+from i2t.skin_models.tip_gp.structured import StructuredGPHyperparameters, fit_structured
 from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibrated skin"
@@ -83,7 +83,7 @@ class Calibration:
     @property
     def board_shares(self) -> dict[str, float]:
         """Weight of the board that takes part, and of none, by presses left out; they sum to 1."""
-        return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population_gp.board_shares(self.gp)), strict=True))
+        return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population.board_shares(self.gp)), strict=True))
 
     @property
     def about_board(self) -> str:
@@ -118,7 +118,7 @@ class Calibration:
         previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
         table = PressTable(positions, loads, previous)
         with one_thread_for_few(len(self.gp.readings)):
-            mean, std = population_gp.predict_population(self.gp, table, self._conditioned)
+            mean, std = population.predict_population(self.gp, table, self._conditioned)
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
 
@@ -152,7 +152,7 @@ class Calibration:
 
     @cached_property
     def _conditioned(self) -> list[Conditioned]:
-        return population_gp.condition(self.gp)
+        return population.condition(self.gp)
 
 
 def calibrate(
@@ -199,7 +199,7 @@ def calibrate(
         on, given = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
         with one_thread_for_few(len(readings)):
             gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
-            scaling = population_gp.interval_scaling(gp)
+            scaling = population.interval_scaling(gp)
         return Calibration(gp, scaling, load_kind, metadata or {}, boards=given)
     boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
     table = PressTable(positions, loads)
@@ -211,8 +211,8 @@ def calibrate(
         table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
     chips = np.stack(list(boards.values())) if boards else None
     with one_thread_for_few(len(readings)):
-        gp = population_gp.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
-        scaling = population_gp.interval_scaling(gp)
+        gp = population.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
+        scaling = population.interval_scaling(gp)
     kept = () if gp.chip_positions is None else gp.chip_positions
     named = tuple(name for at in kept for name, chips in boards.items() if np.array_equal(at, chips))
     return Calibration(gp, scaling, load_kind, metadata or {}, previous_session, named)

@@ -13,6 +13,7 @@ from i2t.environments.policies import BASELINES, run_policy
 from i2t.recognition import belief
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.policy import NO_SITE
+from i2t.skin_models.likelihood import fit_likelihood
 
 K, LOADS = 4, 3
 
@@ -33,7 +34,7 @@ def _with_predictions(params):
         variance=jnp.zeros((*spread.force.shape, LOADS)),
     )
     errors = np.random.default_rng(0).normal(scale=4, size=(200, CHANNELS))
-    likelihood = belief.fit_likelihood(errors, jnp.ones(CHANNELS), loads, overtravel=6e-3, position_std=1e-3)
+    likelihood = fit_likelihood(errors, jnp.ones(CHANNELS), loads, overtravel=6e-3, position_std=1e-3)
     particles = belief.sample_particles(np.full(6, 1e-3), K)
     return params._replace(beliefs=TouchBeliefs(predicted, likelihood, particles))
 

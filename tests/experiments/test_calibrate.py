@@ -27,7 +27,7 @@ from i2t.skin.files import load_pad, load_pad_about
 from i2t.skin.pad import sample_pad
 from i2t.skin_models import load_calibration
 from i2t.skin_models.magnetization import PadFit, RoundTip, layer_prior
-from i2t.skin_models.prior import PRIOR_KIND, KernelPrior, load_prior
+from i2t.skin_models.tip_gp.prior import PRIOR_KIND, KernelPrior, load_prior
 
 
 def recording(n: int, pads: int = 1, **columns) -> Dataset:
@@ -272,7 +272,7 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
 
 
 def test_the_prior_of_the_package_is_what_the_search_makes_of_its_constants():
-    _, about = serialization.load(Path(calibration.__file__).parent / "prior.npz", PRIOR_KIND, KernelPrior)
+    _, about = serialization.load(Path(calibration.__file__).parent / "tip_gp" / "prior.npz", PRIOR_KIND, KernelPrior)
     cfg = prior_search.PRESETS["paper"]
     assert about["source"] == "simulated"
     assert about["seed"] == prior_search.POPULATION_SEED != simulated.SKINS_SEED

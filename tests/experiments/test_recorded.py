@@ -17,10 +17,10 @@ from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import TWIST_LEVER_M
-from i2t.recognition.pad_model import PadModel, with_press_errors
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
+from i2t.skin_models.pad_model import PadModel, with_press_errors
 from i2t.types import ReturnCode
 
 

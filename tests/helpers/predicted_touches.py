@@ -5,9 +5,9 @@ that use them share their shapes, and so what is compiled.
 import jax.numpy as jnp
 import numpy as np
 
-from i2t.recognition import belief
-from i2t.recognition.belief import Likelihood, TouchObservation
+from i2t.recognition.belief import TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
+from i2t.skin_models.likelihood import Likelihood, fit_likelihood
 
 SITES, OBJECTS, PARTICLES, CHANNELS = 5, 2, 4, 12  # of a 4-chip board
 LOADS = jnp.array([0.3, 0.9, 2.7])
@@ -30,7 +30,7 @@ def predicted_touches() -> PredictedTouch:
 def likelihood() -> Likelihood:
     """Errors of 1 uT and 0.1 mm."""
     errors = np.random.default_rng(1).normal(size=(50, CHANNELS))
-    return belief.fit_likelihood(errors, jnp.ones(CHANNELS), LOADS, overtravel=OVERTRAVEL_M, position_std=1e-4)
+    return fit_likelihood(errors, jnp.ones(CHANNELS), LOADS, overtravel=OVERTRAVEL_M, position_std=1e-4)
 
 
 def measured(table: PredictedTouch, site: int, which: int) -> TouchObservation:

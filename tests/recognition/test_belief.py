@@ -9,8 +9,10 @@ import pytest
 from scipy import stats
 
 from i2t.recognition import belief
-from i2t.recognition.belief import Belief, Likelihood, Particles, TouchObservation
-from i2t.recognition.outcomes import MIN_LOAD_N, PredictedTouch
+from i2t.recognition.belief import Belief, Particles, TouchObservation
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.skin_models.layer import MIN_LOAD_N
+from i2t.skin_models.likelihood import ARM_STIFFNESS_N_PER_M, Likelihood, fit_likelihood
 
 LOADS = np.array([0.3, 0.9, 2.7])
 PAST = 6e-3
@@ -25,9 +27,9 @@ ERRORS = np.random.default_rng(0).normal(size=(200, 15)) @ np.random.default_rng
 SAMPLE = np.cov(ERRORS.T)
 COVARIANCE = (200 * SAMPLE + 15 * np.diag(np.diag(SAMPLE))) / 215 + 1e-3 * np.eye(15)
 SCALE = np.linspace(5, 40, 15)
-LIKE = belief.fit_likelihood(
-    ERRORS, jnp.float32(SCALE), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION
-)._replace(indentation_error=jnp.float32(0))
+LIKE = fit_likelihood(ERRORS, jnp.float32(SCALE), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION)._replace(
+    indentation_error=jnp.float32(0)
+)
 
 
 def like(**changes: Any) -> Likelihood:
@@ -51,7 +53,7 @@ def outcomes(rng: np.random.Generator, *shape: int) -> PredictedTouch:
 def expected(outcome: PredictedTouch, load: int) -> np.ndarray:
     """Where presses end (m) at the load of that number, but for the placement."""
     sunk = np.asarray(outcome.indentation[..., load], np.float64)
-    return np.asarray(outcome.approach_distance, np.float64) + sunk + LOADS[load] / belief.ARM_STIFFNESS_N_PER_M
+    return np.asarray(outcome.approach_distance, np.float64) + sunk + LOADS[load] / ARM_STIFFNESS_N_PER_M
 
 
 def effective(now: Belief) -> np.ndarray:
@@ -154,7 +156,7 @@ def test_a_force_that_no_wrench_sensor_can_tell_is_the_least():
     force = np.tile([-0.1, 0.0, 1e-6, MIN_LOAD_N], MANY // 4)
     same = jax.tree.map(lambda x: jnp.repeat(x[::4], 4, axis=0), outcome)
     # Readings and indentations are those of the least load; the arm gives by the force that was measured.
-    advance = np.asarray(same.approach_distance) + force / belief.ARM_STIFFNESS_N_PER_M
+    advance = np.asarray(same.approach_distance) + force / ARM_STIFFNESS_N_PER_M
     at = measured(np.asarray(same.reading)[:, 0] / 20, force, advance, np.ones(MANY, bool))
     found = evidence(at, same, jnp.zeros((MANY, 6)), jnp.float32(PRIOR), LIKE)
     for values in (found.tactile, found.spatial, found.mean):

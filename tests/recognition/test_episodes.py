@@ -29,6 +29,7 @@ from i2t.rendering.render import prepare_surface
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import grid_board
 from i2t.skin.pad import nominal_pad
+from i2t.skin_models.likelihood import fit_likelihood
 from i2t.types import ReturnCode, Touches
 
 BOARD = grid_board(2, 2)
@@ -38,7 +39,7 @@ TOP = 30e-3  # m, height of the object's top
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-LIKELIHOOD = belief.fit_likelihood(
+LIKELIHOOD = fit_likelihood(
     np.random.default_rng(0).normal(size=(50, CHANNELS)), jnp.ones(CHANNELS), jnp.array([0.3, 0.9]),
     overtravel=OVERTRAVEL, position_std=1e-4,
 )  # fmt: skip

@@ -15,10 +15,11 @@ from i2t.objects.catalogue import make_object
 from i2t.objects.drawing import ball, mesh_from_solid
 from i2t.patches.dimensions import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 from i2t.recognition import outcomes
-from i2t.recognition.outcomes import LOADS_N, PredictedContact, PredictedTouch
+from i2t.recognition.outcomes import PredictedContact, PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.skin.elasticity import CELL_GRID
+from i2t.skin_models.reading_model import LOADS_N
 
 pytestmark = pytest.mark.full
 

@@ -13,6 +13,7 @@ from i2t.recognition import belief, policy
 from i2t.recognition.belief import Belief
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.policy import InformationGain
+from i2t.skin_models.likelihood import ARM_STIFFNESS_N_PER_M, fit_likelihood
 
 LOADS = np.array([0.3, 0.9, 2.7])
 PAST = 6e-3
@@ -27,7 +28,7 @@ CHANGE = 25.0  # uT
 NOISE = 0.1  # uT, of every channel
 POSITION = 1e-4  # m
 # Errors so nearly normal that no 512 draws would tell.
-NORMAL = belief.fit_likelihood(
+NORMAL = fit_likelihood(
     np.eye(15), jnp.ones(15), jnp.float32(LOADS), overtravel=PAST, position_std=POSITION
 )._replace(
     whiten=jnp.eye(15) / NOISE, growth=jnp.ones(15) / NOISE**2, dof=jnp.float32(1e4), outlier_rate=jnp.float32(1e-6),
@@ -178,7 +179,7 @@ def test_what_is_imagined_is_what_is_expected_plus_its_noise():
     found = imagine(outcome, off, noise, **limits)
     assert float(found.force) == pytest.approx(AT, rel=1e-5)
     assert found.contact
-    advance = 1e-3 + 15e-4 + 1e-4 * AT * (1 - 2 * 0.25) + AT / belief.ARM_STIFFNESS_N_PER_M + POSITION * 7
+    advance = 1e-3 + 15e-4 + 1e-4 * AT * (1 - 2 * 0.25) + AT / ARM_STIFFNESS_N_PER_M + POSITION * 7
     assert float(found.advance) == pytest.approx(advance, rel=1e-5)
     # Errors are those of the likelihood: twice the noise of 0.1, and the GP's variance of 1 uT^2 times 0.02.
     sd = 2 * np.sqrt(NOISE**2 + 0.02)

@@ -15,15 +15,16 @@ from scipy.spatial.transform import Rotation
 from i2t.geometry import contact_frame
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
-from i2t.recognition import belief, policy
+from i2t.recognition import policy
 from i2t.recognition import recognizer as recognizer_module
-from i2t.recognition.outcomes import LOADS_N, LinearReadingModel
-from i2t.recognition.pad_model import PadModel
 from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig, SiteObservation
 from i2t.recognition.site_pool import SitePool
 from i2t.rendering.render import prepare_surface
 from i2t.simulation import sites as touch_sites
 from i2t.skin.elasticity import CELL_GRID
+from i2t.skin_models.likelihood import fit_likelihood
+from i2t.skin_models.pad_model import PadModel
+from i2t.skin_models.reading_model import LOADS_N, LinearReadingModel
 
 CHANNELS = 12  # of a 4-chip board
 POSITION_STD_M = 1e-4
@@ -47,7 +48,7 @@ def pad_model() -> PadModel:
         loads, jnp.float32(mean), jnp.zeros((*mean.shape[:2], 1)), jnp.ones(CHANNELS), jnp.float32(1.0)
     )
     errors = rng.normal(scale=0.5, size=(200, CHANNELS))
-    likelihood = belief.fit_likelihood(
+    likelihood = fit_likelihood(
         errors, jnp.ones(CHANNELS), loads, overtravel=CONFIG.overtravel, position_std=POSITION_STD_M
     )
     return PadModel(model, likelihood, np.ones(CHANNELS), 1.0, errors)

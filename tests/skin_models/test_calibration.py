@@ -8,8 +8,9 @@ from i2t.errors import SerializationError
 from i2t.files import serialization
 from i2t.skin import boards
 from i2t.skin.files import load_pad
-from i2t.skin_models import FORCE_HYPERPARAMETERS, Calibration, calibrate, load_calibration, population_gp
+from i2t.skin_models import FORCE_HYPERPARAMETERS, Calibration, calibrate, load_calibration
 from i2t.skin_models.calibration import FILE_KIND, CalibrationRecord
+from i2t.skin_models.tip_gp import population
 
 rng = np.random.default_rng(0)
 POSITIONS, DEPTH = rng.uniform(-10e-3, 10e-3, (30, 2)), rng.uniform(0, 4e-3, 30)
@@ -114,7 +115,7 @@ def test_what_is_known_of_presses_may_be_more_or_less(unknown, tmp_path):
 
 def test_few_presses_are_fitted_with_one_thread_of_blas_and_the_others_come_back(monkeypatch):
     """Threads that wait for each other cost many times what small matrices do."""
-    seen, fit = [], population_gp.fit_population
+    seen, fit = [], population.fit_population
 
     def fitting(*args, **more):
         seen.extend(blas_threads())
@@ -123,7 +124,7 @@ def test_few_presses_are_fitted_with_one_thread_of_blas_and_the_others_come_back
     def blas_threads() -> list[int]:
         return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
 
-    monkeypatch.setattr(population_gp, "fit_population", fitting)
+    monkeypatch.setattr(population, "fit_population", fitting)
     with threadpool_limits(2, user_api="blas"):
         before = blas_threads()
         depths(POSITIONS[:5], DEPTH[:5], READINGS[:5])

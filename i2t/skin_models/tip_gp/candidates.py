@@ -2,7 +2,7 @@
 
 Where a chip has its largest share of the readings' power, it lies: the presses' positions weighted by these shares have
 a centre for each chip, and boards are ranked by how well these centres lie as their chips do. The few that fit best are
-candidates. Which of them it is, or none, is for what presses left out say (`i2t.skin_models.population_gp`).
+candidates. Which of them it is, or none, is for what presses left out say (`i2t.skin_models.tip_gp.population`).
 """
 
 import numpy as np

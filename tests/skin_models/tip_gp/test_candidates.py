@@ -5,7 +5,7 @@ import pytest
 
 from i2t.skin.boards import anyskin_board, grid_board, reskin_board
 from i2t.skin_models import Calibration, calibrate, load_calibration
-from i2t.skin_models.candidates import MAX_CANDIDATE_BOARDS, board_candidates
+from i2t.skin_models.tip_gp.candidates import MAX_CANDIDATE_BOARDS, board_candidates
 
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 

@@ -6,30 +6,30 @@ from scipy.optimize import approx_fprime
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 
-from i2t.skin_models import plain_gp
+from i2t.skin_models.tip_gp import plain
 
 
 def test_the_plain_process_finds_the_scales_of_its_own_presses():
     """Drawn from the process itself: lengths within a third, and better predictions than with half the length."""
     rng = np.random.default_rng(4)
     position, load = rng.uniform(-0.01, 0.01, (200, 2)), rng.uniform(0, 2, 200)
-    true = plain_gp.PlainScales(4e-3, 1.5, 0.01)
-    system = plain_gp._covariance(true, position, load, position, load) + 0.01 * np.eye(200)
+    true = plain.PlainScales(4e-3, 1.5, 0.01)
+    system = plain._covariance(true, position, load, position, load) + 0.01 * np.eye(200)
     readings = 30 * np.linalg.cholesky(system) @ rng.normal(size=(200, 9)) + 100
     known = position[:120], load[:120], readings[:120]
-    found = plain_gp.fit_scales(*known)
+    found = plain.fit_scales(*known)
     assert found.length == pytest.approx(4e-3, rel=0.33)
     assert found.width == pytest.approx(1.5, rel=0.33)
     at = position[120:], load[120:]
     errors = [
-        ((plain_gp.predict_plain(scales, known, at) - readings[120:]) ** 2).sum()
+        ((plain.predict_plain(scales, known, at) - readings[120:]) ** 2).sum()
         for scales in (found, found._replace(length=found.length / 2))
     ]
     assert errors[0] < errors[1]
     # Of presses at one depth it is a process of positions.
     reading = position @ rng.normal(size=(2, 6)) * 1e4
     known = position[:12], np.zeros(12), reading[:12]
-    flat = plain_gp.predict_plain(plain_gp.fit_scales(*known), known, (position[:12], np.zeros(12)))
+    flat = plain.predict_plain(plain.fit_scales(*known), known, (position[:12], np.zeros(12)))
     assert ((flat - reading[:12]) ** 2).sum() < 0.1 * ((reading[:12] - reading[:12].mean(0)) ** 2).sum()
 
 
@@ -37,26 +37,26 @@ def test_predictions_and_the_gradient_of_the_loss_are_those_of_other_programs():
     """scikit-learn's process with the same scales, and finite differences."""
     rng = np.random.default_rng(5)
     position, load, readings = rng.uniform(-0.01, 0.01, (12, 2)), rng.uniform(0, 2, 12), rng.normal(100, 30, (12, 4))
-    scales = plain_gp.PlainScales(4e-3, 1.5, 0.01)
+    scales = plain.PlainScales(4e-3, 1.5, 0.01)
     known, at = (slice(8), slice(8, None))
     x = np.column_stack([position, load])
     other = GaussianProcessRegressor(RBF([4e-3, 4e-3, 1.5]), alpha=0.01, optimizer=None)
     expected = other.fit(x[known], readings[known] - readings[known].mean(0)).predict(x[at]) + readings[known].mean(0)
-    found = plain_gp.predict_plain(scales, (position[known], load[known], readings[known]), (position[at], load[at]))
+    found = plain.predict_plain(scales, (position[known], load[known], readings[known]), (position[at], load[at]))
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
     square = ((position[:, None] - position) ** 2).sum(-1), (load[:, None] - load) ** 2
     fixed = np.array(scales), square, readings - readings.mean(0)
     free = np.array([0.2, -0.1, 1.0])
-    numeric = approx_fprime(free, lambda free: plain_gp._loss(free, *fixed)[0], 1e-6)
-    np.testing.assert_allclose(plain_gp._loss(free, *fixed)[1], numeric, rtol=1e-4)
+    numeric = approx_fprime(free, lambda free: plain._loss(free, *fixed)[0], 1e-6)
+    np.testing.assert_allclose(plain._loss(free, *fixed)[1], numeric, rtol=1e-4)
 
 
 def test_presses_that_no_process_fits_are_refused(monkeypatch):
     def fails(*_, **__):
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr(plain_gp, "cho_factor", fails)
+    monkeypatch.setattr(plain, "cho_factor", fails)
     rng = np.random.default_rng(6)
     with pytest.raises(ValueError, match="no plain Gaussian process fits these 12 presses"):
-        plain_gp.fit_scales(rng.normal(size=(12, 2)), np.ones(12), rng.normal(size=(12, 3)))
+        plain.fit_scales(rng.normal(size=(12, 2)), np.ones(12), rng.normal(size=(12, 3)))

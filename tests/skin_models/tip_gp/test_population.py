@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from i2t.skin_models import kernel, prior
-from i2t.skin_models import left_out as lo
-from i2t.skin_models import population_gp as mixture
-from i2t.skin_models.kernel import SkinKernels
-from i2t.skin_models.plain_gp import fit_scales, predict_plain
-from i2t.skin_models.population_gp import (
+from i2t.skin_models.tip_gp import kernel, prior
+from i2t.skin_models.tip_gp import left_out as lo
+from i2t.skin_models.tip_gp import population as mixture
+from i2t.skin_models.tip_gp.kernel import SkinKernels
+from i2t.skin_models.tip_gp.plain import fit_scales, predict_plain
+from i2t.skin_models.tip_gp.population import (
     PopulationGP,
     PressTable,
     fit_population,
     interval_scaling,
     predict_population,
 )
-from i2t.skin_models.prior import KernelPrior, load_prior
-from i2t.skin_models.structured_gp import DEPTH_HYPERPARAMETERS, fit_structured
+from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior
+from i2t.skin_models.tip_gp.structured import DEPTH_HYPERPARAMETERS, fit_structured
 
 CHIPS = np.array([[0, 0], [6, 0], [-6, 0], [0, 6], [0, -6]]) * 1e-3
 CHANNELS = 15

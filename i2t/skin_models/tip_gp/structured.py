@@ -5,8 +5,8 @@ A reading of channel c of a press at x (m, tool frame) with the load d, its dept
   y_c = e_c(x) [f(d) g_c(x) + f(d) b_c(x, d) + g0_c(x)] + const_c + noise,
   f(d) = ((d + load_offset) / (unit_load + load_offset))^load_power,
 
-as in `i2t.skin_models.kernel`. The surface is not flat: d is replaced by d + h(x), with one height h per position for
-all channels, which is found as in `i2t.skin_models.population_gp`.
+as in `i2t.skin_models.tip_gp.kernel`. The surface is not flat: d is replaced by d + h(x), with one height h per
+position for all channels, which is found as in `i2t.skin_models.tip_gp.population`.
 """
 
 from typing import NamedTuple
@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from i2t.skin_models.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
-from i2t.skin_models.population_gp import PopulationGP, PressTable, fit_one
+from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
+from i2t.skin_models.tip_gp.population import PopulationGP, PressTable, fit_one
 
 
 class StructuredGPHyperparameters(NamedTuple):

@@ -7,10 +7,12 @@ import pytest
 
 from i2t.errors import DataError, SerializationError
 from i2t.files import serialization
-from i2t.recognition import belief
-from i2t.recognition.outcomes import Layer, LinearReadingModel
-from i2t.recognition.pad_model import PadModel
-from i2t.recognition.pad_model_files import (
+from i2t.skin import boards
+from i2t.skin.pad import nominal_pad
+from i2t.skin_models.layer import Layer
+from i2t.skin_models.likelihood import fit_likelihood
+from i2t.skin_models.pad_model import PadModel
+from i2t.skin_models.pad_model_files import (
     KnownPad,
     PadOrigin,
     load_pad_model,
@@ -18,8 +20,7 @@ from i2t.recognition.pad_model_files import (
     same_board,
     save_pad_model,
 )
-from i2t.skin import boards
-from i2t.skin.pad import nominal_pad
+from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Board
 
 CHANNELS, CELLS = 15, 9
@@ -31,7 +32,7 @@ def known() -> KnownPad:
     rng = np.random.default_rng(0)
     loads, scale = jnp.float32([0.3, 0.9, 2.7]), jnp.full(CHANNELS, 30, jnp.float32)
     errors = rng.normal(size=(40, CHANNELS))
-    likelihood = belief.fit_likelihood(errors, scale, loads, overtravel=6e-3, position_std=1e-4)
+    likelihood = fit_likelihood(errors, scale, loads, overtravel=6e-3, position_std=1e-4)
     mean, root = rng.normal(size=(3, CELLS, CHANNELS)), rng.normal(size=(3, CELLS, 4))
     reading_model = LinearReadingModel(*(jnp.float32(part) for part in (loads, mean, root, scale, 1.1)))
     model = PadModel(reading_model, likelihood, np.full(CHANNELS, 20.0), 0.5, errors)

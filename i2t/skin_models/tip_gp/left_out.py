@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from threadpoolctl import ThreadpoolController
 
 from i2t.leave_one_out import UNINFORMED_VARIANCE, inverses, leave_out_parts, leave_out_rows
-from i2t.skin_models import kernel
-from i2t.skin_models.kernel import PressGeometry, SkinKernels
+from i2t.skin_models.tip_gp import kernel
+from i2t.skin_models.tip_gp.kernel import PressGeometry, SkinKernels
 
 CHUNK_VALUES = 3_000_000  # of matrices that are held at once
 ONE_THREAD_PRESSES = 400  # most presses for which BLAS gets one thread

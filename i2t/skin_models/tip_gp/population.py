@@ -36,9 +36,9 @@ from scipy.special import logsumexp
 from scipy.stats import t as student_t
 
 from i2t.leave_one_out import leave_out_rows
-from i2t.skin_models import kernel
-from i2t.skin_models.kernel import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
-from i2t.skin_models.left_out import (
+from i2t.skin_models.tip_gp import kernel
+from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
+from i2t.skin_models.tip_gp.left_out import (
     Conditioned,
     LeftOutPresses,
     Observed,
@@ -48,7 +48,7 @@ from i2t.skin_models.left_out import (
     parts_that_lie_together,
     ungrouped,
 )
-from i2t.skin_models.prior import KernelPrior, load_prior, with_plain
+from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior, with_plain
 from i2t.types import in_one_line
 
 STDS_WITHIN_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten

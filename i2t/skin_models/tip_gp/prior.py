@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t.files import serialization
-from i2t.skin_models.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
-from i2t.skin_models.plain_gp import fit_scales
+from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
+from i2t.skin_models.tip_gp.plain import fit_scales
 
 PRIOR_FILE = "prior.npz"
 PRIOR_KIND = "i2t kernel prior"
@@ -49,7 +49,7 @@ def load_prior() -> KernelPrior:
     Raises:
         SerializationError: The package's file is damaged or missing.
     """
-    with as_file(files("i2t.skin_models") / PRIOR_FILE) as path:
+    with as_file(files("i2t.skin_models.tip_gp") / PRIOR_FILE) as path:
         prior, _ = serialization.load(path, PRIOR_KIND, KernelPrior)
     kernels = SkinKernels(*(np.asarray(values, np.float64) for values in prior.kernels))
     return KernelPrior(kernels, np.asarray(prior.log_share, np.float64))

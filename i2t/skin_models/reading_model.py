@@ -15,7 +15,9 @@ The skin's layer decides which pressures a contact has; the one of LAYERS is tak
 as predicted from all others. The hyperparameters a, r and v are marginalised on a grid, each weighted by that density
 (pseudo-Bayesian model averaging; Gelfand and Dey, J. R. Stat. Soc. B 56, 1994), tempered, as channels and touches share
 errors. For one load all of these models are linear in the pressure, and so is their mixture: a map for the mean and a
-root for the variance, which holds the models' disagreement too.
+root for the variance, which holds the models' disagreement too:
+
+    mean = p . M_F,    variance = p' V_F p   (in units of each channel's signal) for the load F and the pressure p.
 
 NumPy in double precision, on the host. n touches, c channels, x cells of 1 mm, k weights.
 """
@@ -36,16 +38,17 @@ from threadpoolctl import threadpool_limits
 
 from i2t.contact.pressure import ContactPressure
 from i2t.leave_one_out import leave_out_blocks
-from i2t.recognition.outcomes import LOADS_N, Layer, LinearReadingModel
 from i2t.runtime.batching import map_batches, select_rows, usable_cores
 from i2t.runtime.compiling import jit_quickly
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import POISSON_RATIO, YOUNG_PA
 from i2t.skin_models import magnetization as physics
 from i2t.skin_models import pressure_gp as gp
+from i2t.skin_models.layer import NOMINAL_LAYER, Layer
 from i2t.skin_models.pressure_gp import GPHyperparameters
-from i2t.types import Board
+from i2t.types import Board, in_one_line
 
+LOADS_N = (0.3, 0.9, 2.7)  # most presses to 25 uT end between the outer ones
 # From stiff to soft: Poisson's ratio and Young's modulus (Pa). At nu = 0 a bonded layer yields most to a flat press.
 LAYERS = tuple(
     Layer(poisson, factor * YOUNG_PA)
@@ -67,6 +70,18 @@ MAX_MODELS, MIN_SHARE = 6, 0.02  # of the mixture: how many are kept, and the le
 POOLING_TOUCHES = 10.0  # touches' worth of belief that all channels have signals alike
 UNIT_N = 0.002  # on one cell, where a reading is still linear in it
 RANK = 160  # of a variance's root, the largest eigenvalues: the rest is below a per mille of it
+
+
+@in_one_line
+class LinearReadingModel(NamedTuple):
+    """A pad's reading model at a few loads, where it is linear in the pressure on a layer."""
+
+    loads: Float[Array, " l"]  # N
+    mean: Float[Array, "l cells c"]  # uT per N on each cell of 1 mm
+    root: Float[Array, "l cells rank"]  # of the variance, relative to the square of a channel's signal
+    scale: Float[Array, " c"]  # uT, root mean square of each channel's signal
+    softness: Float[Array, ""]  # indentation of the pad over that of the layer
+    layer: Layer = NOMINAL_LAYER
 
 
 class PressedTouches(NamedTuple):

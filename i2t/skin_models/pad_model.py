@@ -2,7 +2,7 @@
 
 Each recorded session's object is registered by its own contacts first (`i2t.registration.touch`): the contact is then
 known ten times better than from the camera's view. The contact's pressure on the layer that explains the readings best,
-at the measured force, and the reading fit a reading model (`i2t.recognition.reading_model`); its errors on touches left
+at the measured force, and the reading fit a reading model (`i2t.skin_models.reading_model`); its errors on touches left
 out fit the likelihood of `i2t.recognition.belief`.
 
 Where presses end is predicted worse than the contacts that a pose was fitted to suggest. So each session is registered
@@ -28,30 +28,34 @@ from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_p
 from i2t.dataset import Dataset
 from i2t.geometry import full_precision, inverse
 from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
-from i2t.recognition import belief, outcomes
-from i2t.recognition.belief import INDENTATION_ERROR, OUTLIER_RATE, Likelihood, ScaleMixture, outlier_range
-from i2t.recognition.outcomes import MIN_LOAD_N, Layer, LinearReadingModel
-from i2t.recognition.reading_model import (
-    CHOOSING_TOUCHES,
-    LAYERS,
-    FittedReadings,
-    PressedTouches,
-    choose_layer,
-    fit_readings,
-)
 from i2t.registration import touch as registration
 from i2t.registration.estimate import PoseEstimate
 from i2t.runtime.batching import a_few_at_a_time, select_rows
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
+from i2t.skin_models.layer import MIN_LOAD_N, Layer, approach, contact_pressures, layer_pad
+from i2t.skin_models.likelihood import (
+    INDENTATION_ERROR,
+    OUTLIER_RATE,
+    Likelihood,
+    ScaleMixture,
+    fit_likelihood,
+    fit_position_errors,
+    outlier_range,
+)
+from i2t.skin_models.reading_model import (
+    CHOOSING_TOUCHES,
+    LAYERS,
+    FittedReadings,
+    LinearReadingModel,
+    PressedTouches,
+    choose_layer,
+    fit_readings,
+)
 from i2t.types import Board, Surface, Touches, Truth, in_one_line
 
-# Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
-POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
 POSITION_FOLDS = 3  # of a session's touches, each predicted from the others
-EM_STEPS = 300
-PRIOR_TOUCHES = 0.5  # of each standard deviation, as if they had been seen: no tail is impossible
 FEW_SESSIONS = 5  # of no more, compiling their registrations quickly pays; last digits may differ from those of more
 REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
 
@@ -129,42 +133,6 @@ def fit_pad_model(
     return _pad_model(fitted, pressed.reading, position, limits)
 
 
-def fit_position_errors(
-    errors: Float[np.ndarray, " n"],
-    variance: Float[np.ndarray, " n"],
-    *,
-    outlier_density: float = 0.0,
-    stds: Sequence[float] = POSITION_STDS_M,
-) -> ScaleMixture:
-    """The distribution of errors, a scale mixture of normals with given standard deviations, whose shares are found by
-    expectation maximisation (Laird, JASA 73, 1978).
-
-    Args:
-        errors: Of predictions (m).
-        variance: The part of each error's variance (m^2) that is known and no part of the distribution.
-        outlier_density: Share of outliers over the length (1/m) on which they may be.
-        stds: Standard deviations (m) that are mixed.
-
-    Returns:
-        The mixture; standard deviations that no error asks for keep a small share.
-
-    Raises:
-        ValueError: An error or its variance is not finite.
-    """
-    if lost := int(np.sum(~np.isfinite(np.asarray(errors, float) + np.asarray(variance, float)))):
-        raise ValueError(f"{lost} of {len(errors)} errors of position are not finite; leave these touches out")
-    std = np.asarray(stds, float)
-    total = std[None] ** 2 + np.asarray(variance, float)[:, None]
-    density = np.exp(-0.5 * np.asarray(errors, float)[:, None] ** 2 / total) / np.sqrt(2 * np.pi * total)
-    share = np.full(len(std), 1 / len(std))
-    for _ in range(EM_STEPS):
-        joint = share * density
-        belonging = joint / (joint.sum(1, keepdims=True) + outlier_density + np.finfo(float).tiny)
-        share = belonging.sum(0) + PRIOR_TOUCHES
-        share = share / share.sum()
-    return ScaleMixture(std, share)
-
-
 def fit_oracle_pad_model(
     dataset: Dataset, rows: Bool[np.ndarray, " n"], pad_model: PadModel, limits: PressLimits
 ) -> PadModel:
@@ -185,7 +153,7 @@ def fit_oracle_pad_model(
     truth: Truth = touches.truth
     exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
     own, likelihood = pad_model.reading_model, pad_model.likelihood
-    pad = outcomes.layer_pad(own.layer)
+    pad = layer_pad(own.layer)
     pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, pad)
     fitted = fit_readings(
         PressedTouches(pressed, np.asarray(truth.reading)), own.layer, dataset.board, softness=float(own.softness)
@@ -352,9 +320,9 @@ def _press(
     """
 
     def one(T: Array, f: Array) -> _Pressed:
-        (distance, (T_o_t, hit)), jacobian = outcomes.approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
+        (distance, (T_o_t, hit)), jacobian = approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
         T_o_t = jnp.where(at_once, inverse(T_w_o) @ T, T_o_t)
-        indentation, newtons = outcomes.contact_pressures(surface, T_o_t, f[None], layer)
+        indentation, newtons = contact_pressures(surface, T_o_t, f[None], layer)
         met = hit & jnp.isfinite(indentation[0])
         return _Pressed(distance, jnp.where(met, jacobian, 0.0), met, indentation[0], newtons[0])
 
@@ -364,7 +332,7 @@ def _press(
 def _pad_model(fitted: FittedReadings, recorded: np.ndarray, position: ScaleMixture, limits: PressLimits) -> PadModel:
     """The pad model of a reading model with its errors on left-out touches, and of errors (m) of where presses end."""
     errors, model = fitted.left_out, fitted.model
-    likelihood = belief.fit_likelihood(
+    likelihood = fit_likelihood(
         errors, model.scale, model.loads,
         overtravel=limits.overtravel, position_std=position, stiffness=limits.stiffness,
     )  # fmt: skip

@@ -18,10 +18,10 @@ import numpy as np
 from i2t.errors import DataError, SerializationError
 from i2t.files import serialization
 from i2t.models import ready_hint, ready_path
-from i2t.recognition.belief import Likelihood
-from i2t.recognition.outcomes import LinearReadingModel
-from i2t.recognition.pad_model import PadModel
 from i2t.skin.boards import same_board
+from i2t.skin_models.likelihood import Likelihood
+from i2t.skin_models.pad_model import PadModel
+from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Board, in_one_line
 
 PAD_MODEL_KIND = "i2t pad model"

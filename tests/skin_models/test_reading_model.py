@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from i2t.contact.pressure import ContactPressure
-from i2t.recognition import reading_model
-from i2t.recognition.outcomes import NOMINAL_LAYER, Layer
-from i2t.recognition.reading_model import PressedTouches
 from i2t.skin.boards import reskin_board
 from i2t.skin.dipoles import response
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models import magnetization as physics
 from i2t.skin_models import pressure_gp as gp
+from i2t.skin_models import reading_model
+from i2t.skin_models.layer import NOMINAL_LAYER, Layer
+from i2t.skin_models.reading_model import PressedTouches
 
 CELLS, CHANNELS, WEIGHTS = CELL_GRID.cells, 3, 4
 AT = reading_model._Hyperparameters(a=0.7, r=0.4, v=0.2)
