@@ -10,7 +10,7 @@ import i2t
 from i2t.contact.press import PressLimits
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import SimulationErrors, touch_simulator
-from i2t.skin_models.pad_model import fit_pad_model
+from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.types import ReturnCode
 
 FEW = RecognizerConfig(num_sites=12, num_particles=32)  # of each object; half of the default, to start sooner
@@ -22,10 +22,10 @@ def main(training_touches: int = 36, config: RecognizerConfig | None = None) -> 
     hexagon = i2t.prepare_surface(i2t.make_object("hexagon").mesh)
     touches = i2t.simulate_touches(jax.random.key(1), [hexagon], pad, errors, training_touches)
     dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.ones(training_touches, bool)
-    model = fit_pad_model(jax.random.key(2), dataset, rows, {"hexagon": hexagon}, errors=errors, limits=limits)
+    known = ContactModel(errors, limits).fit(jax.random.key(2), ObjectTouches(dataset, rows, {"hexagon": hexagon}))
 
     meshes = {name: i2t.make_object(name).mesh for name in ("star", "cylinder", "hammer")}
-    recognizer = i2t.ObjectRecognizer(jax.random.key(3), model, meshes, config=config or FEW)
+    recognizer = i2t.ObjectRecognizer(jax.random.key(3), known.model, meshes, config=config or FEW)
     hidden = i2t.prepare_surface(meshes["cylinder"])  # your robot touches the real one
     touch = touch_simulator(jax.random.key(4), hidden, pad, errors=errors, limits=limits)
     state, info = recognizer.init(), None

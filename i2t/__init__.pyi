@@ -18,7 +18,7 @@ from .objects.solids import Mesh as Mesh
 from .prediction.predictor import Predictor as Predictor
 from .prediction.predictor import Reading as Reading
 from .prediction.predictor import load_predictor as load_predictor
-from .skin_models.pad_model_files import load_pad_model as load_pad_model
+from .skin_models.pad_model import load_pad_model as load_pad_model
 from .recognition.recognizer import ObjectRecognizer as ObjectRecognizer
 from .recognition.recognizer import RecognizerConfig as RecognizerConfig
 from .registration.depth import register_by_depth as register_by_depth

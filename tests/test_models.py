@@ -16,7 +16,7 @@ from i2t.models import READY_MODELS, model_card, ready_path
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import make_board, name_of_board, same_board
 from i2t.skin.pad import numbered_pad
-from i2t.skin_models.pad_model_files import load_pad_model
+from i2t.skin_models.pad_model import load_pad_model
 from tools.ready_models import GRID_DEPTHS, GRID_PLACES, main
 
 ROOT = Path(__file__).parents[1]

@@ -76,10 +76,9 @@ def _of_a_run(args: ReadyModelsArgs, cfg: Any) -> dict[str, Any]:
     """Save the kept predictor, fit and save the pad model; their card."""
     import jax
 
-    from experiments.recognize.pad_sources import known_pad
     from experiments.recognize.trained_run import load_trained_run
     from i2t.prediction import predictor as predictors
-    from i2t.skin_models.pad_model_files import save_pad_model
+    from i2t.skin_models.pad_model import KnownPad, origin_of, save_pad_model
 
     folder = finished_runs(args.trained_run)[0]
     trained = load_trained_run(jax.random.key(args.seed), folder, cfg.errors, cfg.limits)
@@ -87,8 +86,8 @@ def _of_a_run(args: ReadyModelsArgs, cfg: Any) -> dict[str, Any]:
     predictors.save(args.out / "predictor", trained.predictor)
     (args.out / "predictor" / ORBAX_NOTE).unlink(missing_ok=True)
     made_from = f"experiments.train, pad {metrics['pad']}, seed {metrics['seed']}"
-    known = known_pad(trained.pad_model, trained.dataset, trained.rows, made_from)
-    origin = known.origin
+    origin = origin_of(trained.dataset, trained.rows, made_from)
+    known = KnownPad(trained.pad_model, trained.dataset.board, origin)
     save_pad_model(args.out / "pad_model.npz", known)
     return {
         "source": origin.source,

@@ -11,8 +11,7 @@ from experiments.calibrate.evaluate import explained
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.recordings.diagnose import repeated_rows
-from i2t.skin.files import save_pad
-from i2t.skin_models.magnetization import Presses, fit_pad, parse_tip
+from i2t.skin_models.magnetization import MagnetizationModel, Presses, TipReadings, parse_tip
 from i2t.types import Board
 
 MAX_PAD_PRESSES = 300  # at random: a map is known by then, and every press costs
@@ -36,14 +35,10 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         raise ValueError(f"{len(rows)} presses are too few to fit a pad to; give at least {MIN_PAD_PRESSES}")
     tip = args.tip or tip_of(dataset) or dataset.objects[int(touches.object[0])]
     readings, board = recording.readings[rows], Board(*(jnp.float32(part) for part in dataset.board))
-    fitted = fit_pad(
-        Presses(jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows])),
-        jnp.float32(readings),
-        tip=parse_tip(tip),
-        board=board,
-        by_force=recording.by_force,
-    )
-    square = (readings - np.asarray(fitted.leave_one_out, np.float64)) ** 2
+    presses = Presses(jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows]))
+    model = MagnetizationModel(parse_tip(tip), recording.by_force)
+    fitted = model.fit(None, TipReadings(presses, jnp.float32(readings), board))
+    square = fitted.left_out**2
     r2, error_std = explained(readings, square.sum(1)), float(np.sqrt(np.mean(square)))
     about = {
         "pad": args.pad_name or dataset.pads[int(touches.pad[0])],
@@ -52,7 +47,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         "error_std_uT": error_std,
         "r2": r2,
     }
-    save_pad(args.save_pad, fitted.pad, about=about)
+    fitted.save(args.save_pad, about)
     print(
         f'pad of "{about["pad"]}" fitted to {len(rows)} {dataset.source} presses of {tip} by {load}: R2 {r2:.3f}, '
         f"{error_std:.1f} uT, each press left out"

@@ -53,7 +53,7 @@ from i2t.recognition.recognizer import (
     RecognizerConfig,
 )
 from i2t.skin import boards
-from i2t.skin_models.pad_model_files import KnownPad, require_skin
+from i2t.skin_models.pad_model import KnownPad, require_skin
 from i2t.types import Board, ReturnCode
 from i2t.viz import EpisodeRecord, write_episode_report
 

@@ -1,6 +1,6 @@
 """The pad model that recorded touches and live runs are judged by: of a finished run, a data set, or a file.
 
-It is of one skin, which `i2t.skin_models.pad_model_files.require_skin` compares with the one that touches.
+It is of one skin, which `i2t.skin_models.pad_model.require_skin` compares with the one that touches.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,9 +30,15 @@ from i2t.recordings.sets import corrected_dataset
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import files as pad_files
-from i2t.skin_models import pad_model_files
-from i2t.skin_models.pad_model import PadModel, fit_pad_model, with_press_errors
-from i2t.skin_models.pad_model_files import KnownPad, PadOrigin, SkinIdentity, load_pad_model
+from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
+from i2t.skin_models.pad_model import (
+    PAD_MODEL_KIND,
+    KnownPad,
+    SkinIdentity,
+    load_pad_model,
+    origin_of,
+    with_press_errors,
+)
 
 
 class PadSource(NamedTuple):
@@ -73,7 +79,7 @@ def find_pad_source(
         touches = recognition_data.known_touches(recorded, np.ones(len(recorded), bool), meshes, str(pad))
         return _of_touches(touches, cfg, errors, str(pad), None)
     kind = serialization.file_kind(ready)
-    if kind == pad_model_files.PAD_MODEL_KIND:
+    if kind == PAD_MODEL_KIND:
         known = load_pad_model(ready)
         return PadSource(known.skin, lambda key: known, None)
     if kind == pad_files.KIND:
@@ -138,7 +144,7 @@ def _of_run(folder: Path, cfg: Recognition, errors: SimulationErrors) -> PadSour
 
     def make(key: jax.Array) -> KnownPad:
         trained = trained_run.load_trained_run(key, folder, cfg.errors, cfg.limits)
-        return known_pad(trained.pad_model, dataset, trained.rows, str(folder))
+        return KnownPad(trained.pad_model, dataset.board, origin_of(dataset, trained.rows, str(folder)))
 
     return PadSource(SkinIdentity(dataset.pads[0], dataset.board, str(folder)), make, predictor)
 
@@ -155,8 +161,7 @@ def _of_touches(
 
     def make(key: jax.Array) -> KnownPad:
         surfaces = dict(zip(touches.meshes, prepare_surfaces(list(touches.meshes.values())), strict=True))
-        model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=cfg.limits)
-        return known_pad(model, dataset, rows, made_from)
+        return ContactModel(errors, cfg.limits).fit(key, ObjectTouches(dataset, rows, surfaces, made_from))
 
     skin = SkinIdentity(dataset.pads[int(dataset.touches.pad[0])], dataset.board, made_from)
     return PadSource(skin, make, predictor)
@@ -181,25 +186,7 @@ def _of_pad_file(path: Path, cfg: Recognition) -> PadSource:
         dataset = Dataset.simulated(made, names, pad, pad_name=about.name)
         rows = np.isfinite(dataset.touches.depth)
         known = dict(zip(names, surfaces, strict=True))
-        model = fit_pad_model(key_fit, dataset, rows, known, errors=cfg.errors, limits=cfg.limits)
-        return known_pad(with_press_errors(model, about.error_std), dataset, rows, made_from)
+        fitted = ContactModel(cfg.errors, cfg.limits).fit(key_fit, ObjectTouches(dataset, rows, known, made_from))
+        return fitted._replace(model=with_press_errors(fitted.model, about.error_std))
 
     return PadSource(SkinIdentity(about.name, pad.board, made_from), make, None)
-
-
-def known_pad(model: PadModel, dataset: Dataset, rows: np.ndarray, made_from: str) -> KnownPad:
-    """A pad model with its skin, and with the rows (n,) of touches of one pad that it was fitted to.
-
-    Args:
-        model: As fitted.
-        dataset: Of the touches.
-        rows: Of them, those that it was fitted to.
-        made_from: The run, data set or file.
-
-    Returns:
-        The pad model and its origin.
-    """
-    touches = dataset.touches
-    names = tuple(dataset.objects[i] for i in np.unique(touches.object[rows]))
-    pad = dataset.pads[int(touches.pad[rows][0])]
-    return KnownPad(model, dataset.board, PadOrigin(pad, dataset.source, names, int(rows.sum()), made_from))

@@ -27,7 +27,7 @@ from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recordings.samples import first_samples, mean_samples
 from i2t.recordings.sets import corrected_dataset
-from i2t.skin_models.pad_model_files import KnownPad, require_skin, save_pad_model
+from i2t.skin_models.pad_model import KnownPad, require_skin, save_pad_model
 
 SAME_PLACE_M, SAME_TURN, SAME_PRESS_S = 2e-4, 4e-3, 1.0  # m, rad and s within which touches are of one contact
 KEPT_PREDICTOR = "the paper's rules, the run's predictor"  # whose readings the paper's rules are given

@@ -51,7 +51,8 @@ from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_ep
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
-from i2t.skin_models.pad_model import PadModel, fit_oracle_pad_model
+from i2t.skin_models.pad_fit import fit_oracle_pad_model
+from i2t.skin_models.pad_model import PadModel
 from i2t.types import Board, Surface
 
 ORACLE_EVIDENCE = ("readings and presence", "fused")

@@ -20,7 +20,8 @@ from i2t.recognition.site_pool import prepare_surfaces
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import load_pad
 from i2t.skin.pad import numbered_pad
-from i2t.skin_models.pad_model import PadModel, fit_pad_model
+from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
+from i2t.skin_models.pad_model import PadModel
 from i2t.types import Pad, Surface
 
 
@@ -53,8 +54,8 @@ def load_trained_run(key: jax.Array, folder: Path, errors: SimulationErrors, lim
     dataset, predictor, pad = read_simulated_run(folder)
     rows = _training_rows(dataset, folder)
     surfaces = _touched_surfaces(dataset, rows)
-    pad_model = fit_pad_model(key, dataset, rows, surfaces, errors=errors, limits=limits)
-    return TrainedRun(dataset, rows, surfaces, predictor, pad, pad_model)
+    known = ContactModel(errors, limits).fit(key, ObjectTouches(dataset, rows, surfaces, str(folder)))
+    return TrainedRun(dataset, rows, surfaces, predictor, pad, known.model)
 
 
 def read_simulated_run(folder: Path) -> tuple[Dataset, Predictor, Pad]:

@@ -30,7 +30,8 @@ from i2t.recognition.site_pool import (
 from i2t.simulation import touches as simulation
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
-from i2t.skin_models.pad_model import PadModel, fit_pad_model
+from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
+from i2t.skin_models.pad_model import PadModel
 from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Pad, Surface
 
@@ -140,7 +141,7 @@ class StudyLab:
         for i in range(len(dataset.objects)):
             rows[np.flatnonzero(dataset.touches.object == i)[:each]] = True
         cfg = self.cfg
-        return fit_pad_model(key, dataset, rows, self.run.surfaces, errors=cfg.errors, limits=cfg.limits)
+        return ContactModel(cfg.errors, cfg.limits).fit(key, ObjectTouches(dataset, rows, self.run.surfaces)).model
 
 
 def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:

@@ -24,7 +24,8 @@ from i2t.recognition import calibrated, metrics
 from i2t.recognition.calibrated import TemperatureScaling
 from i2t.recognition.episodes import run_belief
 from i2t.recognition.intervals import mean_interval
-from i2t.skin_models.pad_model import PadModel, fit_oracle_pad_model, inflated
+from i2t.skin_models.pad_fit import fit_oracle_pad_model
+from i2t.skin_models.pad_model import PadModel, inflated
 from i2t.types import Board
 
 TOUCHES = (20, 200, None)  # of the skin that a pad model is fitted to; None: as many as the run had

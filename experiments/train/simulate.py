@@ -13,7 +13,7 @@ from i2t import dataset as data
 from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset, Split
 from i2t.objects import catalogue
-from i2t.prediction.gp_method import fit_gp, predict_readings
+from i2t.prediction.gp_method import fit_gp
 from i2t.rendering.render import prepare_surface
 from i2t.runtime.batching import select_rows
 from i2t.runtime.progress import progress
@@ -59,7 +59,7 @@ def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split,
     assert truth is not None
     exact = replace(pressure_model, smooth=False, tilt=0.0, pitch=dataset.window / dataset.touches.patch.shape[1])
     pressure = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
-    fitted = fit_gp(pressure, dataset.touches.reading, split, seed)
+    fitted = fit_gp(jax.random.key(seed), pressure, dataset.touches.reading, split)
     held_out = split.validation | split.test  # as many as the evaluation predicts, for which it has been compiled
-    mean, _ = predict_readings(fitted, select_rows(pressure, np.flatnonzero(held_out)))
+    mean, _ = fitted.predict(select_rows(pressure, np.flatnonzero(held_out)))
     return np.asarray(mean)[split.test[held_out]]

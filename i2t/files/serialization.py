@@ -28,7 +28,7 @@ ABOUT = "about"
 Tree = TypeVar("Tree")
 
 
-def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = None) -> None:
+def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = None, *, beside: Any = None) -> None:
     """Write a NamedTuple of arrays as a file.
 
     Args:
@@ -36,11 +36,12 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
         kind: Of file, which `load` must name too.
         tree: The NamedTuple; its fields may be NamedTuples.
         about: Anything that JSON can hold, kept with it.
+        beside: A second NamedTuple with other fields, which `load` gives where its type is named.
 
     Raises:
         SerializationError: The file cannot be written.
     """
-    path, arrays = Path(path), flatten(tree)
+    path, arrays = Path(path), flatten(tree) | ({} if beside is None else flatten(beside))
     header = {"format": kind, "version": TREE_VERSION, "sha256": _digest(arrays), "about": about or {}}
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
@@ -131,6 +132,24 @@ def fitting(path: Path | str) -> Iterator[None]:
         raise SerializationError(
             f"{path}: its parts do not fit each other ({reason}); restore a copy or make it again"
         ) from error
+
+
+def check_arrays(path: Path | str, tree: Any, shapes: Mapping[str, tuple[int, ...]], remedy: str) -> None:
+    """Refuse arrays of another shape, and such as are not finite.
+
+    Args:
+        path: Of the file that they come from.
+        tree: The NamedTuple that `load` gave.
+        shapes: Shapes by the arrays' dotted names.
+        remedy: Ends the sentence: what to do.
+
+    Raises:
+        SerializationError: An array has another shape or is not finite.
+    """
+    arrays = flatten(tree)
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+            raise SerializationError(f"{path}: {name} is not {shape} finite numbers; {remedy}")
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:

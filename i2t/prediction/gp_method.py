@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 from jaxtyping import Array, Key
 
@@ -12,8 +11,7 @@ from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.runtime.batching import select_rows
-from i2t.skin_models import pressure_gp as gp
-from i2t.skin_models.pressure_gp import GP, ContactPressure
+from i2t.skin_models.pressure_gp import GP, ContactPressure, PressureModel, PressureTouches
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class GPModel(TouchModel):
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `TouchModel.predict_batch`."""
-        mean, std = predict_readings(self.gp, touches.pressures(self.pressure))
+        mean, std = self.gp.predict(touches.pressures(self.pressure))
         return Reading(np.asarray(mean), np.asarray(std))
 
 
@@ -48,25 +46,21 @@ class GaussianProcess(Method):
         """Fit, as in `Method.fit`; it needs predicted pressures."""
         if touches.pressure is None or touches.pressure_model is None:
             return None
-        seed = int(jax.random.key_data(key)[-1])  # of `jax.random.key(seed)`, the seed
-        fitted = fit_gp(touches.pressure, touches.dataset.touches.reading, split, seed)
+        fitted = fit_gp(key, touches.pressure, touches.dataset.touches.reading, split)
         return touches.predictor(GPModel(fitted, touches.pressure_model), split)
 
 
-def fit_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: int) -> GP:
+def fit_gp(key: Key[Array, ""], pressure: ContactPressure, readings: np.ndarray, split: Split) -> GP:
     """The Gaussian process on the training touches.
 
     Args:
+        key: Of the folds.
         pressure: Of all touches.
         readings: uT, of all touches.
         split: Which of them train.
-        seed: Of the folds.
 
     Returns:
         Fitted.
     """
     rows = np.flatnonzero(split.train)
-    return gp.condition(select_rows(pressure, rows), readings[rows], split.groups[rows], seed=seed)
-
-
-predict_readings = jax.jit(gp.predict)
+    return PressureModel().fit(key, PressureTouches(select_rows(pressure, rows), readings[rows], split.groups[rows]))

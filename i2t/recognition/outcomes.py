@@ -18,17 +18,21 @@ Pure functions on one example; metres, newtons, microtesla; frames as in `i2t.ty
 channels.
 """
 
-from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.skin_models.layer import NOMINAL_LAYER, Layer, approach, contact_pressures
-from i2t.skin_models.reading_model import LinearReadingModel
+from i2t.skin_models.reading_model import (
+    LinearReadingModel,
+    interpolate,
+    interpolate_reading,
+    load_step,
+    readings_at_loads,
+)
 from i2t.types import Surface
 
 
@@ -99,8 +103,7 @@ def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> Pre
     Returns:
         The touch with reading and variance at each load.
     """
-    reading = jnp.einsum("lx,lxc->lc", contact.newtons, model.mean, precision="highest")
-    variance = jnp.sum(jnp.einsum("lx,lxr->lr", contact.newtons, model.root, precision="highest") ** 2, axis=-1)
+    reading, variance = readings_at_loads(model, contact.newtons)
     return PredictedTouch(
         hit=contact.hit,
         approach_distance=contact.approach_distance,
@@ -116,8 +119,8 @@ def interpolate_load(
 ) -> tuple[Float[Array, ""], Float[Array, " c"], Float[Array, ""]]:
     """A predicted touch at any load: between those predicted, or beyond them.
 
-    Indentation is a power of the load between two loads and down to none. Readings per newton are linear in the
-    logarithm of the load, up to one step between loads beyond the outer ones, and constant from there.
+    Indentation is a power of the load between two loads and down to none; for readings see
+    `i2t.skin_models.reading_model.interpolate_reading`.
 
     Args:
         predicted: The touch at `loads`.
@@ -127,33 +130,12 @@ def interpolate_load(
     Returns:
         Indentation (m), reading (uT) and its relative variance; all zero without load.
     """
-    pressed = force > 0
-    at = jnp.log(jnp.where(pressed, force, loads[0]))
-    knots = jnp.log(loads)
-    i = jnp.clip(jnp.searchsorted(knots, at) - 1, 0, len(loads) - 2)
-    step = (at - knots[i]) / (knots[i + 1] - knots[i])
-    between = partial(_interpolate, i, jnp.clip(step, -1.0, 2.0))
-    newtons = jnp.exp(at)
+    i, step, _ = load_step(loads, force)
     # A contact sinks as a power of its load; a reading grows about in proportion to it.
     log_indentation = jnp.log(jnp.maximum(predicted.indentation, 1e-7))
-    indentation = jnp.exp(_interpolate(i, jnp.minimum(step, 2.0), log_indentation))
-    variance = jnp.exp(between(jnp.log(jnp.maximum(predicted.variance / loads**2, 1e-12)))) * newtons**2
-    reading = between(predicted.reading / loads[:, None]) * newtons
-    touched = predicted.hit & pressed
-    return (
-        jnp.where(touched, indentation, 0.0),
-        jnp.where(pressed, reading, 0.0),
-        jnp.where(touched, variance, 0.0),
-    )
-
-
-def _interpolate(i: Array, step: Array, values: Array) -> Array:
-    """Linear interpolation between values i and i + 1, a number of steps from the first."""
-    low, high = (
-        jax.lax.dynamic_index_in_dim(values, i, keepdims=False),
-        jax.lax.dynamic_index_in_dim(values, i + 1, keepdims=False),
-    )
-    return low + step * (high - low)
+    indentation = jnp.exp(interpolate(i, jnp.minimum(step, 2.0), log_indentation))
+    reading, variance = interpolate_reading(predicted.reading, predicted.variance, loads, force)
+    return jnp.where(predicted.hit & (force > 0), indentation, 0.0), reading, jnp.where(predicted.hit, variance, 0.0)
 
 
 def placement_std(distance: float, angle: float) -> Float[np.ndarray, "6"]:

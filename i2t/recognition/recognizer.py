@@ -151,7 +151,7 @@ class ObjectRecognizer:
 
         Args:
             key: Of the sites.
-            pad_model: Fitted to touches of the skin that will touch (`i2t.skin_models.pad_model.fit_pad_model`).
+            pad_model: Fitted to touches of the skin that will touch (`i2t.skin_models.pad_fit.ContactModel`).
             meshes: Of the known objects, by name.
             T_w_o: Where the object is believed to stand; the world's origin by default. Sites are drawn and checked on
                 the objects there, over the table of `config.site_limits`.

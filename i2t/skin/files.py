@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from i2t.errors import SerializationError
 from i2t.files import serialization
@@ -78,10 +77,7 @@ def _checked(path: Path | str, pad: Pad) -> Pad:
         "thickness": (), "young": (), "poisson": (), "magnetization": (side, side, 3), "gains": (3 * chips,),
         "board.chips": (chips, 3), "board.rotations": (chips, 3, 3), "friction": (), "mount_compliance": (),
     }  # fmt: skip
-    arrays = serialization.flatten(pad)
-    for name, shape in shapes.items():
-        if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
-            raise SerializationError(f"{path}: {name} is not {shape or 'one'} finite numbers; make the pad again")
+    serialization.check_arrays(path, pad, shapes, "make the pad again")
     if not (pad.thickness > 0 and pad.young > 0 and 0 <= pad.poisson < 0.5):
         raise SerializationError(f"{path}: thickness, stiffness or Poisson's ratio cannot be; make the pad again")
     return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), pad)

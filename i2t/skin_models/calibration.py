@@ -12,19 +12,20 @@ model is the Gaussian process of `i2t.skin_models.tip_gp.population`, whose hype
 population of skins; with `hyperparameters` given it is the one kernel of `i2t.skin_models.tip_gp.structured`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from jaxtyping import Float, Key
 from numpy.typing import ArrayLike
 
 from i2t import validation
 from i2t.errors import did_you_mean
 from i2t.files import serialization
-from i2t.models import ready_hint, ready_path
 from i2t.skin.boards import AXES_OF_CHIP
+from i2t.skin_models.base import load_fitted
 from i2t.skin_models.tip_gp import population
 from i2t.skin_models.tip_gp.candidates import board_candidates
 from i2t.skin_models.tip_gp.left_out import Conditioned, one_thread_for_few
@@ -96,6 +97,12 @@ class Calibration:
         rest = ", ".join(f"{name} {share:.2f}" for name, share in shares.items() if name != best)
         return f"{said} by evidence ({shares[best]:.2f}; {rest})"
 
+    @property
+    def left_out(self) -> Float[np.ndarray, "n c"]:
+        """Errors (uT) on the presses of the fit, each predicted from all others."""
+        with one_thread_for_few(len(self.gp.readings)):
+            return population.left_out_errors(self.gp)
+
     def predict(
         self,
         positions: ArrayLike | None,
@@ -155,6 +162,76 @@ class Calibration:
         return population.condition(self.gp)
 
 
+class TipPresses(NamedTuple):
+    """Presses of one skin with one tip; what each holds is in the arguments of `calibrate`."""
+
+    positions: ArrayLike | None
+    loads: ArrayLike | None
+    readings: ArrayLike
+    board: Board | None = None
+    previous_session: Calibration | None = None
+
+
+@dataclass(frozen=True)
+class TipModel:
+    """The Gaussian process of one tip.
+
+    Attributes:
+        load_kind: Whether loads are depths (m), forces (N), both (first column the depth), or not known.
+        hyperparameters: Of one kernel, in place of a population's.
+    """
+
+    load_kind: LoadKind
+    hyperparameters: StructuredGPHyperparameters | None = None
+
+    def fit(self, key: Key[Any, ""] | None, data: TipPresses) -> Calibration:
+        """Calibrate one skin from n presses, as `calibrate` does.
+
+        Args:
+            key: Not used, as the fit draws nothing.
+            data: The presses.
+
+        Returns:
+            The calibrated skin.
+
+        Raises:
+            ValueError: Shapes do not belong together, or a value cannot be.
+        """
+        checked = _checked(data.positions, data.loads, data.readings, self.load_kind, data.board)
+        with one_thread_for_few(len(checked[2])):
+            return self._of_population(data, *checked) if self.hyperparameters is None else self._of_one(data, *checked)
+
+    def _of_one(self, data: TipPresses, positions: np.ndarray, loads: np.ndarray, readings: np.ndarray) -> Calibration:
+        """The mixture of one kernel."""
+        if self.load_kind not in MAX_LOAD or data.previous_session is not None:
+            raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
+        assert self.hyperparameters is not None
+        chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD,))
+        gp = fit_structured(self.hyperparameters, PressTable(positions, loads), readings, chips)
+        return Calibration(gp, population.interval_scaling(gp), self.load_kind, boards=boards)
+
+    def _of_population(
+        self, data: TipPresses, positions: np.ndarray, loads: np.ndarray, readings: np.ndarray
+    ) -> Calibration:
+        """The mixture over a population of skins."""
+        known, previous = data.board, data.previous_session
+        boards = board_candidates(positions, readings) if known is None else {GIVEN_BOARD: _chips(known)}
+        table = PressTable(positions, loads)
+        if previous is not None:
+            if previous.previous is not None:
+                raise ValueError("an earlier session must itself be calibrated without one")
+            if previous.gp.readings.shape[1] != readings.shape[1] or previous.load_kind != self.load_kind:
+                raise ValueError(
+                    "the earlier session has other channels or another kind of load; calibrate it as this one"
+                )
+            table = table._replace(previous_mean=previous.predict_mean(positions, loads))
+        chips = np.stack(list(boards.values())) if boards else None
+        gp = population.fit_population(table, readings, load_kinds=LOAD_COLUMNS[self.load_kind], chip_positions=chips)
+        kept = () if gp.chip_positions is None else gp.chip_positions
+        named = tuple(name for at in kept for name, chips in boards.items() if np.array_equal(at, chips))
+        return Calibration(gp, population.interval_scaling(gp), self.load_kind, previous=previous, boards=named)
+
+
 def calibrate(
     positions: ArrayLike | None,
     loads: ArrayLike | None,
@@ -192,30 +269,8 @@ def calibrate(
     Example:
         calibration = i2t.calibrate(positions, forces, readings, load_kind="force", board=i2t.reskin_board())
     """
-    positions, loads, readings = _checked(positions, loads, readings, load_kind, board)
-    if hyperparameters is not None:
-        if load_kind not in MAX_LOAD or previous_session is not None:
-            raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
-        on, given = (None, ()) if board is None else (_chips(board), (GIVEN_BOARD,))
-        with one_thread_for_few(len(readings)):
-            gp = fit_structured(hyperparameters, PressTable(positions, loads), readings, on)
-            scaling = population.interval_scaling(gp)
-        return Calibration(gp, scaling, load_kind, metadata or {}, boards=given)
-    boards = board_candidates(positions, readings) if board is None else {GIVEN_BOARD: _chips(board)}
-    table = PressTable(positions, loads)
-    if previous_session is not None:
-        if previous_session.previous is not None:
-            raise ValueError("an earlier session must itself be calibrated without one")
-        if previous_session.gp.readings.shape[1] != readings.shape[1] or previous_session.load_kind != load_kind:
-            raise ValueError("the earlier session has other channels or another kind of load; calibrate it as this one")
-        table = table._replace(previous_mean=previous_session.predict_mean(positions, loads))
-    chips = np.stack(list(boards.values())) if boards else None
-    with one_thread_for_few(len(readings)):
-        gp = population.fit_population(table, readings, load_kinds=LOAD_COLUMNS[load_kind], chip_positions=chips)
-        scaling = population.interval_scaling(gp)
-    kept = () if gp.chip_positions is None else gp.chip_positions
-    named = tuple(name for at in kept for name, chips in boards.items() if np.array_equal(at, chips))
-    return Calibration(gp, scaling, load_kind, metadata or {}, previous_session, named)
+    presses = TipPresses(positions, loads, readings, board, previous_session)
+    return replace(TipModel(load_kind, hyperparameters).fit(None, presses), metadata=metadata or {})
 
 
 def load_calibration(path: Path | str) -> Calibration:
@@ -234,11 +289,7 @@ def load_calibration(path: Path | str) -> Calibration:
     Example:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
-    hint = ready_hint(path, "calibration.npz")
-    path = ready_path(path, "calibration.npz")
-    record, about = serialization.load(path, FILE_KIND, CalibrationRecord, missing=hint)
-    with serialization.fitting(path):
-        return _calibration(path, record, about)
+    return load_fitted(path, FILE_KIND, CalibrationRecord, _calibration, ready="calibration.npz")
 
 
 def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:

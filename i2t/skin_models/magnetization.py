@@ -22,21 +22,26 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 from scipy import optimize
 
+from i2t.contact.pressure import ContactPressure
+from i2t.files import serialization
 from i2t.leave_one_out import leave_out_blocks
 from i2t.runtime.batching import map_batches
 from i2t.skin import elasticity as elastic
 from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
-from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
-from i2t.skin.elasticity import GRID, Grid
+from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, response, sheets, turn
+from i2t.skin.elasticity import CELL_GRID, GRID, Grid
+from i2t.skin.files import KIND as FILE_KIND
+from i2t.skin.files import load_pad
 from i2t.skin.pad import (
     CHIP_GAP_M,
     FRICTION_COEFFICIENT,
@@ -47,6 +52,7 @@ from i2t.skin.pad import (
     THICKNESS_M,
     YOUNG_PA,
 )
+from i2t.skin_models.base import load_fitted
 from i2t.types import Board, Pad, in_one_line
 from i2t.validation import round_tip
 
@@ -433,56 +439,129 @@ def bayesian_linear_regression(
     return LinearRegression(weights, readings - noise_std * left_out.error[..., 0], log_density)
 
 
+@in_one_line
 class PadFit(NamedTuple):
-    """A fitted pad, and what it says of its own presses."""
+    """A fitted pad, and its errors on its own presses."""
 
     pad: Pad
     layer: LayerParameters
-    leave_one_out: Float[Array, "n c"]  # uT, each press as predicted from all others
+    left_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other presses
+
+    def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m c"], Float[np.ndarray, "m c"]]:
+        """Simulate the readings of contacts.
+
+        Args:
+            contact: m contact pressures on the pad's cells of 1 mm.
+
+        Returns:
+            Mean reading (uT), and the root mean square of each channel's errors on presses left out.
+        """
+        std = np.sqrt(np.mean(np.asarray(self.left_out, np.float64) ** 2, axis=0))
+        return _simulate_readings(self.pad, contact), np.broadcast_to(std, (len(contact.load), len(std)))
+
+    def save(self, path: Path | str, about: dict[str, Any] | None = None) -> None:
+        """Write one file, which `i2t.load_pad` reads too.
+
+        Args:
+            path: Of the file; `.npz` by custom.
+            about: Anything that JSON can hold (whose pad it is, how it was fitted).
+
+        Raises:
+            SerializationError: It cannot be written.
+        """
+        serialization.save(path, FILE_KIND, self.pad, about, beside=_FitRecord(self.layer, self.left_out))
 
 
-def fit_pad(
-    presses: Presses,
-    readings: Float[Array, "n c"],
-    *,
-    tip: RoundTip,
-    board: Board,
-    by_force: bool,
-    grid: Grid = GRID,
-    max_layer_presses: int = MAX_LAYER_PRESSES,
-    linearizations: int = LINEARIZATIONS,
-) -> PadFit:
-    """Fit a pad to presses with a known tip: first the layer, then the map and the chips' gains for that layer.
+class _FitRecord(NamedTuple):
+    """Fields of a fitted pad's file that stand beside the pad's."""
+
+    layer: LayerParameters
+    left_out: np.ndarray
+
+
+def load_pad_fit(path: Path | str) -> PadFit:
+    """Read a fitted pad with its errors from its file.
 
     Args:
-        presses: Positions (m) and loads (m or N), in random order.
-        readings: Their readings (uT).
+        path: Of a file that `PadFit.save` wrote.
+
+    Returns:
+        The pad and what is known of its fit.
+
+    Raises:
+        SerializationError: The file is missing, damaged or something else, or a pad alone, which `i2t.load_pad` reads.
+    """
+
+    def build(path: Path | str, record: _FitRecord, about: dict[str, Any]) -> PadFit:
+        pad = load_pad(path)
+        shapes = {f"layer.{name}": np.shape(value) for name, value in layer_prior().median._asdict().items()}
+        serialization.check_arrays(
+            path, record, shapes | {"left_out": (len(record.left_out), len(pad.gains))}, "fit again"
+        )
+        return PadFit(pad, jax.tree.map(jnp.float32, record.layer), record.left_out)
+
+    return load_fitted(path, FILE_KIND, _FitRecord, build)
+
+
+@jax.jit
+def _simulate_readings(pad: Pad, contact: ContactPressure) -> Float[Array, "m c"]:
+    pascals = contact.pressure / CELL_GRID.spacing**2
+    return map_batches(lambda pressure: response(pad, pressure, CELL_GRID), pascals, batch_size=DESIGN_BATCH)
+
+
+class TipReadings(NamedTuple):
+    """Presses of one tip with their readings."""
+
+    presses: Presses  # n of them, positions (m) and loads (m or N), in random order
+    reading: Float[Array, "n c"]  # uT
+    board: Board  # of any number of chips
+
+
+@dataclass(frozen=True)
+class MagnetizationModel:
+    """A pad of an elastic layer with an unknown map of magnetization, pressed by a known tip.
+
+    Attributes:
         tip: What pressed; hashable.
-        board: The sensor board, any number of chips.
         by_force: Whether the loads are forces.
         grid: Cells of the pad.
         max_layer_presses: The layer's parameters are fitted to at most so many presses, the first.
         linearizations: Of the design matrices; with 0 the layer stays at the median of its prior.
-
-    Returns:
-        The pad, the layer's parameters, and each press as predicted from all others. Presses whose derivatives are not
-        finite are left out of the layer's fit with a warning.
-
-    Raises:
-        ValueError: A press is not finite, or what is fitted is not.
     """
-    _check_finite(presses, readings)
-    first = min(max_layer_presses, len(presses.load))
-    some, known = jax.tree.map(lambda part: part[:first], presses), readings[:first]
-    pressed = _LayerPresses(some, known, tip=tip, board=board, by_force=by_force, grid=grid)
-    layer = _fit_layer(pressed, layer_prior(), linearizations)
-    designs = design_matrices(layer, board, tip, presses, by_force=by_force, grid=grid)
-    features = weight_features(layer, designs, grid.window)
-    gains, solved, pad = _map_and_gains(layer, features, readings, board, grid.window)
-    fitted = PadFit(pad._replace(gains=gains), layer, solved.leave_one_out)
-    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(fitted)):
-        raise ValueError(NO_PAD)
-    return fitted
+
+    tip: RoundTip
+    by_force: bool
+    grid: Grid = GRID
+    max_layer_presses: int = MAX_LAYER_PRESSES
+    linearizations: int = LINEARIZATIONS
+
+    def fit(self, key: Key[Array, ""] | None, data: TipReadings) -> PadFit:
+        """Fit a pad to presses: first the layer, then the map and the chips' gains for that layer.
+
+        Args:
+            key: Not used, as the fit draws nothing.
+            data: The presses.
+
+        Returns:
+            The pad, the layer's parameters, and the errors of presses left out. Presses whose derivatives are not
+            finite are left out of the layer's fit with a warning.
+
+        Raises:
+            ValueError: A press is not finite, or what is fitted is not.
+        """
+        presses, readings, board = data
+        _check_finite(presses, readings)
+        first = min(self.max_layer_presses, len(presses.load))
+        some = TipReadings(jax.tree.map(lambda part: part[:first], presses), readings[:first], board)
+        layer = _fit_layer(self, some, layer_prior())
+        designs = design_matrices(layer, board, self.tip, presses, by_force=self.by_force, grid=self.grid)
+        features = weight_features(layer, designs, self.grid.window)
+        gains, solved, pad = _map_and_gains(layer, features, readings, board, self.grid.window)
+        left_out = np.asarray(readings, np.float64) - np.asarray(solved.leave_one_out, np.float64)
+        fitted = PadFit(pad._replace(gains=gains), layer, left_out)
+        if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(fitted)):
+            raise ValueError(NO_PAD)
+        return fitted
 
 
 def _check_finite(presses: Presses, readings: Array) -> None:
@@ -515,17 +594,6 @@ def _map_and_gains(
     return gains, solved, make_pad(layer, board, patches + layer.uniform_strength * level[None, None])
 
 
-class _LayerPresses(NamedTuple):
-    """Data of a layer fit."""
-
-    presses: Presses
-    readings: Array  # (n, c) uT
-    tip: RoundTip
-    board: Board
-    by_force: bool
-    grid: Grid
-
-
 class _Linearization(NamedTuple):
     """Design matrices near some coordinates."""
 
@@ -537,12 +605,12 @@ class _Linearization(NamedTuple):
 Objective = Callable[[np.ndarray], tuple[float, np.ndarray]]  # coordinates -> value and gradient
 
 
-def _fit_layer(pressed: _LayerPresses, prior: LayerPrior, linearizations: int) -> LayerParameters:
+def _fit_layer(model: MagnetizationModel, pressed: TipReadings, prior: LayerPrior) -> LayerParameters:
     """The most likely parameters of a layer; raises ValueError where the objective is not finite from the start."""
     flat, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, prior.median))
-    at, options = np.zeros(len(flat)), {"maxiter": LBFGS_STEPS}
+    at, options, linearizations = np.zeros(len(flat)), {"maxiter": LBFGS_STEPS}, model.linearizations
     for done in range(linearizations):
-        objective = _linearized(at, pressed, prior, unravel)
+        objective = _linearized(at, model, pressed, prior, unravel)
         if not _is_finite(objective(at)):
             if done == 0:
                 raise ValueError(NO_PAD)
@@ -577,22 +645,31 @@ def _finite_everywhere(objective: Objective, *, start: np.ndarray) -> Objective:
 
 
 def _linearized(
-    at: np.ndarray, pressed: _LayerPresses, prior: LayerPrior, unravel: Callable[[Any], LayerParameters]
+    at: np.ndarray,
+    model: MagnetizationModel,
+    pressed: TipReadings,
+    prior: LayerPrior,
+    unravel: Callable[[Any], LayerParameters],
 ) -> Objective:
     """Value and gradient of the negative log posterior, with design matrices that are linear about `at`; of the presses
     whose designs are finite.
     """
     coordinates = unravel(jnp.asarray(at, jnp.float32))
-    presses, readings, tip, board, by_force, grid = pressed
     value, changes = _design_derivatives(
-        coordinates, prior, board, tip=tip, presses=presses, by_force=by_force, grid=grid
+        coordinates,
+        prior,
+        pressed.board,
+        tip=model.tip,
+        presses=pressed.presses,
+        by_force=model.by_force,
+        grid=model.grid,
     )
     usable = _with_finite_designs(value, changes)
-    linearization, readings = _Linearization(coordinates, value[usable], changes[:, usable]), readings[usable]
+    linearization, readings = _Linearization(coordinates, value[usable], changes[:, usable]), pressed.reading[usable]
 
     def objective(x: np.ndarray) -> tuple[float, np.ndarray]:
         here = unravel(jnp.asarray(x, jnp.float32))
-        value, gradient = _value_and_gradient(here, linearization, readings, prior, window=grid.window)
+        value, gradient = _value_and_gradient(here, linearization, readings, prior, window=model.grid.window)
         return float(value), np.asarray(ravel_pytree(gradient)[0], np.float64)
 
     return objective

@@ -1,63 +1,33 @@
-"""Pad models: readings of one pad at a contact and the errors of their prediction, fitted to recorded touches.
+"""Pad models with their skin: what they predict, on disk, and refused for touches of another skin.
 
-Each recorded session's object is registered by its own contacts first (`i2t.registration.touch`): the contact is then
-known ten times better than from the camera's view. The contact's pressure on the layer that explains the readings best,
-at the measured force, and the reading fit a reading model (`i2t.skin_models.reading_model`); its errors on touches left
-out fit the likelihood of `i2t.recognition.belief`.
-
-Where presses end is predicted worse than the contacts that a pose was fitted to suggest. So each session is registered
-once more from a part of its touches, and the errors of predicting where the others ended, less what the pose's own
-uncertainty and that of an indentation make, give the distribution of a position's error, tails included
-(`fit_position_errors`).
-
-Metres, newtons, microtesla.
+origin = PadOrigin("skin A", "real", ("hexagon", "parallelogram"), touches=300, made_from="DATA")
+save_pad_model("pad_model.npz", KnownPad(pad_model, dataset.board, origin))
+known = load_pad_model("pad_model.npz")
+require_skin(known.skin, ["skin A"], dataset.board, "DATA/later")
 """
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import product
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float
 
-from i2t.contact.press import PressLimits
-from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures
+from i2t.contact.pressure import ContactPressure
 from i2t.dataset import Dataset
-from i2t.geometry import full_precision, inverse
-from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
-from i2t.registration import touch as registration
-from i2t.registration.estimate import PoseEstimate
-from i2t.runtime.batching import a_few_at_a_time, select_rows
-from i2t.runtime.compiling import jit_quickly
-from i2t.simulation.touches import SimulationErrors
-from i2t.skin.elasticity import CELL_GRID
-from i2t.skin_models.layer import MIN_LOAD_N, Layer, approach, contact_pressures, layer_pad
-from i2t.skin_models.likelihood import (
-    INDENTATION_ERROR,
-    OUTLIER_RATE,
-    Likelihood,
-    ScaleMixture,
-    fit_likelihood,
-    fit_position_errors,
-    outlier_range,
-)
-from i2t.skin_models.reading_model import (
-    CHOOSING_TOUCHES,
-    LAYERS,
-    FittedReadings,
-    LinearReadingModel,
-    PressedTouches,
-    choose_layer,
-    fit_readings,
-)
-from i2t.types import Board, Surface, Touches, Truth, in_one_line
+from i2t.errors import DataError
+from i2t.files import serialization
+from i2t.skin.boards import same_board
+from i2t.skin_models.base import load_fitted
+from i2t.skin_models.likelihood import Likelihood
+from i2t.skin_models.reading_model import LinearReadingModel, read_pressure
+from i2t.types import Board, in_one_line
 
-POSITION_FOLDS = 3  # of a session's touches, each predicted from the others
-FEW_SESSIONS = 5  # of no more, compiling their registrations quickly pays; last digits may differ from those of more
-REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
+PAD_MODEL_KIND = "i2t pad model"
 
 
 @in_one_line
@@ -71,97 +41,161 @@ class PadModel(NamedTuple):
     held_out_errors: Float[np.ndarray, "n c"]  # uT, measured minus predicted
 
 
-class _Positions(NamedTuple):
-    """Ends of left-out touches, by a registration from others."""
+@dataclass(frozen=True)
+class PadOrigin:
+    """Origin of a pad model."""
 
-    indentation: Float[np.ndarray, " n"]  # m past the predicted contact, less what the arm yields
-    nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer there
-    variance: Float[np.ndarray, " n"]  # m^2, of the predicted contact, as the pose is uncertain
-    hit: Bool[np.ndarray, " n"]  # whether the object was there at all
+    pad: str  # name of the skin in the data set
+    source: str  # of the touches: real, simulated or mixed
+    objects: tuple[str, ...]  # that were touched
+    touches: int
+    made_from: str  # a run, a data set or a file
 
 
-def fit_pad_model(
-    key: Key[Array, ""],
-    dataset: Dataset,
-    rows: Bool[np.ndarray, " n"],
-    surfaces: dict[str, Surface],
-    *,
-    errors: SimulationErrors,
-    limits: PressLimits,
-) -> PadModel:
-    """Fit a pad model to touches of objects whose surfaces are known.
+@in_one_line
+class SkinIdentity(NamedTuple):
+    """Identity of a skin."""
+
+    pad: str  # its name in data sets
+    board: Board
+    made_from: str  # a run, a data set or a file
+
+
+@in_one_line
+class KnownPad(NamedTuple):
+    """A pad model and its skin."""
+
+    model: PadModel
+    board: Board
+    origin: PadOrigin
+
+    @property
+    def skin(self) -> SkinIdentity:
+        """Skin of the model."""
+        return SkinIdentity(self.origin.pad, self.board, self.origin.made_from)
+
+    @property
+    def left_out(self) -> Float[np.ndarray, "n c"]:
+        """Errors (uT) on the touches of the fit, each predicted from all others."""
+        return np.asarray(self.model.held_out_errors)
+
+    def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m c"], Float[Array, "m c"]]:
+        """Predict readings of contacts.
+
+        Args:
+            contact: m contact pressures on the layer of the reading model.
+
+        Returns:
+            Mean and standard deviation (uT), with the errors on left-out touches.
+        """
+        return _predict(self.model.reading_model, self.model.likelihood, contact)
+
+    def save(self, path: Path | str) -> None:
+        """Write one file, as `save_pad_model`.
+
+        Args:
+            path: Of the file; `.npz` by custom.
+
+        Raises:
+            SerializationError: It cannot be written.
+        """
+        save_pad_model(path, self)
+
+
+@jax.jit
+def _predict(
+    model: LinearReadingModel, likelihood: Likelihood, contact: ContactPressure
+) -> tuple[Float[Array, "m c"], Float[Array, "m c"]]:
+    mean, variance = jax.vmap(partial(read_pressure, model))(
+        contact.pressure.reshape(len(contact.load), -1), contact.load
+    )
+    errors = jnp.sum(jnp.linalg.inv(likelihood.whiten) ** 2, axis=1)  # their covariance's diagonal
+    return mean, likelihood.inflation * jnp.sqrt(errors[None] + variance[:, None] * model.scale[None] ** 2)
+
+
+class _Record(NamedTuple):
+    """Pad model on disk."""
+
+    reading_model: LinearReadingModel
+    likelihood: Likelihood
+    reading_std: np.ndarray
+    r2: np.ndarray
+    held_out_errors: np.ndarray
+    board: Board
+
+
+def save_pad_model(path: Path | str, known: KnownPad) -> None:
+    """Write one file, which appears whole or not at all.
 
     Args:
-        key: Of the registrations.
-        dataset: Touches with measured forces.
-        rows: Which of them are used.
-        surfaces: Of their objects, by name.
-        errors: How far objects may be from where they are believed.
-        limits: How the touches were pressed.
-
-    Returns:
-        The pad model; its r2 and errors are those of left-out touches.
+        path: Of the file; `.npz` by custom.
+        known: The pad model, its board and its origin.
 
     Raises:
-        ValueError: The touches say nothing finite of how soft the pad is.
+        SerializationError: It cannot be written.
     """
-    touches = dataset.touches
-    seen = []
-    for session in np.unique(touches.session[rows]):
-        here = np.flatnonzero(rows & (touches.session == session))
-        surface = surfaces[dataset.objects[int(touches.object[here[0]])]]
-        seen.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
-    often = len(seen) > FEW_SESSIONS
-    register = partial(_register_session, errors=errors, often=often)
-    found = a_few_at_a_time(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
-    sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
-    layer = LAYERS[_choose_layer(sessions, touches, dataset.board, limits.overtravel)]
-    used, nominal, pressed = _pressed_touches(sessions, touches, layer, limits.overtravel)
-    load = np.asarray(pressed.pressure.load)
-    depth = touches.depth[used] - load / limits.stiffness
-    if not (np.isfinite(nominal * depth).all() and nominal.any()):
-        raise ValueError(
-            "the softness of the pad is not known from these touches; leave out those whose depth or force is not "
-            "finite, and give some that press a known object"
-        )
-    softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
-    left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits, often=often)
-    folds = a_few_at_a_time(left_out, product(sessions, range(POSITION_FOLDS)))
-    positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
-    position = _position_errors(positions, softness, limits)
-    fitted = fit_readings(pressed, layer, dataset.board, softness=softness)
-    return _pad_model(fitted, pressed.reading, position, limits)
+    record = _Record(**known.model._asdict() | {"r2": np.asarray(known.model.r2)}, board=known.board)
+    serialization.save(path, PAD_MODEL_KIND, record, asdict(known.origin))
 
 
-def fit_oracle_pad_model(
-    dataset: Dataset, rows: Bool[np.ndarray, " n"], pad_model: PadModel, limits: PressLimits
-) -> PadModel:
-    """Fit the pad model that the same simulated touches would give without errors of pose and reading: a bound, not a
-    method.
+def load_pad_model(path: Path | str) -> KnownPad:
+    """The pad model in a file, or the ready one that comes with i2t.
 
     Args:
-        dataset: Simulated touches with their truth.
-        rows: Which of them are used.
-        pad_model: What was fitted to them; gives the mechanics.
-        limits: How the touches were pressed.
+        path: Of a file that `save_pad_model` wrote; or the name of a ready model, "nominal" (`i2t.models`), of one
+            simulated pad.
 
     Returns:
-        The pad model; its errors are those of predicting the recorded readings.
+        The pad model, its board and its origin.
+
+    Raises:
+        SerializationError: The file is missing, damaged, holds something else, or its parts do not fit each other.
+
+    Example:
+        known = i2t.load_pad_model("nominal")
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), known.model, {"mug": mug, "bowl": bowl})
     """
-    used = np.flatnonzero(rows)
-    touches = jax.tree.map(lambda x: x[used], dataset.touches)
-    truth: Truth = touches.truth
-    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
-    own, likelihood = pad_model.reading_model, pad_model.likelihood
-    pad = layer_pad(own.layer)
-    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, pad)
-    fitted = fit_readings(
-        PressedTouches(pressed, np.asarray(truth.reading)), own.layer, dataset.board, softness=float(own.softness)
+    return load_fitted(path, PAD_MODEL_KIND, _Record, _known_pad, ready="pad_model.npz")
+
+
+def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> KnownPad:
+    """A pad model from its record on disk, if its parts fit."""
+    channels = 3 * len(record.board.chips)
+    loads, cells = record.reading_model.mean.shape[:2]
+    shapes = {
+        "reading_model.mean": (loads, cells, channels),
+        "reading_model.scale": (channels,),
+        "reading_model.layer.poisson": (),
+        "reading_model.layer.young": (),
+        "likelihood.whiten": (channels, channels),
+        "likelihood.loads": (loads,),
+        "reading_std": (channels,),
+        "board.rotations": (len(record.board.chips), 3, 3),
+    }
+    serialization.check_arrays(path, record, shapes, "make the pad model again")
+    reading_model, likelihood = jax.tree.map(
+        lambda array: jnp.asarray(array, jnp.float32), (record.reading_model, record.likelihood)
     )
-    recorded = np.asarray(touches.reading)
-    fitted = fitted._replace(left_out=fitted.left_out + recorded - truth.reading)
-    position = ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share))
-    return _pad_model(fitted, recorded, position, limits)
+    model = PadModel(reading_model, likelihood, record.reading_std, float(record.r2), record.held_out_errors)
+    origin = PadOrigin(**about | {"objects": tuple(about["objects"])})
+    return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
+
+
+def origin_of(dataset: Dataset, rows: Bool[np.ndarray, " n"], made_from: str) -> PadOrigin:
+    """Origin of a pad model that is fitted to touches of one skin.
+
+    Args:
+        dataset: Of the touches.
+        rows: Which of them it is fitted to.
+        made_from: The run, data set or file.
+
+    Returns:
+        Skin, source, objects and number of touches.
+    """
+    touches = dataset.touches
+    objects = tuple(dataset.objects[i] for i in np.unique(touches.object[rows]))
+    pad = dataset.pads[int(touches.pad[rows][0])]
+    return PadOrigin(pad, dataset.source, objects, int(rows.sum()), made_from)
 
 
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:
@@ -192,150 +226,47 @@ def inflated(model: PadModel, factor: float) -> PadModel:
     return model._replace(likelihood=likelihood._replace(inflation=likelihood.inflation * np.float32(factor)))
 
 
-class _SessionContacts(NamedTuple):
-    """Touches of one session, filled up with repeated ones so that one compilation serves most sessions."""
+def require_skin(
+    skin: SkinIdentity, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
+) -> str | None:
+    """Refuse touches of another skin than a pad model's.
 
-    touches: Touches
-    T_w_contact: Float[np.ndarray, "m 4 4"]  # at first contact
-    met: Bool[np.ndarray, " m"]  # no repeated one
-    own: int  # number of touches that are not repeated
+    Args:
+        skin: That the pad model is of.
+        pads: Names of the skins that touch.
+        board: Of these skins.
+        whose: Names the touches in messages.
+        other_skin: Whether a skin of another name, on a like board, is allowed.
 
+    Returns:
+        A sentence where another skin is judged by this pad model; None where it is the same.
 
-def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
-    padded = np.resize(here, max(REGISTERED_TOUCHES, len(here)))
-    some = select_rows(touches, padded)
-    T_w_contact, met = registration.contact_poses(some)
-    return _SessionContacts(some, T_w_contact, met & (np.arange(len(padded)) < len(here)), len(here))
-
-
-class _Session(NamedTuple):
-    """A session whose object is registered."""
-
-    rows: np.ndarray  # of its touches
-    key: Array
-    surface: Surface
-    contacts: _SessionContacts
-    found: PoseEstimate
-
-
-def _pressed_touches(
-    sessions: Sequence[_Session], touches: Touches, layer: Layer, overtravel: float
-) -> tuple[np.ndarray, np.ndarray, PressedTouches]:
-    """Press a layer onto the registered objects: rows of the touches that met one, the layer's indentations (m), and
-    the touches.
+    Raises:
+        DataError: The skin or the board is another.
     """
-    calls = (
-        (each.surface, each.found.T_w_o, each.contacts.T_w_contact, each.contacts.touches.force, layer, True)
-        for each in sessions
+    if not same_board(skin.board, board):
+        raise DataError(
+            f"{whose}: the board has {_described(board)}, and that of the pad model of {skin.made_from} "
+            f"{_described(skin.board)}; use a pad model of that very skin"
+        )
+    others = sorted(set(pads) - {skin.pad})
+    if not others:
+        return None
+    told = f"{whose}: the skin is {_quoted(others)}, and the pad model of {skin.made_from} is of {_quoted([skin.pad])}"
+    if not other_skin:
+        raise DataError(f"{told}; every skin differs: use a pad model of that very skin")
+    return f"ANOTHER SKIN: {told}"
+
+
+def _described(board: Board) -> str:
+    chips = np.asarray(board.chips, float)
+    places = ", ".join(f"({1e3 * x:.1f} {1e3 * y:.1f})" for x, y in chips[:2, :2])
+    turned = np.asarray(board.rotations, float)
+    angles = np.degrees(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]))
+    return (
+        f"{len(chips)} chips, the first at {places} mm, turned by {', '.join(f'{a:.0f}' for a in angles[:5])} degrees"
     )
-    press = partial(_press, overtravel=overtravel)
-    parts = [
-        (each.rows, pressed.indentation[: each.contacts.own], pressed.newtons[: each.contacts.own])
-        for each, pressed in zip(sessions, a_few_at_a_time(press, calls), strict=True)
-    ]
-    rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
-    met = np.isfinite(nominal)
-    load = np.maximum(touches.force[rows[met]], MIN_LOAD_N)
-    shape = (-1, CELL_GRID.cells, CELL_GRID.cells)
-    pressed = ContactPressure(jnp.asarray(newtons[met].reshape(shape)), jnp.asarray(load))
-    return rows[met], nominal[met], PressedTouches(pressed, touches.reading[rows[met]])
 
 
-def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board, overtravel: float) -> int:
-    """Choose the layer on some sessions, as every layer presses their touches."""
-    shuffled = [sessions[i] for i in np.random.default_rng(0).permutation(len(sessions))]
-    enough = int(np.searchsorted(np.cumsum([len(each.rows) for each in shuffled]), CHOOSING_TOUCHES)) + 1
-    some = shuffled[:enough]
-    return choose_layer([_pressed_touches(some, touches, layer, overtravel)[2] for layer in LAYERS], LAYERS, board)
-
-
-def _register_session(
-    key: Key[Array, ""],
-    surface: Surface,
-    contacts: _SessionContacts,
-    met: Bool[np.ndarray, " m"],
-    *,
-    errors: SimulationErrors,
-    often: bool,
-) -> PoseEstimate:
-    """The object's pose by the contacts that met it, or by some of them."""
-    return registration.register_by_touch(
-        key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
-        translation_std=errors.placement, rotation_std=errors.placement_angle, often=often,
-    )  # fmt: skip
-
-
-def _left_out_positions(
-    session: _Session, which: int, *, layer: Layer, errors: SimulationErrors, limits: PressLimits, often: bool
-) -> _Positions:
-    """Ends of the touches of one fold of a session that met something, predicted from those of the other folds."""
-    _, key, surface, contacts, _ = session
-    fold = np.arange(len(contacts.met)) % POSITION_FOLDS
-    # The same starts and draws in every fold, so that they differ in their touches alone.
-    key = jax.random.clone(key)
-    found = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors, often=often)
-    force = np.maximum(contacts.touches.force, np.float32(MIN_LOAD_N))
-    T_w_t, overtravel = contacts.touches.T_w_t, limits.overtravel
-    predicted = jax.device_get(_press(surface, found.T_w_o, T_w_t, force, layer, False, overtravel=overtravel))
-    # A press ends at the pose it reports, which is its site here: contact lies as far before it.
-    indentation = -predicted.distance - force / limits.stiffness
-    variance = np.einsum("ni,ij,nj->n", predicted.jacobian, np.asarray(found.covariance), predicted.jacobian)
-    rows = np.asarray(contacts.met) & (fold == which)
-    nominal = np.where(predicted.hit, predicted.indentation, 0.0)
-    return _Positions(indentation[rows], nominal[rows], variance[rows], predicted.hit[rows])
-
-
-def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:
-    expected = softness * positions.nominal
-    error = positions.indentation - expected
-    variance = positions.variance + (INDENTATION_ERROR * expected) ** 2
-    density = OUTLIER_RATE / outlier_range(limits.overtravel)
-    return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
-
-
-class _Pressed(NamedTuple):
-    """Presses of a layer on an object."""
-
-    distance: Float[Array, " n"]  # m, from the pose to first contact
-    jacobian: Float[Array, "n 6"]  # of that along the twist of the object's pose
-    hit: Bool[Array, " n"]  # whether the object is there
-    indentation: Float[Array, " n"]  # m, infinite where there is nothing to press on
-    newtons: Float[Array, "n cells"]  # on each cell
-
-
-@jit_quickly
-@full_precision
-def _press(
-    surface: Surface,
-    T_w_o: Array,
-    T_w_t: Array,
-    force: Array,
-    layer: Layer,
-    at_once: bool | Array,
-    *,
-    overtravel: float | Array,
-) -> _Pressed:
-    """Press a layer where it meets an object along z of each pose, or at the pose itself (`at_once`): one compilation
-    serves both.
-    """
-
-    def one(T: Array, f: Array) -> _Pressed:
-        (distance, (T_o_t, hit)), jacobian = approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
-        T_o_t = jnp.where(at_once, inverse(T_w_o) @ T, T_o_t)
-        indentation, newtons = contact_pressures(surface, T_o_t, f[None], layer)
-        met = hit & jnp.isfinite(indentation[0])
-        return _Pressed(distance, jnp.where(met, jacobian, 0.0), met, indentation[0], newtons[0])
-
-    return jax.vmap(one)(T_w_t, force)
-
-
-def _pad_model(fitted: FittedReadings, recorded: np.ndarray, position: ScaleMixture, limits: PressLimits) -> PadModel:
-    """The pad model of a reading model with its errors on left-out touches, and of errors (m) of where presses end."""
-    errors, model = fitted.left_out, fitted.model
-    likelihood = fit_likelihood(
-        errors, model.scale, model.loads,
-        overtravel=limits.overtravel, position_std=position, stiffness=limits.stiffness,
-    )  # fmt: skip
-    around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
-    r2 = float(1 - np.sum(errors**2) / np.sum(around**2))
-    return PadModel(model, likelihood, around.std(axis=0), r2, errors)
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)

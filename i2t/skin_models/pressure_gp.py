@@ -18,22 +18,27 @@ wrong in detail.
 """
 
 import warnings
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Key
 
 from i2t.contact.pressure import CELL_MM, ContactPressure
-from i2t.leave_one_out import leave_out_blocks
+from i2t.files import serialization
+from i2t.leave_one_out import leave_out_blocks, leave_out_rows
 from i2t.runtime.batching import select_rows
 from i2t.runtime.compiling import jit_quickly
+from i2t.skin_models.base import load_fitted
 from i2t.types import in_one_line
 
 LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, of the maps g_c: from below a skin's thickness to beyond its edge
+FILE_KIND = "i2t pressure model"
 JITTER = 1e-5  # of the mean variance: float32 factors of a few thousand touches stay real
 
 
@@ -57,6 +62,104 @@ class GP(NamedTuple):
     cholesky: Float[Array, "n n"]
     weights: Float[Array, "n channels"]
     scale: Float[Array, " channels"]  # uT, root mean square of each channel's signal
+
+    @property
+    def left_out(self) -> Float[np.ndarray, "n channels"]:
+        """Errors (uT) on the training touches, each predicted from all others."""
+        return np.asarray(_left_out(self))
+
+    def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m channels"], Float[Array, "m channels"]]:
+        """Predict readings of contacts that were not measured.
+
+        Args:
+            contact: m contact pressures.
+
+        Returns:
+            Mean and standard deviation (uT), the sensor's noise included.
+        """
+        return _predict(self, contact)
+
+    def save(self, path: Path | str) -> None:
+        """Write one file, which appears whole or not at all.
+
+        Args:
+            path: Of the file; `.npz` by custom.
+
+        Raises:
+            SerializationError: It cannot be written.
+        """
+        serialization.save(path, FILE_KIND, self)
+
+
+class PressureTouches(NamedTuple):
+    """Readings of contact pressures."""
+
+    pressure: ContactPressure  # n of them
+    reading: Float[np.ndarray, "n channels"] | Float[Array, "n channels"]  # uT
+    groups: Int[np.ndarray, " n"]  # run or spatial block of each, which cross-validation leaves whole
+
+
+@dataclass(frozen=True)
+class PressureModel:
+    """The Gaussian process, with the hyperparameters that held-out groups of touches choose.
+
+    Attributes:
+        steps: Of Adam, as of `choose_hyperparameters`.
+        folds: Parts of cross-validation, at most as many as groups.
+        limit: Touches that hyperparameters are chosen on.
+    """
+
+    steps: int = 40
+    folds: int = 4
+    limit: int = 600
+
+    def fit(self, key: Key[Array, ""], data: PressureTouches) -> GP:
+        """Condition the process on touches.
+
+        Args:
+            key: Of the folds, and of the sample where there are many touches.
+            data: The touches.
+
+        Returns:
+            The fitted process.
+
+        Raises:
+            ValueError: The hyperparameters cannot be chosen (see `choose_hyperparameters`).
+        """
+        touches, groups, readings = data.pressure, data.groups, jax.device_put(data.reading)
+        seed = int(jax.random.key_data(key)[-1])  # of `jax.random.key(seed)`, the seed
+        hyper, _ = choose_hyperparameters(
+            touches, readings, groups, steps=self.steps, folds=self.folds, limit=self.limit, seed=seed
+        )
+        return jax.jit(fit)(hyper, touches, readings)
+
+
+def load_pressure_gp(path: Path | str) -> GP:
+    """Read a process from its file.
+
+    Args:
+        path: Of a file that `GP.save` wrote.
+
+    Returns:
+        The process, in float32.
+
+    Raises:
+        SerializationError: The file is missing, damaged or something else.
+    """
+    return load_fitted(path, FILE_KIND, GP, _checked)
+
+
+def _checked(path: Path | str, gp: GP, about: dict[str, Any]) -> GP:
+    """A process in float32, if its parts fit."""
+    n, channels, m = *gp.weights.shape, gp.touches.pressure.shape[-1]
+    lengths = len(LENGTHS_MM)
+    shapes = {
+        "hyper.weights": (lengths,), "hyper.bend": (), "hyper.width": (), "hyper.noise": (), "unit": (lengths,),
+        "touches.pressure": (n, m, m), "touches.load": (n,), "cholesky": (n, n), "weights": (n, channels),
+        "scale": (channels,),
+    }  # fmt: skip
+    serialization.check_arrays(path, gp, shapes, "fit it again")
+    return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), gp)
 
 
 def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
@@ -176,30 +279,13 @@ def predict(gp: GP, touches: ContactPressure) -> tuple[Float[Array, "n c"], Floa
     return mean * gp.scale[None], jnp.sqrt(variance)[:, None] * gp.scale[None]
 
 
-def condition(
-    touches: ContactPressure,
-    readings: Float[Array, "n c"] | Float[np.ndarray, "n c"],
-    groups: Int[np.ndarray, " n"],
-    *,
-    seed: int = 0,
-) -> GP:
-    """A GP conditioned on touches, with the hyperparameters that held-out groups of them choose.
+_predict = jax.jit(predict)
 
-    Args:
-        touches: n contact pressures.
-        readings: uT, measured at them.
-        groups: The run or spatial block of each touch, which cross-validation leaves whole.
-        seed: Of the folds, and of the sample where there are many touches.
 
-    Returns:
-        The fitted GP.
-
-    Raises:
-        ValueError: The hyperparameters cannot be chosen (see `choose_hyperparameters`).
-    """
-    values = jax.device_put(readings)
-    hyper, _ = choose_hyperparameters(touches, values, groups, seed=seed)
-    return jax.jit(fit)(hyper, touches, values)
+@jax.jit
+def _left_out(gp: GP) -> Float[Array, "n channels"]:
+    half = jax.scipy.linalg.solve_triangular(gp.cholesky, jnp.eye(len(gp.cholesky)), lower=True)
+    return leave_out_rows(jnp.sum(half**2, axis=0), gp.weights).error * gp.scale[None]
 
 
 def choose_hyperparameters(

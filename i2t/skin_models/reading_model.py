@@ -31,7 +31,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
@@ -44,7 +44,7 @@ from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import POISSON_RATIO, YOUNG_PA
 from i2t.skin_models import magnetization as physics
 from i2t.skin_models import pressure_gp as gp
-from i2t.skin_models.layer import NOMINAL_LAYER, Layer
+from i2t.skin_models.layer import MIN_LOAD_N, NOMINAL_LAYER, Layer
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.types import Board, in_one_line
 
@@ -146,6 +146,101 @@ class _Models(NamedTuple):
 # Factors of a thousand rows are too small to share: threads that wait in BLAS cost more than they give, and several
 # hyperparameters are tried at a time instead.
 _one_thread_each = threadpool_limits.wrap(limits=1, user_api="blas")
+
+
+def readings_at_loads(
+    model: LinearReadingModel, newtons: Float[Array, "l cells"]
+) -> tuple[Float[Array, "l c"], Float[Array, " l"]]:
+    """Readings of a pressure with each load of the model.
+
+    Args:
+        model: Of the pad.
+        newtons: On each cell, with each load.
+
+    Returns:
+        Readings (uT), and their variances relative to the square of a channel's signal.
+    """
+    reading = jnp.einsum("lx,lxc->lc", newtons, model.mean, precision="highest")
+    return reading, jnp.sum(jnp.einsum("lx,lxr->lr", newtons, model.root, precision="highest") ** 2, axis=-1)
+
+
+def interpolate_reading(
+    reading: Float[Array, "l c"], variance: Float[Array, " l"], loads: Float[Array, " l"], force: Float[Array, ""]
+) -> tuple[Float[Array, " c"], Float[Array, ""]]:
+    """A reading at any load: between those predicted, or beyond them.
+
+    Readings per newton are linear in the logarithm of the load, up to one step between loads beyond the outer ones, and
+    constant from there.
+
+    Args:
+        reading: uT, at `loads`.
+        variance: Relative, at `loads`.
+        loads: Ascending (N).
+        force: The load asked for (N); none and less is no touch.
+
+    Returns:
+        Reading (uT) and its relative variance; zero without load.
+    """
+    i, step, newtons = load_step(loads, force)
+    between = partial(interpolate, i, jnp.clip(step, -1.0, 2.0))
+    at_force = jnp.exp(between(jnp.log(jnp.maximum(variance / loads**2, 1e-12)))) * newtons**2
+    pressed = force > 0
+    return (
+        jnp.where(pressed, between(reading / loads[:, None]) * newtons, 0.0),
+        jnp.where(pressed, at_force, 0.0),
+    )
+
+
+def load_step(
+    loads: Float[Array, " l"], force: Float[Array, ""]
+) -> tuple[Int[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    """Place of a load among others, in their logarithm.
+
+    Args:
+        loads: Ascending (N).
+        force: The load (N); the first of `loads` is taken in place of none.
+
+    Returns:
+        Number i of the load that it follows (or would), its steps from there to load i + 1, and the load (N).
+    """
+    at, knots = jnp.log(jnp.where(force > 0, force, loads[0])), jnp.log(loads)
+    i = jnp.clip(jnp.searchsorted(knots, at) - 1, 0, len(loads) - 2)
+    return i, (at - knots[i]) / (knots[i + 1] - knots[i]), jnp.exp(at)
+
+
+def interpolate(i: Int[Array, ""], step: Float[Array, ""], values: Float[Array, "l ..."]) -> Float[Array, "..."]:
+    """Linear interpolation between values i and i + 1.
+
+    Args:
+        i: The first.
+        step: Steps from there.
+        values: At all loads.
+
+    Returns:
+        The value.
+    """
+    low, high = (
+        jax.lax.dynamic_index_in_dim(values, i, keepdims=False),
+        jax.lax.dynamic_index_in_dim(values, i + 1, keepdims=False),
+    )
+    return low + step * (high - low)
+
+
+def read_pressure(
+    model: LinearReadingModel, newtons: Float[Array, " cells"], load: Float[Array, ""]
+) -> tuple[Float[Array, " c"], Float[Array, ""]]:
+    """Reading of one pressure.
+
+    Args:
+        model: Of the pad.
+        newtons: On each cell.
+        load: Their sum (N).
+
+    Returns:
+        Reading (uT), and its variance relative to the square of a channel's signal.
+    """
+    share = newtons / jnp.maximum(load, MIN_LOAD_N)
+    return interpolate_reading(*readings_at_loads(model, model.loads[:, None] * share), model.loads, load)
 
 
 @_one_thread_each

@@ -250,15 +250,16 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
     data.save_dataset(tmp_path / "set.h5", made)
     fitted, given = sample_pad(jax.random.key(0)), {}
 
-    def fitting(presses, readings, **how):
-        given.update(how, load=np.asarray(presses.load), readings=np.asarray(readings))
-        return PadFit(fitted, layer_prior().median, readings + 3.0)
+    def fitting(model, _, pressed):
+        given.update(model=model, load=np.asarray(pressed.presses.load), readings=np.asarray(pressed.reading))
+        given.update(board=pressed.board)
+        return PadFit(fitted, layer_prior().median, np.full((60, len(fitted.gains)), 3.0))
 
-    monkeypatch.setattr(pad, "fit_pad", fitting)
+    monkeypatch.setattr(pad.MagnetizationModel, "fit", fitting)
     words = ["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(tmp_path / "pad.npz")]
     assert command.main(words) == 0
-    assert given["tip"] == RoundTip("sphere", 4e-3)
-    assert given["by_force"]
+    assert given["model"].tip == RoundTip("sphere", 4e-3)
+    assert given["model"].by_force
     order, wanted = np.argsort(given["load"]), np.argsort(made.touches.force)
     np.testing.assert_allclose(given["load"][order], made.touches.force[wanted], rtol=1e-6)
     np.testing.assert_allclose(given["readings"][order], made.touches.reading[wanted], rtol=1e-5)

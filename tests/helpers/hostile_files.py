@@ -43,7 +43,7 @@ from i2t.recordings.read import read_recordings
 from i2t.skin.boards import reskin_board
 from i2t.skin.files import load_pad
 from i2t.skin_models.calibration import load_calibration
-from i2t.skin_models.pad_model_files import load_pad_model
+from i2t.skin_models.pad_model import load_pad_model
 
 GIB = 2**30
 PATIENCE_S = 60

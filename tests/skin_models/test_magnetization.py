@@ -13,11 +13,12 @@ from i2t.skin import boards, contact
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import POISSON_RATIO, press, press_force, sample_pad
 from i2t.skin_models import magnetization as physics
-from i2t.skin_models.magnetization import Presses, RoundTip, parse_tip
+from i2t.skin_models.magnetization import MagnetizationModel, Presses, RoundTip, TipReadings, parse_tip
 
 COARSE = Grid(20, 32)  # a quarter of the dipoles; pads are made and fitted on the same
 TIP = RoundTip("sphere", 4e-3)
 BOARD = boards.reskin_board()
+ONE_LINEARIZATION = MagnetizationModel(TIP, by_force=True, linearizations=1)
 
 
 @pytest.mark.full
@@ -58,16 +59,8 @@ def test_a_pad_is_found_again_and_says_how_far_it_is_off():
 
     readings = np.asarray(read(pad, *presses) + jnp.float32(rng.normal(size=(60, 15))))
     known, (at, depth), held = Presses(*(part[:30] for part in presses)), (part[30:] for part in presses), readings[30:]
-    fitted = physics.fit_pad(
-        known,
-        jnp.float32(readings[:30]),
-        tip=TIP,
-        board=BOARD,
-        by_force=False,
-        grid=COARSE,
-        max_layer_presses=16,
-        linearizations=2,
-    )
+    model = MagnetizationModel(TIP, by_force=False, grid=COARSE, max_layer_presses=16, linearizations=2)
+    fitted = model.fit(None, TipReadings(known, jnp.float32(readings[:30]), BOARD))
     # The fitted pad, pressed by the simulator, reads what the true one does.
     again = read(fitted.pad, at + fitted.layer.tip_offset[None], depth - fitted.layer.contact_offset)
     off = np.sqrt(np.mean((held - again) ** 2))
@@ -76,7 +69,7 @@ def test_a_pad_is_found_again_and_says_how_far_it_is_off():
     assert np.sum((truth - fitted.pad.magnetization) ** 2) < 0.7 * np.sum(truth**2)
     assert abs(fitted.layer.thickness - pad.thickness) < 0.5e-3
     # What it says of presses left out is what it does on presses that it has not seen.
-    assert 0.5 * off < np.sqrt(np.mean((readings[:30] - fitted.leave_one_out) ** 2)) < 2 * off
+    assert 0.5 * off < np.sqrt(np.mean(fitted.left_out**2)) < 2 * off
 
 
 @pytest.mark.full
@@ -94,11 +87,14 @@ def test_a_pad_is_found_again_from_presses_by_force_at_symmetric_places():
         return jax.lax.map(lambda at: press_force(pad, TIP.height(at[0], COARSE), at[1], grid=COARSE).reading, presses)
 
     readings = read(presses) + jnp.float32(rng.normal(size=(60, 15)))
-    fit = partial(physics.fit_pad, presses, readings, tip=TIP, board=BOARD, by_force=True, grid=COARSE)
-    fitted, start = fit(max_layer_presses=40, linearizations=6), fit(linearizations=0)
+    model = partial(MagnetizationModel, TIP, by_force=True, grid=COARSE)
+    fitted, start = (
+        model(**options).fit(None, TipReadings(presses, readings, BOARD))
+        for options in ({"max_layer_presses": 40, "linearizations": 6}, {"linearizations": 0})
+    )
     np.testing.assert_allclose(fitted.layer.thickness, pad.thickness, rtol=0.02)
     np.testing.assert_allclose(fitted.layer.young, pad.young, rtol=0.05)
-    errors = [np.sum((readings - pad_fit.leave_one_out) ** 2) for pad_fit in (fitted, start)]
+    errors = [np.sum(pad_fit.left_out**2) for pad_fit in (fitted, start)]
     assert errors[0] < 0.5 * errors[1]
 
 
@@ -163,42 +159,42 @@ def linear_layer(monkeypatch):
         return jnp.asarray(arrays["value"] + np.tensordot(now, arrays["changes"], 1)), jnp.asarray(arrays["changes"])
 
     monkeypatch.setattr(physics, "_design_derivatives", derivatives)
-    pressed = physics._LayerPresses(presses, jnp.float32(readings), TIP, BOARD, True, GRID)
+    pressed = TipReadings(presses, jnp.float32(readings), BOARD)
     return pressed, prior, arrays, true
 
 
 def test_a_layer_is_found_by_the_presses_whose_derivatives_are_finite(linear_layer, monkeypatch):
     pressed, prior, arrays, true = linear_layer
-    layer = physics._fit_layer(pressed, prior, 1)
+    layer = physics._fit_layer(ONE_LINEARIZATION, pressed, prior)
     thickness, young = (getattr(prior.median, name) for name in ("thickness", "young"))
     np.testing.assert_allclose(np.log(layer.thickness / thickness) / prior.std.thickness, true[0], atol=0.1)
     np.testing.assert_allclose(np.log(layer.young / young) / prior.std.young, true[2], atol=0.1)
     arrays["changes"][4, 7] = np.nan
     monkeypatch.setattr(physics, "LBFGS_STEPS", 2)
     with pytest.warns(UserWarning, match="1 of 12 presses are left out .* row 7"):
-        again = physics._fit_layer(pressed, prior, 1)
+        again = physics._fit_layer(ONE_LINEARIZATION, pressed, prior)
     assert np.isfinite(again.thickness)
 
 
 def test_a_fit_of_a_layer_that_cannot_begin_is_refused(linear_layer):
     pressed, prior, arrays, _ = linear_layer
     with pytest.raises(ValueError, match="no pad explains these presses"):
-        physics._fit_layer(pressed._replace(readings=1e30 * pressed.readings), prior, 1)
+        physics._fit_layer(ONE_LINEARIZATION, pressed._replace(reading=1e30 * pressed.reading), prior)
     arrays["value"][:] = np.nan
     with pytest.raises(ValueError, match="no pad explains these presses"):
-        physics._fit_layer(pressed, prior, 1)
+        physics._fit_layer(ONE_LINEARIZATION, pressed, prior)
 
 
 def test_presses_that_are_not_finite_are_refused():
     presses, readings = Presses(jnp.zeros((6, 2)), jnp.ones(6)), jnp.ones((6, 15))
-    fit = partial(physics.fit_pad, tip=TIP, board=BOARD, by_force=True)
+    model = MagnetizationModel(TIP, by_force=True)
     for given, name in (
         ((presses._replace(position=presses.position.at[2, 1].set(jnp.nan)), readings), "positions"),
         ((presses._replace(load=presses.load.at[2].set(jnp.inf)), readings), "loads"),
         ((presses, readings.at[2, 3].set(jnp.nan)), "readings"),
     ):
         with pytest.raises(ValueError, match=f"1 presses have {name} that are not finite, the first in row 2"):
-            fit(*given)
+            model.fit(None, TipReadings(*given, BOARD))
 
 
 def test_left_out_is_what_leaving_out_gives():

@@ -1,62 +1,82 @@
-"""The error of a position as left-out touches show it, against the distribution that they were drawn from."""
+"""Pad models on disk, and which skin they are of."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
 
-from i2t.skin_models.likelihood import ScaleMixture, fit_position_errors
+from i2t.errors import DataError, SerializationError
+from i2t.files import serialization
+from i2t.skin import boards
+from i2t.skin.pad import nominal_pad
+from i2t.skin_models.layer import Layer
+from i2t.skin_models.likelihood import fit_likelihood
+from i2t.skin_models.pad_model import (
+    KnownPad,
+    PadModel,
+    PadOrigin,
+    load_pad_model,
+    require_skin,
+    same_board,
+    save_pad_model,
+)
+from i2t.skin_models.reading_model import LinearReadingModel
+from i2t.types import Board
 
-STD, SHARE = np.array([0.1e-3, 0.8e-3]), np.array([0.85, 0.15])
-
-
-def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of the mixture with known variances of their own on top."""
-    rng = np.random.default_rng(seed)
-    own = rng.uniform(0, 0.2e-3, count)
-    return rng.normal(size=count) * np.hypot(rng.choice(STD, count, p=SHARE), own), own**2
-
-
-def tail(mixture: ScaleMixture, beyond: float) -> float:
-    """Probability of an error larger than that (m)."""
-    return float(np.sum(mixture.share * 2 * stats.norm.sf(beyond, scale=mixture.std)))
-
-
-def _total_std(mixture: ScaleMixture) -> float:
-    """Standard deviation of the whole."""
-    return float(np.sqrt(np.sum(mixture.share * mixture.std**2)))
-
-
-def test_a_mixture_is_found_again_without_the_variance_that_is_known():
-    errors, variance = drawn(20_000)
-    found = fit_position_errors(errors, variance)
-    assert found.share.sum() == pytest.approx(1)
-    truth = ScaleMixture(STD, SHARE)
-    assert _total_std(found) == pytest.approx(_total_std(truth), rel=0.03)
-    for beyond in (0.1e-3, 0.3e-3, 1e-3, 1.5e-3):
-        assert tail(found, beyond) == pytest.approx(tail(truth, beyond), abs=0.01)
-    # What is known is no part of it: taken for nothing, it widens the middle.
-    assert tail(fit_position_errors(errors, 0 * variance), 0.1e-3) > tail(truth, 0.1e-3) + 0.05
+CHANNELS, CELLS = 15, 9
+BOARD = boards.reskin_board()
 
 
-def test_errors_that_are_not_finite_are_refused():
-    with pytest.raises(ValueError, match="1 of 3 errors of position are not finite"):
-        fit_position_errors(np.array([1e-4, np.nan, 0.0]), np.zeros(3))
+@pytest.fixture(scope="module")
+def known() -> KnownPad:
+    rng = np.random.default_rng(0)
+    loads, scale = jnp.float32([0.3, 0.9, 2.7]), jnp.full(CHANNELS, 30, jnp.float32)
+    errors = rng.normal(size=(40, CHANNELS))
+    likelihood = fit_likelihood(errors, scale, loads, overtravel=6e-3, position_std=1e-4)
+    mean, root = rng.normal(size=(3, CELLS, CHANNELS)), rng.normal(size=(3, CELLS, 4))
+    reading_model = LinearReadingModel(*(jnp.float32(part) for part in (loads, mean, root, scale, 1.1)))
+    model = PadModel(reading_model, likelihood, np.full(CHANNELS, 20.0), 0.5, errors)
+    return KnownPad(model, BOARD, PadOrigin("skin A", "real", ("hexagon", "mug"), 300, "DATA/known"))
 
 
-def test_few_touches_leave_a_tail_and_many_normal_ones_hardly_any():
-    rng = np.random.default_rng(1)
-    few, many = (fit_position_errors(rng.normal(scale=0.1e-3, size=count), np.zeros(count)) for count in (10, 5000))
-    assert tail(few, 0.5e-3) > 0.02
-    assert tail(many, 0.5e-3) < 0.005
-    assert (many.share > 0).all()
+def test_a_pad_model_comes_back_with_its_skin(known, tmp_path):
+    save_pad_model(tmp_path / "pad_model.npz", known)
+    again = load_pad_model(tmp_path / "pad_model.npz")
+    assert again.origin == known.origin
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), again.model, known.model)
+    np.testing.assert_allclose(again.board.chips, BOARD.chips, atol=1e-9)
 
 
-def test_outliers_are_no_part_of_the_mixture():
-    errors, variance = drawn(5000, 2)
-    strays = np.random.default_rng(3).uniform(-16e-3, 16e-3, 50)
-    with_strays = np.append(errors, strays), np.append(variance, np.zeros(50))
-    known = fit_position_errors(*with_strays, outlier_density=0.01 / 32e-3)
-    blamed = fit_position_errors(*with_strays)
-    clean = fit_position_errors(errors, variance)
-    assert _total_std(known) == pytest.approx(_total_std(clean), rel=0.08)
-    assert _total_std(blamed) > 1.08 * _total_std(clean)
+def test_parts_of_different_boards_are_no_pad_model(known, tmp_path):
+    path = tmp_path / "pad_model.npz"
+    soft = known.model.reading_model._replace(layer=Layer(young=np.nan))
+    for broken, said in (
+        (known._replace(board=boards.grid_board(2, 2)), r"reading_model.mean is not \(3, 9, 12\) finite numbers"),
+        (known._replace(model=known.model._replace(reading_std=np.full(CHANNELS, np.nan))), "reading_std"),
+        (known._replace(model=known.model._replace(reading_model=soft)), r"layer.young is not \(\) finite numbers"),
+    ):
+        save_pad_model(path, broken)
+        with pytest.raises(SerializationError, match=said):
+            load_pad_model(path)
+    serialization.save(path, "i2t pad", nominal_pad())
+    with pytest.raises(SerializationError, match="holds a i2t pad, not a i2t pad model"):
+        load_pad_model(path)
+
+
+def test_another_skin_is_refused_by_both_names_and_another_board_whatever_is_asked(known):
+    skin = known.skin
+    assert require_skin(skin, ["skin A"], BOARD, "DATA/new") is None
+    with pytest.raises(DataError, match=r'DATA/new: the skin is "skin B", and .* DATA/known is of "skin A"'):
+        require_skin(skin, ["skin A", "skin B"], BOARD, "DATA/new")
+    said = require_skin(skin, ["skin B"], BOARD, "DATA/new", other_skin=True)
+    assert said is not None
+    assert all(words in said for words in ("ANOTHER SKIN: ", '"skin B"', '"skin A"'))
+    for other in (boards.anyskin_board(), boards.grid_board(4, 4)):
+        with pytest.raises(DataError, match=r"5 chips, the first at .* mm, turned by 0, 90, 0, -90"):
+            require_skin(skin, ["skin A"], other, "DATA/new", other_skin=True)
+
+
+def test_boards_are_the_same_up_to_the_depth_of_their_chips():
+    fitted = nominal_pad(board=BOARD).board
+    assert same_board(BOARD, Board(*(np.asarray(part) for part in fitted)))
+    assert not same_board(BOARD, BOARD._replace(chips=BOARD.chips[::-1]))

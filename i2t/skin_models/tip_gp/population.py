@@ -274,6 +274,18 @@ def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
     return each / (n + SHARED_PRESSES)
 
 
+def left_out_errors(gp: PopulationGP) -> Float[np.ndarray, "n c"]:
+    """Errors of a mixture on its presses, each predicted from all others with the weights that all gave.
+
+    Args:
+        gp: The mixture.
+
+    Returns:
+        Measured minus predicted (uT).
+    """
+    return gp.readings - _left_out_mixture(gp)[0]
+
+
 # --- the mixture's members and their weights ---
 
 

@@ -1,0 +1,322 @@
+"""Pad models: readings of one pad at a contact and the errors of their prediction, fitted to recorded touches.
+
+Each recorded session's object is registered by its own contacts first (`i2t.registration.touch`): the contact is then
+known ten times better than from the camera's view. The contact's pressure on the layer that explains the readings best,
+at the measured force, and the reading fit a reading model (`i2t.skin_models.reading_model`); its errors on touches left
+out fit the likelihood of `i2t.recognition.belief`.
+
+Where presses end is predicted worse than the contacts that a pose was fitted to suggest. So each session is registered
+once more from a part of its touches, and the errors of predicting where the others ended, less what the pose's own
+uncertainty and that of an indentation make, give the distribution of a position's error, tails included
+(`fit_position_errors`).
+
+Metres, newtons, microtesla.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Key
+
+from i2t.contact.press import PressLimits
+from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures
+from i2t.dataset import Dataset
+from i2t.geometry import full_precision, inverse
+from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
+from i2t.registration import touch as registration
+from i2t.registration.estimate import PoseEstimate
+from i2t.runtime.batching import a_few_at_a_time, select_rows
+from i2t.runtime.compiling import jit_quickly
+from i2t.simulation.touches import SimulationErrors
+from i2t.skin.elasticity import CELL_GRID
+from i2t.skin_models.layer import MIN_LOAD_N, Layer, approach, contact_pressures, layer_pad
+from i2t.skin_models.likelihood import (
+    INDENTATION_ERROR,
+    OUTLIER_RATE,
+    ScaleMixture,
+    fit_likelihood,
+    fit_position_errors,
+    outlier_range,
+)
+from i2t.skin_models.pad_model import KnownPad, PadModel, origin_of
+from i2t.skin_models.reading_model import (
+    CHOOSING_TOUCHES,
+    LAYERS,
+    FittedReadings,
+    PressedTouches,
+    choose_layer,
+    fit_readings,
+)
+from i2t.types import Board, Surface, Touches, Truth
+
+POSITION_FOLDS = 3  # of a session's touches, each predicted from the others
+FEW_SESSIONS = 5  # of no more, compiling their registrations quickly pays; last digits may differ from those of more
+REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
+
+
+class _Positions(NamedTuple):
+    """Ends of left-out touches, by a registration from others."""
+
+    indentation: Float[np.ndarray, " n"]  # m past the predicted contact, less what the arm yields
+    nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer there
+    variance: Float[np.ndarray, " n"]  # m^2, of the predicted contact, as the pose is uncertain
+    hit: Bool[np.ndarray, " n"]  # whether the object was there at all
+
+
+class ObjectTouches(NamedTuple):
+    """Touches of one skin on objects whose surfaces are known."""
+
+    dataset: Dataset  # with measured forces
+    rows: Bool[np.ndarray, " n"]  # which of its touches are used
+    surfaces: Mapping[str, Surface]  # of their objects, by name
+    made_from: str = "touches at hand"  # the run, data set or file, which messages name
+
+
+@dataclass(frozen=True)
+class ContactModel:
+    """A pad model, which predicts the reading of any contact.
+
+    Attributes:
+        errors: How far objects may be from where they are believed.
+        limits: How the touches were pressed.
+    """
+
+    errors: SimulationErrors
+    limits: PressLimits
+
+    def fit(self, key: Key[Array, ""], data: ObjectTouches) -> KnownPad:
+        """Fit a pad model to touches of objects whose surfaces are known.
+
+        Args:
+            key: Of the registrations.
+            data: The touches, of one skin.
+
+        Returns:
+            The pad model with its skin; its r2 and errors are those of left-out touches.
+
+        Raises:
+            ValueError: The touches say nothing finite of how soft the pad is.
+        """
+        dataset, rows, _, made_from = data
+        return KnownPad(self._fit(key, data), dataset.board, origin_of(dataset, rows, made_from))
+
+    def _fit(self, key: Key[Array, ""], data: ObjectTouches) -> PadModel:
+        errors, limits, touches = self.errors, self.limits, data.dataset.touches
+        sessions, often = _registered(key, data, errors)
+        layer = LAYERS[_choose_layer(sessions, touches, data.dataset.board, limits.overtravel)]
+        used, nominal, pressed = _pressed_touches(sessions, touches, layer, limits.overtravel)
+        load = np.asarray(pressed.pressure.load)
+        depth = touches.depth[used] - load / limits.stiffness
+        if not (np.isfinite(nominal * depth).all() and nominal.any()):
+            raise ValueError(
+                "the softness of the pad is not known from these touches; leave out those whose depth or force is not "
+                "finite, and give some that press a known object"
+            )
+        softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
+        left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits, often=often)
+        folds = a_few_at_a_time(left_out, product(sessions, range(POSITION_FOLDS)))
+        positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
+        position = _position_errors(positions, softness, limits)
+        fitted = fit_readings(pressed, layer, data.dataset.board, softness=softness)
+        return _pad_model(fitted, pressed.reading, position, limits)
+
+
+def fit_oracle_pad_model(
+    dataset: Dataset, rows: Bool[np.ndarray, " n"], pad_model: PadModel, limits: PressLimits
+) -> PadModel:
+    """Fit the pad model that the same simulated touches would give without errors of pose and reading: a bound, not a
+    method.
+
+    Args:
+        dataset: Simulated touches with their truth.
+        rows: Which of them are used.
+        pad_model: What was fitted to them; gives the mechanics.
+        limits: How the touches were pressed.
+
+    Returns:
+        The pad model; its errors are those of predicting the recorded readings.
+    """
+    used = np.flatnonzero(rows)
+    touches = jax.tree.map(lambda x: x[used], dataset.touches)
+    truth: Truth = touches.truth
+    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
+    own, likelihood = pad_model.reading_model, pad_model.likelihood
+    pad = layer_pad(own.layer)
+    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, pad)
+    fitted = fit_readings(
+        PressedTouches(pressed, np.asarray(truth.reading)), own.layer, dataset.board, softness=float(own.softness)
+    )
+    recorded = np.asarray(touches.reading)
+    fitted = fitted._replace(left_out=fitted.left_out + recorded - truth.reading)
+    position = ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share))
+    return _pad_model(fitted, recorded, position, limits)
+
+
+class _SessionContacts(NamedTuple):
+    """Touches of one session, filled up with repeated ones so that one compilation serves most sessions."""
+
+    touches: Touches
+    T_w_contact: Float[np.ndarray, "m 4 4"]  # at first contact
+    met: Bool[np.ndarray, " m"]  # no repeated one
+    own: int  # number of touches that are not repeated
+
+
+def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
+    padded = np.resize(here, max(REGISTERED_TOUCHES, len(here)))
+    some = select_rows(touches, padded)
+    T_w_contact, met = registration.contact_poses(some)
+    return _SessionContacts(some, T_w_contact, met & (np.arange(len(padded)) < len(here)), len(here))
+
+
+class _Session(NamedTuple):
+    """A session whose object is registered."""
+
+    rows: np.ndarray  # of its touches
+    key: Array
+    surface: Surface
+    contacts: _SessionContacts
+    found: PoseEstimate
+
+
+def _registered(key: Key[Array, ""], data: ObjectTouches, errors: SimulationErrors) -> tuple[list["_Session"], bool]:
+    """Sessions with their objects registered, and whether these are so many that compiling takes its time."""
+    touches = data.dataset.touches
+    seen = []
+    for session in np.unique(touches.session[data.rows]):
+        here = np.flatnonzero(data.rows & (touches.session == session))
+        surface = data.surfaces[data.dataset.objects[int(touches.object[here[0]])]]
+        seen.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
+    often = len(seen) > FEW_SESSIONS
+    register = partial(_register_session, errors=errors, often=often)
+    found = a_few_at_a_time(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
+    sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
+    return sessions, often
+
+
+def _pressed_touches(
+    sessions: Sequence[_Session], touches: Touches, layer: Layer, overtravel: float
+) -> tuple[np.ndarray, np.ndarray, PressedTouches]:
+    """Press a layer onto the registered objects: rows of the touches that met one, the layer's indentations (m), and
+    the touches.
+    """
+    calls = (
+        (each.surface, each.found.T_w_o, each.contacts.T_w_contact, each.contacts.touches.force, layer, True)
+        for each in sessions
+    )
+    press = partial(_press, overtravel=overtravel)
+    parts = [
+        (each.rows, pressed.indentation[: each.contacts.own], pressed.newtons[: each.contacts.own])
+        for each, pressed in zip(sessions, a_few_at_a_time(press, calls), strict=True)
+    ]
+    rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
+    met = np.isfinite(nominal)
+    load = np.maximum(touches.force[rows[met]], MIN_LOAD_N)
+    shape = (-1, CELL_GRID.cells, CELL_GRID.cells)
+    pressed = ContactPressure(jnp.asarray(newtons[met].reshape(shape)), jnp.asarray(load))
+    return rows[met], nominal[met], PressedTouches(pressed, touches.reading[rows[met]])
+
+
+def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board, overtravel: float) -> int:
+    """Choose the layer on some sessions, as every layer presses their touches."""
+    shuffled = [sessions[i] for i in np.random.default_rng(0).permutation(len(sessions))]
+    enough = int(np.searchsorted(np.cumsum([len(each.rows) for each in shuffled]), CHOOSING_TOUCHES)) + 1
+    some = shuffled[:enough]
+    return choose_layer([_pressed_touches(some, touches, layer, overtravel)[2] for layer in LAYERS], LAYERS, board)
+
+
+def _register_session(
+    key: Key[Array, ""],
+    surface: Surface,
+    contacts: _SessionContacts,
+    met: Bool[np.ndarray, " m"],
+    *,
+    errors: SimulationErrors,
+    often: bool,
+) -> PoseEstimate:
+    """The object's pose by the contacts that met it, or by some of them."""
+    return registration.register_by_touch(
+        key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
+        translation_std=errors.placement, rotation_std=errors.placement_angle, often=often,
+    )  # fmt: skip
+
+
+def _left_out_positions(
+    session: _Session, which: int, *, layer: Layer, errors: SimulationErrors, limits: PressLimits, often: bool
+) -> _Positions:
+    """Ends of the touches of one fold of a session that met something, predicted from those of the other folds."""
+    _, key, surface, contacts, _ = session
+    fold = np.arange(len(contacts.met)) % POSITION_FOLDS
+    # The same starts and draws in every fold, so that they differ in their touches alone.
+    key = jax.random.clone(key)
+    found = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors, often=often)
+    force = np.maximum(contacts.touches.force, np.float32(MIN_LOAD_N))
+    T_w_t, overtravel = contacts.touches.T_w_t, limits.overtravel
+    predicted = jax.device_get(_press(surface, found.T_w_o, T_w_t, force, layer, False, overtravel=overtravel))
+    # A press ends at the pose it reports, which is its site here: contact lies as far before it.
+    indentation = -predicted.distance - force / limits.stiffness
+    variance = np.einsum("ni,ij,nj->n", predicted.jacobian, np.asarray(found.covariance), predicted.jacobian)
+    rows = np.asarray(contacts.met) & (fold == which)
+    nominal = np.where(predicted.hit, predicted.indentation, 0.0)
+    return _Positions(indentation[rows], nominal[rows], variance[rows], predicted.hit[rows])
+
+
+def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:
+    expected = softness * positions.nominal
+    error = positions.indentation - expected
+    variance = positions.variance + (INDENTATION_ERROR * expected) ** 2
+    density = OUTLIER_RATE / outlier_range(limits.overtravel)
+    return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
+
+
+class _Pressed(NamedTuple):
+    """Presses of a layer on an object."""
+
+    distance: Float[Array, " n"]  # m, from the pose to first contact
+    jacobian: Float[Array, "n 6"]  # of that along the twist of the object's pose
+    hit: Bool[Array, " n"]  # whether the object is there
+    indentation: Float[Array, " n"]  # m, infinite where there is nothing to press on
+    newtons: Float[Array, "n cells"]  # on each cell
+
+
+@jit_quickly
+@full_precision
+def _press(
+    surface: Surface,
+    T_w_o: Array,
+    T_w_t: Array,
+    force: Array,
+    layer: Layer,
+    at_once: bool | Array,
+    *,
+    overtravel: float | Array,
+) -> _Pressed:
+    """Press a layer where it meets an object along z of each pose, or at the pose itself (`at_once`): one compilation
+    serves both.
+    """
+
+    def one(T: Array, f: Array) -> _Pressed:
+        (distance, (T_o_t, hit)), jacobian = approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
+        T_o_t = jnp.where(at_once, inverse(T_w_o) @ T, T_o_t)
+        indentation, newtons = contact_pressures(surface, T_o_t, f[None], layer)
+        met = hit & jnp.isfinite(indentation[0])
+        return _Pressed(distance, jnp.where(met, jacobian, 0.0), met, indentation[0], newtons[0])
+
+    return jax.vmap(one)(T_w_t, force)
+
+
+def _pad_model(fitted: FittedReadings, recorded: np.ndarray, position: ScaleMixture, limits: PressLimits) -> PadModel:
+    """The pad model of a reading model with its errors on left-out touches, and of errors (m) of where presses end."""
+    errors, model = fitted.left_out, fitted.model
+    likelihood = fit_likelihood(
+        errors, model.scale, model.loads,
+        overtravel=limits.overtravel, position_std=position, stiffness=limits.stiffness,
+    )  # fmt: skip
+    around = np.asarray(recorded) - np.mean(np.asarray(recorded), axis=0)
+    r2 = float(1 - np.sum(errors**2) / np.sum(around**2))
+    return PadModel(model, likelihood, around.std(axis=0), r2, errors)
