@@ -1,16 +1,20 @@
-"""Calibration of one skin from a few of its presses.
+"""Models of one skin, fitted to its touches: each is fitted, left out, saved and loaded by four verbs (`base`).
 
-`calibrate` predicts all other presses of the same tip, `check_presses` finds what in recorded presses contradicts any
-sound skin, and `segment_presses` finds presses in a continuous recording. Behind them: `model` is what a user holds and
-keeps on disk, `population_gp` the model (its covariance in `kernel`, its members in `prior`, what it weighs them by in
-`left_out`), and `structured_gp` the same with hyperparameters that are given; `plain_gp` is their baseline. `physics`
-fits a pad to presses. `heads` go from readings to position, depth and force, by the methods of `regression` and from
-what `recordings` reads.
+`calibration` is of one tip, by the Gaussian process of `tip_gp`. Of any contact are `pressure_gp`, a Gaussian process
+over contact pressure, and `pad_model`, which `pad_fit` fits to touches of known objects: a `reading_model` of the
+pressure on a `layer`, and the `likelihood` of its errors. `magnetization` fits a `Pad` to simulate with.
+`check_presses` finds what in recorded presses contradicts any sound skin.
 """
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from i2t.errors import SerializationError
+from i2t.files import serialization
 from i2t.recordings.diagnose import check_presses
-from i2t.recordings.segmentation import SegmentedPresses, segment_presses
-from i2t.skin_models.calibration import Calibration, LoadKind, calibrate, load_calibration
+from i2t.skin_models.base import FittedSkinModel, SkinModel
+from i2t.skin_models.calibration import Calibration, LoadKind, TipModel, TipPresses, calibrate, load_calibration
 from i2t.skin_models.tip_gp.structured import (
     DEPTH_HYPERPARAMETERS,
     FORCE_HYPERPARAMETERS,
@@ -18,14 +22,32 @@ from i2t.skin_models.tip_gp.structured import (
 )
 
 __all__ = [
-    "DEPTH_HYPERPARAMETERS",
-    "FORCE_HYPERPARAMETERS",
-    "Calibration",
-    "LoadKind",
-    "SegmentedPresses",
-    "StructuredGPHyperparameters",
-    "calibrate",
-    "check_presses",
+    "DEPTH_HYPERPARAMETERS", "FORCE_HYPERPARAMETERS", "Calibration", "FittedSkinModel", "LoadKind",
+    "SkinModel", "StructuredGPHyperparameters", "TipModel", "TipPresses", "calibrate", "check_presses", "load",
     "load_calibration",
-    "segment_presses",
-]
+]  # fmt: skip
+
+
+def load(path: Path | str) -> FittedSkinModel[Any]:
+    """Read a model of a skin, whichever it is.
+
+    Args:
+        path: Of a file that `save` of a fitted model wrote.
+
+    Returns:
+        The fitted model.
+
+    Raises:
+        SerializationError: The file is missing, damaged or holds no model of a skin.
+    """
+    from i2t.skin_models import calibration, magnetization, pad_model, pressure_gp
+
+    readers: dict[str, Callable[[Path | str], FittedSkinModel[Any]]] = {
+        calibration.FILE_KIND: load_calibration,
+        magnetization.FILE_KIND: magnetization.load_pad_fit,
+        pad_model.PAD_MODEL_KIND: pad_model.load_pad_model,
+        pressure_gp.FILE_KIND: pressure_gp.load_pressure_gp,
+    }
+    if (kind := serialization.file_kind(path)) not in readers:
+        raise SerializationError(f"{path}: holds a {kind}, which is no model of a skin; name a file that `save` wrote")
+    return readers[kind](path)

@@ -7,12 +7,12 @@
 
 A model is a value, a frozen dataclass of options; what `fit` returns is of one skin.
 
-| model | data | contact | fitted | read by |
-| --- | --- | --- | --- | --- |
-| `calibration.TipModel` | presses of one tip | position and load of that tip | `Calibration` | `load_calibration` |
-| `pressure_gp.PressureModel` | readings of contact pressures | `ContactPressure` | `GP` | `load_pressure_gp` |
-| `pad_fit.ContactModel` | touches of known objects | `ContactPressure` on its layer | `pad_model.KnownPad` | `load_pad_model` |
-| `magnetization.MagnetizationModel` | presses of one tip | `ContactPressure` | `PadFit` | `load_pad_fit` |
+| model | data | contact | fitted |
+| --- | --- | --- | --- |
+| `calibration.TipModel` | presses of one tip | position and load of that tip | `Calibration` |
+| `pressure_gp.PressureModel` | readings of contact pressures | `ContactPressure` | `GP` |
+| `pad_fit.ContactModel` | touches of known objects | `ContactPressure` on its layer | `pad_model.KnownPad` |
+| `magnetization.MagnetizationModel` | presses of one tip | `ContactPressure` | `PadFit` |
 
 Files are of one format (`i2t.files.serialization`); their header says which model they hold, and
 `i2t.skin_models.load` reads any of them.

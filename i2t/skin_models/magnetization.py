@@ -33,6 +33,7 @@ from jaxtyping import Array, Float, Key
 from scipy import optimize
 
 from i2t.contact.pressure import ContactPressure
+from i2t.errors import SerializationError
 from i2t.files import serialization
 from i2t.leave_one_out import leave_out_blocks
 from i2t.runtime.batching import map_batches
@@ -451,7 +452,7 @@ class PadFit(NamedTuple):
         """Simulate the readings of contacts.
 
         Args:
-            contact: m contact pressures on the pad's cells of 1 mm.
+            contact: m contact pressures on cells of 1 mm, as this pad has them (`predict_pressures` with `pad`).
 
         Returns:
             Mean reading (uT), and the root mean square of each channel's errors on presses left out.
@@ -475,8 +476,8 @@ class PadFit(NamedTuple):
 class _FitRecord(NamedTuple):
     """Fields of a fitted pad's file that stand beside the pad's."""
 
-    layer: LayerParameters
-    left_out: np.ndarray
+    layer: LayerParameters | None  # neither where the pad was saved alone
+    left_out: np.ndarray | None
 
 
 def load_pad_fit(path: Path | str) -> PadFit:
@@ -493,6 +494,8 @@ def load_pad_fit(path: Path | str) -> PadFit:
     """
 
     def build(path: Path | str, record: _FitRecord, about: dict[str, Any]) -> PadFit:
+        if record.layer is None or record.left_out is None:
+            raise SerializationError(f"{path}: holds a pad without its fit; read it by i2t.load_pad, or fit it again")
         pad = load_pad(path)
         shapes = {f"layer.{name}": np.shape(value) for name, value in layer_prior().median._asdict().items()}
         serialization.check_arrays(

@@ -240,7 +240,7 @@ def read_pressure(
         Reading (uT), and its variance relative to the square of a channel's signal.
     """
     share = newtons / jnp.maximum(load, MIN_LOAD_N)
-    return interpolate_reading(*readings_at_loads(model, model.loads[:, None] * share), model.loads, load)
+    return interpolate_reading(*readings_at_loads(model, model.loads[:, None] * share[None]), model.loads, load)
 
 
 @_one_thread_each

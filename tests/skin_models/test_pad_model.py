@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from i2t.contact.pressure import ContactPressure
 from i2t.errors import DataError, SerializationError
 from i2t.files import serialization
 from i2t.skin import boards
@@ -45,6 +46,19 @@ def test_a_pad_model_comes_back_with_its_skin(known, tmp_path):
     assert again.origin == known.origin
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), again.model, known.model)
     np.testing.assert_allclose(again.board.chips, BOARD.chips, atol=1e-9)
+
+
+def test_a_contact_reads_as_the_map_of_its_load_and_errs_as_touches_left_out(known):
+    model, likelihood = known.model.reading_model, known.model.likelihood
+    newtons = np.random.default_rng(1).uniform(size=(3, 3, 3)).astype(np.float32)
+    loads = np.asarray(model.loads)
+    newtons *= (loads / newtons.sum((1, 2)))[:, None, None]
+    mean, std = known.predict(ContactPressure(jnp.asarray(newtons), jnp.asarray(loads)))
+    flat = newtons.reshape(3, CELLS)
+    np.testing.assert_allclose(mean, np.einsum("lx,lxc->lc", flat, model.mean), rtol=1e-4, atol=1e-4)
+    variance = np.sum(np.einsum("lx,lxr->lr", flat, model.root) ** 2, axis=1)[:, None] * np.asarray(model.scale) ** 2
+    whiten = np.linalg.inv(np.asarray(likelihood.whiten, np.float64))
+    np.testing.assert_allclose(std, np.sqrt(np.diag(whiten @ whiten.T) + variance), rtol=1e-3)
 
 
 def test_parts_of_different_boards_are_no_pad_model(known, tmp_path):

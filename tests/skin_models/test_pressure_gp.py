@@ -85,6 +85,19 @@ def test_mean_and_variance_of_a_dense_process():
     np.testing.assert_allclose(std, np.sqrt(variance)[:, None] * scale, rtol=loss / noise)
 
 
+def test_errors_left_out_are_those_of_a_process_without_the_touch():
+    rng = np.random.default_rng(1)
+    touches = spots(rng, 20)
+    readings = rng.normal(scale=20, size=(20, CHANNELS)).astype(np.float32)
+    K, _ = covariance(HYPER, touches, touches, None)
+    K += (float(HYPER.noise) + gp.JITTER) * np.eye(20)
+    left_out = fit(HYPER, touches, jnp.asarray(readings)).left_out
+    for i in (0, 7):
+        rest = np.delete(np.arange(20), i)
+        expected = readings[i] - K[i, rest] @ np.linalg.solve(K[np.ix_(rest, rest)], readings[rest])
+        np.testing.assert_allclose(left_out[i], expected, rtol=1e-3, atol=1e-2)
+
+
 def test_no_pressure_gives_no_reading_and_one_prediction_does_not_depend_on_others():
     rng = np.random.default_rng(4)
     fitted = fit(HYPER, spots(rng, 30), jnp.float32(rng.normal(size=(30, CHANNELS))))

@@ -13,8 +13,13 @@ nonsense. NumPy, so that no number of presses compiles.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
+
+from i2t.skin_models.tip_gp import kernel
+from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
+from i2t.skin_models.tip_gp.left_out import Observed, condition_all
 
 MAX_FITTED_PRESSES = 300  # that hyperparameters are fitted to: the cost grows with the cube
 PRIOR_STDS = (0.7, 0.7, 2.0)  # of the logarithms of l, w and the noise
@@ -90,16 +95,36 @@ def predict_plain(
     """
     position, load, readings = known
     mean = readings.mean(0)
-    system = _covariance(scales, position, load, position, load) + max(scales.noise, LEAST_NOISE) * np.eye(len(load))
-    weights = cho_solve(cho_factor(system, lower=True), readings - mean)
-    return mean + _covariance(scales, *at, position, load) @ weights
+    noise = max(scales.noise, LEAST_NOISE)
+    kernels = plain_kernel(*(np.array([value]) for value in (scales.length, scales.width, noise, 0.0)))
+    pressed = kernel.geometry(position, load, None)
+    [given] = condition_all(kernels, pressed, Observed(readings - mean, np.zeros((len(load), 1))))
+    return mean + kernel.signal_covariances(kernels, kernel.geometry(*at, None), pressed)[0, 0] @ given.weights
 
 
-def _covariance(
-    scales: PlainScales, position: np.ndarray, load: np.ndarray, others: np.ndarray, other_loads: np.ndarray
-) -> np.ndarray:
-    far = ((position[:, None] - others) ** 2).sum(-1) / scales.length**2
-    return np.exp(-(far + (load[:, None] - other_loads) ** 2 / scales.width**2) / 2)
+def plain_kernel(
+    length: Float[np.ndarray, " s"],
+    width: Float[np.ndarray, " s"],
+    noise: Float[np.ndarray, " s"],
+    constant: Float[np.ndarray, " s"],
+) -> SkinKernels:
+    """Plain processes among the kernels of skins: squared exponential over position and load, without growth.
+
+    Args:
+        length: Over positions (m).
+        width: Over loads.
+        noise: Variance, relative to the signal's.
+        constant: Variance of a constant, relative to the signal's.
+
+    Returns:
+        The kernels.
+    """
+    one, none = np.ones(len(length)), np.zeros(len(length))
+    return SkinKernels(
+        load_power=none, load_offset=one, map_length=length, bend_share=one, bend_length=length, bend_load_width=width,
+        static_variance=none, static_length=length, constant_variance=constant, noise_variance=noise,
+        gain_noise_variance=none, chip_reach=one, far_amplitude=UNIFORM_FAR_AMPLITUDE * one,
+    )  # fmt: skip
 
 
 def _loss(

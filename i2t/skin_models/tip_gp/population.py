@@ -28,16 +28,25 @@ by the load.
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from scipy.special import logsumexp
 from scipy.stats import t as student_t
 
-from i2t.leave_one_out import leave_out_rows
 from i2t.skin_models.tip_gp import kernel
-from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, PressGeometry, SkinKernels, squared_distance
+from i2t.skin_models.tip_gp.heights import (
+    HEIGHT_LENGTHS_M,
+    HEIGHT_STDS,
+    MIN_HEIGHT_SHARE,
+    Heights,
+    height_inverses,
+    heights_at,
+    hypothesis_shares,
+    measured_heights,
+)
+from i2t.skin_models.tip_gp.kernel import PressGeometry, SkinKernels, squared_distance
 from i2t.skin_models.tip_gp.left_out import (
     Conditioned,
     LeftOutPresses,
@@ -48,6 +57,7 @@ from i2t.skin_models.tip_gp.left_out import (
     parts_that_lie_together,
     ungrouped,
 )
+from i2t.skin_models.tip_gp.members import NO_BOARD, Components, join_members, on_boards, take_members, with_previous
 from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior, with_plain
 from i2t.types import in_one_line
 
@@ -59,15 +69,12 @@ TEMPERING_PRESSES = 5.0  # beyond so many, presses add ever less to what is know
 # A skin is also asked for where it was not pressed: presses that lie together are left out together, too.
 PARTS, MIN_PART_PRESSES = 5, 10
 NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left out part by part
-BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
 BOARD_KERNELS = 32  # by which one of several boards is chosen
 # Stacking with the plain process, chosen on simulated skins and on presses of one real skin.
 FAR_PLAIN_PRESSES = 2.0  # presses' worth of belief that the population adds nothing far from the presses
 STACKING_PARTS = (PARTS, 3)  # ways to cut the presses: large parts are as far from the others as edges of a skin
 STACKED_CHANNELS = 4.0  # mean channels' worth of belief that all channels are stacked alike
 DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
-PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
-PREVIOUS_NOISE_FACTORS = (1.0, 10.0, 100.0)  # on the noise of kernels that explain what a previous session leaves
 # Presses that kernels are weighted by, and how many kernels are weighted by them.
 STAGES = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))
 KEPT_SHARE, MAX_KEPT, MAX_KEPT_OF_MANY, KEEP_FEW_BEYOND = 0.995, 48, 6, 400
@@ -75,18 +82,11 @@ TAIL_DOF = 4.0  # of the errors' t
 TAIL_LIMIT = 9.0  # mean square of a chip's errors in standard deviations beyond which it is given more noise
 MIN_ROBUST_PRESSES = 8
 FIRST_HEIGHT_PRESSES = 10
-HEIGHT_SHARE = 0.5  # of belief that a skin has local heights, before any press
-HEIGHT_EXPONENT = 1.0  # of the leave-one-out error
-MIN_HEIGHT_SHARE = 0.01  # of an idea of how rough a skin is, to be kept
-HEIGHT_STDS = (0.02, 0.06, 0.12)  # typical loads
-HEIGHT_LENGTHS_M = (1.0e-3, 2.0e-3, 4.0e-3)
-HEIGHT_ERROR = 5e-3  # typical loads, standard deviation of what a press measures of its height, at least
 HEIGHT_PASSES, GIVEN_HEIGHT_PASSES = 2, 3  # the second where it is known how rough a skin is
 MIN_TYPICAL_LOAD = 1e-9
 DEFAULT_SCALING = 1.1  # of the standard deviations, on simulated skins
 SCALING_PRESSES = 10.0  # presses' worth of belief in it
 SHARED_PRESSES = 30.0  # presses' worth of belief that all channels have one
-NO_BOARD = -1
 ALL_ROWS = slice(None)
 MIN_FAR_M = 1e-4  # from where weights are those near the presses to where they are those far from them, at least
 PREDICT_ROWS = 500  # presses that are predicted at once
@@ -99,28 +99,6 @@ class PressTable(NamedTuple):
     position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros where no position is known
     loads: Float[np.ndarray, "n kinds"]  # m of depth, N of force: a column for each kind of load that is known
     previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, as a previous session predicts
-
-
-@in_one_line
-class Components(NamedTuple):
-    """Members of the mixture."""
-
-    kernels: SkinKernels
-    load_column: Int[np.ndarray, " k"]
-    uses_previous: Bool[np.ndarray, " k"]
-    log_share: Float[np.ndarray, " k"]
-    board: Int[np.ndarray, " k"]  # number of the board whose chips it knows, or NO_BOARD
-
-
-@in_one_line
-class Heights(NamedTuple):
-    """Local heights of the skin, in typical loads of the first kind, averaged over j hypotheses of its roughness."""
-
-    std: Float[np.ndarray, " j"]
-    length: Float[np.ndarray, " j"]  # m
-    share: Float[np.ndarray, " j"]  # of belief; what is left of 1 is for a skin without heights
-    measured: Float[np.ndarray, " n"]
-    variance: Float[np.ndarray, " n"]  # of what is measured
 
 
 @in_one_line
@@ -231,9 +209,9 @@ def predict_population(
         Mean and standard deviation (uT), noise included.
     """
     conditioned = conditioned or condition(gp)
-    height_inverses = _height_inverses(gp)
+    inverses = height_inverses(gp.heights, gp.presses.position)
     parts = [
-        _predict_rows(gp, _rows_of(presses, slice(start, start + PREDICT_ROWS)), conditioned, height_inverses)
+        _predict_rows(gp, _rows_of(presses, slice(start, start + PREDICT_ROWS)), conditioned, inverses)
         for start in range(0, len(presses.position), PREDICT_ROWS)
     ]
     mean, variance = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -304,10 +282,10 @@ def _start(
     parts = []
     for column, kind in enumerate(load_kinds or ("force",)):
         found = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
-        parts.append(_on_boards(*found, column, 0 if chip_positions is None else len(chip_positions)))
-    components = _joined(*parts)
+        parts.append(on_boards(*found, column, 0 if chip_positions is None else len(chip_positions)))
+    components = join_members(*parts)
     if presses.previous_mean is not None:
-        components = _joined(_shared(components, 1 - PREVIOUS_SHARE), *_of_previous(components))
+        components = with_previous(components)
     return _unweighted(presses, readings, components, typical, chip_positions)
 
 
@@ -331,28 +309,6 @@ def _unweighted(
     )
 
 
-def _on_boards(kernels: SkinKernels, log_share: np.ndarray, column: int, boards: int) -> Components:
-    """Members without chips, and those with chips once for each board."""
-
-    def on(board: int, which: np.ndarray, share: float) -> Components:
-        of, some = kernel.take(kernels, which), log_share[which]
-        if board == NO_BOARD:
-            of = of._replace(far_amplitude=np.full(len(some), UNIFORM_FAR_AMPLITUDE))
-        every = np.ones(len(some), int)
-        return Components(
-            kernels=of,
-            load_column=column * every,
-            uses_previous=np.zeros(len(some), bool),
-            log_share=some - logsumexp(some) + np.log(share),
-            board=board * every,
-        )
-
-    falls = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
-    boards = boards if falls.any() else 0
-    without = on(NO_BOARD, np.ones(len(falls), bool), 1 - BOARD_SHARE if boards else 1.0)
-    return _joined(without, *(on(board, falls, BOARD_SHARE / boards) for board in range(boards)))
-
-
 def _on_likeliest_board(gp: PopulationGP) -> PopulationGP:
     """Members of one board and those without chips: of several boards the one that a short list of kernels favours."""
     boards, components = 0 if gp.chip_positions is None else len(gp.chip_positions), gp.components
@@ -370,30 +326,6 @@ def _on_likeliest_board(gp: PopulationGP) -> PopulationGP:
     kept = gp.components._replace(board=np.where(own, 0, NO_BOARD), log_share=log_share)
     assert gp.chip_positions is not None
     return gp._replace(components=kept, chip_positions=gp.chip_positions[[board]])
-
-
-def _shared(components: Components, share: float, **changed: Any) -> Components:
-    return components._replace(log_share=components.log_share + np.log(share), **changed)
-
-
-def _of_previous(components: Components) -> Iterator[Components]:
-    """Members for the remainder of the readings after a previous session, mostly noise."""
-    yes = np.ones(len(components.log_share), bool)
-    for factor in PREVIOUS_NOISE_FACTORS:
-        noisier = components.kernels._replace(noise_variance=factor * components.kernels.noise_variance)
-        share = PREVIOUS_SHARE / len(PREVIOUS_NOISE_FACTORS)
-        yield _shared(components, share, kernels=noisier, uses_previous=yes)
-
-
-def _joined(*parts: Components) -> Components:
-    names = Components._fields[1:]
-    rest = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Components(kernels=kernel.join(*(part.kernels for part in parts)), **rest)
-
-
-def _taken(components: Components, which: np.ndarray) -> Components:
-    rest = {name: getattr(components, name)[which] for name in Components._fields[1:]}
-    return Components(kernels=kernel.take(components.kernels, which), **rest)
 
 
 def _weigh_in_stages(gp: PopulationGP) -> PopulationGP:
@@ -424,7 +356,7 @@ def _keep(gp: PopulationGP, which: np.ndarray) -> PopulationGP:
         return weights[which] / weights[which].sum(0, keepdims=True)
 
     far = None if gp.far_weights is None else some(gp.far_weights)
-    return gp._replace(components=_taken(gp.components, which), weights=some(gp.weights), far_weights=far)
+    return gp._replace(components=take_members(gp.components, which), weights=some(gp.weights), far_weights=far)
 
 
 def _some_presses(gp: PopulationGP, count: int) -> PopulationGP:
@@ -583,7 +515,7 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
     )
     for _ in range(HEIGHT_PASSES):
         tried, error, slope = _seen_heights(gp, std, length)
-        share = _height_shares(gp, tried, error, slope)
+        share = hypothesis_shares(tried, gp.presses.position, _own_heights(gp), error=error, slope=slope)
         kept = share > MIN_HEIGHT_SHARE
         if not kept.any():
             return gp
@@ -595,10 +527,9 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
 def _seen_heights(gp: PopulationGP, std: np.ndarray, length: np.ndarray) -> tuple[Heights, np.ndarray, np.ndarray]:
     """Heights that errors of presses left out measure, by hypotheses of full weight; these errors, and slopes."""
     mean, variance, slope = _slopes(gp)
-    total = np.maximum(np.sum(slope**2 / variance, axis=1), 1e-12)
     error = gp.readings - mean
-    seen = _own_heights(gp) + np.sum(slope * error / variance, axis=1) / total
-    return Heights(std, length, np.ones(len(std)), seen, 1 / total + HEIGHT_ERROR**2), error, slope
+    heights = measured_heights(std, length, _own_heights(gp), error=error, variance=variance, slope=slope)
+    return heights, error, slope
 
 
 def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -611,48 +542,12 @@ def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return mean, variance, np.einsum("kc,knc->nc", gp.weights, slopes)
 
 
-def _height_shares(gp: PopulationGP, tried: Heights, error: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Weights (j,) of the hypotheses by errors of left-out presses, their heights left out too."""
-    n, square = len(error), squared_distance(gp.presses.position, gp.presses.position)
-    without = _own_heights(gp)
-    missed = [np.sum((error + slope * without[:, None]) ** 2)]
-    for std, length in zip(tried.std, tried.length, strict=True):
-        inverse = np.linalg.inv(std**2 * np.exp(-square / (2 * length**2)) + np.diag(tried.variance))
-        left_out = leave_out_rows(np.diagonal(inverse), (inverse @ tried.measured)[:, None])
-        height = tried.measured - left_out.error[:, 0]
-        missed.append(np.sum((error - slope * (height - without)[:, None]) ** 2))
-    prior = np.full(len(missed), HEIGHT_SHARE / len(tried.std))
-    prior[0] = 1 - HEIGHT_SHARE
-    log = np.log(prior) - HEIGHT_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30))
-    return np.exp(log - logsumexp(log))[1:]
-
-
-def _height_inverses(gp: PopulationGP) -> list[np.ndarray]:
-    """Inverse covariances of the measured heights."""
-    if not len(gp.heights.std):
-        return []
-    square = squared_distance(gp.presses.position, gp.presses.position)
-    noise = np.diag(gp.heights.variance)
-    pairs = zip(gp.heights.std, gp.heights.length, strict=True)
-    return [np.linalg.inv(std**2 * np.exp(-square / (2 * length**2)) + noise) for std, length in pairs]
-
-
 def _own_heights(gp: PopulationGP) -> np.ndarray:
     """Heights at the mixture's presses (typical loads)."""
-    return _heights_at(gp, gp.presses.position, _height_inverses(gp))[0]
-
-
-def _heights_at(gp: PopulationGP, position: np.ndarray, inverses: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance of the heights at positions (typical loads)."""
-    known, mean, square_mean = gp.heights, np.zeros(len(position)), np.zeros(len(position))
-    square = squared_distance(position, gp.presses.position)
-    for i, inverse in enumerate(inverses):
-        near = known.std[i] ** 2 * np.exp(-square / (2 * known.length[i] ** 2))
-        own = near @ (inverse @ known.measured)
-        left = known.std[i] ** 2 - np.einsum("mn,mn->m", near @ inverse, near)
-        mean += known.share[i] * own
-        square_mean += known.share[i] * (own**2 + np.maximum(left, 0))
-    return mean, np.maximum(square_mean - mean**2, 0)
+    position = gp.presses.position
+    if not len(gp.heights.std):
+        return np.zeros(len(position))
+    return heights_at(gp.heights, squared_distance(position, position), height_inverses(gp.heights, position))[0]
 
 
 # --- stacking with the plain process ---
@@ -662,7 +557,9 @@ def _plain_processes(components: Components) -> Components:
     """The plain process that is fitted to the presses, by each kind of load: the last without chips (`with_plain`)."""
     alone = (components.board == NO_BOARD) & ~components.uses_previous
     columns = np.unique(components.load_column)
-    return _taken(components, np.array([np.flatnonzero(alone & (components.load_column == i))[-1] for i in columns]))
+    return take_members(
+        components, np.array([np.flatnonzero(alone & (components.load_column == i))[-1] for i in columns])
+    )
 
 
 def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
@@ -680,7 +577,7 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
     far_share = _stacking_share(gp, np.stack(far), plain_far, FAR_PLAIN_PRESSES)
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     return gp._replace(
-        components=_joined(gp.components, _taken(plain, np.array([best]))),
+        components=join_members(gp.components, take_members(plain, np.array([best]))),
         weights=np.vstack([near_share * gp.weights, 1 - near_share]),
         far_weights=np.vstack([far_share * far_weights, 1 - far_share]),
     )
@@ -723,14 +620,16 @@ def _stacking_share(gp: PopulationGP, error: np.ndarray, plain_error: np.ndarray
 
 
 def _predict_rows(
-    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned], height_inverses: list[np.ndarray]
+    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned], inverses: list[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance (m, c) of a few presses."""
     m, c = len(presses.position), gp.readings.shape[1]
-    height, height_variance = _heights_at(gp, presses.position, height_inverses)
+    away = squared_distance(presses.position, gp.presses.position)
+    height, height_variance = heights_at(gp.heights, away, inverses)
     loads = presses.loads if gp.presses.loads.shape[1] == presses.loads.shape[1] else np.ones((m, 1))
     presses = _raised(gp, presses._replace(loads=loads), height)
-    fitted = _raised(gp, gp.presses, _heights_at(gp, gp.presses.position, height_inverses)[0])
+    between = squared_distance(gp.presses.position, gp.presses.position)
+    fitted = _raised(gp, gp.presses, heights_at(gp.heights, between, inverses)[0])
     mean, square = np.zeros((m, c)), np.zeros((m, c))
     slope, far = np.zeros((m, c)), _farness(gp, presses.position)[:, None]
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
@@ -763,7 +662,7 @@ def _predict_one(
     gp: PopulationGP, i: int, given: Conditioned, presses: PressTable, raised: PressTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, variance and slope by the first load (m, c) of one member, from its own presses with their heights."""
-    member = _taken(gp.components, np.array([i]))
+    member = take_members(gp.components, np.array([i]))
     column, board = int(member.load_column[0]), int(member.board[0])
     at, fitted_at = _geometry(gp, presses, column, board), _geometry(gp, raised, column, board)
     groups = len(given.inverse)

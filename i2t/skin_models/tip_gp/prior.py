@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t.files import serialization
-from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, join, take
-from i2t.skin_models.tip_gp.plain import fit_scales
+from i2t.skin_models.tip_gp.kernel import SkinKernels, join, take
+from i2t.skin_models.tip_gp.plain import fit_scales, plain_kernel
 
 PRIOR_FILE = "prior.npz"
 PRIOR_KIND = "i2t kernel prior"
@@ -87,7 +87,7 @@ def plain_kernels(position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " 
     noisy = product(NOISY_LENGTH_FACTORS, NOISY_WIDTHS, NOISY_NOISE)
     grid = np.array([*usual, *noisy, (1.0, 1.0, MEAN_NOISE)])
     constant = np.append(np.full(len(grid) - 1, PLAIN_CONSTANT), MEAN_CONSTANT)
-    return _plain(spread * grid[:, 0], load_spread * grid[:, 1], grid[:, 2], constant)
+    return plain_kernel(spread * grid[:, 0], load_spread * grid[:, 1], grid[:, 2], constant)
 
 
 def fitted_kernel(
@@ -105,19 +105,9 @@ def fitted_kernel(
     """
     some = np.random.default_rng(0).permutation(len(load))[:MAX_FITTED_TO]
     if len(some) < MIN_FITTED_TO or not np.ptp(readings, axis=0).any():
-        return _plain(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+        return plain_kernel(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
     scales = fit_scales(position[some], load[some], readings[some])
-    return _plain(*(np.array([value]) for value in (scales.length, scales.width, scales.noise, PLAIN_CONSTANT)))
-
-
-def _plain(length: np.ndarray, width: np.ndarray, noise: np.ndarray, constant: np.ndarray) -> SkinKernels:
-    """Squared exponential over position and load, without growth."""
-    one, none = np.ones(len(length)), np.zeros(len(length))
-    return SkinKernels(
-        load_power=none, load_offset=one, map_length=length, bend_share=one, bend_length=length, bend_load_width=width,
-        static_variance=none, static_length=length, constant_variance=constant, noise_variance=noise,
-        gain_noise_variance=none, chip_reach=one, far_amplitude=UNIFORM_FAR_AMPLITUDE * one,
-    )  # fmt: skip
+    return plain_kernel(*(np.array([value]) for value in (scales.length, scales.width, scales.noise, PLAIN_CONSTANT)))
 
 
 def with_plain(

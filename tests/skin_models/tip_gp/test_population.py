@@ -301,20 +301,6 @@ def test_weights_far_from_the_presses_are_by_presses_left_out_together():
     assert far[0].max() < 0.01
 
 
-@pytest.mark.parametrize("smooth", [True, False])
-def test_heights_count_where_those_of_neighbours_tell_a_left_out_press_its_own(smooth):
-    rng, (x, d) = np.random.default_rng(39), drawn(40, 80)
-    gp = mixture._start(table(x, d), skin(41)(x, d), ("depth",), None, load_prior())
-    square = ((x[:, None] - x) ** 2).sum(-1)
-    height = np.linalg.cholesky(0.06**2 * np.exp(-square / 2 / 4e-3**2) + 1e-8 * np.eye(80)) @ rng.normal(size=80)
-    height = height if smooth else rng.permutation(height)
-    slope = np.full((80, CHANNELS), 30.0)
-    tried = mixture.Heights(np.array([0.06]), np.array([4e-3]), np.ones(1), height, np.full(80, 5e-3**2))
-    error = slope * height[:, None] + rng.normal(size=(80, CHANNELS))
-    share = mixture._height_shares(gp, tried, error, slope)
-    assert share[0] > 0.99 if smooth else share[0] < 0.01
-
-
 def share_of_plain(weights: np.ndarray | None) -> np.ndarray:
     assert weights is not None
     return weights[-1]
