@@ -18,7 +18,6 @@ from .objects.solids import Mesh as Mesh
 from .prediction.predictor import Predictor as Predictor
 from .prediction.predictor import Reading as Reading
 from .prediction.predictor import load_predictor as load_predictor
-from .skin_models.pad_model import load_pad_model as load_pad_model
 from .recognition.recognizer import ObjectRecognizer as ObjectRecognizer
 from .recognition.recognizer import RecognizerConfig as RecognizerConfig
 from .registration.depth import register_by_depth as register_by_depth
@@ -40,6 +39,7 @@ from .skin.pad import press as press
 from .skin.pad import sample_pad as sample_pad
 from .skin_models.calibration import calibrate as calibrate
 from .skin_models.calibration import load_calibration as load_calibration
+from .skin_models.pad_model import load_pad_model as load_pad_model
 from .types import Board as Board
 from .types import Pad as Pad
 from .types import Patch as Patch
