@@ -48,7 +48,9 @@ include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/*.md",
 exclude_patterns = [".*", "build", "runs", "data"]
 nitpicky = True
 nitpick_ignore = [("py:class", "numpy.ndarray")]  # whose inventory needs a network
-nitpick_ignore_regex = [("py:class", r"i2t\..*\.(?:PopulationGP|StructuredGPHyperparameters|TouchModel)")]  # behind what the pages describe
+nitpick_ignore_regex = [
+    ("py:class", r"i2t\..*\.(?:PopulationGP|StructuredGPHyperparameters|TouchModel)")
+]  # behind what the pages describe
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 html_math_renderer = "mathml"  # which browsers draw by themselves: no script, no network

@@ -18,7 +18,7 @@ Files are of one format (`i2t.files.serialization`); their header says which mod
 `i2t.skin_models.load` reads any of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, runtime_checkable
 
@@ -86,7 +86,6 @@ def load_fitted(
     build: Callable[[Path | str, Record, dict[str, Any]], Fitted],
     *,
     ready: Part | None = None,
-    renamed: Mapping[str, str] | None = None,
 ) -> Fitted:
     """Read a fitted model from its file.
 
@@ -96,7 +95,6 @@ def load_fitted(
         form: Type of the NamedTuple that it holds.
         build: Makes the model of the path, that NamedTuple and what was kept with it.
         ready: Part of the ready models that `path` may name.
-        renamed: Fields that files of earlier versions call otherwise.
 
     Returns:
         The model.
@@ -106,6 +104,6 @@ def load_fitted(
     """
     hint = "" if ready is None else ready_hint(path, ready)
     path = path if ready is None else ready_path(path, ready)
-    record, about = serialization.load(path, kind, form, missing=hint, renamed=renamed)
+    record, about = serialization.load(path, kind, form, missing=hint)
     with serialization.fitting(path):
         return build(path, record, about)

@@ -197,26 +197,24 @@ class TipModel:
         Raises:
             ValueError: Shapes do not belong together, or a value cannot be.
         """
-        checked = _checked(data.positions, data.loads, data.readings, self.load_kind, data.board)
-        with one_thread_for_few(len(checked[2])):
-            return self._of_population(data, *checked) if self.hyperparameters is None else self._of_one(data, *checked)
+        table, readings = _checked(data, self.load_kind)
+        with one_thread_for_few(len(readings)):
+            fit = self._of_population if self.hyperparameters is None else self._of_one
+            return fit(data, table, readings)
 
-    def _of_one(self, data: TipPresses, positions: np.ndarray, loads: np.ndarray, readings: np.ndarray) -> Calibration:
+    def _of_one(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
         """The mixture of one kernel."""
         if self.load_kind not in MAX_LOAD or data.previous_session is not None:
             raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
         assert self.hyperparameters is not None
         chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD,))
-        gp = fit_structured(self.hyperparameters, PressTable(positions, loads), readings, chips)
+        gp = fit_structured(self.hyperparameters, table, readings, chips)
         return Calibration(gp, population.interval_scaling(gp), self.load_kind, boards=boards)
 
-    def _of_population(
-        self, data: TipPresses, positions: np.ndarray, loads: np.ndarray, readings: np.ndarray
-    ) -> Calibration:
+    def _of_population(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
         """The mixture over a population of skins."""
         known, previous = data.board, data.previous_session
-        boards = board_candidates(positions, readings) if known is None else {GIVEN_BOARD: _chips(known)}
-        table = PressTable(positions, loads)
+        boards = board_candidates(table.position, readings) if known is None else {GIVEN_BOARD: _chips(known)}
         if previous is not None:
             if previous.previous is not None:
                 raise ValueError("an earlier session must itself be calibrated without one")
@@ -224,7 +222,7 @@ class TipModel:
                 raise ValueError(
                     "the earlier session has other channels or another kind of load; calibrate it as this one"
                 )
-            table = table._replace(previous_mean=previous.predict_mean(positions, loads))
+            table = table._replace(previous_mean=previous.predict_mean(table.position, table.loads))
         chips = np.stack(list(boards.values())) if boards else None
         gp = population.fit_population(table, readings, load_kinds=LOAD_COLUMNS[self.load_kind], chip_positions=chips)
         kept = () if gp.chip_positions is None else gp.chip_positions
@@ -318,10 +316,9 @@ def _chips(board: Board) -> np.ndarray:
     return np.asarray(board.chips[:, :2], np.float64)
 
 
-def _checked(
-    positions: ArrayLike | None, loads: ArrayLike | None, readings: ArrayLike, load_kind: str, board: Board | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Valid positions (n, 2), loads (n, kinds) and readings (n, c), or ValueError."""
+def _checked(data: TipPresses, load_kind: str) -> tuple[PressTable, np.ndarray]:
+    """Valid presses and their readings (n, c), or ValueError."""
+    positions, loads, readings, board, _ = data
     if load_kind not in LOAD_COLUMNS:
         raise ValueError(f"{load_kind!r} is no load; {did_you_mean(load_kind, LOAD_COLUMNS)}")
     if positions is None and load_kind == "none":
@@ -353,7 +350,7 @@ def _checked(
         )
     amount = amount.reshape(n, -1) if amount.size else np.zeros((n, 0))
     _check_rows(where, amount, load_kind)
-    return where, amount, readings
+    return PressTable(where, amount), readings
 
 
 def _as_rows(

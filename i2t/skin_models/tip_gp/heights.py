@@ -34,57 +34,50 @@ class Heights(NamedTuple):
     variance: Float[np.ndarray, " n"]  # of what is measured
 
 
-def measured_heights(
-    std: Float[np.ndarray, " j"],
-    length: Float[np.ndarray, " j"],
-    own: Float[np.ndarray, " n"],
-    *,
-    error: Float[np.ndarray, "n c"],
-    variance: Float[np.ndarray, "n c"],
-    slope: Float[np.ndarray, "n c"],
-) -> Heights:
+class SlopedErrors(NamedTuple):
+    """Presses left out, as a mixture predicts them."""
+
+    error: Float[np.ndarray, "n c"]  # uT
+    variance: Float[np.ndarray, "n c"]  # uT^2
+    slope: Float[np.ndarray, "n c"]  # uT for a typical load more
+    height: Float[np.ndarray, " n"]  # with which they were predicted (typical loads)
+
+
+def measured_heights(std: Float[np.ndarray, " j"], length: Float[np.ndarray, " j"], left_out: SlopedErrors) -> Heights:
     """Heights that errors of presses left out measure, under hypotheses of full weight.
 
     Args:
         std: Of the heights, under each hypothesis (typical loads).
         length: Over which they change (m).
-        own: Heights with which the presses were predicted.
-        error: Of the presses left out (uT).
-        variance: Of these errors (uT^2).
-        slope: Of the readings by the load (uT for a typical load).
+        left_out: The presses.
 
     Returns:
         The heights.
     """
+    error, variance, slope, own = left_out
     total = np.maximum(np.sum(slope**2 / variance, axis=1), 1e-12)
     measured = own + np.sum(slope * error / variance, axis=1) / total
     return Heights(std, length, np.ones(len(std)), measured, 1 / total + HEIGHT_ERROR**2)
 
 
 def hypothesis_shares(
-    heights: Heights,
-    position: Float[np.ndarray, "n 2"],
-    own: Float[np.ndarray, " n"],
-    *,
-    error: Float[np.ndarray, "n c"],
-    slope: Float[np.ndarray, "n c"],
+    heights: Heights, position: Float[np.ndarray, "n 2"], left_out: SlopedErrors
 ) -> Float[np.ndarray, " j"]:
     """Weigh the hypotheses by errors of presses left out, their heights left out too.
 
     Args:
         heights: Measured, under all hypotheses.
         position: Of the presses (m).
-        own: Heights with which the presses were predicted.
-        error: Of the presses left out (uT).
-        slope: Of the readings by the load (uT for a typical load).
+        left_out: The presses.
 
     Returns:
         Shares of belief; what is left of 1 is for a flat skin.
     """
+    error, _, slope, own = left_out
     missed = [np.sum((error + slope * own[:, None]) ** 2)]
     for inverse in height_inverses(heights, position):
-        left_out = leave_out_rows(np.diagonal(inverse), (inverse @ heights.measured)[:, None])
-        height = heights.measured - left_out.error[:, 0]
+        without = leave_out_rows(np.diagonal(inverse), (inverse @ heights.measured)[:, None])
+        height = heights.measured - without.error[:, 0]
         missed.append(np.sum((error - slope * (height - own)[:, None]) ** 2))
     prior = np.full(len(missed), HEIGHT_SHARE / len(heights.std))
     prior[0] = 1 - HEIGHT_SHARE
@@ -108,9 +101,7 @@ def height_inverses(heights: Heights, position: Float[np.ndarray, "n 2"]) -> lis
 
 
 def heights_at(
-    heights: Heights,
-    square: Float[np.ndarray, "m n"],
-    inverses: list[Float[np.ndarray, "n n"]],
+    heights: Heights, square: Float[np.ndarray, "m n"], inverses: list[Float[np.ndarray, "n n"]]
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Heights at other positions.
 

@@ -13,7 +13,6 @@ nonsense. NumPy, so that no number of presses compiles.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
@@ -95,26 +94,20 @@ def predict_plain(
     """
     position, load, readings = known
     mean = readings.mean(0)
-    noise = max(scales.noise, LEAST_NOISE)
-    kernels = plain_kernel(*(np.array([value]) for value in (scales.length, scales.width, noise, 0.0)))
+    kernels = plain_kernel(*np.array([[scales.length], [scales.width], [max(scales.noise, LEAST_NOISE)], [0.0]]))
     pressed = kernel.geometry(position, load, None)
     [given] = condition_all(kernels, pressed, Observed(readings - mean, np.zeros((len(load), 1))))
     return mean + kernel.signal_covariances(kernels, kernel.geometry(*at, None), pressed)[0, 0] @ given.weights
 
 
-def plain_kernel(
-    length: Float[np.ndarray, " s"],
-    width: Float[np.ndarray, " s"],
-    noise: Float[np.ndarray, " s"],
-    constant: Float[np.ndarray, " s"],
-) -> SkinKernels:
+def plain_kernel(length: np.ndarray, width: np.ndarray, noise: np.ndarray, constant: np.ndarray) -> SkinKernels:
     """Plain processes among the kernels of skins: squared exponential over position and load, without growth.
 
     Args:
-        length: Over positions (m).
-        width: Over loads.
-        noise: Variance, relative to the signal's.
-        constant: Variance of a constant, relative to the signal's.
+        length: (s,) over positions (m).
+        width: (s,) over loads.
+        noise: (s,) variances, relative to the signal's.
+        constant: (s,) variances of a constant, relative to the signal's.
 
     Returns:
         The kernels.

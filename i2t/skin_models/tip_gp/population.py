@@ -41,6 +41,7 @@ from i2t.skin_models.tip_gp.heights import (
     HEIGHT_STDS,
     MIN_HEIGHT_SHARE,
     Heights,
+    SlopedErrors,
     height_inverses,
     heights_at,
     hypothesis_shares,
@@ -175,7 +176,9 @@ def fit_one(
     alone = Components(kernels, np.array([0]), np.array([False]), np.zeros(1), np.array([board]))
     gp = _unweighted(presses, readings, alone, np.array([typical_load]), chips)
     for _ in range(GIVEN_HEIGHT_PASSES if height_std else 0):
-        gp = gp._replace(heights=_seen_heights(gp, np.array([height_std]), np.array([height_length]))[0])
+        gp = gp._replace(
+            heights=measured_heights(np.array([height_std]), np.array([height_length]), _sloped_errors(gp))
+        )
     return gp
 
 
@@ -514,8 +517,9 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
         np.array(part) for part in zip(*((s, x) for x in HEIGHT_LENGTHS_M for s in HEIGHT_STDS), strict=True)
     )
     for _ in range(HEIGHT_PASSES):
-        tried, error, slope = _seen_heights(gp, std, length)
-        share = hypothesis_shares(tried, gp.presses.position, _own_heights(gp), error=error, slope=slope)
+        left_out = _sloped_errors(gp)
+        tried = measured_heights(std, length, left_out)
+        share = hypothesis_shares(tried, gp.presses.position, left_out)
         kept = share > MIN_HEIGHT_SHARE
         if not kept.any():
             return gp
@@ -524,22 +528,15 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
     return gp
 
 
-def _seen_heights(gp: PopulationGP, std: np.ndarray, length: np.ndarray) -> tuple[Heights, np.ndarray, np.ndarray]:
-    """Heights that errors of presses left out measure, by hypotheses of full weight; these errors, and slopes."""
-    mean, variance, slope = _slopes(gp)
-    error = gp.readings - mean
-    heights = measured_heights(std, length, _own_heights(gp), error=error, variance=variance, slope=slope)
-    return heights, error, slope
-
-
-def _slopes(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Left-out mean, variance and slope by the first load (n, c) of the mixture."""
+def _sloped_errors(gp: PopulationGP) -> SlopedErrors:
+    """The mixture's presses left out, with slopes by the first load."""
     mean, variance = _left_out_mixture(gp)
     slopes = np.zeros((len(gp.weights), *gp.readings.shape))
     for rows, at, observed in _alike(gp):
         if gp.components.load_column[rows[0]] == 0:
             slopes[rows] = left_out_slopes(kernel.take(gp.components.kernels, rows), at, observed)
-    return mean, variance, np.einsum("kc,knc->nc", gp.weights, slopes)
+    slope = np.einsum("kc,knc->nc", gp.weights, slopes)
+    return SlopedErrors(gp.readings - mean, variance, slope, _own_heights(gp))
 
 
 def _own_heights(gp: PopulationGP) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from i2t.skin_models.tip_gp.heights import Heights, height_inverses, heights_at, hypothesis_shares
+from i2t.skin_models.tip_gp.heights import Heights, SlopedErrors, height_inverses, heights_at, hypothesis_shares
 
 CHANNELS = 15
 
@@ -22,7 +22,7 @@ def test_heights_count_where_those_of_neighbours_tell_a_left_out_press_its_own(s
     slope = np.full((80, CHANNELS), 30.0)
     tried = Heights(np.array([0.06]), np.array([4e-3]), np.ones(1), height, np.full(80, 5e-3**2))
     error = slope * height[:, None] + rng.normal(size=(80, CHANNELS))
-    share = hypothesis_shares(tried, x, np.zeros(80), error=error, slope=slope)
+    share = hypothesis_shares(tried, x, SlopedErrors(error, np.ones_like(error), slope, np.zeros(80)))
     assert share[0] > 0.99 if smooth else share[0] < 0.01
 
 
