@@ -10,9 +10,11 @@ import i2t
 from i2t.paper import loop
 from i2t.prediction.methods import TrainingTouches
 from i2t.prediction.networks import PaperDepth
-from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator
+from i2t.recognition.environment import EnvironmentConfig, TouchEnvironment
 from i2t.recognition.paper_rules import reading_scorers, run_loop
+from i2t.recognition.rollout import begin_episodes
 from i2t.recognition.site_pool import prepare_surfaces, sample_pools
+from i2t.recognition.touch_table import environment_params
 from i2t.simulation.sites import RECOGNITION_LIMITS
 from i2t.training import TrainConfig
 
@@ -45,11 +47,11 @@ def main(touches: int = 936, epochs: int = 60, episodes: int = 24, count: int = 
     surfaces = prepare_surfaces([i2t.make_object(name).mesh for name in UNSEEN])
     pools = sample_pools(keys[2], surfaces, UNSEEN, pools=1, each=24, limits=RECOGNITION_LIMITS)
     truth = np.arange(episodes) % len(UNSEEN)
-    robot = EpisodeSimulator(
-        keys[3], surfaces, truth, sites=pools.joined(), pad=pad, config=EpisodeConfig(errors, limits, count)
-    )
+    world = TouchEnvironment(config := EnvironmentConfig(errors, limits, count))
+    params = environment_params(surfaces, [pad], pools.joined(), config)
+    robot = begin_episodes(keys[3], world, params, truth)
     score = reading_scorers({"paper": predictor}, surfaces, dataset.touches.reading[~held_out].std(0))["paper"]
-    made = run_loop(keys[4], score, robot, pools, np.zeros(episodes, int), count=count)
+    made = run_loop(keys[4], score, robot, world, params, pools, np.zeros(episodes, int))
     belief = loop.beliefs(made.distance, "votes")[:, -1]
     right = float((belief.argmax(1) == truth).mean())
     print(f"recognised after {count} touches: {right:.0%} of {episodes} (chance {1 / len(UNSEEN):.0%}; simulated)")

@@ -9,19 +9,19 @@ import numpy as np
 from jaxtyping import Array
 
 import i2t
-from i2t.environments.core import EnvironmentConfig, EnvironmentParams, EnvironmentState, TouchAction
-from i2t.environments.tables import make_environment
+from i2t.recognition.environment import EnvironmentConfig, EnvironmentParams, EpisodeState, TouchAction
+from i2t.recognition.touch_table import make_environment
 from i2t.runtime.compiling import jit_quickly
 
 
 def main(touches: int = 4) -> np.ndarray:
     """One episode of a random policy; returns its rewards."""
-    config = EnvironmentConfig(touches=touches)
+    config = EnvironmentConfig(touches=touches, law=None)
     environment, params = make_environment(("star", "hexagon"), config=config, sites=4, pads=1)
 
     @jit_quickly
     def episode(key: Array, params: EnvironmentParams) -> tuple[Array, Array]:
-        def touch_at_random(state: EnvironmentState, key: Array) -> tuple[EnvironmentState, tuple[Array, Array]]:
+        def touch_at_random(state: EpisodeState, key: Array) -> tuple[EpisodeState, tuple[Array, Array]]:
             key_site, key_touch = jax.random.split(key)
             site = jax.random.randint(key_site, (), 0, params.sites)
             action = TouchAction(site, prediction=jnp.zeros(params.objects))

@@ -4,12 +4,11 @@
     python -m experiments.active_touch --preset debug               everything once, too small to mean anything
 
 An object stands where it is believed to, up to 1 mm and 1 degree, and is touched at 16 of 36 sites that are safe on
-every object (`i2t.environments`, outcomes tabulated). Three policies choose sites by one posterior, which knows each
-pad as a calibrated one is known: random, the paper's heuristic, and expected information. Intervals are over pads.
-Everything is simulated. Results: metrics.json, config.json, accuracy.png. Some minutes on two cores.
+every object (`i2t.recognition.environment`, touches tabulated). Three policies choose sites by one posterior, which
+knows each pad as a calibrated one is known: random, the paper's heuristic, and expected information. Intervals are over
+pads. Everything is simulated. Results: metrics.json, config.json, accuracy.png. Some minutes on two cores.
 """
 
-from functools import partial
 from typing import Any
 
 import jax
@@ -21,12 +20,12 @@ from experiments.common.runs import begin, write_json
 from experiments.common.tables import markdown
 from experiments.recognize import figures
 from i2t import viz
-from i2t.environments.beliefs import with_beliefs
-from i2t.environments.core import EnvironmentConfig, EnvironmentParams, TouchEnvironment
-from i2t.environments.policies import BASELINES, run_policy
-from i2t.environments.tables import make_environment, tabulate
 from i2t.prediction.metrics import Estimate
+from i2t.recognition.environment import EnvironmentConfig, EnvironmentParams, TouchEnvironment
 from i2t.recognition.intervals import rate_interval
+from i2t.recognition.known_pads import with_beliefs
+from i2t.recognition.rollout import POLICIES, rollout
+from i2t.recognition.touch_table import make_environment, tabulate
 
 TABLE_TOUCHES = (1, 2, 3, 4, 5, 8, 12, 16)  # touches of the table
 
@@ -38,11 +37,12 @@ def run(args: ActiveTouchArgs) -> dict[str, Any]:
     key_lab, _, key_test = jax.random.split(jax.random.key(args.seed), 3)
     environment, params = make_lab(key_lab, args, sizes)
     curves: dict[str, Estimate] = {}
-    for name, policy in BASELINES.items():
+    drawn = np.random.default_rng(args.seed)
+    truth, pad = (drawn.permutation(np.arange(sizes.episodes) % n) for n in (len(args.objects), sizes.test_pads))
+    for name, policy in POLICIES.items():
         print(name, flush=True)
-        play = jax.jit(partial(run_policy, policy=policy, environment=environment, episodes=sizes.episodes))
-        made = jax.device_get(play(jax.random.clone(key_test), params=params))
-        curves[name] = rate_interval(made.posterior.argmax(-1) == made.object[:, None], [made.pad])
+        _, posterior = rollout(jax.random.clone(key_test), environment, params, policy, truth, pad)
+        curves[name] = rate_interval(posterior.argmax(-1) == truth[:, None], [pad])
     report = {
         "source": "simulated",
         "objects": list(args.objects),
@@ -63,7 +63,7 @@ def make_lab(
     """Sites and pads drawn, touches of the test's pads tabulated, beliefs of calibrated pads."""
     _, key_touch, key_belief = jax.random.split(key, 3)
     environment, params = make_environment(
-        args.objects, config=EnvironmentConfig(touches=sizes.touches), sites=sizes.sites,
+        args.objects, config=EnvironmentConfig(touches=sizes.touches, law=None), sites=sizes.sites,
         pads=sizes.other_pads + sizes.test_pads, seed=args.seed,
     )  # fmt: skip
     params = with_beliefs(key_belief, environment, params, sizes.particles)

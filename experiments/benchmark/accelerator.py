@@ -21,13 +21,13 @@ from experiments.benchmark import training as paper_training
 from experiments.benchmark.contests import Contest, Work, finish
 from experiments.benchmark.goals import GoalWork
 from i2t import training as learning
-from i2t.environments.core import EnvironmentState, TouchAction
-from i2t.environments.tables import make_environment, tabulate
 from i2t.geometry import full_precision
 from i2t.paper import loss, network
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, STANDOFF
 from i2t.recognition.belief import sample_particles
+from i2t.recognition.environment import EpisodeState, TouchAction
 from i2t.recognition.outcomes import placement_std, predict_contact
+from i2t.recognition.touch_table import make_environment, tabulate
 from i2t.simulation.sites import RECOGNITION_LIMITS, collect_sites
 from i2t.simulation.touches import PressLimits, SimulationErrors, sample_session_errors, simulate_touch
 from i2t.skin.contact import solve
@@ -131,7 +131,7 @@ def environments(small: bool) -> Iterator[Rate]:
     environment, params = make_environment(("star", "hexagon"), sites=4 if small else 32, pads=1 if small else 4)
     params = jax.device_put(tabulate(jax.random.key(0), environment, params, placements=2 if small else 16))
 
-    def step(states: EnvironmentState, key: jax.Array) -> tuple[EnvironmentState, jax.Array]:
+    def step(states: EpisodeState, key: jax.Array) -> tuple[EpisodeState, jax.Array]:
         key_site, key_step = jax.random.split(key)
         site = jax.random.randint(key_site, (many,), 0, params.sites)
         action = TouchAction(site, jnp.zeros((many, params.objects)))

@@ -49,7 +49,7 @@ from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig
 from i2t.prediction.predictor import Predictor, load_predictor
-from i2t.recognition.episodes import EpisodeConfig, EpisodeSimulator, TouchNumber
+from i2t.recognition.environment import EnvironmentConfig, TouchEnvironment, TouchOutcome
 from i2t.recognition.paper_rules import (
     PROPRIOCEPTION,
     Scorer,
@@ -60,9 +60,11 @@ from i2t.recognition.paper_rules import (
     reading_scorers,
     run_loop,
 )
+from i2t.recognition.rollout import TouchNumber, begin_episodes
 from i2t.recognition.site_pool import prepare_surfaces
+from i2t.recognition.touch_table import environment_params
 from i2t.runtime.progress import progress
-from i2t.types import Pad, Surface, Touches
+from i2t.types import Pad, Surface
 
 PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
 
@@ -193,18 +195,17 @@ def play_set(
     key_sites, key_world, key_choice = jax.random.split(key, 3)
     truth = np.arange(cfg.paper_episodes * len(objects)) % len(objects)
     pools, pool = draw_pools(key_sites, objects, surfaces, len(truth), cfg)
-    config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
-    shared: dict[TouchNumber, Touches] = {}
+    config = EnvironmentConfig(cfg.errors, cfg.limits, cfg.touches)
+    environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], pools.joined(), config)
+    running = begin_episodes(key_world, environment, params, truth)
+    shared: dict[TouchNumber, TouchOutcome] = {}
     believed: dict[str, np.ndarray] = {}
     with progress(total=len(scorers) * truth.size * cfg.touches, desc=f"{name}: the paper's loop", unit="touch") as bar:
         for method, score in scorers.items():
-            simulator = EpisodeSimulator(
-                jax.random.clone(key_world), surfaces, truth,
-                sites=pools.joined(), pad=pad, config=config, made_before=shared,
-            )  # fmt: skip
             made = run_loop(
-                jax.random.clone(key_choice), score, simulator, pools, pool, count=cfg.touches, progress=bar.update
-            )
+                jax.random.clone(key_choice), score, running, environment, params, pools, pool,
+                shared=shared, progress=bar.update,
+            )  # fmt: skip
             believed |= {f"{method}, {rule}": p for rule, p in beliefs_by_rule(made.distance).items()}
     labels = np.array([f"{label}, {name}, pool {number}" for number in pool])
     return EpisodeResults(tuple(objects), truth, believed, None, label.split(",")[0], labels)

@@ -47,9 +47,11 @@ from experiments.recognize.trained_run import TrainedRun, load_meshes, meshes_by
 from i2t import dataset as data
 from i2t.prediction.predictor import Predictor
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import BeliefModel, EpisodeConfig, believe, run_episodes
+from i2t.recognition.environment import EnvironmentConfig
+from i2t.recognition.episodes import BeliefModel, believe
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import paper_rules
+from i2t.recognition.rollout import run_episodes
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
 from i2t.skin_models.pad_fit import fit_oracle_pad_model
 from i2t.skin_models.pad_model import PadModel
@@ -147,7 +149,7 @@ def play_set(
         "": BeliefModel(trained.pad_model.reading_model, trained.pad_model.likelihood),
         ", oracle": BeliefModel(world.oracle.reading_model, world.oracle.likelihood, ORACLE_EVIDENCE),
     }
-    config = EpisodeConfig(cfg.errors, cfg.limits, cfg.touches)
+    config = EnvironmentConfig(cfg.errors, cfg.limits, cfg.touches)
     episodes = run_episodes(
         key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name
     )

@@ -17,8 +17,10 @@ from i2t.contact.press import PressLaw, PressLimits
 from i2t.dataset import Dataset
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
-from i2t.recognition.episodes import EpisodeConfig, Episodes, run_episodes
+from i2t.recognition.environment import EnvironmentConfig
+from i2t.recognition.episodes import Episodes
 from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.rollout import run_episodes
 from i2t.recognition.site_pool import (
     SitePool,
     TouchPlan,
@@ -110,7 +112,7 @@ class StudyLab:
             world.errors or self.cfg.errors,
             world.limits or self.cfg.limits,
         )
-        config = EpisodeConfig(errors, limits, plan.chosen.shape[1], law=world.law(pad))
+        config = EnvironmentConfig(errors, limits, plan.chosen.shape[1], law=world.law(pad))
         return run_episodes(
             key, surfaces or self.surfaces, truth, plan.chosen,
             sites=plan.sites, pad=pad, config=config, label=label,

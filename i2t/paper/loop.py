@@ -9,7 +9,7 @@ The baseline is proprioception: the distance of the contact from each object's s
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t.paper.rules import RULES
 from i2t.types import Surface
+
+State = TypeVar("State")  # of episodes
 
 TOUCHES = 10  # of an episode, as in the paper
 MIN_NORMAL_COSINE = 0.2  # between a point's normal and those of its nearest points on other objects
@@ -34,7 +36,8 @@ class LoopResult(NamedTuple):
 
 def run(
     key: Key[Array, ""],
-    touch: Callable[[Int[np.ndarray, " e"], Int[np.ndarray, " e"]], Any],
+    state: State,
+    touch: Callable[[State, Int[np.ndarray, " e"], Int[np.ndarray, " e"]], tuple[State, Any]],
     score: Callable[[Any], Float[np.ndarray, "e objects"]],
     informativeness: Float[np.ndarray, "e objects sites"],
     *,
@@ -48,7 +51,9 @@ def run(
 
     Args:
         key: Of hypotheses and sites.
-        touch: `touch(hypothesis, site)` makes the next touch of every episode and gives what was measured.
+        state: Of the episodes before the first touch.
+        touch: `touch(state, hypothesis, site)` makes the next touch of every episode and gives the state after it, and
+            what was measured.
         score: Distances d_io of what was measured from every object: the method.
         informativeness: With which probability the heuristic takes each site of each object (`site_informativeness`).
         count: Touches of each episode.
@@ -66,7 +71,8 @@ def run(
     for i in range(count):
         keys = jax.random.split(jax.random.fold_in(key, i), episodes)
         hypotheses[:, i], sites[:, i] = (np.asarray(x) for x in _draw(keys, jnp.asarray(belief), weight))
-        distance[:, i] = score(touch(hypotheses[:, i], sites[:, i]))
+        state, measured = touch(state, hypotheses[:, i], sites[:, i])
+        distance[:, i] = score(measured)
         belief = beliefs(distance, rule)[:, i]
         progress(episodes)
     return LoopResult(distance, hypotheses, sites)

@@ -29,7 +29,9 @@ from i2t.patches.views import centre
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch
-from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
+from i2t.recognition.environment import EnvironmentParams, TouchEnvironment, TouchOutcome
+from i2t.recognition.episodes import Episodes, MeasuredTouches
+from i2t.recognition.rollout import RunningEpisodes, TouchNumber, advance, last_touches
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
 from i2t.runtime.batching import filled_batches, spread
@@ -207,40 +209,51 @@ def paper_rules(
 def run_loop(
     key: Key[Array, ""],
     score: Scorer,
-    touches: EpisodeSimulator,
+    running: RunningEpisodes,
+    environment: TouchEnvironment,
+    params: EnvironmentParams,
     pools: SitePools,
     pool: Int[np.ndarray, " e"],
     *,
-    count: int,
     rule: str = "votes",
+    shared: dict[TouchNumber, TouchOutcome] | None = None,
     progress: Callable[[int], object] = lambda touches: None,
 ) -> LoopResult:
-    """The paper's loop on pools of sites.
+    """The paper's loop on pools of sites, in episodes of an environment.
 
     Args:
         key: Of hypotheses and sites.
         score: Distances of touches from the objects: the method.
-        touches: Makes the touches.
+        running: The episodes before their first touch.
+        environment: Its rules, the number of touches among them.
+        params: Its objects; its sites are the pools joined.
         pools: Of sites.
         pool: Number of each episode's pool.
-        count: Touches of each episode.
         rule: Which of the paper's rules makes the belief that hypotheses are sampled from.
+        shared: Touches that other methods made in the same episodes, which are not made again; those that are made here
+            are added.
         progress: Called with how many touches were made.
 
     Returns:
         What happened; sites are those of the pools that were joined.
     """
     objects, each = pools.T_w_t.shape[1:3]
+    shared = {} if shared is None else shared
 
     def row(hypothesis: np.ndarray, site: np.ndarray) -> np.ndarray:
         return (pool * objects + hypothesis) * each + site
 
-    def touch(hypothesis: np.ndarray, site: np.ndarray) -> MeasuredTouches:
-        touches.touch(row(hypothesis, site)[:, None])
-        return touches.last_touches()
+    def touch(
+        running: RunningEpisodes, hypothesis: np.ndarray, site: np.ndarray
+    ) -> tuple[RunningEpisodes, MeasuredTouches]:
+        after = advance(running, row(hypothesis, site)[:, None], environment, params, shared=shared)
+        shared.update(after.new)
+        return after, last_touches(after, environment, params)
 
-    weight = pool_informativeness(pools)[pool]
-    made = loop.run(key, touch, score, weight, count=count, rule=rule, progress=progress)
+    made = loop.run(
+        key, running, touch, score, pool_informativeness(pools)[pool],
+        count=environment.config.touches, rule=rule, progress=progress,
+    )  # fmt: skip
     rows = [row(*one) for one in zip(made.hypothesis.T, made.site.T, strict=True)]
     return made._replace(site=np.stack(rows, axis=1))
 

@@ -38,7 +38,7 @@ from i2t.runtime.batching import select_rows, spread
 from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
 from i2t.simulation import sites as touch_sites
 from i2t.skin import faults
-from i2t.skin.contact import GRID
+from i2t.skin.contact import CELL_GRID, GRID, Grid
 from i2t.skin.dipoles import rest_field
 from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, add_sensor_noise
@@ -171,7 +171,7 @@ def simulate_touch(
     pad: Pad,
     errors: SimulationErrors,
     limits: PressLimits,
-    law: PressLaw = press_pad,
+    law: PressLaw | None = press_pad,
     response: PadResponse | None = None,
 ) -> Touches:
     """One touch at a site chosen on the believed object: approach along the site's z, press, look.
@@ -185,8 +185,10 @@ def simulate_touch(
         pad: the skin.
         errors: sizes of the errors that each touch draws anew.
         limits: when the press ends.
-        law: what a press of the pad gives; another one makes a world whose physics is another.
-        response: the pad's `i2t.contact.press.pad_response`, which is worked out anew where it is not given.
+        law: what a press of the pad gives; another one makes a world whose physics is another. With None, the contact
+            is solved on cells of 1 mm, the reading is linear in the pressure, and nothing rubs.
+        response: the pad's `i2t.contact.press.pad_response`, or with a law of None its linear response on cells of
+            1 mm; it is worked out anew where it is not given.
 
     Returns:
         One touch. Its reading is still that of an ideal sensor (see `apply_sensor_model`), and its indices are left 0
@@ -196,7 +198,8 @@ def simulate_touch(
     overrun, force_error, travel_error, *slant = jax.random.normal(key_scalars, (5,))
     T_o_w = geometry.inverse(T_w_o @ session.T_o_placed)  # from here on the object is where it really is
 
-    approach = _approach(key_arm, key_tilt, surface, T_o_w, T_w_site, errors=errors, limits=limits)
+    cells = CELL_GRID if law is None else GRID
+    approach = _approach(key_arm, key_tilt, surface, T_o_w, T_w_site, errors=errors, limits=limits, grid=cells)
     overshoot = limits.overshoot * jnp.abs(overrun)
     press = _press(
         surface, pad, approach,
@@ -237,6 +240,7 @@ def _approach(
     *,
     errors: SimulationErrors,
     limits: PressLimits,
+    grid: Grid,
 ) -> _Approach:
     """First contact on the way along the site's z, with the errors of the arm."""
     T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
@@ -245,7 +249,7 @@ def _approach(
     T_o_t, hit = touch_sites.press_along(
         surface, start, start[:3, 2], max_distance=limits.approach_distance + limits.overtravel
     )
-    met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=GRID.cells)
+    met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=grid.cells)
     return _Approach(T_w_arm, start, T_o_t, met, hit & jnp.isfinite(met.nearest))
 
 
@@ -258,7 +262,7 @@ def _press(
     slant: Float[Array, "2"],
     errors: SimulationErrors,
     limits: PressLimits,
-    law: PressLaw,
+    law: PressLaw | None,
     response: PadResponse | None,
 ) -> _Press:
     """Press past first contact to the limits, once more on the final grid where that is another, and with friction.
@@ -267,11 +271,15 @@ def _press(
     standard deviations.
     """
     met, hit = approach.met, approach.hit
-    stop = press_to_stop(pad, met.depth, limits, overshoot, law=law, response=response)
-    pressed = stop.press if law is press_pad else None
-    slide = errors.slant * stop.indentation * slant
-    friction = friction_response(pad, met.depth, stop.indentation, slide, pressed=pressed)
-    if limits.final != GRID:
+    if law is None:
+        stop = press_to_stop(pad, met.depth, limits, overshoot, law=None, response=response, grid=CELL_GRID)
+        friction = jnp.zeros_like(stop.reading)
+    else:
+        stop = press_to_stop(pad, met.depth, limits, overshoot, law=law, response=response)
+        pressed = stop.press if law is press_pad else None
+        slide = errors.slant * stop.indentation * slant
+        friction = friction_response(pad, met.depth, stop.indentation, slide, pressed=pressed)
+    if law is not None and limits.final != GRID:
         heights = render_heights(surface, geometry.inverse(approach.T_o_t), PAD_WINDOW, limits.final.cells)
         nearest = jnp.min(heights)
         deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
@@ -310,15 +318,41 @@ def apply_sensor_model(
     Returns:
         The touches with other readings.
     """
+    read = read_session(key, touches.reading, touches.T_w_t, pad, errors, presses_before=presses_before)
+    return touches._replace(reading=read)
+
+
+@geometry.full_precision
+def read_session(
+    key: Key[Array, ""],
+    reading: Float[Array, "n c"],
+    T_w_t: Float[Array, "n 4 4"],
+    pad: Pad,
+    errors: SimulationErrors,
+    *,
+    presses_before: Int[Array, ""] | int = 0,
+) -> Float[Array, "n c"]:
+    """The readings of one session by a real sensor, which errs and remembers.
+
+    Args:
+        key: random key of the session; faults of the board itself are the same in all its sessions.
+        reading: uT, of an ideal sensor, in the order of the touches.
+        T_w_t: poses of the tool.
+        pad: the skin.
+        errors: whose noise and faults are applied.
+        presses_before: that the pad had in the sessions before, and that softened it.
+
+    Returns:
+        Readings (uT).
+    """
     key_faults, key_noise, _ = jax.random.split(key, 3)  # one more than is used: the draws of a seed stay
     rest = pad.board.to_board(rest_field(pad))
     felt = faults.apply(
-        key_faults, touches.reading, touches.T_w_t, pad.board, errors.faults,
+        key_faults, reading, T_w_t, pad.board, errors.faults,
         key_board=faults.board_key(pad.gains), rest=rest, presses_before=presses_before,
     )  # fmt: skip
     keys = jax.random.split(key_noise, len(felt))
-    read = jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
-    return touches._replace(reading=read)
+    return jax.vmap(lambda key, reading: add_sensor_noise(key, reading, pad.board, errors.noise))(keys, felt)
 
 
 def touch_simulator(

@@ -7,14 +7,14 @@ import pytest
 from experiments.active_touch import run
 from experiments.active_touch.__main__ import main
 from experiments.active_touch.run import table
-from i2t.environments.policies import BASELINES
 from i2t.prediction.metrics import Estimate
+from i2t.recognition.rollout import POLICIES
 
 
 @pytest.mark.full
 def test_the_debug_preset_compares_policies(tmp_path, capsys, monkeypatch):
-    """One baseline stands for all, each of which plays in tests/environments."""
-    monkeypatch.setattr(run, "BASELINES", {"random": BASELINES["random"]})
+    """One policy stands for all, each of which plays in tests/recognition/test_rollout.py."""
+    monkeypatch.setattr(run, "POLICIES", {"random": POLICIES["random"]})
     assert main(["--preset", "debug", "--objects", "star", "hexagon", "--out", str(tmp_path / "out")]) == 0
     report = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert report["source"] == "simulated"

@@ -3,8 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 
-from i2t.environments.core import EnvironmentConfig, EnvironmentParams, OutcomeTable, TouchEnvironment
-from i2t.environments.press import TouchOutcome
+from i2t.contact.press import PadResponse
+from i2t.recognition.environment import (
+    EnvironmentConfig,
+    EnvironmentParams,
+    OutcomeTable,
+    TabulatedTouches,
+    TouchEnvironment,
+)
 from i2t.skin.boards import reskin_board
 from i2t.types import Pad, Surface
 
@@ -15,7 +21,7 @@ def random_environment(config: EnvironmentConfig | None = None) -> tuple[TouchEn
     """Rules and parameters of `OBJECTS` objects, `SITES` sites, `PADS` pads; site 4 is unsafe."""
     rng = np.random.default_rng(0)
     shape = (PADS, OBJECTS, PLACEMENTS, SITES)
-    outcome = TouchOutcome(
+    touches = TabulatedTouches(
         reading=jnp.float32(rng.normal(scale=20, size=(*shape, CHANNELS))),
         force=jnp.float32(rng.uniform(0.5, 2, shape)),
         advance=jnp.float32(rng.normal(scale=1e-3, size=shape)),
@@ -32,10 +38,10 @@ def random_environment(config: EnvironmentConfig | None = None) -> tuple[TouchEn
     params = EnvironmentParams(
         surfaces=Surface(jnp.zeros((OBJECTS, 1, 3, 3))),
         pads=pads,
-        response=jnp.zeros((PADS, CHANNELS, 2, 2)),
+        response=PadResponse(jnp.zeros((PADS, CHANNELS, 2, 2)), None),
         T_w_site=jnp.float32(poses),
         owner=jnp.arange(SITES) % OBJECTS,
         allowed=jnp.arange(SITES) < SITES - 1,
-        table=OutcomeTable(outcome, jnp.tile(jnp.eye(4), (PLACEMENTS, 1, 1))),
+        table=OutcomeTable(touches, jnp.tile(jnp.eye(4), (PLACEMENTS, 1, 1))),
     )
     return TouchEnvironment(config=config or EnvironmentConfig(touches=4)), params

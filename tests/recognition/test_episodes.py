@@ -1,34 +1,25 @@
 """Recorded sessions as episodes: where the sites of touches lie, and what a touch that met air says."""
 
 import inspect
-from dataclasses import replace
 from unittest.mock import create_autospec
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset
 from i2t.errors import DataError
-from i2t.objects import catalogue
 from i2t.recognition import belief
 from i2t.recognition import episodes as episodes_module
 from i2t.recognition.episodes import (
     EVIDENCE,
     BeliefModel,
-    EpisodeConfig,
     Episodes,
-    EpisodeSimulator,
     episodes_from_dataset,
     weigh_evidence,
 )
 from i2t.recognition.site_pool import SitePool
-from i2t.rendering.render import prepare_surface
-from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import grid_board
-from i2t.skin.pad import nominal_pad
 from i2t.skin_models.likelihood import fit_likelihood
 from i2t.types import ReturnCode, Touches
 
@@ -80,55 +71,6 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
     ):
         with pytest.raises(DataError, match=said):
             episodes_from_dataset(data, names, count)
-
-
-def test_errors_of_the_sensor_are_none_of_a_press():
-    """Worlds that differ in these alone share what is compiled."""
-    none, usual = SimulationErrors.none(), SimulationErrors()
-    assert EpisodeConfig(usual, PressLimits(), 2).press_errors == replace(usual, noise=none.noise, faults=none.faults)
-    often = replace(usual, faults=replace(usual.faults, ambient_every=10))
-    assert EpisodeConfig(often, PressLimits(), 2).press_errors == EpisodeConfig(usual, PressLimits(), 2).press_errors
-
-
-class CountingSimulator(EpisodeSimulator):
-    """Touches are what they are asked for: the episode and the site; counts them."""
-
-    made = 0
-
-    def _simulate(self, keys, episode, where, missing):
-        for rows in np.flatnonzero(missing)[:, None]:
-            type(self).made += 1
-            yield rows, touches(
-                np.tile(np.eye(4), (1, 1, 1)), nearest=keys[rows][:, 0].astype(float),
-                force=episode[rows].astype(float), depth=where[rows].astype(float),
-                object=self.truth[episode[rows]].astype(np.int32),
-            )  # fmt: skip
-
-
-@pytest.mark.full
-def test_methods_share_the_touches_that_both_make():
-    """What a second method finds made is what it would have made itself, in its own order."""
-    box = prepare_surface(catalogue.make_object("square").mesh)
-    truth, sites = np.array([0, 1, 0]), SitePool(jnp.tile(jnp.eye(4), (5, 1, 1)), np.zeros(5, int))
-    config = EpisodeConfig(SimulationErrors(), PressLimits(), 2)
-    first, second = np.array([[0, 1], [2, 3], [4, 0]]), np.array([[0, 2], [2, 3], [1, 0]])
-    found, made = [], []
-    shared: dict = {}
-    for chosen, known in ((second, None), (first, shared), (second, shared)):
-        simulator = CountingSimulator(
-            jax.random.key(0), [box, box], truth, sites=sites, pad=nominal_pad(), config=config, made_before=known
-        )
-        before = CountingSimulator.made
-        for step in range(2):
-            simulator.touch(chosen[:, step : step + 1])
-        made.append(CountingSimulator.made - before)
-        found.append(jax.tree.map(lambda *x: np.stack(x, 1), *simulator.touches))
-    assert made == [6, 6, 2]  # only where the second method touches elsewhere
-    jax.tree.map(np.testing.assert_array_equal, found[0], found[2])
-    np.testing.assert_array_equal(found[2].depth, second)
-    np.testing.assert_array_equal(found[2].object[:, 0], truth)
-    with pytest.raises(ValueError, match="no site"):
-        simulator.touch(np.full((3, 1), -1))
 
 
 def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():

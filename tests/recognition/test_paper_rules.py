@@ -4,14 +4,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.environments import random_environment
 from helpers.site_poses import TWO_POOLS
 
 from i2t.objects import catalogue
 from i2t.prediction.predictor import Predictor, Reading
 from i2t.prediction.touch_model import TouchBatch, TouchModel
+from i2t.recognition import paper_rules as paper_rules_module
 from i2t.recognition.belief import TouchObservation
-from i2t.recognition.episodes import Episodes, EpisodeSimulator, MeasuredTouches
+from i2t.recognition.environment import EnvironmentConfig
+from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.paper_rules import at_median_force, constant_predictor, paper_rules, run_loop
+from i2t.recognition.rollout import RunningEpisodes
 from i2t.recognition.site_pool import prepare_surfaces
 
 CHANNELS = 12  # of a 4-chip board
@@ -110,18 +114,26 @@ POOL = np.array([0, 1, 0, 1])
 DISTANCES = np.array([[3.0, 1.0], [1.0, 2.0], [5.0, 0.0]])
 
 
-class Recorder(EpisodeSimulator):
-    """Makes no touch, but keeps what it was asked for."""
+@pytest.fixture
+def recorded(monkeypatch) -> list[np.ndarray]:
+    """Sites that were touched. No touch is made; its number is its reading."""
+    sites: list[np.ndarray] = []
 
-    def __init__(self) -> None:
-        self.sites: list[np.ndarray] = []
+    def advance(running, site, environment, params, *, shared):
+        sites.append(site)
+        return RunningEpisodes(running.key_touch, None)
 
-    def touch(self, site: np.ndarray) -> None:
-        self.sites.append(site)
-
-    def last_touches(self) -> MeasuredTouches:
-        step = np.full(len(POOL), len(self.sites), np.float32)
+    def last_touches(running, environment, params):
+        step = np.full(len(POOL), 1 + (len(sites) - 1) % 3, np.float32)
         return MeasuredTouches(np.tile(np.eye(4, dtype=np.float32), (len(POOL), 1, 1)), step[:, None], step)
+
+    monkeypatch.setattr(paper_rules_module, "advance", advance)
+    monkeypatch.setattr(paper_rules_module, "last_touches", last_touches)
+    return sites
+
+
+THREE, PARAMS = random_environment(EnvironmentConfig(touches=3))
+BEGUN = RunningEpisodes(np.zeros(2, np.uint32), None)
 
 
 def fixed_scorer(touches: MeasuredTouches) -> np.ndarray:
@@ -130,13 +142,12 @@ def fixed_scorer(touches: MeasuredTouches) -> np.ndarray:
 
 
 @pytest.mark.full
-def test_the_loop_touches_where_the_heuristic_says_on_hypotheses_sampled_from_its_own_votes():
+def test_the_loop_touches_where_the_heuristic_says_on_hypotheses_sampled_from_its_own_votes(recorded):
     hypotheses = []
     for key in jax.random.split(jax.random.key(0), 30):
-        recorder = Recorder()
-        result = run_loop(key, fixed_scorer, recorder, TWO_POOLS, POOL, count=3)
+        result = run_loop(key, fixed_scorer, BEGUN, THREE, PARAMS, TWO_POOLS, POOL)
         np.testing.assert_array_equal(result.site, WORTH[POOL[:, None], result.hypothesis])
-        np.testing.assert_array_equal(np.concatenate(recorder.sites, 1), result.site)
+        np.testing.assert_array_equal(np.concatenate(recorded[-3:], 1), result.site)
         np.testing.assert_allclose(result.distance, np.tile(DISTANCES, (len(POOL), 1, 1)))
         hypotheses.append(result.hypothesis)
     share = np.concatenate(hypotheses).mean(0)  # of 120
@@ -145,11 +156,11 @@ def test_the_loop_touches_where_the_heuristic_says_on_hypotheses_sampled_from_it
     assert 0.3 < share[2] < 0.7  # one vote each: an argmax would always take the first
 
 
-def test_hypotheses_follow_the_rule_that_is_asked_for():
+def test_hypotheses_follow_the_rule_that_is_asked_for(recorded):
     """By the product of likelihoods the second object has e^2 / (1 + e^2) = .88 after one touch and .73 after two."""
     share = np.mean(
         [
-            run_loop(key, fixed_scorer, Recorder(), TWO_POOLS, POOL, count=3, rule="product").hypothesis.mean(0)
+            run_loop(key, fixed_scorer, BEGUN, THREE, PARAMS, TWO_POOLS, POOL, rule="product").hypothesis.mean(0)
             for key in jax.random.split(jax.random.key(1), 60)
         ],
         axis=0,

@@ -9,7 +9,7 @@ gymnasium = pytest.importorskip("gymnasium")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from i2t.environments import gym  # noqa: E402
+from i2t.recognition import gym  # noqa: E402
 
 
 @pytest.mark.filterwarnings("ignore")  # of infinite bounds, which are meant

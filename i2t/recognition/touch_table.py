@@ -1,34 +1,40 @@
 """Environments made of objects and pads, and their touches made once, so that a step is a look-up.
 
 `make_environment` draws sites and pads; `tabulate` presses every pad on every object in a number of placements at every
-site, with the errors of the arm; noise of force sensor and chips is drawn at each step. Who touches a site twice in an
-episode meets the same error of the arm twice.
+site, with the errors of arm and force sensor; those of the skin are drawn in each episode. Whoever touches a site twice
+in an episode meets the same press twice.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from i2t.environments.core import (
+from i2t.contact.press import PadResponse, pad_response
+from i2t.geometry import random_motion
+from i2t.objects.catalogue import make_object
+from i2t.objects.solids import Mesh
+from i2t.recognition.environment import (
     EnvironmentConfig,
     EnvironmentParams,
     OutcomeTable,
+    TabulatedTouches,
     TouchEnvironment,
-    sample_placement,
+    advance_from,
 )
-from i2t.environments.press import TouchOutcome, response_map, touch_outcome
-from i2t.objects.catalogue import make_object
-from i2t.objects.solids import Mesh
 from i2t.recognition.site_pool import SitePool, prepare_surfaces, safe_sites, sample_sites
 from i2t.rendering.ops import element
 from i2t.rendering.render import stack_surfaces
 from i2t.runtime.batching import map_batches
 from i2t.runtime.compiling import jit_quickly
+from i2t.simulation.touches import SessionErrors, simulate_touch
+from i2t.skin.dipoles import linear_response
+from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import numbered_pad
-from i2t.types import Board, Pad, Surface
+from i2t.types import Board, Pad, ReturnCode, Surface
 
 SAFE_CANDIDATES_PER_SITE = 4  # drawn for each that is wanted: it has to be safe on every object
 TABULATED_BATCH = 32  # approaches at a time, each pressed with every pad
@@ -44,44 +50,59 @@ def make_environment(
     board: Board | None = None,
     seed: int = 0,
 ) -> tuple[TouchEnvironment, EnvironmentParams]:
-    """An environment with exact physics.
+    """An environment whose touches are pressed as they are made.
 
     Args:
-        objects: names of the catalogue, or meshes (m) that stand on z = 0.
-        config: its rules.
-        sites: how many there are, drawn from all objects alike, each safe on every object.
-        pads: how many there are.
-        first_pad: number of the first (`i2t.skin.pad.numbered_pad`); others number others.
-        board: whose chips lie below the skins; ReSkin's five by default.
-        seed: of the sites.
+        objects: Names of the catalogue, or meshes (m) that stand on z = 0.
+        config: Its rules; by default presses are linear in the pressure (`EnvironmentConfig.law` is None).
+        sites: Number of sites, drawn from all objects alike, each safe on every object.
+        pads: Number of pads.
+        first_pad: Number of the first (`i2t.skin.pad.numbered_pad`); others number others.
+        board: Whose chips lie below the skins; ReSkin's five by default.
+        seed: Of the sites.
 
     Returns:
         The environment and its parameters.
 
     Raises:
-        ValueError: too few objects, sites or pads, or no site is safe on every object.
+        ValueError: There are too few objects, sites or pads, or too few sites are safe on every object.
 
     Example:
         environment, params = make_environment(("star", "hexagon", "cylinder"))
     """
-    config = config or EnvironmentConfig()
+    config = config or EnvironmentConfig(law=None)
     if not objects or sites < 1 or pads < 1:
         raise ValueError(f"an environment of {len(objects)} objects, {sites} sites, {pads} pads; give one of each")
     names = [item if isinstance(item, str) else f"object {i}" for i, item in enumerate(objects)]
     surfaces = prepare_surfaces([make_object(item).mesh if isinstance(item, str) else item for item in objects])
     pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, config=config)
-    skins = jax.tree.map(
-        lambda *x: jnp.asarray(np.stack(x)), *(numbered_pad(first_pad + i, board=board) for i in range(pads))
-    )
-    params = EnvironmentParams(
+    skins = [numbered_pad(first_pad + i, board=board) for i in range(pads)]
+    return TouchEnvironment(config), environment_params(surfaces, skins, pool, config)
+
+
+def environment_params(
+    surfaces: Sequence[Surface], pads: Sequence[Pad], sites: SitePool, config: EnvironmentConfig
+) -> EnvironmentParams:
+    """Parameters of an environment in which every site may be touched.
+
+    Args:
+        surfaces: Of the objects, all of one size class.
+        pads: That touch.
+        sites: Safe on every object.
+        config: The rules.
+
+    Returns:
+        The parameters.
+    """
+    stacked = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *pads)
+    return EnvironmentParams(
         surfaces=jax.tree.map(jnp.asarray, stack_surfaces(surfaces)),
-        pads=skins,
-        response=_response_maps(skins),
-        T_w_site=jnp.asarray(pool.T_w_t),
-        owner=jnp.asarray(pool.owner),
-        allowed=jnp.ones(len(pool.owner), bool),
+        pads=stacked,
+        response=_responses(stacked, config),
+        T_w_site=jnp.asarray(sites.T_w_t),
+        owner=jnp.asarray(sites.owner),
+        allowed=jnp.ones(len(sites.owner), bool),
     )
-    return TouchEnvironment(config), params
 
 
 def tabulate(
@@ -90,46 +111,60 @@ def tabulate(
     """Make every touch once: of every object in some placements at every site with every pad.
 
     Args:
-        key: random key of placements and of the arm's errors.
-        environment: whose errors and limits hold.
-        params: what may be there.
-        placements: drawn once, the same for every object.
+        key: Random key of placements and of the errors of arm and force sensor.
+        environment: Whose errors, limits and law hold.
+        params: What may be there.
+        placements: Number of placements, drawn once, the same for every object.
 
     Returns:
         The parameters with their table; steps are look-ups from here on.
     """
     config = environment.config
     key_place, key_touch = jax.random.split(key)
-    T_w_o = jax.vmap(lambda k: sample_placement(k, config.errors))(jax.random.split(key_place, placements))
+    place = partial(random_motion, distance=config.errors.placement, angle=config.errors.placement_angle)
+    T_w_o = jax.vmap(place)(jax.random.split(key_place, placements))
     columns = []
     for i in range(params.objects):
         keys = jax.random.split(jax.random.fold_in(key_touch, i), placements * params.sites)
         columns.append(jax.device_get(_touch_all(keys, element(params.surfaces, i), T_w_o, params, config)))
-    stacked = jax.tree.map(lambda *x: jnp.asarray(np.stack(x, axis=1)), *columns)
-    return params._replace(table=OutcomeTable(stacked, T_w_o))
+    touches = jax.tree.map(lambda *x: jnp.asarray(np.stack(x, axis=1)), *columns)
+    return params._replace(table=OutcomeTable(touches, T_w_o))
 
 
 @jit_quickly
-def _response_maps(pads: Pad) -> Array:
-    return jax.lax.map(response_map, pads)
+def _responses(pads: Pad, config: EnvironmentConfig) -> PadResponse:
+    def respond(pad: Pad) -> PadResponse:
+        if config.law is None:
+            return PadResponse(linear_response(pad, CELL_GRID), None)
+        return pad_response(pad, config.limits.final)
+
+    return jax.lax.map(respond, pads)
 
 
 @jax.jit
 def _touch_all(
     keys: Array, surface: Surface, T_w_o: Array, params: EnvironmentParams, config: EnvironmentConfig
-) -> TouchOutcome:
+) -> TabulatedTouches:
     """Touches of one object, (pads, placements, sites)."""
     placements, sites = T_w_o.shape[0], params.sites
     row, site = jnp.divmod(jnp.arange(placements * sites), sites)
 
-    def one(at: tuple[Array, Array, Array]) -> TouchOutcome:
+    def touch(at: tuple[Array, Array, Array]) -> TabulatedTouches:
         key, row, site = at
-        return touch_outcome(
-            key, surface, T_w_o[row], params.T_w_site[site],
-            pads=params.pads, response=params.response, errors=config.errors, limits=config.limits,
-        )  # fmt: skip
+        T_w_site = params.T_w_site[site]
 
-    made = map_batches(one, (keys, row, site), batch_size=TABULATED_BATCH)
+        def press(pad: Pad, response: PadResponse) -> TabulatedTouches:
+            made = simulate_touch(
+                key, surface, jnp.eye(4), T_w_site,
+                session=SessionErrors(T_w_o[row], jnp.eye(4)), pad=pad, errors=config.errors,
+                limits=config.limits, law=config.law, response=response,
+            )  # fmt: skip
+            advance = advance_from(T_w_site, made.T_w_t)
+            return TabulatedTouches(made.reading, made.force, advance, made.code != ReturnCode.AIR)
+
+        return jax.vmap(press)(params.pads, params.response)
+
+    made = map_batches(touch, (keys, row, site), batch_size=TABULATED_BATCH)
     return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(placements, sites, *x.shape[1:]), 2, 0), made)
 
 

@@ -1,4 +1,4 @@
-"""The environment for Gymnasium, compiled; many at once are `jax.vmap` of `i2t.environments.core`.
+"""The environment for Gymnasium, compiled; many at once are `jax.vmap` of `i2t.recognition.environment`.
 
 Actions are dictionaries of "action", the number of a site, and "prediction", a logit of each object; observations are
 dictionaries of arrays. Gymnasium is the extra `environments`, and needed by this file only.
@@ -12,20 +12,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from i2t.environments.core import (
+from i2t.recognition.environment import (
     EnvironmentObservation,
     EnvironmentParams,
-    EnvironmentState,
+    EpisodeState,
     TouchAction,
     TouchEnvironment,
 )
-from i2t.environments.tables import make_environment
+from i2t.recognition.touch_table import make_environment
 
 try:
     import gymnasium
     from gymnasium import spaces
 except ImportError as error:
-    raise ImportError("i2t.environments.gym needs Gymnasium; run pip install 'imagine2touch[environments]'") from error
+    raise ImportError("i2t.recognition.gym needs Gymnasium; run pip install 'imagine2touch[environments]'") from error
 
 DEFAULT_OBJECTS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 ENVIRONMENT_ID = "i2t/WhichObject-v0"
@@ -45,13 +45,13 @@ class SingleTouchEnv(gymnasium.Env):
         Args:
             environment: its rules; by default it is made.
             params: what may be there.
-            making: of `i2t.environments.tables.make_environment`, where it is made.
+            making: of `i2t.recognition.touch_table.make_environment`, where it is made.
         """
         if environment is None or params is None:
             environment, params = make_environment(**({"objects": DEFAULT_OBJECTS} | making))
         self.environment, self.params = environment, params
         self.observation_space, self.action_space = observation_space(params), action_space(params)
-        self._state: EnvironmentState | None = None
+        self._state: EpisodeState | None = None
         self._key = jax.random.key(0)
 
     def reset(
@@ -143,7 +143,7 @@ def register_environments() -> str:
 @partial(jax.jit, static_argnums=0)
 def _reset(
     environment: TouchEnvironment, key: Key[Array, ""], params: EnvironmentParams
-) -> tuple[EnvironmentObservation, EnvironmentState]:
+) -> tuple[EnvironmentObservation, EpisodeState]:
     return environment.reset(key, params)
 
 
@@ -151,10 +151,10 @@ def _reset(
 def _step(
     environment: TouchEnvironment,
     key: Key[Array, ""],
-    state: EnvironmentState,
+    state: EpisodeState,
     action: TouchAction,
     params: EnvironmentParams,
-) -> tuple[EnvironmentObservation, EnvironmentState, Array, Array, dict[str, Any]]:
+) -> tuple[EnvironmentObservation, EpisodeState, Array, Array, dict[str, Any]]:
     return environment.step_env(key, state, action, params)
 
 

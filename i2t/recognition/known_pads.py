@@ -1,9 +1,9 @@
-"""The posterior of an environment whose pads were calibrated: touches predicted for every pad, object and pose.
+"""Beliefs of an environment whose pads were calibrated: touches predicted for every pad, object and pose.
 
-What a calibrated pad would read is predicted with its own linear response (`i2t.environments.press.response_map`) on
-contacts of the nominal layer, as `i2t.recognition` does; how far such predictions are off is measured on touches of the
+What a calibrated pad would read is predicted with its own linear response (`i2t.skin.dipoles.linear_response`) on
+contacts of the nominal layer, as `i2t.recognition` does. How far such predictions are off is measured on touches of the
 same pads, made for that alone. An agent that is shown the posterior therefore knows its pad. One that is not sees
-readings only, of pads that it may never have met.
+only readings, of pads that it may never have met.
 """
 
 import jax
@@ -11,12 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from i2t.environments.core import EnvironmentParams, TouchBeliefs, TouchEnvironment, sensor_noise
-from i2t.environments.tables import tabulate
 from i2t.geometry import to_twist
+from i2t.recognition.environment import (
+    EnvironmentConfig,
+    EnvironmentParams,
+    OutcomeTable,
+    TouchBeliefs,
+    TouchEnvironment,
+)
 from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 from i2t.recognition.site_pool import pose_particles, predict_outcomes
+from i2t.recognition.touch_table import tabulate
 from i2t.rendering.ops import element
+from i2t.runtime.compiling import jit_quickly
+from i2t.simulation.touches import read_session
+from i2t.skin.dipoles import linear_response
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.likelihood import (
     INDENTATION_ERROR,
@@ -26,6 +35,7 @@ from i2t.skin_models.likelihood import (
     outlier_range,
 )
 from i2t.skin_models.reading_model import LOADS_N, LinearReadingModel
+from i2t.types import Pad
 
 CALIBRATION_PLACEMENTS = 3  # of every object, on which errors of predictions are measured
 
@@ -39,21 +49,21 @@ def with_beliefs(
     """Give an environment a posterior over its objects.
 
     Args:
-        key: random key of the touches on which errors of predictions are measured.
-        environment: whose task is which object it is, and whose actions are sites.
-        params: what may be there.
-        particles: poses in which each object may stand.
+        key: Random key of the touches on which errors of predictions are measured.
+        environment: Whose errors, limits and law hold.
+        params: What may be there.
+        particles: Number of poses in which each object may stand.
 
     Returns:
         The parameters with `beliefs`.
     """
     config = environment.config
-    key_touch, key_noise = jax.random.split(key)
-    calibration = tabulate(key_touch, environment, params, CALIBRATION_PLACEMENTS).table
-    assert calibration is not None
-    models = [_reading_model(response) for response in np.asarray(params.response)]
-    there = _predict(params, to_twist(calibration.T_w_o), models, config.limits.overtravel)
-    errors, ends, indentation = _errors(key_noise, environment, params, calibration.outcome, there)
+    key_touch, key_sensor = jax.random.split(key)
+    table = tabulate(key_touch, environment, params, CALIBRATION_PLACEMENTS).table
+    assert table is not None
+    models = [_reading_model(response) for response in np.asarray(_linear_responses(params.pads))]
+    there = _predict(params, to_twist(table.T_w_o), models, config.limits.overtravel)
+    errors, ends, indentation = _errors(key_sensor, config, params, table, there)
     softness = np.sum(ends * indentation) / np.sum(indentation**2)
     density = OUTLIER_RATE / outlier_range(config.limits.overtravel)
     position = fit_position_errors(
@@ -67,6 +77,11 @@ def with_beliefs(
     predicted = _predict(params, poses.twist, models, config.limits.overtravel)
     predicted = predicted._replace(indentation=jnp.float32(softness) * predicted.indentation)
     return params._replace(beliefs=TouchBeliefs(predicted, likelihood, poses))
+
+
+@jit_quickly
+def _linear_responses(pads: Pad) -> Array:
+    return jax.lax.map(lambda pad: linear_response(pad, CELL_GRID), pads)
 
 
 def _reading_model(response: Float[np.ndarray, "c n n"]) -> LinearReadingModel:
@@ -92,21 +107,37 @@ def _predict(
 
 
 def _errors(
-    key: Array, environment: TouchEnvironment, params: EnvironmentParams, outcome: tuple, there: PredictedTouch
+    key: Array, config: EnvironmentConfig, params: EnvironmentParams, table: OutcomeTable, there: PredictedTouch
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors of the readings (uT) of touches whose object and placement are known; how far their presses went past the
     predicted contact, less the compliance of the arm (m), and the predicted indentations (m).
     """
-    actual = jax.tree.map(lambda x: jnp.moveaxis(x, 3, 1).reshape(-1, *x.shape[4:]), outcome)  # pads, sites, ...
+    read = _read_sessions(key, table, params, config)
+    actual = jax.tree.map(
+        lambda x: jnp.moveaxis(x, 3, 1).reshape(-1, *x.shape[4:]), (read, *table.touches[1:])
+    )  # pads, sites, objects, placements
+    reading, force, advance, contact = actual
     flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[4:]), there)
     loads = jnp.float32(LOADS_N)
-    indentation, reading, _ = jax.vmap(lambda p, f: interpolate_load(p, loads, f))(flat, actual.force)
-    board, noise = element(params.pads.board, 0), environment.config.errors.noise
-    drawn = jax.vmap(lambda k: sensor_noise(k, board, noise))(jax.random.split(key, len(reading)))
-    ends = actual.advance - flat.approach_distance - actual.force / environment.config.limits.stiffness
-    both = np.asarray(actual.contact & flat.hit)
-    return (
-        np.asarray(actual.reading + drawn - reading)[both],
-        np.asarray(ends)[both],
-        np.asarray(indentation)[both],
-    )
+    indentation, predicted, _ = jax.vmap(lambda p, f: interpolate_load(p, loads, f))(flat, force)
+    ends = advance - flat.approach_distance - force / config.limits.stiffness
+    both = np.asarray(contact & flat.hit)
+    return np.asarray(reading - predicted)[both], np.asarray(ends)[both], np.asarray(indentation)[both]
+
+
+@jit_quickly
+def _read_sessions(key: Array, table: OutcomeTable, params: EnvironmentParams, config: EnvironmentConfig) -> Array:
+    """Readings of the table by the sensor, in each placement one site after the other."""
+    touches = table.touches
+    pads, objects, placements = touches.force.shape[:3]
+    end = jnp.broadcast_to(params.T_w_site, (*touches.advance.shape, 4, 4))
+    end = end.at[..., :3, 3].add(touches.advance[..., None] * end[..., :3, 2])
+
+    def session(key: Array, reading: Array, T_w_t: Array, pad: Array) -> Array:
+        worn = element(params.pads, pad)
+        return read_session(key, reading, T_w_t, worn, config.errors, presses_before=config.presses_before)
+
+    keys = jax.random.split(key, pads * objects * placements)
+    rows = [x.reshape(len(keys), *x.shape[3:]) for x in (touches.reading, end)]
+    read = jax.vmap(session)(keys, rows[0], rows[1], jnp.repeat(jnp.arange(pads), objects * placements))
+    return read.reshape(touches.reading.shape)

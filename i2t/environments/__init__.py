@@ -1,1 +1,0 @@
-"""Active touch as an environment: touches are chosen one by one, and something is to be found out."""

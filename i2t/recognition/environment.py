@@ -1,0 +1,469 @@
+"""A recognition episode as pure functions: `reset(key, params) -> (obs, state)`, `step(key, state, action, params) ->
+(obs, state, reward, done, info)`.
+
+The signature is that of gymnax (Lange, 2022), on which nothing here depends: lift `step` with `jax.vmap` over many
+environments, and run it with `jax.lax.scan`. In each episode an object, its placement and a pad are drawn. An action
+chooses a site of a pool and says which object is believed to be there. The reward is the negative cross entropy (nats)
+of that belief, less the cost of a touch that was refused. `i2t.recognition.rollout` runs many episodes under a policy.
+
+A step composes three functions: `touch` presses the skin at a site (`i2t.simulation.touches.simulate_touch`) or looks
+the press up in a table, `record` writes the press into the episode, and `measure` reads all presses of the episode by a
+sensor that errs and remembers.
+
+A site is touched only where that is safe on every object that may be there, at its believed placement, so that a
+refusal says nothing about the object. A refused touch does not move the arm: it costs a step and is reported in
+`info["refused"]`, and nothing else is touched in its place.
+
+Metres, newtons, microtesla; objects are believed at the world's origin. Everything here is simulated.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+
+from i2t.contact.press import PadResponse, PressLaw, PressLimits
+from i2t.recognition import belief as beliefs
+from i2t.recognition.belief import Belief, Particles, TouchObservation
+from i2t.recognition.outcomes import PredictedTouch
+from i2t.rendering.ops import element
+from i2t.runtime.compiling import traced_floats
+from i2t.simulation.site_limits import SiteLimits
+from i2t.simulation.sites import RECOGNITION_LIMITS
+from i2t.simulation.touches import (
+    SessionErrors,
+    SimulationErrors,
+    read_session,
+    sample_session_errors,
+    simulate_touch,
+)
+from i2t.skin.pad import press as press_pad
+from i2t.skin_models.likelihood import Likelihood
+from i2t.types import Pad, ReturnCode, Surface
+
+HOME_HEIGHT_M = 0.15  # of the tool above the world's origin before the first touch
+Poses = TypeVar("Poses", Array, np.ndarray)
+PadTree = TypeVar("PadTree", Pad, PadResponse)
+
+
+@traced_floats
+@dataclass(frozen=True)
+class EnvironmentConfig:
+    """The rules of an environment."""
+
+    errors: SimulationErrors = field(default_factory=SimulationErrors)
+    limits: PressLimits = field(default_factory=PressLimits)
+    touches: int = 16  # of an episode
+    law: PressLaw | None = press_pad  # what a press of the pad reads; None: see `simulate_touch`
+    presses_before: int = 1000  # of the pad, before an episode: a skin that was trained with is no longer new
+    safety: SiteLimits = RECOGNITION_LIMITS
+    refusal_cost: float = 0.1
+
+    @property
+    def press_errors(self) -> SimulationErrors:
+        """Errors of a press, without those of the sensor: environments that differ in these alone share what is
+        compiled, even where whole numbers differ.
+        """
+        none = SimulationErrors.none()
+        return replace(self.errors, noise=none.noise, faults=none.faults)
+
+
+class TouchOutcome(NamedTuple):
+    """The end of a touch, as an ideal skin would read it."""
+
+    reading: Float[Array, "*batch c"]  # uT
+    force: Float[Array, "*batch"]  # N, measured
+    T_w_t: Float[Array, "*batch 4 4"]  # where the press ended, as the arm reports
+    contact: Bool[Array, "*batch"]  # whether anything was met
+
+
+class TabulatedTouches(NamedTuple):
+    """Touches of every pad on every object in every placement at every site, as an ideal skin would read them."""
+
+    reading: Float[Array, "pads objects placements sites c"]  # uT
+    force: Float[Array, "pads objects placements sites"]  # N
+    advance: Float[Array, "pads objects placements sites"]  # m, from the site to the press's end, along the approach
+    contact: Bool[Array, "pads objects placements sites"]  # whether anything was met
+
+
+class OutcomeTable(NamedTuple):
+    """Touches that were made once, to be looked up."""
+
+    touches: TabulatedTouches
+    T_w_o: Float[Array, "placements 4 4"]  # where objects really stand
+
+
+class TouchBeliefs(NamedTuple):
+    """Predictions by which an environment judges how probable each object is (`i2t.recognition.known_pads`)."""
+
+    predicted: PredictedTouch  # (pads, sites, objects, k)
+    likelihood: Likelihood
+    particles: Particles
+
+
+class EnvironmentParams(NamedTuple):
+    """Objects that may be there, and pads that touch them."""
+
+    surfaces: Surface  # of the objects, stacked
+    pads: Pad  # stacked
+    response: PadResponse  # of each pad
+    T_w_site: Float[Array, "sites 4 4"]
+    owner: Int[Array, " sites"]  # object on which each site was drawn
+    allowed: Bool[Array, " sites"]  # sites that are safe on every object
+    table: OutcomeTable | None = None
+    beliefs: TouchBeliefs | None = None
+
+    @property
+    def objects(self) -> int:
+        """Number of objects."""
+        return self.surfaces.triangles.shape[0]
+
+    @property
+    def sites(self) -> int:
+        """Number of sites."""
+        return self.T_w_site.shape[0]
+
+    @property
+    def channels(self) -> int:
+        """Number of values of a reading."""
+        return self.pads.gains.shape[-1]
+
+    def with_pads(self, rows: Int[np.ndarray, " kept"] | slice) -> "EnvironmentParams":
+        """The same environment with some of its pads, for instance those held out.
+
+        Args:
+            rows: Numbers of the pads that stay.
+
+        Returns:
+            The parameters.
+        """
+        some = partial(jax.tree.map, lambda x: x[rows])
+        table, believed = self.table, self.beliefs
+        if table is not None:
+            table = table._replace(touches=some(table.touches))
+        if believed is not None:
+            believed = believed._replace(predicted=some(believed.predicted))
+        return self._replace(pads=some(self.pads), response=some(self.response), table=table, beliefs=believed)
+
+
+class TouchAction(NamedTuple):
+    """Place of the next touch, and what is believed."""
+
+    touch: Int[Array, ""]  # number of a site
+    prediction: Float[Array, " o"] | None = None  # logits of the objects; None: the environment's own posterior
+
+
+class EnvironmentObservation(NamedTuple):
+    """Observation after a touch."""
+
+    reading: Float[Array, " c"]  # uT
+    force: Float[Array, ""]  # N
+    advance: Float[Array, ""]  # m, from the site to where the press ended, along the approach
+    T_w_t: Float[Array, "4 4"]  # where the press ended, as the arm reports
+    contact: Bool[Array, ""]  # whether anything was met
+    refused: Bool[Array, ""]  # whether the touch was unsafe and not made
+    left: Float[Array, ""]  # share of the touches that are left
+    posterior: Float[Array, " o"]  # of the objects; empty without `EnvironmentParams.beliefs`
+
+
+class EpisodeState(NamedTuple):
+    """An episode of t touches, as far as it went; rows of touches to come are zero."""
+
+    object: Int[Array, "*e"]
+    pad: Int[Array, "*e"]
+    placement: Int[Array, "*e"]  # row of the table
+    session: SessionErrors  # what stays wrong during the episode
+    sensor_key: UInt32[Array, "*e 2"]  # data of the key of the sensor's errors: they depend on the touches before
+    site: Int[Array, "*e t"]
+    made: TouchOutcome  # (*e, t)
+    num_made: Int[Array, "*e"]  # touches made
+    num_refused: Int[Array, "*e"]  # touches refused
+    belief: Belief | None
+
+
+@dataclass(frozen=True)
+class TouchEnvironment:
+    """An environment of active touch; all methods are pure and work on one episode.
+
+    Example:
+        environment, params = make_environment(("star", "hexagon", "cylinder"), pads=4)
+        obs, state = environment.reset(key, params)
+        action = TouchAction(jnp.int32(3), jnp.zeros(3))
+        obs, state, reward, done, info = environment.step(key, state, action, params)
+    """
+
+    config: EnvironmentConfig = field(default_factory=EnvironmentConfig)
+
+    def reset(self, key: Key[Array, ""], params: EnvironmentParams) -> tuple[EnvironmentObservation, EpisodeState]:
+        """Begin an episode with an object and a pad drawn at random.
+
+        Args:
+            key: Random key.
+            params: What may be there.
+
+        Returns:
+            The observation before the first touch, and the episode.
+        """
+        key_object, key_pad, key_session, key_sensor = jax.random.split(key, 4)
+        which = jax.random.randint(key_object, (), 0, params.objects)
+        pad = jax.random.randint(key_pad, (), 0, params.pads.gains.shape[0])
+        state = self.begin(key_session, key_sensor, which, pad, params)
+        nothing = TouchObservation(jnp.zeros(params.channels), jnp.zeros(()), jnp.zeros(()), jnp.asarray(False))
+        return self._observe(state, nothing, jnp.asarray(False)), state
+
+    def begin(
+        self,
+        key_session: Key[Array, ""],
+        key_sensor: Key[Array, ""],
+        which: Int[Array, ""] | int,
+        pad: Int[Array, ""] | int,
+        params: EnvironmentParams,
+    ) -> EpisodeState:
+        """Put an object down for a pad.
+
+        Args:
+            key_session: Random key of the errors of placement and camera.
+            key_sensor: Random key of the sensor's errors.
+            which: Number of the object.
+            pad: Number of the pad.
+            params: What may be there.
+
+        Returns:
+            The episode before its first touch.
+        """
+        row, t = jnp.zeros((), jnp.int32), self.config.touches
+        if params.table is None:
+            session = sample_session_errors(key_session, self.config.errors)
+        else:
+            row = jax.random.randint(key_session, (), 0, len(params.table.T_w_o))
+            session = SessionErrors(params.table.T_w_o[row], jnp.eye(4))
+        none = TouchOutcome(
+            jnp.zeros((t, params.channels)), jnp.zeros(t), jnp.zeros((t, 4, 4)), jnp.zeros(t, bool)
+        )  # fmt: skip
+        return EpisodeState(
+            object=jnp.asarray(which, jnp.int32),
+            pad=jnp.asarray(pad, jnp.int32),
+            placement=row,
+            session=session,
+            sensor_key=jax.random.key_data(key_sensor),
+            site=jnp.zeros(t, jnp.int32),
+            made=none,
+            num_made=jnp.zeros((), jnp.int32),
+            num_refused=jnp.zeros((), jnp.int32),
+            belief=None if params.beliefs is None else _prior(params),
+        )
+
+    def step(
+        self, key: Key[Array, ""], state: EpisodeState, action: TouchAction, params: EnvironmentParams
+    ) -> tuple[EnvironmentObservation, EpisodeState, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        """One touch, as `step_env`, after whose last the next episode begins, as gymnax does.
+
+        Args:
+            key: Random key.
+            state: The episode.
+            action: Where to touch, and what is believed before the touch.
+            params: What may be there.
+
+        Returns:
+            Observation, episode, reward, whether the episode ended, and `info`, which holds the last observation of an
+            episode that ended (`final`).
+        """
+        key_step, key_reset = jax.random.split(key)
+        obs, after, reward, done, info = self.step_env(key_step, state, action, params)
+        fresh_obs, fresh = self.reset(key_reset, params)
+        chosen = jax.tree.map(partial(jnp.where, done), (fresh_obs, fresh), (obs, after))
+        return chosen[0], chosen[1], reward, done, info | {"final": obs}
+
+    def step_env(
+        self, key: Key[Array, ""], state: EpisodeState, action: TouchAction, params: EnvironmentParams
+    ) -> tuple[EnvironmentObservation, EpisodeState, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
+        """One touch of an episode, which is not followed by another.
+
+        The prediction is judged before the touch that comes with it: it is what is believed on what was seen so far.
+
+        Args:
+            key: Random key.
+            state: The episode.
+            action: Where to touch, and what is believed before the touch.
+            params: What may be there.
+
+        Returns:
+            Observation, episode, reward, whether the episode ended, and `info`: whether the touch was refused, the
+            prediction's loss, the object and the pad.
+        """
+        listed = (action.touch >= 0) & (action.touch < params.sites)
+        site = jnp.clip(action.touch, 0, params.sites - 1)
+        safe = listed & params.allowed[site]
+        pressed = record(state, site, self.touch(key, state, site, params))
+        measured = element(self.measure(pressed, params), state.num_made)
+        after = jax.tree.map(partial(jnp.where, safe), self.believe(pressed, measured, params), state)
+        after = after._replace(num_refused=state.num_refused + ~safe)
+        measured = jax.tree.map(lambda x: jnp.where(safe, x, jnp.zeros_like(x)), measured)
+        loss = cross_entropy(self._prediction(state, action), state.object)
+        reward = -loss - jnp.where(safe, 0.0, self.config.refusal_cost)
+        info = {"refused": ~safe, "loss": loss, "object": state.object, "pad": state.pad}
+        done = after.num_made + after.num_refused >= self.config.touches
+        return self._observe(after, measured, ~safe), after, reward, done, info
+
+    def touch(
+        self, key: Key[Array, ""], state: EpisodeState, site: Int[Array, ""], params: EnvironmentParams
+    ) -> TouchOutcome:
+        """Press at a site, or look the press up.
+
+        Args:
+            key: Random key of the arm's errors.
+            state: The episode.
+            site: Number of the site.
+            params: What may be there.
+
+        Returns:
+            The end of the press.
+        """
+        T_w_site = params.T_w_site[site]
+        if params.table is not None:
+            row = state.pad, state.object, state.placement, site
+            touched = jax.tree.map(lambda x: x[row], params.table.touches)
+            end = T_w_site @ jnp.eye(4).at[2, 3].set(touched.advance)
+            return TouchOutcome(touched.reading, touched.force, end, touched.contact)
+        pressed = simulate_touch(
+            key, element(params.surfaces, state.object), jnp.eye(4), T_w_site,
+            session=state.session, pad=worn(params.pads, state.pad), errors=self.config.errors,
+            limits=self.config.limits, law=self.config.law, response=worn(params.response, state.pad),
+        )  # fmt: skip
+        return TouchOutcome(pressed.reading, pressed.force, pressed.T_w_t, pressed.code != ReturnCode.AIR)
+
+    def read(self, state: EpisodeState, pads: Pad) -> Float[Array, "t c"]:
+        """Readings of all touches of an episode, by a sensor that errs and remembers.
+
+        Args:
+            state: The episode.
+            pads: Those of the environment.
+
+        Returns:
+            Readings (uT); those of touches to come mean nothing, and change none of those before.
+        """
+        return read_session(
+            jax.random.wrap_key_data(state.sensor_key), state.made.reading, state.made.T_w_t,
+            worn(pads, state.pad), self.config.errors, presses_before=self.config.presses_before,
+        )  # fmt: skip
+
+    def measure(self, state: EpisodeState, params: EnvironmentParams) -> TouchObservation:
+        """Measurements of all touches of an episode, as of `read`.
+
+        Args:
+            state: The episode.
+            params: What may be there.
+
+        Returns:
+            Measurements (t,).
+        """
+        advance = advance_from(params.T_w_site[state.site], state.made.T_w_t)
+        return TouchObservation(self.read(state, params.pads), state.made.force, advance, state.made.contact)
+
+    def believe(self, state: EpisodeState, measured: TouchObservation, params: EnvironmentParams) -> EpisodeState:
+        """The belief after the last touch, where the environment has one.
+
+        Args:
+            state: The episode, its last touch recorded.
+            measured: That touch.
+            params: What may be there.
+
+        Returns:
+            The episode with the belief after the touch.
+        """
+        if params.beliefs is None or state.belief is None:
+            return state
+        predicted = jax.tree.map(lambda x: x[state.pad, state.site[state.num_made - 1]], params.beliefs.predicted)
+        return state._replace(belief=beliefs.update(state.belief, measured, predicted, params.beliefs.likelihood))
+
+    def _prediction(self, state: EpisodeState, action: TouchAction) -> Array:
+        """Prediction of an action."""
+        if action.prediction is not None:
+            return action.prediction
+        if state.belief is None:
+            raise ValueError("an action without a prediction needs params.beliefs (i2t.recognition.known_pads)")
+        return jnp.log(jnp.maximum(beliefs.posterior(state.belief), beliefs.MIN_PROBABILITY))
+
+    def _observe(self, state: EpisodeState, measured: TouchObservation, refused: Array) -> EnvironmentObservation:
+        """Observation that an agent is shown."""
+        posterior = jnp.zeros(0) if state.belief is None else beliefs.posterior(state.belief)
+        last = state.made.T_w_t[jnp.maximum(state.num_made - 1, 0)]
+        return EnvironmentObservation(
+            reading=measured.reading,
+            force=measured.force,
+            advance=measured.advance,
+            T_w_t=jnp.where(state.num_made > 0, last, _home()),
+            contact=measured.contact,
+            refused=refused,
+            left=1 - (state.num_made + state.num_refused) / self.config.touches,
+            posterior=posterior,
+        )
+
+
+def worn(stacked: PadTree, number: Int[Array, ""]) -> PadTree:
+    """One pad, or its response, of several.
+
+    Args:
+        stacked: Of the pads, on axis 0.
+        number: Of the pad.
+
+    Returns:
+        The pad. Of a single pad nothing is selected, so that episodes side by side share what depends on it alone.
+    """
+    pads = jax.tree.leaves(stacked)[0].shape[0]
+    return element(stacked, number if pads > 1 else 0)
+
+
+def record(state: EpisodeState, site: Int[Array, ""], outcome: TouchOutcome) -> EpisodeState:
+    """Write a touch into its episode.
+
+    Args:
+        state: The episode before the touch.
+        site: Number of the site.
+        outcome: The end of the touch.
+
+    Returns:
+        The episode with one touch more.
+    """
+    made = jax.tree.map(lambda rows, row: rows.at[state.num_made].set(row), state.made, outcome)
+    return state._replace(site=state.site.at[state.num_made].set(site), made=made, num_made=state.num_made + 1)
+
+
+def advance_from(T_w_site: Poses, T_w_t: Poses) -> Poses:
+    """Distances from sites to where presses ended, along the approach.
+
+    Args:
+        T_w_site: Poses of the sites, `(..., 4, 4)`.
+        T_w_t: Poses of the tool at the ends, `(..., 4, 4)`.
+
+    Returns:
+        Distances `(...)` in metres.
+    """
+    return ((T_w_t[..., :3, 3] - T_w_site[..., :3, 3]) * T_w_site[..., :3, 2]).sum(-1)
+
+
+def cross_entropy(prediction: Float[Array, " o"], which: Int[Array, ""]) -> Float[Array, ""]:
+    """Loss of a prediction; rewards are its negative.
+
+    Args:
+        prediction: Logits of the objects.
+        which: Number of the object that is there.
+
+    Returns:
+        The loss (nats).
+    """
+    return -jnp.sum(jax.nn.one_hot(which, prediction.shape[-1]) * jax.nn.log_softmax(prediction))
+
+
+def _home() -> Float[Array, "4 4"]:
+    """The tool above the origin, looking down."""
+    return jnp.diag(jnp.array([1.0, -1.0, -1.0, 1.0])).at[2, 3].set(HOME_HEIGHT_M)
+
+
+def _prior(params: EnvironmentParams) -> Belief:
+    assert params.beliefs is not None
+    return beliefs.init(params.beliefs.particles, params.objects, channels=params.channels)

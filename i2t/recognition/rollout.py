@@ -1,0 +1,447 @@
+"""Episodes of an environment side by side, under policies: random sites, the paper's heuristic, expected information.
+
+`begin_episodes` puts the objects down, `advance` makes the next touches of every episode, and `rollout` repeats both
+under a policy, `policy(key, state, params) -> site`. The policies here never choose a site that is not allowed or was
+touched before; where none is left they choose `i2t.recognition.policy.NO_SITE`.
+
+Touches depend on the key of the episodes, the number of the touch, the episode and the site alone. Methods that are
+compared with the same key therefore share those touches that they both make (`advance(..., shared=...)`).
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+
+from i2t.contact.press import PadResponse
+from i2t.paper import loop
+from i2t.recognition import belief
+from i2t.recognition.belief import TouchObservation
+from i2t.recognition.environment import (
+    EnvironmentConfig,
+    EnvironmentParams,
+    EpisodeState,
+    TouchEnvironment,
+    TouchOutcome,
+    advance_from,
+)
+from i2t.recognition.episodes import Episodes, MeasuredTouches
+from i2t.recognition.policy import choose_site, draw_site, expected_information_gain
+from i2t.recognition.site_pool import SitePool
+from i2t.recognition.touch_table import environment_params
+from i2t.runtime.batching import filled_batches, map_batches, select_rows, spread
+from i2t.runtime.compiling import jit_by_amount, jit_quickly
+from i2t.runtime.progress import Progress, progress
+from i2t.types import Pad, Surface
+
+FEW_TOUCHES = 16_000  # of no more, compiling them quickly pays; last digits may differ from those of more
+EPISODE_BATCH = 16  # touches and episodes at a time: fewer fill up the last batch less, and fit the caches
+POLICY_BATCH = 8  # episodes whose sites are chosen at a time
+IMAGINED_OUTCOMES, IMAGINED_PARTICLES = 16, 8  # of the imagined outcomes of a site
+
+TouchNumber: TypeAlias = tuple[int, int, int]  # number of the touch, episode and site
+SitePolicy: TypeAlias = Callable[[Array, EpisodeState, EnvironmentParams], Array]
+
+
+class RunningEpisodes(NamedTuple):
+    """Episodes side by side, as far as they went; arrays on the host."""
+
+    key_touch: UInt32[np.ndarray, "2"]  # data of the random key of all touches
+    states: EpisodeState  # (e, ...), all with as many touches
+    new: Mapping[TouchNumber, TouchOutcome] = {}  # touches that the last call of `advance` had to make
+
+
+def begin_episodes(
+    key: Key[Array, ""],
+    environment: TouchEnvironment,
+    params: EnvironmentParams,
+    truth: Int[np.ndarray, " e"],
+    pad: Int[np.ndarray, " e"] | None = None,
+) -> RunningEpisodes:
+    """Put an object down in every episode.
+
+    Args:
+        key: Random key of everything that happens in the episodes.
+        environment: Their rules.
+        params: What may be there.
+        truth: Number of the object that is there in each episode.
+        pad: Number of the pad that touches in each episode; by default the first.
+
+    Returns:
+        The episodes before their first touch.
+    """
+    pad = np.zeros(len(truth), int) if pad is None else pad
+    begun = _begin(key, jnp.asarray(truth), jnp.asarray(pad), params, environment.config)
+    return RunningEpisodes(*jax.device_get(begun))
+
+
+def advance(
+    running: RunningEpisodes,
+    site: Int[np.ndarray, "e n"],
+    environment: TouchEnvironment,
+    params: EnvironmentParams,
+    *,
+    shared: Mapping[TouchNumber, TouchOutcome] | None = None,
+    bar: Progress | None = None,
+) -> RunningEpisodes:
+    """Make the next n touches of every episode.
+
+    Args:
+        running: The episodes.
+        site: Numbers of the sites to touch.
+        environment: Its rules.
+        params: What may be there.
+        shared: Touches that episodes of the same key, objects and sites made; they are not made again.
+        bar: Shows progress.
+
+    Returns:
+        The episodes after the touches, and the touches that were not shared (`new`).
+
+    Raises:
+        ValueError: A site is negative: none was chosen.
+    """
+    site = np.asarray(site)
+    if (site < 0).any():
+        raise ValueError("an episode has no site to touch: none was chosen")
+    states, (e, n) = running.states, site.shape
+    count = int(states.num_made[0])
+    numbers = [(count + i % n, i // n, int(where)) for i, where in enumerate(site.reshape(-1))]
+    made = {} if shared is None else {number: shared[number] for number in numbers if number in shared}
+    if bar is not None:
+        bar.update(len(made))
+    missing = np.flatnonzero([number not in made for number in numbers])
+    new: dict[TouchNumber, TouchOutcome] = {}
+    keys = np.asarray(_touch_keys(running.key_touch, count, n=n, episodes=e))
+    for rows, batch in _touch(states, keys, site, missing, environment, params):
+        new |= {numbers[i]: jax.tree.map(lambda x, j=j: x[j], batch) for j, i in enumerate(rows)}
+        if bar is not None:
+            bar.update(len(rows))
+    made |= new
+    outcome = jax.tree.map(lambda *x: np.stack(x).reshape(e, n, *x[0].shape), *[made[number] for number in numbers])
+    for i in range(n):
+        states = _record(states, site[:, i], jax.tree.map(lambda x, i=i: x[:, i], outcome))
+        if params.beliefs is not None:
+            states = jax.device_get(_believe(states, params, environment.config))
+    return RunningEpisodes(running.key_touch, states, new)
+
+
+def observations(
+    running: RunningEpisodes, environment: TouchEnvironment, params: EnvironmentParams
+) -> TouchObservation:
+    """Measurements of all touches so far.
+
+    Args:
+        running: The episodes.
+        environment: Its rules.
+        params: What may be there.
+
+    Returns:
+        Measurements (e, t).
+    """
+    states = running.states
+    e, count = len(states.object), int(states.num_made[0])
+    parts = filled_batches(np.arange(e), EPISODE_BATCH)
+    calls = ((select_rows(states, rows),) for rows in parts)
+    read = np.concatenate(list(spread(_read, calls, shared=(params.pads, environment.config))))[:e, :count]
+    made = jax.tree.map(lambda x: x[:, :count], states.made)
+    advanced = advance_from(np.asarray(params.T_w_site)[states.site[:, :count]], made.T_w_t)
+    return TouchObservation(*map(jnp.asarray, (read, made.force, advanced.astype(np.float32), made.contact)))
+
+
+def last_touches(running: RunningEpisodes, environment: TouchEnvironment, params: EnvironmentParams) -> MeasuredTouches:
+    """The last touch of each episode.
+
+    Args:
+        running: The episodes.
+        environment: Its rules.
+        params: What may be there.
+
+    Returns:
+        Measurements (e,).
+    """
+    seen = observations(running, environment, params)
+    last = int(running.states.num_made[0]) - 1
+    return MeasuredTouches(
+        *map(np.asarray, (running.states.made.T_w_t[:, last], seen.reading[:, -1], seen.force[:, -1]))
+    )
+
+
+def episodes_of(running: RunningEpisodes, environment: TouchEnvironment, params: EnvironmentParams) -> Episodes:
+    """Record of episodes as far as they went.
+
+    Args:
+        running: The episodes.
+        environment: Its rules.
+        params: What may be there.
+
+    Returns:
+        The record.
+    """
+    states, count = running.states, int(running.states.num_made[0])
+    seen = observations(running, environment, params)
+    site, T_w_t = np.asarray(states.site[:, :count]), np.asarray(states.made.T_w_t[:, :count])
+    return Episodes(np.asarray(states.object), site, seen, T_w_t)
+
+
+def rollout(
+    key: Key[Array, ""],
+    environment: TouchEnvironment,
+    params: EnvironmentParams,
+    policy: SitePolicy,
+    truth: Int[np.ndarray, " e"],
+    pad: Int[np.ndarray, " e"] | None = None,
+) -> tuple[Episodes, Float[np.ndarray, "e t o"]]:
+    """Episodes under a policy, with what the environment believes after each touch.
+
+    Args:
+        key: Random key; the same one puts the same objects down in the same places.
+        environment: Its rules.
+        params: What may be there, with beliefs.
+        policy: Chooses sites.
+        truth: Number of the object that is there in each episode.
+        pad: Number of the pad that touches in each episode; by default the first.
+
+    Returns:
+        The episodes, and the posterior over the objects after each touch.
+    """
+    key_world, key_policy = jax.random.split(key)
+    running = begin_episodes(key_world, environment, params, truth, pad)
+    posteriors = []
+    for i in range(environment.config.touches):
+        site = _choose(jax.random.fold_in(key_policy, i), running.states, params, policy=policy)
+        running = advance(running, np.asarray(site)[:, None], environment, params)
+        posteriors.append(np.asarray(_posteriors(running.states.belief)))
+    return episodes_of(running, environment, params), np.stack(posteriors, axis=1)
+
+
+def run_episodes(
+    key: Key[Array, ""],
+    surfaces: Sequence[Surface],
+    truth: Int[np.ndarray, " e"],
+    chosen: Int[np.ndarray, "e t"],
+    *,
+    sites: SitePool,
+    pad: Pad,
+    config: EnvironmentConfig,
+    label: str,
+) -> Episodes:
+    """Simulate episodes at sites chosen beforehand, with a progress bar.
+
+    Args:
+        key: Random key of everything that happens in the episodes.
+        surfaces: Of the objects, all of one size class.
+        truth: Number of the object that is there in each episode.
+        chosen: Numbers of the sites to touch.
+        sites: The pool.
+        pad: That touches.
+        config: Errors, limits and the number of touches.
+        label: What the bar says the touches are for.
+
+    Returns:
+        The episodes.
+    """
+    environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], sites, config)
+    running = begin_episodes(key, environment, params, truth)
+    with progress(total=chosen.size, desc=f"{label}: touching", unit="touch") as bar:
+        running = advance(running, chosen, environment, params, bar=bar)
+    return episodes_of(running, environment, params)
+
+
+# --- policies ---
+
+
+def untouched(state: EpisodeState, params: EnvironmentParams) -> Bool[Array, " sites"]:
+    """Sites that are allowed and that the episode has not touched.
+
+    Args:
+        state: The episode.
+        params: What may be there.
+
+    Returns:
+        A mask of the sites.
+    """
+    made = jnp.arange(state.site.shape[0]) < state.num_made
+    return params.allowed.at[jnp.where(made, state.site, params.sites)].set(False, mode="drop")
+
+
+def random_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
+    """Any site that is allowed and was not touched.
+
+    Args:
+        key: Random key.
+        state: The episode.
+        params: What may be there.
+
+    Returns:
+        Number of the site.
+    """
+    return draw_site(key, jnp.ones(params.sites), untouched(state, params))
+
+
+def heuristic_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
+    """The paper's heuristic: an informative site of the most probable object (`i2t.paper.loop.site_informativeness`),
+    or any other where none is left.
+
+    Args:
+        key: Random key.
+        state: The episode, with its belief.
+        params: What may be there.
+
+    Returns:
+        Number of the site.
+    """
+    key_object, key_site = jax.random.split(key)
+    which = loop.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.num_made)
+    own = params.owner[None] == jnp.arange(params.objects)[:, None]
+    everywhere = jnp.broadcast_to(params.T_w_site[None], (params.objects, *params.T_w_site.shape))
+    weight = loop.site_informativeness(everywhere[..., :3, 3], -everywhere[..., :3, 2], own, which)
+    return draw_site(key_site, weight, untouched(state, params))
+
+
+def informative_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
+    """The site that is expected to tell most about the object (`i2t.recognition.policy`).
+
+    Args:
+        key: Random key of the imagined outcomes.
+        state: The episode, with its belief.
+        params: What may be there.
+
+    Returns:
+        Number of the site.
+    """
+    assert params.beliefs is not None
+    table = jax.tree.map(lambda x: x[state.pad], params.beliefs.predicted)
+    gain = expected_information_gain(
+        key, _belief(state), table, params.beliefs.likelihood,
+        num_draws=IMAGINED_OUTCOMES, num_particles=IMAGINED_PARTICLES,
+    )  # fmt: skip
+    return choose_site(gain, untouched(state, params))
+
+
+POLICIES: dict[str, SitePolicy] = {
+    "random": random_site,
+    "heuristic": heuristic_site,
+    "information": informative_site,
+}
+
+
+def _belief(state: EpisodeState) -> belief.Belief:
+    if state.belief is None:
+        raise ValueError("this policy needs an environment with beliefs; see i2t.recognition.known_pads.with_beliefs")
+    return state.belief
+
+
+# --- compiled ---
+
+
+@jit_quickly
+def _begin(
+    key: Key[Array, ""], truth: Array, pad: Array, params: EnvironmentParams, config: EnvironmentConfig
+) -> tuple[Array, EpisodeState]:
+    """Data of the key of the touches, and the episodes."""
+    key_sessions, key_touch, key_reading = jax.random.split(key, 3)
+    environment = TouchEnvironment(config)
+    keys = [jax.random.split(key, len(truth)) for key in (key_sessions, key_reading)]
+
+    def begin(session: Array, sensor: Array, which: Array, pad: Array) -> EpisodeState:
+        return environment.begin(session, sensor, which, pad, params)
+
+    states = jax.vmap(begin)(keys[0], keys[1], truth, pad)
+    return jax.random.key_data(key_touch), states
+
+
+@partial(jit_quickly, static_argnames=("n", "episodes"))
+def _touch_keys(key: Array, before: Int[Array, ""] | int, *, n: int, episodes: int) -> Array:
+    """Keys of the next n touches of every episode, in the order of episodes, as data: their rows fill up batches more
+    than once.
+    """
+    steps = before + jnp.arange(n)
+    key = jax.random.wrap_key_data(key)
+    keys = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(key, i), episodes), out_axes=1)(steps)
+    return jax.random.key_data(keys.reshape(-1))
+
+
+def _touch(
+    states: EpisodeState,
+    keys: np.ndarray,
+    site: np.ndarray,
+    missing: np.ndarray,
+    environment: TouchEnvironment,
+    params: EnvironmentParams,
+) -> Iterator[tuple[np.ndarray, TouchOutcome]]:
+    """The missing touches, rows of `site` in the order of episodes, in batches of one size that are filled up."""
+    e, n = site.shape
+    size = min(EPISODE_BATCH, 1 << (e - 1).bit_length())
+    of_pads = [missing[states.pad[missing // n] == pad] for pad in np.unique(states.pad)]
+    batches = [rows[start : start + size] for rows in of_pads for start in range(0, len(rows), size)]
+    given = environment.config
+    config = EnvironmentConfig(given.press_errors, given.limits, given.touches, given.law)
+
+    def call(rows: np.ndarray) -> tuple[np.ndarray, EpisodeState, np.ndarray, Pad, PadResponse]:
+        full, pad = np.resize(rows, size), states.pad[rows[0] // n]
+        of_pad = params if params.table is not None else params.with_pads(slice(pad, pad + 1))
+        some = select_rows(states._replace(belief=None), full // n)
+        return keys[full], some, site.reshape(-1)[full], of_pad.pads, of_pad.response
+
+    touch = _touch_rows(e * given.touches)
+    shared = params._replace(beliefs=None), config
+    yield from zip(batches, spread(touch, map(call, batches), shared=shared), strict=True)
+
+
+def _touch_many(
+    keys: Array,
+    states: EpisodeState,
+    site: Array,
+    pads: Pad,
+    response: PadResponse,
+    params: EnvironmentParams,
+    config: EnvironmentConfig,
+) -> TouchOutcome:
+    touch = partial(TouchEnvironment(config).touch, params=params._replace(pads=pads, response=response))
+    return jax.vmap(touch)(jax.random.wrap_key_data(keys), states, site)
+
+
+_touch_rows = jit_by_amount(_touch_many, FEW_TOUCHES)
+
+
+def _record(states: EpisodeState, site: np.ndarray, outcome: TouchOutcome) -> EpisodeState:
+    """Episodes with one touch more, on the host."""
+    at = int(states.num_made[0])
+
+    def with_row(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+        return np.concatenate([rows[:, :at], row[:, None].astype(rows.dtype), rows[:, at + 1 :]], axis=1)
+
+    sites, made = jax.tree.map(with_row, (states.site, states.made), (site, outcome))
+    return states._replace(site=sites, made=made, num_made=states.num_made + 1)
+
+
+@jit_quickly
+def _read(states: EpisodeState, pads: Pad, config: EnvironmentConfig) -> Array:
+    return jax.vmap(partial(TouchEnvironment(config).read, pads=pads))(states)
+
+
+@jit_quickly
+def _believe(states: EpisodeState, params: EnvironmentParams, config: EnvironmentConfig) -> EpisodeState:
+    """Episodes with the belief after their last touch."""
+    environment = TouchEnvironment(config)
+
+    def believe(state: EpisodeState) -> EpisodeState:
+        measured = environment.measure(state, params)
+        return environment.believe(state, jax.tree.map(lambda x: x[state.num_made - 1], measured), params)
+
+    return map_batches(believe, states, batch_size=EPISODE_BATCH)
+
+
+@partial(jit_quickly, static_argnames="policy")
+def _choose(key: Array, states: EpisodeState, params: EnvironmentParams, *, policy: SitePolicy) -> Array:
+    keys = jax.random.split(key, len(states.object))
+    return map_batches(lambda at: policy(at[0], at[1], params), (keys, states), batch_size=POLICY_BATCH)
+
+
+@jax.jit
+def _posteriors(beliefs: belief.Belief) -> Array:
+    return jax.vmap(belief.posterior)(beliefs)
