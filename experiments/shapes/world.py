@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int, Key
 from i2t import geometry
 from i2t.dataset import Dataset
 from i2t.objects import catalogue, solids
-from i2t.patches.dimensions import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
 from i2t.patches.views import view_of_heights
 from i2t.runtime.batching import map_batches
 from i2t.simulation import touches as simulation
@@ -40,7 +40,6 @@ PREFIX = "stamp-"  # of the stamps' names in the catalogue
 SHAPES = tuple(name.removeprefix(PREFIX) for name in catalogue.STAMPS)
 MAX_POSITION_M = 2.9e-3  # from the skin's middle along x and y: at any rotation the whole face is on it
 FORCES_N = (1.0, 3.0)  # the paper's range
-STIFFNESS_N_PER_M = 10e3  # of arm and mount in series
 ERRORS = simulation.SimulationErrors()
 PRESSES_AT_ONCE = 16
 
@@ -143,7 +142,7 @@ def press_stamp(
         coarse = GRID if step > 1 else cfg.grid
         reading = reading + friction_response(pad, met[::step, ::step], pressed.indentation, slide, grid=coarse)
 
-    travel = pressed.indentation + force / STIFFNESS_N_PER_M
+    travel = pressed.indentation + force / ARM_STIFFNESS_N_PER_M
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)
     seen, z = (_wide_heights(stamp, deep @ T) for T in (believed, T_t_o))
     view = view_of_heights(seen)

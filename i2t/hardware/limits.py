@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t.hardware.collision import fastest_speed, overrun_force
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M
 from i2t.types import Array
 
 LIMIT_RANGES = {  # the least and the greatest that make sense of an arm that carries a skin, and their unit
@@ -37,7 +38,7 @@ class MotionLimits:
     force: float = 30.0  # N, on any motion; an approach has its own, lower one
     torque: float = 10.0  # Nm
     approach_distance: float = 0.1  # m, of the longest approach
-    stiffness: float = 10e3  # N/m, of skin, arm and mount in series: what a collision is reckoned with
+    stiffness: float = ARM_STIFFNESS_N_PER_M  # N/m, of skin, arm and mount in series: what a collision is reckoned with
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):

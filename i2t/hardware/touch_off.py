@@ -40,7 +40,7 @@ from i2t.hardware.plugins import DeviceSetup, check_device, load_device
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
-from i2t.patches.dimensions import PAD_WINDOW
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW
 from i2t.types import Array
 
 CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
@@ -50,7 +50,7 @@ MAX_OVERTRAVEL_M = 5e-3  # past where it should touch, after which there is no f
 TRANSFER_SPEED_M_S, LOWERING_SPEED_M_S = 0.05, 0.02
 APPROACH_ACCELERATION_M_S2 = 0.1
 SPEED_M_S, STOP_FORCE_N = 2e-3, 2.0  # a corner gives some newtons per millimetre
-SOFT_M_PER_CUBE_ROOT_N, STIFFNESS_N_PER_M = 0.8e-3, 1e4  # m/N^(1/3), N/m: a guess of a corner, and of arm and mount
+SOFT_M_PER_CUBE_ROOT_N = 0.8e-3  # m/N^(1/3), a guess of a corner
 CONTACT_FORCE_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
 MAX_SHIFT_M, MAX_TILT_RAD = 5e-3, math.radians(4)  # what is further from the rig was no touch of a flat
 
@@ -99,7 +99,7 @@ def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> fl
         raise ValueError("the force did not rise with the travel; zero it in the air and touch again")
     low, high = distance[0], distance[felt][0]
     deep = max(distance[-1] - low, 1e-6)
-    guess = [high - 0.3 * np.ptp(distance[felt]), math.log(SOFT_M_PER_CUBE_ROOT_N), math.log(STIFFNESS_N_PER_M)]
+    guess = [high - 0.3 * np.ptp(distance[felt]), math.log(SOFT_M_PER_CUBE_ROOT_N), math.log(ARM_STIFFNESS_N_PER_M)]
     bounds = [low - deep, math.log(1e-6), math.log(1e2)], [high, math.log(1e-2), math.log(1e6)]
 
     def residuals(x: Array) -> Array:

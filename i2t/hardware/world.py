@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from i2t.cli.options import Limits, Seed
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M
 
 
 @dataclass(frozen=True)
@@ -20,4 +21,4 @@ class WorldArgs:
     pad: Path | None = None  # a pad on disk, for simulated and emulated skins; by default a random one
     seed: Seed = 0  # of the sites, and of what is simulated
     no_pose_error: bool = False  # simulated: object and camera are where they are believed to be
-    stiffness: Annotated[float, Limits(100, 1e6)] = 10e3  # simulated: of arm and mount, N/m
+    stiffness: Annotated[float, Limits(100, 1e6)] = ARM_STIFFNESS_N_PER_M  # simulated: of arm and mount, N/m

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from i2t.contact.press import stop_load
 from i2t.recognition.belief import Belief, TouchObservation, evidence, log_likelihood, posterior
 from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 from i2t.rendering.ops import element
@@ -132,7 +133,7 @@ def imagine_observation(
     Returns:
         The imagined measurement.
     """
-    load = stop_load(predicted, likelihood.loads, skin_change=skin_change, force=force)
+    load = stop_load(predicted.reading, likelihood.loads, skin_change=skin_change, force=force)
     indentation, reading, variance = interpolate_load(predicted, likelihood.loads, load)
     spread = likelihood.inflation * jnp.sqrt(1 + likelihood.growth * variance)
     error = jnp.linalg.solve(likelihood.whiten, spread * noise[:-2])
@@ -141,31 +142,6 @@ def imagine_observation(
     contact = predicted.hit & (distance + offset < likelihood.overtravel)
     advance = distance + indentation + load / likelihood.stiffness + offset
     return TouchObservation(reading + error, load, advance, contact)
-
-
-def stop_load(
-    predicted: PredictedTouch,
-    loads: Float[Array, " l"],
-    *,
-    skin_change: float | Float[Array, ""],
-    force: float | Float[Array, ""],
-) -> Float[Array, ""]:
-    """The load at which an imagined press would end: a reading grows about as a power of its load.
-
-    Args:
-        predicted: The touch at `loads`.
-        loads: Ascending (N).
-        skin_change: Change of the reading (uT) at which the press ends.
-        force: Force (N) at which it ends at the latest.
-
-    Returns:
-        The load (N), from a tenth of the least load to `force`.
-    """
-    size = jnp.log(jnp.maximum(jnp.linalg.norm(predicted.reading, axis=1), 1e-3))
-    knots, goal = jnp.log(loads), jnp.log(skin_change)
-    i = jnp.clip(jnp.sum(size < goal) - 1, 0, len(loads) - 2)
-    slope = jnp.maximum((size[i + 1] - size[i]) / (knots[i + 1] - knots[i]), 0.2)
-    return jnp.clip(jnp.exp(knots[i] + (goal - size[i]) / slope), loads[0] / 10, force)
 
 
 def safe_sites_mask(

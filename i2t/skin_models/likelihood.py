@@ -23,7 +23,6 @@ Length = TypeVar("Length", float, Array)  # m
 INDENTATION_ERROR = 0.2
 OUTLIER_RATE = 0.01  # share of touches that may be anything
 STRAY_RANGE_M = 20e-3  # added to twice the overtravel: the length over which an outlier's press may end
-ARM_STIFFNESS_N_PER_M = PressLimits.stiffness  # of arm and mount in series
 # Standard deviations of which a position's error is mixed: from the repeatability of an arm to a missed edge.
 POSITION_STDS_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
 EM_STEPS = 300
@@ -65,7 +64,7 @@ def fit_likelihood(
     *,
     overtravel: float,
     position_std: float | ScaleMixture,
-    stiffness: float = ARM_STIFFNESS_N_PER_M,
+    stiffness: float = PressLimits.stiffness,
 ) -> Likelihood:
     """Fit a likelihood to a Gaussian process's errors on held-out touches, in double precision.
 

@@ -1,17 +1,20 @@
 """Where a press ends: at the first of its limits, and no sooner."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.contact.press import PressLimits, pad_response, press_finally, press_to_stop
+from i2t.contact.press import PressLimits, pad_response, press_finally, press_to_stop, stop_load
 from i2t.skin.contact import FINE_GRID, GRID
-from i2t.skin.pad import Press, friction_response, press, sample_pad
+from i2t.skin.pad import Press, friction_response, press, press_force, sample_pad
 from i2t.types import Pad, ReturnCode
 
 LIMITS = PressLimits()
 WITHIN = 1e-3
+LOADS = np.array([0.3, 0.9, 2.7])  # N
 X, Y = np.meshgrid(GRID.centres, GRID.centres)
 WAVES = sum(
     bump * np.cos(np.pi * i * X / 20e-3 + i) * np.cos(np.pi * j * Y / 20e-3 - j)
@@ -99,3 +102,35 @@ def test_friction_of_a_known_press_is_that_of_the_press(pad):
     assert isinstance(pressed, Press)
     known = friction_response(pad, ball, 2e-4, slide, pressed=pressed)
     np.testing.assert_allclose(known, friction_response(pad, ball, 2e-4, slide), atol=1e-3)
+
+
+def test_a_power_law_between_loads_and_beyond_them_stops_where_it_crosses():
+    rng = np.random.default_rng(6)
+    n = 60
+    power, goal = rng.uniform(0.3, 1.3, (2, n)), rng.uniform(0.05, 7, n)
+    direction = rng.normal(size=(n, 15))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+
+    def growth(load: np.ndarray) -> np.ndarray:
+        """Logarithm of the size, with one power below the middle load and another above."""
+        bend = np.log(load / LOADS[1])
+        return power[0] * np.minimum(bend, 0) + power[1] * np.maximum(bend, 0)
+
+    size = LIMITS.skin_change * np.exp(growth(LOADS[:, None]) - growth(goal))
+    reading = direction[:, None] * size.T[..., None]
+    ends = jax.jit(jax.vmap(partial(stop_load, skin_change=LIMITS.skin_change, force=6.0), (0, None)))
+    found = ends(jnp.float32(reading), jnp.float32(LOADS))
+    # Logarithms in float32, over a power of at least 0.3.
+    np.testing.assert_allclose(found, np.clip(goal, LOADS[0] / 10, 6.0), rtol=1e-5)
+    nothing = ends(jnp.zeros((n, 3, 15)), jnp.float32(LOADS))
+    np.testing.assert_array_equal(nothing, 6)
+    huge = ends(jnp.float32(1e6 * reading), jnp.float32(LOADS))
+    np.testing.assert_allclose(huge, LOADS[0] / 10, rtol=1e-6)
+
+
+def test_the_load_between_readings_at_three_loads_is_that_of_the_search_within_two_per_cent(pad):
+    for name in ("ball", "waves", "edge", "tilted face"):
+        height = jnp.float32(SHAPES[name])
+        readings = jnp.stack([press_force(pad, height, load).reading for load in LOADS])
+        load = stop_load(readings, jnp.float32(LOADS), skin_change=LIMITS.skin_change, force=LIMITS.force)
+        np.testing.assert_allclose(load, stop(pad, height, 0.0).force, rtol=0.02)

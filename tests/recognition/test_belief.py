@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M
 from i2t.recognition import belief
 from i2t.recognition.belief import Belief, Particles, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.skin_models.layer import MIN_LOAD_N
-from i2t.skin_models.likelihood import ARM_STIFFNESS_N_PER_M, Likelihood, fit_likelihood
+from i2t.skin_models.likelihood import Likelihood, fit_likelihood
 
 LOADS = np.array([0.3, 0.9, 2.7])
 PAST = 6e-3

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M
 from i2t.recognition import belief, policy
 from i2t.recognition.belief import Belief
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.policy import InformationGain
-from i2t.skin_models.likelihood import ARM_STIFFNESS_N_PER_M, fit_likelihood
+from i2t.skin_models.likelihood import fit_likelihood
 
 LOADS = np.array([0.3, 0.9, 2.7])
 PAST = 6e-3
@@ -138,35 +139,6 @@ def test_information_on_the_object_and_on_the_place():
     found = gains(jax.random.key(3), named, table, TACTILE)
     close(found.object, 0)
     close(found.both, np.log([8, 1, 8, 1, 2, 1]))
-
-
-# --- where a press ends -----------------------------------------------------------------------------------------------
-
-
-def test_a_power_law_between_loads_and_beyond_them_stops_where_it_crosses():
-    rng = np.random.default_rng(6)
-    n = 60
-    power, goal = rng.uniform(0.3, 1.3, (2, n)), rng.uniform(0.05, 7, n)
-    direction = rng.normal(size=(n, 15))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-
-    def growth(load: np.ndarray) -> np.ndarray:
-        """Logarithm of the size, with one power below the middle load and another above."""
-        bend = np.log(load / LOADS[1])
-        return power[0] * np.minimum(bend, 0) + power[1] * np.maximum(bend, 0)
-
-    size = CHANGE * np.exp(growth(LOADS[:, None]) - growth(goal))
-    reading = direction[:, None] * size.T[..., None]
-    blank = jnp.ones((n, 3))
-    outcome = PredictedTouch(jnp.ones(n, bool), blank[:, 0], jnp.ones((n, 6)), blank, jnp.float32(reading), blank)
-    stop = jax.jit(jax.vmap(partial(policy.stop_load, skin_change=CHANGE, force=6.0), (0, None)))
-    found = stop(outcome, jnp.float32(LOADS))
-    # Logarithms in float32, over a power of at least 0.3.
-    np.testing.assert_allclose(found, np.clip(goal, LOADS[0] / 10, 6.0), rtol=1e-5)
-    nothing = stop(outcome._replace(reading=jnp.zeros((n, 3, 15))), jnp.float32(LOADS))
-    np.testing.assert_array_equal(nothing, 6)
-    huge = stop(outcome._replace(reading=1e6 * outcome.reading), jnp.float32(LOADS))
-    np.testing.assert_allclose(huge, LOADS[0] / 10, rtol=1e-6)
 
 
 def test_what_is_imagined_is_what_is_expected_plus_its_noise():
