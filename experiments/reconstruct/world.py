@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.reconstruct.arguments import Felt, ReconstructArgs, ReconstructSizes
+from i2t.contact.approach import first_contact
 from i2t.contact.press import PressLimits
 from i2t.depth.camera import Camera
 from i2t.depth.distortion import project
@@ -36,7 +37,6 @@ from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation.depth_camera import add_depth_noise, render_view
 from i2t.simulation.press_curves import simulate_press_curve
-from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors, sample_session_errors
 from i2t.skin.contact import GRID
 from i2t.skin.pad import numbered_pad
@@ -151,14 +151,13 @@ def _meet(key: Array, surface: Surface, T_w_o: Array, T_w_site: Array) -> Met:
     """Approach a site along its z to first contact, with the errors of the arm."""
     key_arm, key_tilt = jax.random.split(key)
     moved = random_motion(key_arm, ERRORS.repeatability, 0.0) @ random_motion(key_tilt, 0.0, ERRORS.approach_angle)
-    start = inverse(T_w_o) @ T_w_site @ moved @ jnp.eye(4).at[2, 3].set(-APPROACH_M)
-    T_o_t, hit = press_along(surface, start, start[:3, 2], max_distance=APPROACH_M + EXPLORING_OVERTRAVEL_M)
+    T_o_site = inverse(T_w_o) @ T_w_site @ moved
+    T_o_t, distance, hit = first_contact(surface, T_o_site, before=APPROACH_M, beyond=EXPLORING_OVERTRAVEL_M)
     heights, patch = (
         render_heights(surface, inverse(T_o_t), window, cells)
         for window, cells in ((PAD_WINDOW, GRID.cells), (PATCH_WINDOW, LATTICE))
     )
-    advanced = jnp.linalg.norm(T_o_t[:3, 3] - start[:3, 3]) - APPROACH_M
-    return Met(advanced, hit & jnp.isfinite(jnp.min(heights)), heights, patch)
+    return Met(distance, hit & jnp.isfinite(jnp.min(heights)), heights, patch)
 
 
 _press = jax.jit(partial(simulate_press_curve, errors=ERRORS, limits=PressLimits()))

@@ -1,11 +1,15 @@
-"""Pressure on the skin from the view and measurements at a contact: the geometry half of predicting a touch.
+"""Pressure on the skin at a contact: the geometry half of predicting a touch.
 
-The camera's view is smoothed to robust local planes (`i2t.contact.smoothing`), resampled to cells over the skin, and
-pressed with the measured force into a layer of nominal stiffness (`i2t.skin.contact`). What the camera cannot tell, the
-tilt between looking and pressing, is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the
-two tilts, because one degree over 20 mm is as large as a press is deep and a single guess would put all of the load on
-the wrong edge. The result, a pressure map and its load, says where and how hard the skin is met; which reading that
-gives is a property of one pad's magnetisation and is learned from its touches (`i2t.skin_models.pressure_gp`).
+Heights over the cells of the skin come from a view or from a mesh at a pose, and are pressed with a given load into an
+elastic layer (`press_heights`, by `i2t.skin.contact`): `predict_pressure` is that of a view, `surface_pressure` that of
+a mesh.
+
+A view is smoothed to robust local planes (`i2t.contact.smoothing`), resampled to cells over the skin, and pressed with
+the measured force into a layer of nominal stiffness. What the camera cannot tell, the tilt between looking and
+pressing, is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the two tilts, because one
+degree over 20 mm is as large as a press is deep and a single guess would put all of the load on the wrong edge. The
+result, a pressure map and its load, says where and how hard the skin is met; which reading that gives is a property of
+one pad's magnetisation and is learned from its touches (`i2t.skin_models.pressure_gp`).
 
 Wide views are used where there are any; of a cropped one the outermost pixels are continued. Forces are positive where
 they press, and depths count from first contact; what a recording counts otherwise is corrected when it is read
@@ -22,15 +26,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.contact import smoothing
+from i2t.contact.approach import facing_surface
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.runtime.batching import size_classes
 from i2t.runtime.compiling import traced_floats
-from i2t.skin.contact import Grid, solve, solve_force
+from i2t.skin.contact import CELL_GRID, Grid, solve, solve_force
 from i2t.skin.pad import nominal_pad
-from i2t.types import Pad, in_one_line
+from i2t.types import Array as AnyArray
+from i2t.types import Pad, Surface, in_one_line
 
 CELL_MM = 1.0  # mm
 SOLVER_TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
+MAX_STEPS = 25  # of the contact solver, which meets that tolerance in them from any start
 
 # Gauss-Hermite, three points: exact to the fifth moment of the tilt.
 _NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
@@ -59,7 +66,7 @@ class PressureModelConfig:
     control: Literal["force", "depth"] = "force"  # what the press is known by
     # m, edge of a cell of the contact grid; divides 1 mm
     cell: float = field(default=0.5e-3, metadata={"static": True})
-    iterations: int = 25  # of the contact solver: a per mille of the force is far below the uncertainty of the view
+    iterations: int = MAX_STEPS  # of the contact solver
     floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
     softness: float = 1.0  # of the layer that is pressed, in units of the pad's: of one twice as soft, E is halved
 
@@ -77,6 +84,83 @@ class PressureModelConfig:
         """The contact grid and its period of 1.6 windows."""
         cells = round(self.window / self.cell)
         return Grid(cells=cells, modes=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
+
+
+def press_heights(
+    pad: Pad,
+    height: Float[Array, "g g"],
+    load: Float[Array, ""] | float,
+    grid: Grid = CELL_GRID,
+    *,
+    max_steps: int = MAX_STEPS,
+) -> tuple[Float[Array, "g g"], Float[Array, ""]]:
+    """Press a layer onto a surface with a load, to `SOLVER_TOLERANCE`.
+
+    Args:
+        pad: Whose layer is pressed.
+        height: m, of the surface behind its nearest point, over the cells of the grid.
+        load: N, above 0.
+        grid: Cells of the skin.
+        max_steps: Of the contact solver.
+
+    Returns:
+        Pressure (Pa) on each cell, which carries the load, and the indentation (m) past first contact.
+    """
+    contact = solve_force(pad, height, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=max_steps)
+    return contact.pressure * load / jnp.maximum(contact.force, 1e-6), contact.indentation
+
+
+def surface_pressure(
+    pad: Pad, surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"]
+) -> tuple[ContactPressure, Float[Array, " l"]]:
+    """Contact pressures of a layer that is pressed onto a mesh with each of some loads.
+
+    Args:
+        pad: Whose layer is pressed.
+        surface: Of the object.
+        T_o_t: The skin's pose at first contact.
+        loads: N; less than `PressureModelConfig.floor` counts as that.
+
+    Returns:
+        Pressure (N on each 1 mm cell) and load (N) of each press, and its indentation (m) past that pose; without
+        pressure and infinite where nothing lies before the skin.
+    """
+    height, nearest = facing_surface(surface, T_o_t, CELL_GRID)
+    met, loads = jnp.isfinite(nearest), jnp.maximum(loads, PressureModelConfig.floor)
+    behind = jnp.where(met, height, 0.0)
+    pressure, indentation = jax.vmap(lambda load: press_heights(pad, behind, load))(loads)
+    newtons = jnp.where(met, newtons_on_cells(pressure, CELL_GRID), 0.0)
+    return ContactPressure(newtons, loads), jnp.where(met, nearest + indentation, jnp.inf)
+
+
+def newtons_on_cells(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float[AnyArray, "*n m m"]:
+    """Newtons on each cell of 1 mm.
+
+    Args:
+        pressure: Pa, on the cells of a grid.
+        grid: That grid; a whole number of its cells fits along 1 mm.
+
+    Returns:
+        Newtons, of NumPy where the pressure is.
+    """
+    fine = round(CELL_MM * 1e-3 / grid.spacing)
+    cells = pressure.shape[-1] // fine
+    return pressure.reshape(*pressure.shape[:-2], cells, fine, cells, fine).sum((-3, -1)) * grid.spacing**2
+
+
+def centre_of_pressure(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float[Array, "*n 2"]:
+    """Centre of a pressure on the skin.
+
+    Args:
+        pressure: Pa, on the cells of a grid.
+        grid: That grid.
+
+    Returns:
+        x and y (m); 0 without pressure.
+    """
+    total = pressure.sum((-2, -1))
+    along = jnp.stack([pressure.sum(-2) @ grid.centres, pressure.sum(-1) @ grid.centres], -1)
+    return along / jnp.where(total > 0, total, 1)[..., None]
 
 
 def heights(cfg: PressureModelConfig, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
@@ -129,16 +213,9 @@ def predict_pressure(
         tilted = tilted - jnp.min(tilted)
         if cfg.control == "force":
             load = jnp.maximum(force, cfg.floor)
-            contact = solve_force(pad, tilted, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations)
-            return contact.pressure * load / jnp.maximum(contact.force, 1e-6)
-        return solve(
-            pad,
-            tilted,
-            jnp.maximum(depth, 0.0),
-            grid,
-            tolerance=SOLVER_TOLERANCE,
-            max_steps=cfg.iterations,
-        ).pressure
+            return press_heights(pad, tilted, load, grid, max_steps=cfg.iterations)[0]
+        indentation = jnp.maximum(depth, 0.0)
+        return solve(pad, tilted, indentation, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations).pressure
 
     # Without a tilt the middle node is pressed alone.
     tilted, middle, nodes = cfg.tilt > 0, len(_NODES) // 2, jnp.float32(_NODES)
@@ -148,9 +225,7 @@ def predict_pressure(
     )
     weights = jnp.where(tilted, jnp.float32(_WEIGHTS), jnp.arange(len(_NODES)) == middle)
     pressure = jnp.einsum("t,tij->ij", weights, pressures)
-    coarse = round(CELL_MM * 1e-3 / grid.spacing)
-    cells = pressure.shape[0] // coarse
-    newtons = pressure.reshape(cells, coarse, cells, coarse).sum((1, 3)) * grid.spacing**2
+    newtons = newtons_on_cells(pressure, grid)
     return ContactPressure(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))
 
 

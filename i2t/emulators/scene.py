@@ -2,7 +2,7 @@
 time.
 
 Along one line of approach (a pose of the tool and its z axis) everything that a press can do is found once: where the
-skin first meets the object (`i2t.simulation.sites.press_along`), and force, its centre and the reading at growing loads
+skin first meets the object (`i2t.contact.approach`), and force, its centre and the reading at growing loads
 (`i2t.skin.pad.press_force`), with the series compliance of arm and mount. In between is interpolated, so that a press
 costs nothing in time. The skin neither rubs nor remembers, and an object is met only along a line on which the tool
 stood still before: flange, mount and what is moved into sideways meet nothing. Everything here is simulated.
@@ -19,13 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from i2t.contact.approach import meet
+from i2t.contact.pressure import centre_of_pressure
 from i2t.emulators.processes import Address
 from i2t.geometry import full_precision, inverse, so3_exp, transform
 from i2t.objects.solids import Mesh, transform_mesh
-from i2t.patches.dimensions import PAD_WINDOW
-from i2t.rendering.render import prepare_surface, render_patch
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M
+from i2t.rendering.render import prepare_surface
 from i2t.simulation.depth_camera import table_triangles
-from i2t.simulation.sites import press_along
 from i2t.simulation.touches import SimulationErrors, sample_session_errors
 from i2t.skin.contact import GRID
 from i2t.skin.dipoles import rest_field
@@ -183,7 +184,7 @@ class ObjectScene:
         T_b_o: Array,
         pad: Pad,
         errors: SimulationErrors,
-        stiffness: float = 10e3,
+        stiffness: float = ARM_STIFFNESS_N_PER_M,
         seed: int = 0,
     ) -> None:
         self.gains = np.asarray(pad.gains, float)
@@ -229,18 +230,13 @@ class ObjectScene:
 @full_precision
 def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array, Array, Array, Array]:
     """Distance (m) to first contact, and the depth (m), centre (m) and reading (uT) of each load."""
-    pose, hit = press_along(surface, T_o_t, T_o_t[:3, 2], max_distance=LINE_LENGTH_M)
-    met = render_patch(surface, pose, window=PAD_WINDOW, pixels=GRID.cells)
-    hit = hit & jnp.isfinite(met.nearest)
-    # The grid of the pad meets a point between its cells a little late.
-    first = jnp.where(hit, jnp.linalg.norm(pose[:3, 3] - T_o_t[:3, 3]) + met.nearest, jnp.inf)
-    place = ((jnp.arange(GRID.cells) + 0.5) / GRID.cells - 0.5) * PAD_WINDOW
+    (_, distance, hit), facing = meet(surface, T_o_t, before=0.0, beyond=LINE_LENGTH_M)
+    # The cells of the pad meet a point between their middles a little late.
+    first = jnp.where(hit, distance + facing.nearest, jnp.inf)
 
     def press(load: Array) -> tuple[Array, Array, Array]:
-        pressed = press_force(pad, met.depth, load)
-        total = jnp.maximum(jnp.sum(pressed.pressure), 1e-12)
-        x, y = jnp.sum(pressed.pressure, axis=0) @ place / total, jnp.sum(pressed.pressure, axis=1) @ place / total
-        return pressed.indentation, jnp.stack([x, y]), pressed.reading
+        pressed = press_force(pad, facing.depth, load)
+        return pressed.indentation, centre_of_pressure(pressed.pressure, GRID), pressed.reading
 
     return first, *jax.lax.map(press, loads)
 

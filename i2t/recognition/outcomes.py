@@ -1,9 +1,9 @@
 """Predicted outcome of a touch on a possible object: the contact, the indentation and the reading.
 
 An object that may lie anywhere near its believed pose is met by the flat skin at some distance along the approach
-(`i2t.skin_models.layer`); there it is pressed with a few loads into a layer of the pad's kind, and the pad's reading
-model (`i2t.skin_models.reading_model`) turns pressures into
-readings. For one load F it is linear in the pressure p,
+(`i2t.contact.approach`); there a layer of the pad's kind is pressed onto it with a few loads (`i2t.contact.pressure`),
+and the pad's reading model (`i2t.skin_models.reading_model`) turns pressures into readings. For one load F it is linear
+in the pressure p,
 
     mean = p . M_F,    variance = p' V_F p   (in units of each channel's signal),
 
@@ -24,8 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from i2t.contact.pressure import surface_pressure
 from i2t.patches.dimensions import TWIST_LEVER_M
-from i2t.skin_models.layer import NOMINAL_LAYER, Layer, approach, contact_pressures
+from i2t.skin_models.layer import NOMINAL_LAYER, Layer, approach, layer_pad
 from i2t.skin_models.reading_model import (
     LinearReadingModel,
     interpolate,
@@ -81,15 +82,15 @@ def predict_contact(
     Returns:
         Contact, distance to it and its Jacobian, indentations and newtons; zeros where nothing is met.
     """
-    (distance, (T_o_t, hit)), jacobian = approach(surface, T_w_o, twist, T_w_site, overtravel)
-    indentation, newtons = contact_pressures(surface, T_o_t, loads, layer)
+    (T_o_t, distance, hit), jacobian = approach(surface, T_w_o, twist, T_w_site, overtravel)
+    pressed, indentation = surface_pressure(layer_pad(layer), surface, T_o_t, loads)
     hit = hit & jnp.isfinite(indentation[0])
     return PredictedContact(
         hit=hit,
         approach_distance=distance,
         jacobian=jnp.where(hit, jacobian, 0.0),
         indentation=jnp.where(hit, indentation, 0.0),
-        newtons=jnp.where(hit, newtons, 0.0),
+        newtons=jnp.where(hit, pressed.pressure.reshape(len(loads), -1), 0.0),
     )
 
 

@@ -3,7 +3,7 @@
 Sites are drawn on every shape, safe ones (`i2t.simulation.sites`) or any, and the approach is tilted against the
 surface's normal by an angle between two bounds, about a random axis: how an unknown surface lies is not known either.
 There the flat face meets the shape, its heights are rendered, and a layer of nominal stiffness is pressed onto them
-with a few loads in turn. None of this depends on a pad, so that one library serves all of them; what a pad reads at it
+with each of a few loads. None of this depends on a pad, so that one library serves all of them; what a pad reads at it
 is imagined by `i2t.reconstruction.press_models`.
 
 Metres, newtons, radians; frames as in `i2t.types`.
@@ -11,6 +11,7 @@ Metres, newtons, radians; frames as in `i2t.types`.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,8 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key, PyTree
 
+from i2t.contact.approach import first_contact
+from i2t.contact.pressure import centre_of_pressure, newtons_on_cells, press_heights
 from i2t.geometry import contact_frame, inverse, so3_exp
-from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.patches.views import centre
 from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
@@ -27,14 +30,12 @@ from i2t.runtime.batching import filled_batches, map_batches, spread
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.site_limits import SiteLimits
-from i2t.skin.contact import CELL_GRID, GRID, solve_force
+from i2t.skin.contact import CELL_GRID, GRID
 from i2t.skin.pad import nominal_pad
 from i2t.types import Pad, Surface
 
 LIBRARY_LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
 TILT_RANGE_RAD = (math.radians(1.0), math.radians(6.0))
-CHAIN_TOLERANCE = 1e-3  # of contacts: far below what separates two patches of a library
-CHAIN_STEPS = 40
 BATCH = 64
 FEW_FACES = 512  # the size class of shapes of no more faces; larger ones, which would slow them down, have another
 SITE_CANDIDATES = 4  # for each safe site
@@ -132,30 +133,26 @@ def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
         The library, on the host.
     """
     pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), LIBRARY_LOADS_N)
-    newtons = pressure.reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
-    total = np.maximum(newtons.sum(-1, keepdims=True), 1e-9)
-    x, y = np.meshgrid(CELL_GRID.centres, CELL_GRID.centres)
-    places = np.stack([x.ravel(), y.ravel()], -1)
     return PatchLibrary(
         patch=np.asarray(contacts.patch, np.float16),
         height=np.asarray(contacts.coarse, np.float32),
         object=np.asarray(objects, np.int32),
         loads=np.asarray(LIBRARY_LOADS_N, np.float32),
-        newtons=newtons.astype(np.float16),
+        newtons=newtons_on_cells(pressure, CELL_GRID).reshape(*indentation.shape, -1).astype(np.float16),
         indentation=np.asarray(indentation, np.float32),
-        centre=np.asarray((newtons @ places) / total, np.float32),
+        centre=np.asarray(centre_of_pressure(pressure, CELL_GRID), np.float32),
     )
 
 
 def press_batches(
     pad: Pad, heights: Float[np.ndarray, "n g g"], loads: Sequence[float] | Float[np.ndarray, " l"]
 ) -> tuple[Float[np.ndarray, "n l g g"], Float[np.ndarray, "n l"]]:
-    """Press a pad onto many surfaces as of `pressure_chain`, in batches of one size: one compilation serves all.
+    """Press a pad onto many surfaces with each of some loads, in batches of one size: one compilation serves all.
 
     Args:
         pad: The skin.
         heights: m, of the surfaces over cells of 1 mm, beyond the plane of first contact.
-        loads: N, ascending.
+        loads: N.
 
     Returns:
         Pressures (Pa), and indentations (m) past first contact, on the host.
@@ -180,32 +177,6 @@ def in_batches(
     batches = filled_batches(np.arange(len(rows[0])), BATCH)
     parts = spread(function, (tuple(each[some] for each in rows) for some in batches), shared=shared)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
-
-
-def pressure_chain(
-    pad: Pad, height: Float[Array, "g g"], loads: Float[Array, " l"]
-) -> tuple[Float[Array, "l g g"], Float[Array, " l"]]:
-    """Press a pad onto a surface with a few loads in turn.
-
-    Args:
-        pad: The skin.
-        height: m, of the surface over cells of 1 mm, beyond the plane of first contact.
-        loads: N, ascending.
-
-    Returns:
-        Pressures (Pa), and indentations (m) past first contact.
-    """
-    nearest = jnp.min(height)
-
-    def press(pressure: Array, load: Array) -> tuple[Array, tuple[Array, Array]]:
-        found = solve_force(
-            pad, height - nearest, load, CELL_GRID, start=pressure, tolerance=CHAIN_TOLERANCE, max_steps=CHAIN_STEPS
-        )
-        return found.pressure, (found.pressure, nearest + found.indentation)
-
-    # The first load's start: what a press that is even over the pad would be.
-    start = jnp.full_like(height, loads[0] / PAD_WINDOW**2)
-    return jax.lax.scan(press, start, loads)[1]
 
 
 def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
@@ -246,8 +217,7 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
     def meet(T_o_site: Array, angle: Array, about: Array) -> Contacts:
         axis = jnp.stack([jnp.cos(about), jnp.sin(about), jnp.zeros(())])
         turn = jnp.eye(4).at[:3, :3].set(so3_exp(angle * axis))
-        start = T_o_site @ turn @ jnp.eye(4).at[2, 3].set(-STANDOFF)
-        T_o_t, hit = touch_sites.press_along(surface, start, start[:3, 2])
+        T_o_t, _, hit = first_contact(surface, T_o_site @ turn)
         patch, height, coarse = _heights(surface, inverse(T_o_t))
         return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
 
@@ -269,4 +239,7 @@ def _heights(surface: Surface, T_t_o: Array) -> tuple[Array, Array, Array]:
 
 @jit_quickly
 def _chains(heights: Array, pad: Pad, loads: Array) -> tuple[Array, Array]:
-    return jax.vmap(lambda height: pressure_chain(pad, height, loads))(heights)
+    nearest = jnp.min(heights, axis=(1, 2))
+    press = jax.vmap(jax.vmap(partial(press_heights, pad), (None, 0)), (0, None))
+    pressure, indentation = press(heights - nearest[:, None, None], loads)
+    return pressure, nearest[:, None] + indentation

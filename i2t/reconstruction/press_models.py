@@ -1,6 +1,6 @@
 """Readings of one pad at every patch of a library, by its physics.
 
-The pad's own layer is pressed onto each patch with the library's loads in turn, friction follows the path of the press
+The pad's own layer is pressed onto each patch with each of the library's loads, friction follows the path of the press
 (`i2t.skin.friction`), and the field of the moved magnets is what chips read.
 Friction without any slide belongs to that: it is a third of a reading. What a slant of the press adds is taken as
 linear in it, and differs little between patches of one pressure: it is computed for a few hundred patches, and a ridge
@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from i2t.contact.press import PressLimits
+from i2t.contact.pressure import newtons_on_cells
 from i2t.reconstruction.library import in_batches, press_batches
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.runtime.compiling import jit_quickly
@@ -23,7 +25,6 @@ from i2t.skin.friction import Shear, rest, shear
 from i2t.skin.noise import Noise
 from i2t.types import Board, Pad
 
-STIFFNESS_N_PER_M = 10e3  # of arm and mount in series, as `i2t.contact.press.PressLimits` has it
 LOOSE_FRICTION = 3e-2  # of the largest displacement: 1 % of a reading
 FRICTION_STEPS = 15
 SLIDING_PATCHES = 256
@@ -49,7 +50,7 @@ def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelih
     """
     loads = np.asarray(library.loads, np.float32)
     pressure, indentation = press_batches(pad, np.asarray(library.height), loads)
-    newtons = pressure.reshape(*pressure.shape[:2], -1) * CELL_GRID.spacing**2
+    newtons = newtons_on_cells(pressure, CELL_GRID).reshape(*indentation.shape, -1)
     rows = np.random.default_rng(0).permutation(len(newtons))[:SLIDING_PATCHES]
     reading = in_batches(_read, pressure, indentation, shared=(pad, NO_SLANT))
     slanted = [in_batches(_read, pressure[rows], indentation[rows], shared=(pad, slant)) for slant in SLANTS]
@@ -61,7 +62,7 @@ def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelih
         loads=jnp.asarray(loads),
         reading=jnp.asarray(np.einsum("dc,nlc->ldn", axes, reading)),
         sliding=jnp.asarray(np.einsum("dc,nlic->lidn", axes, sliding)),
-        travel=jnp.asarray((indentation + loads[None] / np.float32(STIFFNESS_N_PER_M)).T),
+        travel=jnp.asarray((indentation + loads[None] / np.float32(PressLimits.stiffness)).T),
         axes=jnp.asarray(axes),
         noise=jnp.asarray(np.maximum(variance, 0), jnp.float32),
         likelihood=likelihood or PatchLikelihood(),

@@ -4,7 +4,7 @@ The object is believed at `T_w_o` and stands at `T_w_o from_twist(x)`, where x (
 (`i2t.geometry.from_twist`): three translations (m), then three rotations times `TWIST_LEVER_M`, all in metres.
 
 At first contact the skin's flat square face just meets the surface: the gap to the lowest surface point inside the
-square (`i2t.simulation.sites.nearest_in_square`) is zero up to noise. On a steep facet a sideways error changes the gap
+square (`i2t.contact.approach.nearest_in_square`) is zero up to noise. On a steep facet a sideways error changes the gap
 more than itself, so a residual is the gap over the length of its derivative by translations, the distance along the
 normal (Sampson, "Fitting conic sections to very scattered data", 1982). With x normal before and residuals distributed
 as Student's t (Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989), the most
@@ -28,13 +28,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
+from i2t.contact.approach import double_areas, first_smallest, lowest_in_square, nearest_in_square
 from i2t.geometry import from_twist, full_precision, inverse
 from i2t.patches.dimensions import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
 from i2t.runtime.batching import map_batches
 from i2t.runtime.compiling import jit_quickly, traced_floats
-from i2t.simulation.sites import double_areas, first_smallest, lowest_in_square, nearest_in_square
 from i2t.types import ReturnCode, Surface, Touches
 
 STUDENT_T_DOF = 4.0  # of the residuals: the usual compromise of Lange et al.

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float, Key
 
 from i2t.contact.press import PressLimits, pad_response, press_to_stop
+from i2t.contact.pressure import centre_of_pressure, newtons_on_cells
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import CELL_GRID, CONTACT_NEWTONS, GRID
+from i2t.skin.contact import CONTACT_NEWTONS, GRID
 from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import friction_response
 from i2t.types import Array, Pad
@@ -75,10 +76,7 @@ def simulate_press_curve(
         end = press_to_stop(pad, height, limits, response=response)
         friction = friction_response(pad, height, end.indentation, slant * end.indentation, pressed=end.press)
         read = add_sensor_noise(key, end.reading + friction, pad.board, errors.noise)
-        pressure = end.pressure * GRID.spacing**2
-        cells = pressure.reshape(CELL_GRID.cells, 2, CELL_GRID.cells, 2).sum((1, 3))
-        x, y = jnp.sum(pressure, axis=0) @ GRID.centres, jnp.sum(pressure, axis=1) @ GRID.centres
-        centre = jnp.stack([x, y]) / jnp.maximum(jnp.sum(pressure), 1e-9)
+        cells, centre = newtons_on_cells(end.pressure, GRID), centre_of_pressure(end.pressure, GRID)
         travel = nearest + end.indentation + end.force / limits.stiffness
         return read, end.force, travel, cells.reshape(-1), centre
 

@@ -1,17 +1,11 @@
-"""Touch sites of an object, and the contact of a touch.
+"""Touch sites of an object.
 
 Sites are drawn uniformly over a surface's area and given contact frames; three checks of the paper's collection
 procedure say which are safe: the normal is not too far from up, nothing rises above the contact plane inside the
-sensor's square, and the flange stays above the table. `press_along` moves the flat face of the skin along a straight
-line until it meets the surface.
-
-Both depend on the lowest point of the surface inside a square, which is found exactly instead of on a
-pixel grid: a triangle clipped to a square prism is a convex polygon whose corners are either on the triangle's edges
-(each edge clipped as in Liang and Barsky, "A new concept and method for line clipping", 1984) or where a corner line
-of the prism pierces the triangle, and height is linear on it, so its extremes lie at those corners.
+sensor's square (`i2t.contact.approach.nearest_in_square`), and the flange stays above the table.
 
 Frames as in `i2t.types`: the surface is given in W (an object frame serves as W while the object stands where it was
-made); lengths in metres. Degenerate faces, which pad a surface to its size class, are never drawn and never met.
+made); lengths in metres. Degenerate faces, which pad a surface to its size class, are never drawn.
 """
 
 from typing import Any, NamedTuple
@@ -22,18 +16,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from i2t import validation
-from i2t.geometry import contact_frame, full_precision, inverse
+from i2t.contact.approach import double_areas, nearest_in_square
+from i2t.geometry import contact_frame, inverse
 from i2t.objects.solids import Mesh
-from i2t.patches.dimensions import PAD_WINDOW, STANDOFF
 from i2t.rendering.render import prepare_surface
-from i2t.rendering.tiles import ToolView, place_boxes
 from i2t.runtime.compiling import jit_quickly, traced_floats
 from i2t.simulation.site_limits import SiteLimits
 from i2t.types import Surface, in_one_line
 
-MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the sides of the square
 CHECKED_AT_A_TIME = 64  # sites, at most: more take more memory
-MIN_FORWARD_COSINE = 1e-3  # cosine; closer to sideways, the skin's face would meet a surface edge-on
 
 traced_floats(SiteLimits)  # here, as its own module is without JAX
 COLLECTION_LIMITS = SiteLimits()
@@ -98,213 +89,10 @@ def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
     Returns:
         Normals; zero for degenerate faces.
     """
-    cross = _cross(jnp.asarray(surface.triangles))
+    a, b, c = jnp.moveaxis(jnp.asarray(surface.triangles), 1, 0)
+    cross = jnp.cross(b - a, c - a)
     norm = jnp.linalg.norm(cross, axis=-1, keepdims=True)
     return cross / jnp.where(norm > 0, norm, 1)
-
-
-def nearest_in_square(
-    surface: Surface,
-    A_t_w: Float[Array, "4 4"],
-    half: float | Float[Array, ""],
-    behind: float | Float[Array, ""] = STANDOFF,
-) -> Float[Array, ""]:
-    """The smallest z of the surface inside the square |x|, |y| <= half, after an affine map. Exact.
-
-    Args:
-        surface: In the world.
-        A_t_w: The map, from the world.
-        half: m, half the edge of the square.
-        behind: m, how far behind the origin a surface still counts; may be inf.
-
-    Returns:
-        z (m); +inf where the square holds no surface.
-    """
-    behind = jnp.asarray(behind, A_t_w.dtype)
-    return _nearest(jax.tree.map(jnp.asarray, surface), A_t_w, jnp.asarray(half, A_t_w.dtype), behind)
-
-
-def lowest_in_square(
-    corners: Float[Array, "3 3 faces"],
-    A_t_w: Float[Array, "4 4"],
-    half: float | Float[Array, ""],
-    behind: float | Float[Array, ""] = STANDOFF,
-) -> Float[Array, " faces"]:
-    """The smallest z of each triangle inside the square, as of `nearest_in_square`, without derivatives.
-
-    Args:
-        corners: Coordinates x, y and z (m) of the first, second and third corners in the world, of triangles that have
-            an area: rounding may make one that has none cover the square. A long last axis is a fast one.
-        A_t_w: The map, from the world.
-        half: m, half the edge of the square.
-        behind: m, how far behind the origin a triangle still counts; may be inf.
-
-    Returns:
-        z (m); +inf for those of which the square holds nothing.
-    """
-    x, y, z = corners
-    # Written out, as a matrix product may round to fewer digits on an accelerator.
-    u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in A_t_w[:3])
-    low, high = _height_range(u, v, w, half)
-    return jnp.where((low <= high) & (high >= -behind), jnp.maximum(low, -behind), jnp.inf)
-
-
-def first_smallest(values: Float[Array, " n"]) -> Int[Array, ""]:
-    """Number of the first of the smallest values, as of `argmin`, which takes a CPU five times as long.
-
-    Args:
-        values: None of which is NaN.
-
-    Returns:
-        Its number.
-    """
-    last = len(values) - 1
-    return jnp.min(jnp.where(values <= jnp.min(values), jnp.arange(len(values)), last))
-
-
-@jax.custom_jvp
-def _nearest(surface: Surface, A_t_w: Array, half: Array, behind: Array) -> Float[Array, ""]:
-    return _nearest_face(surface, A_t_w, half, behind)[0]
-
-
-@_nearest.defjvp
-@full_precision
-def _nearest_jvp(at: tuple[Any, ...], along: tuple[Any, ...]) -> tuple[Array, Array]:
-    """Only the face that is nearest moves the minimum, with its lowest point in the square. Written out: traced, a
-    derivative through the clipping of an edge takes a compiler eight times as long.
-    """
-    (surface, A_t_w, half, behind), (d_surface, d_A_t_w, d_half, d_behind) = at, along
-    low, face = _nearest_face(surface, A_t_w, half, behind)
-    corners, d_corners = surface.triangles[face], d_surface.triangles[face]
-    moved = d_corners @ A_t_w[:3, :3].T + corners @ d_A_t_w[:3, :3].T + d_A_t_w[:3, 3][None]
-    change = _change_of_lowest(corners @ A_t_w[:3, :3].T + A_t_w[:3, 3][None], moved, half, d_half)
-    change = jnp.where(low > -behind, change, -d_behind)
-    return low, jnp.where(low < jnp.inf, change, 0.0)
-
-
-def _nearest_face(
-    surface: Surface, A_t_w: Array, half: Array, behind: Array
-) -> tuple[Float[Array, ""], Int[Array, ""]]:
-    """Smallest z of a surface inside the square, and the first face that has it.
-
-    The groups of a prepared surface whose boxes meet the square are visited from the front, until the next one begins
-    behind the nearest face.
-    """
-    groups = 1 if surface.boxes is None else len(surface.boxes)
-    triangles = surface.triangles.reshape(groups, -1, 3, 3)
-    corners, has_area = jnp.moveaxis(triangles, (2, 3), (2, 1)), jax.vmap(double_areas)(triangles) > 0
-
-    def nearest_of(group: Array | int) -> tuple[Array, Array]:
-        low = jnp.where(has_area[group], lowest_in_square(corners[group], A_t_w, half, behind), jnp.inf)
-        return jnp.min(low), group * low.size + first_smallest(low)
-
-    if surface.groups is None:
-        return nearest_of(0)
-    box = surface.groups[:, :groups]
-    centre, extent = place_boxes(box, ToolView(A_t_w[:3, :3], jnp.zeros(3), A_t_w[:3, 3]))
-    met = (jnp.abs(centre[0]) - extent[0] <= half) & (jnp.abs(centre[1]) - extent[1] <= half)
-    fronts = jnp.where(met & (centre[2] + extent[2] >= -behind), centre[2] - extent[2], jnp.inf)
-
-    def may_be_nearer(state: tuple[Array, Array, Array]) -> Array:
-        front = jnp.min(state[0])
-        return (front <= state[1]) & (front < jnp.inf)
-
-    def visit(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        fronts, nearest, face = state
-        group = first_smallest(fronts)
-        low, its_face = nearest_of(group)
-        nearer = (low < nearest) | ((low == nearest) & (its_face < face))
-        fronts = jnp.where(jnp.arange(groups) == group, jnp.inf, fronts)
-        return fronts, jnp.where(nearer, low, nearest), jnp.where(nearer, its_face, face)
-
-    nothing = jnp.full_like(fronts[0], jnp.inf), jnp.zeros((), int)
-    return jax.lax.while_loop(may_be_nearer, visit, (fronts, *nothing))[1:]
-
-
-def _change_of_lowest(
-    corners: Float[Array, "3 3"], moved: Float[Array, "3 3"], half: Array, d_half: Array
-) -> Float[Array, ""]:
-    """Rate of change of the smallest z of a triangle inside the square, where its corners move.
-
-    A lowest point is a corner of the triangle, which takes it along; or it lies where an edge crosses a side of the
-    square, or under a corner of the square, and slides on the edge or on the triangle. Several lowest points of one
-    height count equally.
-    """
-    share, slope, there = _vertices(corners, half)
-    height = jnp.where(there, share @ corners[:, 2], jnp.inf)
-    lowest = there & (height <= jnp.min(height))
-    aside, up = share @ moved[:, :2], share @ moved[:, 2]
-    held = jnp.sign(share @ corners[:, :2]) * d_half  # sides move outwards
-    change = up - jnp.sum(slope * (aside - held), axis=1)
-    return jnp.sum(jnp.where(lowest, change, 0)) / jnp.maximum(jnp.sum(lowest), 1)
-
-
-def _vertices(
-    corners: Float[Array, "3 3"], half: Array
-) -> tuple[Float[Array, "10 3"], Float[Array, "10 2"], Bool[Array, " 10"]]:
-    """The ends of the clipped edges, then the square's corners: each one's weights of the triangle's corners, the
-    change of its height with a side of the square that holds it, and whether it is a vertex of the clipped triangle.
-    """
-    run = jnp.roll(corners, -1, axis=0) - corners
-    inverse = 1 / jnp.where(jnp.abs(run[:, :2]) < MIN_RUN_M, MIN_RUN_M, run[:, :2])
-    crossings = (half * jnp.array([-1.0, 1.0])[:, None, None] - corners[None, :, :2]) * inverse[None]
-    # What ends an edge: its own corner, a side across x, or one across y.
-    begins = jnp.concatenate([jnp.zeros((3, 1)), jnp.min(crossings, axis=0)], axis=1)
-    ends = jnp.concatenate([jnp.ones((3, 1)), jnp.max(crossings, axis=0)], axis=1)
-    t = jnp.concatenate([jnp.max(begins, axis=1), jnp.min(ends, axis=1)])
-    by = jnp.concatenate([jnp.argmax(begins, axis=1), jnp.argmin(ends, axis=1)])
-    first = jnp.tile(jnp.eye(3), (2, 1))
-    on_edge = (1 - t)[:, None] * first + t[:, None] * jnp.roll(first, 1, axis=1)
-    steep = jnp.tile(run[:, 2:] * inverse, (2, 1)) * (by[:, None] == jnp.array([[1, 2]]))
-    crossed = jnp.tile(t[:3] <= t[3:], 2)
-
-    side = half * jnp.array([[-1.0, -1], [-1, 1], [1, -1], [1, 1]])
-    away = corners[None, :, :2] - side[:, None]  # (4, 3, 2)
-    following = jnp.roll(away, -1, axis=1)
-    areas = jnp.roll(away[..., 0] * following[..., 1] - away[..., 1] * following[..., 0], -1, axis=1)
-    inside = (jnp.min(areas, axis=1) >= 0) | (jnp.max(areas, axis=1) <= 0)
-    total = jnp.sum(areas, axis=1)
-    inside &= total != 0
-    normal = _cross(corners[None])[0]
-    tilt = -normal[:2] / jnp.where(normal[2] == 0, 1, normal[2])
-    under = areas / jnp.where(inside, total, 1)[:, None]
-    return (
-        jnp.concatenate([on_edge, under]),
-        jnp.concatenate([steep, jnp.tile(tilt, (4, 1))]),
-        jnp.concatenate([crossed, inside]),
-    )
-
-
-@full_precision
-def press_along(
-    surface: Surface,
-    start: Float[Array, "4 4"],
-    direction: Float[Array, "3"],
-    half: float | Float[Array, ""] = PAD_WINDOW / 2,
-    max_distance: float | Float[Array, ""] = 2 * STANDOFF,
-) -> tuple[Float[Array, "4 4"], Bool[Array, ""]]:
-    """Move the skin's flat square face along a line to first contact.
-
-    Args:
-        surface: In the world.
-        start: T_w_t, clear of the surface; what is behind it is not met.
-        direction: Unit vector in the world.
-        half: m, half the edge of the face.
-        max_distance: m, after which nothing was met.
-
-    Returns:
-        T_w_t at contact, and whether there was one. Where nothing is met within `max_distance`, or the face does not
-        move forwards (along its own z), that is false and the pose is that at the motion's end.
-    """
-    # The face meets a point q of the surface after s metres if q - s d lies in the square at z = 0 (tool frame), so
-    # s = z / d_z: the shear (x - s d_x, y - s d_y, s) turns any forward direction into the z axis.
-    d = start[:3, :3].T @ direction
-    forward = d[2] > MIN_FORWARD_COSINE
-    ahead = jnp.where(forward, d[2], 1.0)
-    shear = jnp.eye(4).at[:3, 2].set(jnp.stack([-d[0] / ahead, -d[1] / ahead, 1 / ahead]))
-    distance = nearest_in_square(surface, shear @ inverse(start), half, behind=0.0)
-    hit = forward & (distance <= max_distance)
-    return start.at[:3, 3].add(jnp.where(hit, distance, max_distance) * direction), hit
 
 
 def is_upward(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
@@ -508,46 +296,3 @@ def sample_touch_sites(
     surface = mesh if isinstance(mesh, Surface) else prepare_surface(mesh)
     T_o_t = np.asarray(collect_sites(jax.random.key(seed), surface, n, limits, name))
     return TouchSites(T_o_t, T_o_t[:, :3, 3], -T_o_t[:, :3, 2])
-
-
-def double_areas(triangles: Float[Array, "faces 3 3"]) -> Float[Array, " faces"]:
-    """Twice the area of each face.
-
-    Args:
-        triangles: m.
-
-    Returns:
-        m^2.
-    """
-    return jnp.linalg.norm(_cross(triangles), axis=-1)
-
-
-def _cross(triangles: Float[Array, "faces 3 3"]) -> Float[Array, "faces 3"]:
-    return jnp.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-
-
-def _height_range(
-    x: Float[Array, "3 faces"], y: Float[Array, "3 faces"], z: Float[Array, "3 faces"], half: float | Array
-) -> tuple[Float[Array, " faces"], Float[Array, " faces"]]:
-    """Smallest and largest z of each triangle inside the square |x|, |y| <= half; (+inf, -inf) where it misses it."""
-    low = jnp.full(x.shape[1], jnp.inf)
-    high = -low
-    for i, j in ((0, 1), (1, 2), (2, 0)):  # edges, clipped to the part from t0 to t1 that lies in the square
-        t0, t1 = jnp.zeros_like(low), jnp.ones_like(low)
-        for p in (x, y):
-            run = p[j] - p[i]
-            inverse = 1 / jnp.where(jnp.abs(run) < MIN_RUN_M, MIN_RUN_M, run)  # parallel: ends fly off to their side
-            to_low, to_high = (-half - p[i]) * inverse, (half - p[i]) * inverse
-            t0 = jnp.maximum(t0, jnp.minimum(to_low, to_high))
-            t1 = jnp.minimum(t1, jnp.maximum(to_low, to_high))
-        z0, z1 = z[i] + t0 * (z[j] - z[i]), z[i] + t1 * (z[j] - z[i])
-        low = jnp.where(t0 <= t1, jnp.minimum(low, jnp.minimum(z0, z1)), low)
-        high = jnp.where(t0 <= t1, jnp.maximum(high, jnp.maximum(z0, z1)), high)
-    for u, v in ((-half, -half), (-half, half), (half, -half), (half, half)):  # corners of the square in the triangle
-        a, b, c = ((x[i] - u) * (y[j] - v) - (y[i] - v) * (x[j] - u) for i, j in ((1, 2), (2, 0), (0, 1)))
-        total = a + b + c
-        inside = ((jnp.minimum(jnp.minimum(a, b), c) >= 0) | (jnp.maximum(jnp.maximum(a, b), c) <= 0)) & (total != 0)
-        height = (a * z[0] + b * z[1] + c * z[2]) / jnp.where(inside, total, 1)
-        low = jnp.where(inside, jnp.minimum(low, height), low)
-        high = jnp.where(inside, jnp.maximum(high, height), high)
-    return low, high

@@ -27,13 +27,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry, validation
+from i2t.contact.approach import FirstContact, facing_surface, meet
 from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
-from i2t.patches.dimensions import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.dimensions import REACH, WIDE_PIXELS, WIDE_WINDOW
 from i2t.patches.views import WideView, camera_view, centre, pixels_on_skin
-from i2t.rendering.render import render_heights, render_patch, stack_surfaces
+from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.runtime.batching import select_rows, spread
 from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
 from i2t.simulation import sites as touch_sites
@@ -139,20 +140,10 @@ def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors
     return camera_view(jnp.where(errors.depth_quantum > 0, rounded, z))
 
 
-class _Approach(NamedTuple):
-    """A tool on its way to a site."""
-
-    T_w_arm: Float[Array, "4 4"]  # where the arm really goes when it is sent to the site, and from where it looks
-    start: Float[Array, "4 4"]  # pose T_o_t in which the press begins, seen from where the object really is
-    T_o_t: Float[Array, "4 4"]  # pose at first contact, or at the end of the approach
-    met: Patch  # what the skin meets there, over the pad's cells
-    hit: Bool[Array, ""]
-
-
 class _Press(NamedTuple):
     """The end of a press, zero where nothing was hit."""
 
-    sinking: Float[Array, ""]  # m, of the tool into the skin past `_Approach.T_o_t`
+    sinking: Float[Array, ""]  # m, of the tool into the skin past the pose of first contact
     travel: Float[Array, ""]  # m, past first contact: the indentation and what arm and mount yield
     indentation: Float[Array, ""]  # m
     force: Float[Array, ""]  # N
@@ -198,18 +189,20 @@ def simulate_touch(
     overrun, force_error, travel_error, *slant = jax.random.normal(key_scalars, (5,))
     T_o_w = geometry.inverse(T_w_o @ session.T_o_placed)  # from here on the object is where it really is
 
-    cells = CELL_GRID if law is None else GRID
-    approach = _approach(key_arm, key_tilt, surface, T_o_w, T_w_site, errors=errors, limits=limits, grid=cells)
+    T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
+    T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
+    contact, facing = meet(
+        surface, T_o_w @ T_w_press, before=limits.approach_distance, beyond=limits.overtravel, grid=_grid(law)
+    )
     overshoot = limits.overshoot * jnp.abs(overrun)
     press = _press(
-        surface, pad, approach,
+        surface, pad, contact, facing,
         overshoot=overshoot, slant=jnp.stack(slant), errors=errors, limits=limits, law=law, response=response,
     )  # fmt: skip
 
-    advanced = jnp.linalg.norm(approach.T_o_t[:3, 3] - approach.start[:3, 3]) - limits.approach_distance
-    end = _along_z(advanced + press.travel)
+    end = _along_z(contact.distance + press.travel)
     # What the camera sees and what the skin meets, side by side: one compiled renderer for both.
-    poses = jnp.stack([T_o_w @ approach.T_w_arm @ end @ session.T_t_camera, approach.T_o_t @ _along_z(press.sinking)])
+    poses = jnp.stack([T_o_w @ T_w_arm @ end @ session.T_t_camera, contact.T_w_t @ _along_z(press.sinking)])
     seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
     camera = apply_camera_model(key_camera, seen, errors)
     nearest = jnp.min(centre(z, pixels_on_skin(WIDE_WINDOW / WIDE_PIXELS)))
@@ -220,7 +213,7 @@ def simulate_touch(
         nearest=camera.patch.nearest,
         reading=press.reading,
         force=press.force + errors.force * force_error,
-        depth=jnp.where(approach.hit, press.travel + errors.repeatability * travel_error, jnp.nan),
+        depth=jnp.where(contact.hit, press.travel + errors.repeatability * travel_error, jnp.nan),
         T_w_t=T_w_site @ end,
         T_w_o=T_w_o,
         object=jnp.int32(0),
@@ -231,32 +224,16 @@ def simulate_touch(
     )
 
 
-def _approach(
-    key_arm: Key[Array, ""],
-    key_tilt: Key[Array, ""],
-    surface: Surface,
-    T_o_w: Float[Array, "4 4"],
-    T_w_site: Float[Array, "4 4"],
-    *,
-    errors: SimulationErrors,
-    limits: PressLimits,
-    grid: Grid,
-) -> _Approach:
-    """First contact on the way along the site's z, with the errors of the arm."""
-    T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
-    T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
-    start = T_o_w @ T_w_press @ _along_z(jnp.asarray(-limits.approach_distance))
-    T_o_t, hit = touch_sites.press_along(
-        surface, start, start[:3, 2], max_distance=limits.approach_distance + limits.overtravel
-    )
-    met = render_patch(surface, T_o_t, window=PAD_WINDOW, pixels=grid.cells)
-    return _Approach(T_w_arm, start, T_o_t, met, hit & jnp.isfinite(met.nearest))
+def _grid(law: PressLaw | None) -> Grid:
+    """Cells on which a contact is solved."""
+    return CELL_GRID if law is None else GRID
 
 
 def _press(
     surface: Surface,
     pad: Pad,
-    approach: _Approach,
+    contact: FirstContact,
+    facing: Patch,
     *,
     overshoot: Float[Array, ""],
     slant: Float[Array, "2"],
@@ -270,23 +247,20 @@ def _press(
     `overshoot` is the part by which the press runs past its limits, `slant` the slope of its motion along x and y in
     standard deviations.
     """
-    met, hit = approach.met, approach.hit
-    if law is None:
-        stop = press_to_stop(pad, met.depth, limits, overshoot, law=None, response=response, grid=CELL_GRID)
-        friction = jnp.zeros_like(stop.reading)
-    else:
-        stop = press_to_stop(pad, met.depth, limits, overshoot, law=law, response=response)
+    stop = press_to_stop(pad, facing.depth, limits, overshoot, law=law, response=response, grid=_grid(law))
+    friction = jnp.zeros_like(stop.reading)
+    if law is not None:
         pressed = stop.press if law is press_pad else None
         slide = errors.slant * stop.indentation * slant
-        friction = friction_response(pad, met.depth, stop.indentation, slide, pressed=pressed)
+        friction = friction_response(pad, facing.depth, stop.indentation, slide, pressed=pressed)
     if law is not None and limits.final != GRID:
-        heights = render_heights(surface, geometry.inverse(approach.T_o_t), PAD_WINDOW, limits.final.cells)
-        nearest = jnp.min(heights)
-        deeper = stop.indentation + met.nearest - nearest  # the finer grid may see a nearer point
-        stop = press_finally(pad, heights - nearest, deeper, stop, final=limits.final, law=law, response=response)
+        finer = facing_surface(surface, contact.T_w_t, limits.final)
+        deeper = stop.indentation + facing.nearest - finer.nearest  # the finer grid may see a nearer point
+        stop = press_finally(pad, finer.depth, deeper, stop, final=limits.final, law=law, response=response)
     # The grid of the pad meets a point between its cells a little late; that distance is counted, so that nearest and
     # depth agree.
-    sinking = jnp.where(hit, met.nearest + stop.indentation, 0.0)
+    hit = contact.hit
+    sinking = jnp.where(hit, facing.nearest + stop.indentation, 0.0)
     return _Press(
         sinking=sinking,
         travel=jnp.where(hit, sinking + stop.force / limits.stiffness, 0.0),

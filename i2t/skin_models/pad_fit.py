@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t.contact.press import PressLimits
-from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures
+from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures, surface_pressure
 from i2t.dataset import Dataset
 from i2t.geometry import full_precision, inverse
 from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
@@ -35,7 +35,7 @@ from i2t.runtime.batching import a_few_at_a_time, select_rows
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
-from i2t.skin_models.layer import MIN_LOAD_N, Layer, approach, contact_pressures, layer_pad
+from i2t.skin_models.layer import MIN_LOAD_N, Layer, approach, layer_pad
 from i2t.skin_models.likelihood import (
     INDENTATION_ERROR,
     OUTLIER_RATE,
@@ -301,11 +301,11 @@ def _press(
     """
 
     def one(T: Array, f: Array) -> _Pressed:
-        (distance, (T_o_t, hit)), jacobian = approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
+        (T_o_t, distance, hit), jacobian = approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
         T_o_t = jnp.where(at_once, inverse(T_w_o) @ T, T_o_t)
-        indentation, newtons = contact_pressures(surface, T_o_t, f[None], layer)
+        pressed, indentation = surface_pressure(layer_pad(layer), surface, T_o_t, f[None])
         met = hit & jnp.isfinite(indentation[0])
-        return _Pressed(distance, jnp.where(met, jacobian, 0.0), met, indentation[0], newtons[0])
+        return _Pressed(distance, jnp.where(met, jacobian, 0.0), met, indentation[0], pressed.pressure.reshape(-1))
 
     return jax.vmap(one)(T_w_t, force)
 

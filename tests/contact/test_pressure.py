@@ -9,8 +9,21 @@ import numpy as np
 import pytest
 from helpers.compilations import compilations
 
-from i2t.contact.pressure import PressureModelConfig, heights, predict_pressure, predict_pressures
-from i2t.skin.contact import solve, solve_force
+from i2t.contact.approach import first_contact
+from i2t.contact.pressure import (
+    PressureModelConfig,
+    centre_of_pressure,
+    heights,
+    newtons_on_cells,
+    predict_pressure,
+    predict_pressures,
+    press_heights,
+    surface_pressure,
+)
+from i2t.geometry import inverse
+from i2t.objects import make_object
+from i2t.rendering.render import prepare_surface, render_heights
+from i2t.skin.contact import CELL_GRID, FINE_GRID, GRID, solve, solve_force
 from i2t.skin.pad import nominal_pad
 
 PIXELS, PITCH = 54, 0.5e-3  # a view of 27 mm
@@ -113,3 +126,46 @@ def test_a_cropped_view_goes_on_at_its_rim():
 def test_impossible_layers_and_cells_are_refused(change, words):
     with pytest.raises(ValueError, match=words):
         replace(CFG, **change)
+
+
+def test_a_mesh_and_its_view_give_the_same_pressure_and_only_a_mesh_that_is_there():
+    surface = prepare_surface(make_object("hammer").mesh)
+    above = jnp.float32([[1, 0, 0, 0.02], [0, -1, 0, 0], [0, 0, -1, 0.06], [0, 0, 0, 1]])
+    T = first_contact(surface, above, beyond=0.1).T_w_t
+    loads = jnp.float32([0.5, 0.0, 4.0])
+    pressed, indentation = jax.jit(surface_pressure)(PAD, surface, T, loads)
+    np.testing.assert_allclose(pressed.load, [0.5, CFG.floor, 4.0])
+    assert indentation[1] < indentation[0] < indentation[2]
+    pixels = CELL_GRID.cells + 6  # of 1 mm, so that the skin's cells are pixels of the view
+    view = jnp.minimum(render_heights(surface, inverse(T), pixels * CELL_GRID.spacing, pixels), 0.1)
+    for i, load in enumerate(loads):
+        close(run(replace(CFG, pitch=1e-3), PAD, view, load, jnp.nan).pressure, pressed.pressure[i])
+    nothing, deep = surface_pressure(PAD, surface, T.at[0, 3].set(0.5), loads)
+    assert not nothing.pressure.any()
+    assert np.isinf(deep).all()
+
+
+@pytest.mark.parametrize("grid", [CELL_GRID, GRID, FINE_GRID])
+def test_newtons_and_centre_of_a_pressure_do_not_depend_on_its_grid(grid):
+    x, y = np.meshgrid(grid.centres, grid.centres)
+    ball = jnp.float32(((x - 2e-3) ** 2 + (y + 1e-3) ** 2) / 30e-3)
+    pressure, _ = press_heights(PAD, ball - ball.min(), 2.0, grid)
+    newtons = newtons_on_cells(pressure, grid)
+    assert newtons.shape == (CELL_GRID.cells, CELL_GRID.cells)
+    assert float(newtons.sum()) == pytest.approx(2.0, rel=1e-5)
+    both = centre_of_pressure(jnp.stack([pressure, 0 * pressure]), grid)
+    np.testing.assert_allclose(both, [[2e-3, -1e-3], [0, 0]], atol=0.02e-3)  # the layer's edge is far
+
+
+def test_presses_of_several_loads_need_no_start_from_the_load_before():
+    """Steps from nowhere meet the tolerance as steps from the next smaller load do."""
+    height = jnp.float32(((AT[0] - 3e-3) ** 2 + AT[1] ** 2) / 20e-3)
+    height, start = height - height.min(), None
+    for load in (0.25, 0.8, 2.5, 8.0):
+        exact = solve_force(PAD, height, load, CELL_GRID)
+        chained = solve_force(PAD, height, load, CELL_GRID, start=start, tolerance=SOLVER, max_steps=40)
+        pressure, indentation = press_heights(PAD, height, load)
+        close(pressure, exact.pressure)
+        assert float(indentation) == pytest.approx(float(exact.indentation), abs=0.2e-6)
+        close(pressure, chained.pressure)
+        start = chained.pressure

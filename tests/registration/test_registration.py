@@ -17,6 +17,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from experiments.registration.frames import OBJECTS, frames
+from i2t.contact.approach import double_areas, first_contact
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, random_motion, to_twist
 from i2t.objects import make_object, read_mesh
@@ -46,8 +47,7 @@ def probe(key, surface: Surface):
     T_w_o = random_motion(key_motion, DISTANCE, ANGLE)
 
     def press(key, T_w_site):
-        start = T_w_site.at[:3, 3].add(-0.02 * T_w_site[:3, 2])
-        T_o_t, hit = touch_sites.press_along(surface, *(inverse(T_w_o) @ start, inverse(T_w_o)[:3, :3] @ start[:3, 2]))
+        T_o_t, _, hit = first_contact(surface, inverse(T_w_o) @ T_w_site, before=0.02, beyond=0.06)
         return T_w_o @ T_o_t @ random_motion(key, NOISE, 0.0), hit
 
     contacts, hit = jax.vmap(press)(jax.random.split(key_noise, TOUCHES), sites.T_w_t)
@@ -173,7 +173,7 @@ def test_faces_that_fill_up_a_surface_are_no_candidates():
     surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
     assert len(surface.triangles) > 12
     corners = touch._candidates(surface, jnp.eye(4).at[2, 3].set(0.02), touch.TouchRegistrationConfig(), 3e-3, 0.03)
-    assert (touch_sites.double_areas(jnp.moveaxis(corners, -1, 0).swapaxes(1, 2)) > 1e-4).all()
+    assert (double_areas(jnp.moveaxis(corners, -1, 0).swapaxes(1, 2)) > 1e-4).all()
 
 
 @pytest.mark.full

@@ -19,6 +19,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from i2t import geometry
+from i2t.contact import approach
 from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset, load_dataset, save_dataset
 from i2t.patches.dimensions import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
@@ -96,12 +97,12 @@ def along_z(T: np.ndarray, distance: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def first_contact(solids):
     """How far (m) beyond the given T_o_t the first contact of object i lies."""
-    press = jax.jit(lambda surface, T: sites.press_along(surface, T, T[:3, 2]))
+    press = jax.jit(approach.first_contact)
 
     def ahead(i: int, T: np.ndarray) -> float:
-        contact, hit = press(solids[i], jnp.float32(along_z(T, -0.04)))
-        assert hit
-        return float((contact[:3, 3] - T[:3, 3]) @ T[:3, 2])
+        contact = press(solids[i], jnp.float32(T))
+        assert contact.hit
+        return float(contact.distance)
 
     return ahead
 
