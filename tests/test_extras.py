@@ -28,7 +28,7 @@ def test_an_experiment_looks_for_its_extra_before_it_works(tmp_path, monkeypatch
     (tmp_path / "metrics.json").write_text("{}")  # of a finished run
     for module, asked in (
         ("skimage", ReconstructArgs()),
-        ("skfem", StudyArgs("physics", trained_run=tmp_path)),
+        ("skfem", StudyArgs("physics", pad_model=tmp_path)),
         ("sklearn", RecordedArgs((tmp_path / "metrics.json",), "label")),
     ):
         monkeypatch.setitem(sys.modules, module, None)

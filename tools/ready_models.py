@@ -1,7 +1,7 @@
-"""The models that come with the package: the predictor that a run kept, and the pad model fitted to its touches.
+"""The models that come with the package: the predictor and the pad model of a run.
 
-    python -m experiments.train                    touches of a simulated pad, and a predictor
-    python -m tools.ready_models             runs/ready_models, some minutes
+    python -m experiments.train                    touches of a simulated pad, a predictor and a pad model
+    python -m tools.ready_models                   runs/ready_models, some seconds
 
 predictor/, pad_model.npz and metrics.json of --out are what i2t/models/nominal holds; `i2t.load_predictor("nominal")`
 and `i2t.load_pad_model("nominal")` read them. metrics.json is the model's card: what it was made of, and how well it
@@ -17,17 +17,18 @@ at places that neither the teacher nor the widths have seen: a fifth of all, dra
 """
 
 import json
+import shutil
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from experiments.common.checks import finished_runs
 from experiments.common.commands import command
 from experiments.common.options import RunOptions
 from experiments.common.runs import METRICS, begin, write_json
+from experiments.train.finished import FORMER_NAMES, PAD_MODEL, finished_runs, require_simulated_runs
 from i2t.cli.options import require_path
 
 if TYPE_CHECKING:
@@ -48,51 +49,43 @@ MM_PER_M = 1e3
 class ReadyModelsArgs(RunOptions):
     """Make the ready models of the package: of a simulated pad from a finished run, or of a real skin."""
 
+    FORMER_NAMES: ClassVar = FORMER_NAMES
+
     out: Path = Path("runs/ready_models")  # folder for predictor/, pad_model.npz and metrics.json
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train that simulated its touches
+    pad_model: Path = Path("runs/train")  # folder of a run of experiments.train that simulated its touches
     eflesh: Path | None = None  # a session of eFlesh (states.csv ...): make the calibration of that skin instead
 
     def check(self) -> None:
         """Refuse a run or a session that is not there."""
         require_path("--eflesh", self.eflesh, "folder")
         if self.eflesh is None:
-            finished_runs(self.trained_run)
+            require_simulated_runs(self.pad_model)
 
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:
     """Make the models and their card."""
-    from experiments.recognize.config import Recognition
-
-    cfg = Recognition()
-    begin(args.out, args, cfg, None, args.overwrite)
-    card = _of_a_run(args, cfg) if args.eflesh is None else _of_a_session(args, args.eflesh)
+    begin(args.out, args, args, None, args.overwrite)
+    card = _of_a_run(args) if args.eflesh is None else _of_a_session(args, args.eflesh)
     card["megabytes"] = round(sum(path.stat().st_size for path in args.out.rglob("*") if path.is_file()) / 1e6, 2)
     write_json(args.out / METRICS, card)
     print(f"models and card, {card['megabytes']} MB, are in {args.out}")
     return card
 
 
-def _of_a_run(args: ReadyModelsArgs, cfg: Any) -> dict[str, Any]:
-    """Save the kept predictor, fit and save the pad model; their card."""
-    import jax
+def _of_a_run(args: ReadyModelsArgs) -> dict[str, Any]:
+    """Copy the run's predictor on predicted contact pressure and its pad model; their card."""
+    from i2t.skin_models.pad_model import load_pad_model
 
-    from experiments.recognize.trained_run import load_trained_run
-    from i2t.prediction import predictor as predictors
-    from i2t.skin_models.pad_model import KnownPad, origin_of, save_pad_model
-
-    folder = finished_runs(args.trained_run)[0]
-    trained = load_trained_run(jax.random.key(args.seed), folder, cfg.errors, cfg.limits)
-    metrics = json.loads((folder / METRICS).read_text())
-    predictors.save(args.out / "predictor", trained.predictor)
-    (args.out / "predictor" / ORBAX_NOTE).unlink(missing_ok=True)
-    made_from = f"experiments.train, pad {metrics['pad']}, seed {metrics['seed']}"
-    origin = origin_of(trained.dataset, trained.rows, made_from)
-    known = KnownPad(trained.pad_model, trained.dataset.board, origin)
-    save_pad_model(args.out / "pad_model.npz", known)
+    trained = finished_runs(args.pad_model)[0]
+    metrics = json.loads((trained.folder / METRICS).read_text())
+    shutil.copytree(trained.on_pressure, args.out / "predictor", ignore=shutil.ignore_patterns(ORBAX_NOTE))
+    shutil.copyfile(trained.pad_model, args.out / PAD_MODEL)
+    known = load_pad_model(args.out / PAD_MODEL)
+    origin = known.origin
     return {
         "source": origin.source,
         "pad": origin.pad,
-        "made from": made_from,
+        "made from": origin.made_from,
         "trained on": list(origin.objects),
         "tested on": sorted(metrics["by_object"]),
         "touches": metrics["counts"],
@@ -101,7 +94,7 @@ def _of_a_run(args: ReadyModelsArgs, cfg: Any) -> dict[str, Any]:
             name: {key: scores[key] for key in CARD_SCORES if key in scores}
             for name, scores in metrics["methods"].items()
         },
-        "pad model": {"touches": origin.touches, "r2": trained.pad_model.r2},
+        "pad model": {"touches": origin.touches, "r2": known.model.r2},
     }
 
 

@@ -10,6 +10,7 @@ the answer to a wrong name or number. Its `__main__.py` names the two:
 import importlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -63,6 +64,9 @@ def _words(argv: Sequence[str] | None) -> list[str]:
 
 def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str, about: str = "") -> int:
     """Read options, check them, and only then import what does the work; the exit code."""
+    renamed = partial(refuse_renamed, getattr(kind, "FORMER_NAMES", {}), words)
+    if code := exit_code_of_run(renamed):
+        return code
     args = read_options(kind, words, program=program, description=docstring_of(module) + about, config=())
     out: Path | None = getattr(args, "folder", getattr(args, "out", None))
 
@@ -79,6 +83,22 @@ def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str,
         return result
 
     return exit_code_of_run(work, out if hasattr(args, "resume") else None)
+
+
+def refuse_renamed(former_names: Mapping[str, str], words: Sequence[str]) -> None:
+    """Refuse options by their former names.
+
+    Args:
+        former_names: Of options, and their names now.
+        words: The command line.
+
+    Raises:
+        ValueError: One is among them; the message tells its name now.
+    """
+    for word in words:
+        flag = word.partition("=")[0].replace("_", "-")
+        if flag in former_names:
+            raise ValueError(f"{flag} is called {former_names[flag]} now; pass that, as --help explains it")
 
 
 def say_where(out: Path | None, next_command: str) -> None:

@@ -13,12 +13,14 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from experiments.common.runs import Part, load_part, save_part
 from i2t.cli.options import Count
 from i2t.runtime.compile_cache import use_compile_cache
 from i2t.runtime.progress import progress
+
+Run = TypeVar("Run")
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,8 @@ def tasks_here(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None =
 
 
 def parts_of_runs(
-    make: Callable[[Path, int], Part],
-    folders: Mapping[int, Path],
+    make: Callable[[Run, int], Part],
+    runs: Mapping[int, Run],
     stem: Path,
     *,
     seed: int,
@@ -82,8 +84,8 @@ def parts_of_runs(
     """Make a part of every finished run, kept at once as `stem`-i.npz.
 
     Args:
-        make: Makes a part from a run's folder and a seed; workers get it pickled.
-        folders: Of the runs, by the numbers i that their seeds and parts count by.
+        make: Makes a part from a run and a seed; workers get both pickled.
+        runs: By the numbers i that their seeds and parts count by.
         stem: Of the parts' files.
         seed: Of run 0.
         options: Who makes them.
@@ -92,15 +94,15 @@ def parts_of_runs(
         The parts, as `load_part` reads them.
     """
     tasks = []
-    for i, folder in folders.items():
+    for i, run in runs.items():
         path = stem.with_name(f"{stem.name}-{i}.npz")
-        tasks.append(Task(path.stem, path, partial(_keep_part, make, folder, seed + i, path)))
+        tasks.append(Task(path.stem, path, partial(_keep_part, make, run, seed + i, path)))
     run_tasks(tasks, options)
     return [load_part(task.finished) for task in tasks]
 
 
-def _keep_part(make: Callable[[Path, int], Part], folder: Path, seed: int, path: Path) -> None:
-    save_part(path, make(folder, seed))
+def _keep_part(make: Callable[[Run, int], Part], run: Run, seed: int, path: Path) -> None:
+    save_part(path, make(run, seed))
 
 
 def _make(tasks: Sequence[Task], workers: int) -> None:

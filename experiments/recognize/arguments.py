@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from experiments.common.checks import finished_runs, require_dataset, require_objects, require_pad
+from experiments.common.checks import require_dataset, require_objects
 from experiments.common.options import ResumableOptions, UnitName
+from experiments.train.finished import FORMER_NAMES, require_pad_model, require_simulated_runs
 from i2t.cli.options import Count, Limits, Probability, Seed, require_path, require_with
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import did_you_mean, require_extra
@@ -20,16 +21,17 @@ NOT_REAL = ("simulated", "emulated")
 class SimulateArgs(ResumableOptions):
     """Recognise objects by touch and report how often and how sure."""
 
+    FORMER_NAMES: ClassVar = FORMER_NAMES
+
     out: Path = Path("runs/recognize")  # folder for everything that is made
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
-    pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
+    pad_model: Path = Path("runs/train")  # folder of a run of experiments.train, or of several; or for --dataset a file
+    pads: tuple[str, ...] = ()  # of several, those that are used, by number; all unless given
     method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
     preset: PresetName | None = None  # episodes and poses: short, or paper (as the documents say) with --dataset
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
     dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
     skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one that is meant
-    pad: Path | None = None  # with --dataset: an earlier session, a pad or pad model of the skin, or nominal, ready
     other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
     max_touches: Count | None = None  # with --dataset: of each session; by default as many as all long enough ones have
     rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
@@ -41,7 +43,7 @@ class SimulateArgs(ResumableOptions):
     def next_command(self) -> str:
         """Command to try with a finished run: a study, where the run simulates its touches."""
         if self.dataset is None:
-            return f"python -m experiments.studies open_set --trained-run {self.trained_run}"
+            return f"python -m experiments.studies open_set --pad-model {self.pad_model}"
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:
@@ -49,11 +51,6 @@ class SimulateArgs(ResumableOptions):
         recorded = self.dataset is not None
         if self.method == "paper" and (recorded or self.objects):
             raise ValueError("--method paper plays the paper's own sets; pass it without --dataset and --objects")
-        if self.pad is not None and not recorded:
-            raise ValueError(
-                "--pad is for recorded touches (--dataset); touch with it: python -m experiments.recognize live --pad; "
-                "simulate the paper's episodes with it: python -m experiments.train --pad, then this command"
-            )
         for flag, given in (
             ("--other-skin", self.other_skin),
             ("--skin-name", self.skin_name is not None),
@@ -72,19 +69,21 @@ class SimulateArgs(ResumableOptions):
             raise ValueError("--paper-episodes is for the paper's sets, and --objects are others; pass --episodes")
         require_objects(self.objects, self.unit)
         require_dataset("--dataset", self.dataset)
-        require_pad(self.pad)
         require_path("--rig", self.rig, "file")
-        if self.pad is None:
-            finished_runs(self.trained_run)
+        if recorded:
+            require_pad_model(self.pad_model)
+        else:
+            require_simulated_runs(self.pad_model, self.pads)
 
 
 @dataclass(frozen=True)
 class LiveArgs:
     """Recognise an object with an arm."""
 
+    FORMER_NAMES: ClassVar = FORMER_NAMES
+
     out: Path = Path("runs/live")  # folder of touches/, result.json and story/
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train on touches of this skin
-    pad: Path | None = None  # in place of a run: an earlier session, a pad or pad model of this skin; or nominal, ready
+    pad_model: Path = Path("runs/train")  # of this skin: folder of a run of experiments.train, a file, or nominal
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
     truth: str | None = None  # name of what stands there, under which its touches are kept; "unknown" by default
@@ -131,12 +130,10 @@ class LiveArgs:
         for device in (self.arm, self.skin, self.camera):
             device.check()
         require_objects(self.objects, self.unit)
-        require_pad(self.pad)
+        require_pad_model(self.pad_model)
         require_path("--worn-pad", self.worn_pad)
         require_path("--rig", self.rig, "file")
         self._check_true_object()
-        if self.pad is None:
-            finished_runs(self.trained_run)
 
     def _check_true_object(self) -> None:
         if self.true_object is None:

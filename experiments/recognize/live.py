@@ -3,11 +3,11 @@
     python -m experiments.recognize live                                   all simulated: see how it goes
     python -m experiments.recognize live --true-object hammer --arm emulated --skin emulated      the real drivers
     python -m experiments.recognize live --objects star own.stl --unit mm --arm emulated --skin emulated
-    python -m experiments.recognize live --trained-run runs/collected --pad-name "skin A" --arm ur \\
+    python -m experiments.recognize live --pad-model runs/collected --pad-name "skin A" --arm ur \\
         --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml     a real skin, by a run on its own touches
 
-Every skin differs, so the pad model must be of the skin that touches, by its name in data sets and by its board: that
-of a run (--trained-run), of an earlier session or of a file (--pad). Any other is refused before anything moves. A
+Every skin differs, so --pad-model must be of the skin that touches, by its name in data sets and by its board: the
+folder of a run of `experiments.train`, or a file. Any other is refused before anything moves. A
 simulated or emulated skin is "simulated pad 0", that of `experiments.train`, unless --worn-pad names another; a real
 one is called --pad-name, as it was collected. The next touch is the one that is expected to tell most
 (`i2t.recognition.recognizer`), among sites that are safe on what may be there; where ten draws of candidates have none,
@@ -27,10 +27,10 @@ import jax
 import numpy as np
 
 from experiments.common.runs import write_json
-from experiments.recognize import pad_sources
 from experiments.recognize.arguments import LiveArgs
 from experiments.recognize.config import Recognition
-from experiments.recognize.trained_run import load_meshes, meshes_by_name
+from experiments.recognize.plans import load_meshes, meshes_by_name
+from experiments.train.finished import find_pad_model
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.beginning import begin
@@ -52,8 +52,9 @@ from i2t.recognition.recognizer import (
     RecognitionInfo,
     RecognizerConfig,
 )
+from i2t.recognition.recorded import describe, to_json
 from i2t.skin import boards
-from i2t.skin_models.pad_model import KnownPad, require_skin
+from i2t.skin_models.pad_model import KnownPad, load_pad_model, require_skin
 from i2t.types import Board, ReturnCode
 from i2t.viz import EpisodeRecord, write_episode_report
 
@@ -65,19 +66,15 @@ CHOICES = (
 
 
 def run(args: LiveArgs) -> dict[str, Any]:
-    """Fit the pad model, predict touches, touch."""
+    """Read the pad model, predict touches, touch."""
     refuse_used(args.out)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
-    cfg = Recognition()
-    meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(cfg.objects)
+    meshes = load_meshes(args.objects, args.unit) or meshes_by_name(Recognition().objects)
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
-    key_fit, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
-    source = pad_sources.find_pad_source(
-        pad=args.pad, run=args.trained_run, cfg=cfg, meshes=meshes, rig=rig if args.rig else None
-    )
-    require_skin(source.skin, [args.worn], worn_board(args, source.skin.board), f"--skin {args.skin.kind}")
-    known = source.make(key_fit)
-    print(pad_sources.describe(known))
+    _, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
+    known = load_pad_model(find_pad_model(args.pad_model)[0])
+    require_skin(known.skin, [args.worn], worn_board(args, known.board), f"--skin {args.skin.kind}")
+    print(describe(known))
     recognizer = ObjectRecognizer(
         key_sites, known.model, meshes, T_w_o=np.asarray(rig.T_world_object),
         pose_prior=np.asarray(rig.object_covariance),
@@ -195,7 +192,7 @@ def conclude(
     source = read_touch(touches_in(args.out / "touches")[0]).touch.source
     result = {
         "source": source,
-        "pad_model": pad_sources.to_json(known),
+        "pad_model": to_json(known),
         "skin": args.worn,
         "objects": names,
         "recognised": info.name,

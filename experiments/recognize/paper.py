@@ -1,7 +1,7 @@
 """Question: which object is it, by the paper's own method?
 
     python -m experiments.recognize --method paper                              on runs/train of experiments.train
-    python -m experiments.recognize --preset paper --method paper --trained-run runs/study     every pad of a study
+    python -m experiments.recognize --preset paper --method paper --pad-model runs/study     every pad of a study
 
 The paper's network predicts what each possible object would feel like where a touch ended, at the believed pose; each
 touch votes for the object whose prediction is nearest (exp(-|tau - tau~|), tau in standard deviations); a hypothesis is
@@ -21,7 +21,7 @@ Everything is simulated; a touch costs about 1/30 s on two cores, and six pads w
 hours.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,11 +29,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from experiments.common.checks import pad_name
 from experiments.common.runs import Part
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
-from experiments.recognize.plans import draw_pools
+from experiments.recognize.plans import draw_pools, meshes_by_name
 from experiments.recognize.report import (
     CONSTANT,
     IMAGINE2TOUCH,
@@ -43,8 +42,7 @@ from experiments.recognize.report import (
     EpisodeResults,
     Results,
 )
-from experiments.recognize.trained_run import meshes_by_name, read_simulated_run
-from i2t.files.writing import slug
+from experiments.train.finished import FinishedRun
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig
@@ -64,6 +62,7 @@ from i2t.recognition.rollout import TouchNumber, begin_episodes
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recognition.touch_table import environment_params
 from i2t.runtime.progress import progress
+from i2t.skin.files import load_pad
 from i2t.types import Pad, Surface
 
 PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
@@ -83,11 +82,11 @@ class PaperNetworks(NamedTuple):
     epochs: int | None = None  # for which they were trained at most; the least of them
 
 
-def load_paper_networks(folder: Path) -> PaperNetworks:
+def load_paper_networks(run: FinishedRun) -> PaperNetworks:
     """The paper's networks of a finished run of `experiments.train`.
 
     Args:
-        folder: Of the run.
+        run: Whose folder is read.
 
     Returns:
         The networks.
@@ -95,8 +94,8 @@ def load_paper_networks(folder: Path) -> PaperNetworks:
     found: dict[str, Predictor] = {}
     epochs = []
     for row, name in NETWORKS.items():
-        place = folder / "checkpoint" / slug(name)
-        if not place.is_dir():
+        place = run.checkpoint(name)
+        if place is None:
             continue
         predictor = load_predictor(place)
         model: Any = predictor.model
@@ -127,18 +126,18 @@ def rule_predictors(folder: Path, found: PaperNetworks, kept: Predictor, mean: n
     return {**found.networks, **given}
 
 
-def report(out: Path, folders: Sequence[Path], parts: Sequence[Results]) -> dict[str, Any]:
+def report(out: Path, runs: Iterable[FinishedRun], parts: Sequence[Results]) -> dict[str, Any]:
     """Tables over the pads, and the paper's last column.
 
     Args:
         out: Folder for everything that is made.
-        folders: Of the finished runs.
+        runs: The finished runs.
         parts: What was believed with the pad of each.
 
     Returns:
         What is written to metrics.json.
     """
-    epochs = [load_paper_networks(folder).epochs for folder in folders]
+    epochs = [load_paper_networks(run).epochs for run in runs]
     about = {"method": "the paper's loop", "epochs": epochs, **reporting.mean_over_objects(parts)}
     result = reporting.summarise(parts, out, "simulated", **about)
     reporting.print_tables(result)
@@ -146,12 +145,12 @@ def report(out: Path, folders: Sequence[Path], parts: Sequence[Results]) -> dict
     return result
 
 
-def play(cfg: Recognition, folder: Path, seed: int) -> Part:
+def play(cfg: Recognition, run: FinishedRun, seed: int) -> Part:
     """The paper's sets with the pad of one run.
 
     Args:
         cfg: Objects, numbers and errors.
-        folder: Of the run.
+        run: With the paper's networks, and a pad.
         seed: Of everything that is drawn.
 
     Returns:
@@ -160,14 +159,13 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Part:
     Raises:
         ValueError: The run holds no network of the paper, or did not simulate its touches.
     """
-    _, predictor, pad = read_simulated_run(folder)
-    found = load_paper_networks(folder)
+    pad, predictor, found = load_pad(run.simulated_pad), load_predictor(run.on_pressure), load_paper_networks(run)
     if found.mean is None or found.std is None:
         raise ValueError(
-            f"{folder} holds no {' and no '.join(IMAGINE2TOUCH.values())}; train them: python -m experiments.train "
-            f"--out {folder}"
+            f"{run.folder} holds no {' and no '.join(IMAGINE2TOUCH.values())}; train them: "
+            f"python -m experiments.train --out {run.folder}"
         )
-    predictors = rule_predictors(folder, found, predictor, found.mean)
+    predictors = rule_predictors(run.folder, found, predictor, found.mean)
     results: Results = {}
     names = {"primitives": cfg.primitives, "tools": cfg.tools}
     surfaces = iter(prepare_surfaces(list(meshes_by_name(cfg.objects).values())))  # compiled for once
@@ -175,7 +173,7 @@ def play(cfg: Recognition, folder: Path, seed: int) -> Part:
         some = [next(surfaces) for _ in objects]
         key = jax.random.fold_in(jax.random.key(seed), i)
         scorers = reading_scorers(predictors, some, found.std) | {PROPRIOCEPTION: partial(contact_distances, some)}
-        label = f"pad {pad_name(folder)}, {folder.name}"
+        label = f"pad {run.pad_name}, {run.folder.name}"
         results[name] = play_set(key, name, objects, surfaces=some, scorers=scorers, pad=pad, cfg=cfg, label=label)
     return reporting.to_part(results)
 

@@ -1,15 +1,16 @@
-"""Plans of simulated episodes: sets of objects, and where they are touched."""
+"""Plans of episodes: objects to tell apart, sets of them, and where they are touched."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from experiments.common.checks import require_objects
 from experiments.recognize.config import Recognition
-from experiments.recognize.trained_run import load_meshes, meshes_by_name
-from i2t.objects import Mesh
+from i2t.objects import Mesh, catalogue
+from i2t.objects.named import read_object
 from i2t.recognition.site_pool import SitePools, TouchPlan, plan_informative_touches, plan_random_touches, sample_pools
 from i2t.types import Surface
 
@@ -23,12 +24,38 @@ class ObjectSet(NamedTuple):
     share: int = 1  # episodes that touch the same sites, each of which is then imagined once for all of them
 
 
-def object_groups(
-    objects: Sequence[Path], unit: str | None, cfg: Recognition
-) -> list[tuple[dict[str, Mesh], dict[str, ObjectSet]]]:
-    """Groups of meshes by name, each with the sets that are played among them."""
-    if objects:
-        own = load_meshes(objects, unit)
+def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
+    """Meshes of the catalogue and of files.
+
+    Args:
+        paths: Names of the catalogue or of mesh files, two at least; none where the option was left out.
+        unit: Of the files' lengths.
+
+    Returns:
+        The meshes by the objects' names: the catalogue's, or the files' stems.
+
+    Raises:
+        ValueError: Neither a name nor a file, a file without a unit, two objects of one name, or a single object.
+    """
+    require_objects(paths, unit)
+    return {path.stem: read_object(str(path), unit).mesh for path in paths}
+
+
+def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
+    """Meshes of the catalogue.
+
+    Args:
+        names: Of its objects.
+
+    Returns:
+        The meshes by name.
+    """
+    return {name: catalogue.make_object(name).mesh for name in names}
+
+
+def object_groups(own: Mapping[str, Mesh], cfg: Recognition) -> list[tuple[Mapping[str, Mesh], dict[str, ObjectSet]]]:
+    """Groups of meshes by name, each with the sets that are played among them: the user's own, or the preset's."""
+    if own:
         return [(own, {"your objects": ObjectSet(list(own), cfg.own_episodes, False, cfg.pool_episodes)})]
     return [
         (

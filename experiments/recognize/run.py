@@ -5,15 +5,15 @@
     python -m experiments.recognize --preset paper        as many as the documents say, in hours
     python -m experiments.recognize --method paper        the paper's own method and loop (experiments.recognize.paper)
     python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything
-    python -m experiments.recognize --trained-run runs/study    every pad and seed of a study, intervals over pads
+    python -m experiments.recognize --pad-model runs/study      every pad and seed of a study, intervals over pads
     python -m experiments.recognize --objects a.stl b.stl --unit mm      meshes of your own, simulated episodes
-    python -m experiments.recognize --dataset DIR         recorded touches, each session an episode; the pad model is of
-                                                          --trained-run, or of --pad, and of the skin that recorded
+    python -m experiments.recognize --dataset DIR         recorded touches, each session an episode; --pad-model is of
+                                                          the skin that recorded them
 
 The objects were not trained on. Each episode puts one of them down with the errors of the world, touches it ten times
 at random safe sites of random candidates, drawn anew for each touch, and asks after each touch which one it is:
 
-  the belief      `i2t.recognition.belief` with a pad model fitted to the training touches, whose objects were
+  the belief      `i2t.recognition.belief` with the run's pad model, fitted to the training touches, whose objects were
                   registered by their contacts: from readings, from meeting something or nothing, from positions, and
                   from their sums; next to it an oracle fitted to the same touches without any error of pose or noise;
   the paper       exp(-|tau - tau~|) of the paper's networks at the believed pose: votes, their average, product; and by
@@ -26,7 +26,7 @@ is in docs/recognition.md. Everything is simulated unless --dataset says otherwi
 (95 % intervals over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,17 +34,17 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from experiments.common.checks import chosen_runs, pad_name
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin
 from experiments.common.tasks import parts_of_runs
-from experiments.recognize import paper, recorded, trained_run
+from experiments.recognize import paper, recorded
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.plans import ObjectSet, object_groups, plan_touches
-from experiments.recognize.trained_run import TrainedRun, load_meshes, meshes_by_name
-from i2t import dataset as data
+from experiments.recognize.plans import ObjectSet, load_meshes, meshes_by_name, object_groups, plan_touches
+from experiments.recognize.trained_run import TrainedRun, load_trained_run
+from experiments.train.finished import FinishedRun, finished_runs
+from i2t.objects import Mesh
 from i2t.prediction.predictor import Predictor
 from i2t.recognition.belief import Particles
 from i2t.recognition.environment import EnvironmentConfig
@@ -54,8 +54,8 @@ from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.rollout import run_episodes
 from i2t.recognition.site_pool import pose_particles, prepare_surfaces
 from i2t.skin_models.pad_fit import fit_oracle_pad_model
-from i2t.skin_models.pad_model import PadModel
-from i2t.types import Board, Surface
+from i2t.skin_models.pad_model import PadModel, load_pad_model
+from i2t.types import Surface
 
 ORACLE_EVIDENCE = ("readings and presence", "fused")
 
@@ -64,29 +64,26 @@ class EpisodeWorld(NamedTuple):
     """Data that the sets of one pad and seed share."""
 
     cfg: Recognition
+    run: FinishedRun
     trained: TrainedRun
     oracle: PadModel
     predictors: dict[str, Predictor]  # to which the paper's rules are applied
     particles: Particles
-    folder: Path  # of the run
 
 
 def run(args: SimulateArgs) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
-    cfg = configure(args)
+    cfg, own = configure(args), load_meshes(args.objects, args.unit)
     if args.dataset is not None:
-        return recorded.run(args, cfg)
-    folders = chosen_runs(args.trained_run, args.pads)
+        return recorded.run(args, cfg, own)
+    runs = finished_runs(args.pad_model, args.pads)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     by_paper = args.method == "paper"
-    play_run = partial(paper.play, cfg) if by_paper else partial(play, args, cfg)
+    play_run = partial(paper.play, cfg) if by_paper else partial(play, cfg, own)
     stem = args.out / ("loop" if by_paper else "episodes")
-    made = parts_of_runs(play_run, dict(enumerate(folders)), stem, seed=args.seed, options=args.tasks)
+    made = parts_of_runs(play_run, runs, stem, seed=args.seed, options=args.tasks)
     parts = [reporting.from_part(part) for part in made]
-    if by_paper:
-        return paper.report(args.out, folders, parts)
-    touched = data.load_dataset(folders[0] / "data.h5")
-    return report(args, parts, touched.source, touched.board)
+    return paper.report(args.out, runs.values(), parts) if by_paper else report(args.out, runs.values(), parts, own)
 
 
 def configure(args: SimulateArgs) -> Recognition:
@@ -99,35 +96,39 @@ def configure(args: SimulateArgs) -> Recognition:
     )  # fmt: skip
 
 
-def report(args: SimulateArgs, parts: list[reporting.Results], source: str, board: Board) -> dict[str, Any]:
+def report(
+    out: Path, runs: Iterable[FinishedRun], parts: list[reporting.Results], own: Mapping[str, Mesh]
+) -> dict[str, Any]:
     """Scores, figures, tables, and the report of one episode."""
+    known = load_pad_model(next(iter(runs)).pad_model)
+    source = known.origin.source
     parts, temperatures = reporting.calibrate(parts)
     about = {"temperatures": to_json(temperatures), **reporting.mean_over_objects(parts)}
-    result = reporting.summarise(parts, args.out, source, **about)
+    result = reporting.summarise(parts, out, source, **about)
     name = next(name for name in ("all", "your objects") if name in parts[0])
-    meshes = load_meshes(args.objects, args.unit) if args.objects else meshes_by_name(parts[0][name].names)
-    reporting.report_hardest_episode(parts[0][name], list(meshes.values()), args.out / "story", source, board)
+    meshes = own or meshes_by_name(parts[0][name].names)
+    reporting.report_hardest_episode(parts[0][name], list(meshes.values()), out / "story", source, known.board)
     reporting.print_tables(result)
     reporting.print_mean_over_objects(result)
     reporting.print_stopping(result)
     return result
 
 
-def play(args: SimulateArgs, cfg: Recognition, folder: Path, seed: int) -> Part:
+def play(cfg: Recognition, own: Mapping[str, Mesh], run: FinishedRun, seed: int) -> Part:
     """All sets of one pad and seed."""
-    key_fit, key_groups = jax.random.split(jax.random.key(seed))
-    trained = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)
+    _, key_groups = jax.random.split(jax.random.key(seed))
+    trained = load_trained_run(run)
     oracle = fit_oracle_pad_model(trained.dataset, trained.rows, trained.pad_model, cfg.limits)
     print(
-        f"pad model fitted to {folder}: R2 {trained.pad_model.r2:.3f} on held-out touches, {oracle.r2:.3f} without "
+        f"pad model of {run.folder}: R2 {trained.pad_model.r2:.3f} on held-out touches, {oracle.r2:.3f} without "
         "errors of pose"
     )
     done: reporting.Results = {}
     particles = pose_particles(cfg.errors, cfg.num_particles, seed)
     mean = trained.dataset.touches.reading[trained.rows].mean(0)
-    predictors = paper.rule_predictors(folder, paper.load_paper_networks(folder), trained.predictor, mean)
-    world = EpisodeWorld(cfg, trained, oracle, predictors, particles, folder)
-    groups = object_groups(args.objects, args.unit, cfg)
+    predictors = paper.rule_predictors(run.folder, paper.load_paper_networks(run), trained.predictor, mean)
+    world = EpisodeWorld(cfg, run, trained, oracle, predictors, particles)
+    groups = object_groups(own, cfg)
     prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
     for i, (meshes, sets) in enumerate(groups):
         surfaces = {name: next(prepared) for name in meshes}
@@ -157,6 +158,7 @@ def play_set(
         surfaces, plan.sites, episodes, world.particles, models, overtravel=cfg.limits.overtravel, label=name
     )
     believed |= paper_rules(world.predictors, trained.pad_model.reading_std, surfaces, episodes)
-    pad = f"pad {pad_name(world.folder)}"
-    pools = np.array([f"{world.folder.name}, {name}, pool {number}" for number in plan.pool])
-    return reporting.EpisodeResults(tuple(objects.names), truth, believed, episodes, pad, pools)
+    pools = np.array([f"{world.run.folder.name}, {name}, pool {number}" for number in plan.pool])
+    return reporting.EpisodeResults(
+        tuple(objects.names), truth, believed, episodes, f"pad {world.run.pad_name}", pools
+    )  # fmt: skip

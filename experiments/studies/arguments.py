@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import tyro
 
-from experiments.common.checks import chosen_runs
 from experiments.common.options import ResumableOptions
+from experiments.train.finished import FORMER_NAMES, require_simulated_runs
 from i2t.cli.options import Count
 from i2t.errors import require_extra
 
@@ -18,17 +18,14 @@ StudyName = Literal["open_set", "mismatch", "physics", "stopping"]
 class StudyArgs(ResumableOptions):
     """Study recognition by touch."""
 
+    FORMER_NAMES: ClassVar = FORMER_NAMES
+
     study: tyro.conf.Positional[StudyName]
     out: Path | None = None  # folder for everything that is made; runs/STUDY unless given
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train, or a study's folder of several
-    pads: tuple[str, ...] = ()  # of a study in --trained-run, those that are used, by number; all unless given
+    pad_model: Path = Path("runs/train")  # folder of a run of experiments.train, or of several pads and seeds
+    pads: tuple[str, ...] = ()  # of several, those that are used, by number; all unless given
     preset: Literal["paper", "debug"] = "paper"
     episodes: Count = 20  # of each object and setting, for each pad and seed
-
-    @property
-    def debug(self) -> bool:
-        """Tell whether this is a small run, too small to mean anything."""
-        return self.preset == "debug"
 
     @property
     def folder(self) -> Path:
@@ -39,4 +36,4 @@ class StudyArgs(ResumableOptions):
         """Refuse what does not go together, and files that are not there."""
         if self.study == "physics":
             require_extra("skfem", "a pad with free sides")
-        chosen_runs(self.trained_run, self.pads)
+        require_simulated_runs(self.pad_model, self.pads)

@@ -1,18 +1,17 @@
 """The harness of all studies: a finished run with its pad model, objects to tell apart, and simulated episodes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array
 
-from experiments.common.presets import choose_preset
-from experiments.recognize import trained_run
-from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.trained_run import TrainedRun, meshes_by_name
-from experiments.studies.arguments import StudyArgs
+from experiments.recognize.config import Recognition
+from experiments.recognize.plans import meshes_by_name
+from experiments.recognize.trained_run import TrainedRun, load_trained_run
+from experiments.train.finished import FinishedRun
 from i2t.contact.press import PressLaw, PressLimits
 from i2t.dataset import Dataset
 from i2t.objects import Mesh
@@ -20,6 +19,7 @@ from i2t.recognition.belief import Particles
 from i2t.recognition.environment import EnvironmentConfig
 from i2t.recognition.episodes import Episodes
 from i2t.recognition.outcomes import PredictedTouch
+from i2t.recognition.recorded import named_surfaces
 from i2t.recognition.rollout import run_episodes
 from i2t.recognition.site_pool import (
     SitePool,
@@ -54,16 +54,22 @@ class StudyWorld:
     law: Callable[[Pad], PressLaw] = lambda _: press_pad
 
 
+class StudySize(NamedTuple):
+    """Size of a study."""
+
+    episodes: int  # of each object and setting, for each pad and seed
+    debug: bool  # whether it is too small to mean anything, with few settings
+
+
 @dataclass(frozen=True)
 class StudyLab:
     """One pad and seed: the finished run with its pad model, and the objects to tell apart."""
 
-    args: StudyArgs
     cfg: Recognition
+    size: StudySize
     run: TrainedRun
     names: tuple[str, ...]
     surfaces: list[Surface]
-    episodes: int  # of each object
     seed: int
     key: Array
 
@@ -78,7 +84,7 @@ class StudyLab:
 
     def truth(self) -> np.ndarray:
         """Object of each episode: all in turn."""
-        return np.arange(len(self.surfaces) * self.episodes) % len(self.surfaces)
+        return np.arange(len(self.surfaces) * self.size.episodes) % len(self.surfaces)
 
     def plan(self, key: Array, episodes: int) -> TouchPlan:
         """Random sites, at which `SHARED_BY` episodes one after the other touch."""
@@ -125,32 +131,33 @@ class StudyLab:
         surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
         return replace(self, names=tuple(names), surfaces=surfaces)
 
-    def touch_known_objects(self, key: Array, world: StudyWorld) -> Dataset:
+    def trained_surfaces(self) -> dict[str, Surface]:
+        """Surfaces of the training objects by name."""
+        return named_surfaces(meshes_by_name(self.run.trained_objects))
+
+    def touch_known_objects(self, key: Array, surfaces: Mapping[str, Surface], world: StudyWorld) -> Dataset:
         """As many touches of the training objects as the run had, with pad, errors and law of some world."""
         pad = world.pad or self.run.pad
-        which, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
-        names = tuple(self.run.dataset.objects[i] for i in which)
+        _, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
         made = simulation.simulate_touches(
-            key, [self.run.surfaces[name] for name in names], pad, world.errors or self.cfg.errors, counts.tolist(),
+            key, list(surfaces.values()), pad, world.errors or self.cfg.errors, counts.tolist(),
             limits=self.cfg.limits, law=world.law(pad),
         )  # fmt: skip
-        return Dataset.simulated(made, names, pad)
+        return Dataset.simulated(made, tuple(surfaces), pad)
 
-    def refit(self, key: Array, dataset: Dataset, touches: int | None = None) -> PadModel:
+    def refit(self, key: Array, dataset: Dataset, surfaces: dict[str, Surface], touches: int | None = None) -> PadModel:
         """The pad model as the run fitted it, but to other touches: all, or the first so many."""
         each = None if touches is None else touches // len(dataset.objects)
         rows = np.zeros(len(dataset), bool)
         for i in range(len(dataset.objects)):
             rows[np.flatnonzero(dataset.touches.object == i)[:each]] = True
         cfg = self.cfg
-        return ContactModel(cfg.errors, cfg.limits).fit(key, ObjectTouches(dataset, rows, self.run.surfaces)).model
+        return ContactModel(cfg.errors, cfg.limits).fit(key, ObjectTouches(dataset, rows, surfaces)).model
 
 
-def prepare_lab(args: StudyArgs, folder: Path, seed: int) -> StudyLab:
-    """Read a finished run, fit its pad model, and prepare the objects."""
-    cfg = choose_preset(PRESETS, args.preset)
+def prepare_lab(cfg: Recognition, size: StudySize, run: FinishedRun, seed: int) -> StudyLab:
+    """Read a finished run with its pad model, and prepare the objects."""
     cfg = replace(cfg, num_particles=min(cfg.num_particles, MAX_PARTICLES))
-    key_fit, key = jax.random.split(jax.random.key(FIRST_SEED + seed))
-    run = trained_run.load_trained_run(key_fit, folder, cfg.errors, cfg.limits)
+    _, key = jax.random.split(jax.random.key(FIRST_SEED + seed))
     surfaces = prepare_surfaces(list(meshes_by_name(cfg.objects).values()))
-    return StudyLab(args, cfg, run, cfg.objects, surfaces, DEBUG_EPISODES if args.debug else args.episodes, seed, key)
+    return StudyLab(cfg, size, load_trained_run(run), cfg.objects, surfaces, seed, key)

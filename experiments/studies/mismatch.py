@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.recognize.trained_run import meshes_by_name
+from experiments.recognize.plans import meshes_by_name
 from experiments.studies.lab import StudyLab, StudyWorld
 from i2t.geometry import from_twist
 from i2t.objects import Mesh
@@ -64,7 +64,7 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
         },
         "camera biased by 1 mm and degree": StudyWorld(mesh=_shifted),
     }
-    return {name: each for name, each in found.items() if name in DEBUG_WORLDS or not lab.args.debug}
+    return {name: each for name, each in found.items() if name in DEBUG_WORLDS or not lab.size.debug}
 
 
 def evaluate(lab: StudyLab) -> Part:

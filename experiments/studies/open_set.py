@@ -64,8 +64,8 @@ class OpenSetEpisodes(NamedTuple):
 def evaluate(lab: StudyLab) -> Part:
     """Beliefs on validation objects and on test objects."""
     key_test, key_validation = jax.random.split(lab.key)
-    some = DEBUG_OBJECTS if lab.args.debug else None
-    surrogates = DEBUG_NUM_SURROGATES if lab.args.debug else NUM_SURROGATES
+    some = DEBUG_OBJECTS if lab.size.debug else None
+    surrogates = DEBUG_NUM_SURROGATES if lab.size.debug else NUM_SURROGATES
     validation = OpenSetObjects(VALIDATION_KNOWN[:some], VALIDATION_UNKNOWN[:some], surrogates)
     test = OpenSetObjects(lab.names, TEST_UNKNOWN[:some], surrogates)
     meshes = validation.meshes(), test.meshes()
@@ -83,7 +83,7 @@ def evaluate_set(
     key_sites, key_episodes = jax.random.split(key)
     known, unknown = len(objects.known), len(objects.unknown)
     lab = replace(lab, surfaces=surfaces[:known], names=objects.known)
-    there = draw_objects(known, unknown, lab.episodes, lab.seed)
+    there = draw_objects(known, unknown, lab.size.episodes, lab.seed)
     plan = lab.plan(key_sites, len(there))
     believed = surfaces[:known] + surfaces[known + unknown :]
     lab, particles = replace(lab, surfaces=believed), lab.particles()

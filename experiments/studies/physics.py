@@ -53,17 +53,17 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
         "worn pad": StudyWorld(pad=worn, errors=faulty(errors, relaxation=0.15)),
         "skin remounted by 0.5 mm": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
     }
-    return dict(list(found.items())[:2]) if lab.args.debug else found
+    return dict(list(found.items())[:2]) if lab.size.debug else found
 
 
 def evaluate(lab: StudyLab) -> Part:
     """Beliefs (e, t, objects) by set and "physics; touches; inflation; evidence", and the truth of each set."""
     key_touch, key_fit, *keys = jax.random.split(lab.key, 2 + len(SETS))
-    made, models = worlds(lab), {}
+    made, surfaces, models = worlds(lab), lab.trained_surfaces(), {}
     for i, (name, world) in enumerate(made.items()):
-        touched = lab.touch_known_objects(jax.random.fold_in(key_touch, i), world)
-        for count in DEBUG_TOUCHES if lab.args.debug else TOUCHES:
-            model = lab.refit(jax.random.fold_in(key_fit, i), touched, count)
+        touched = lab.touch_known_objects(jax.random.fold_in(key_touch, i), surfaces, world)
+        for count in DEBUG_TOUCHES if lab.size.debug else TOUCHES:
+            model = lab.refit(jax.random.fold_in(key_fit, i), touched, surfaces, count)
             models[name, ALL if count is None else str(count)] = model
         models[name, ORACLE] = fit_oracle_pad_model(touched, np.ones(len(touched), bool), model, lab.cfg.limits)
     found: Part = {"layers": np.array([[float(x) for x in one.reading_model.layer] for one in models.values()])}

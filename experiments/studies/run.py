@@ -6,7 +6,7 @@
     python -m experiments.studies stopping      how often is a belief wrong that stops when it is sure?
     python -m experiments.studies open_set --preset debug      a handful of episodes, to see it run
 
-Each takes a finished run of `experiments.train` (--trained-run, or a study's folder of several pads and seeds) and uses
+Each takes a finished run of `experiments.train` (--pad-model, or a study's folder of several pads and seeds) and uses
 the catalogue's test objects and the worlds of `experiments.recognize`; what was fixed before testing is in
 docs/recognition.md. Everything is simulated. Results go to --out: metrics.json, config.json, and what was made of each
 pad and seed (npz), where --resume goes on.
@@ -15,19 +15,18 @@ pad and seed (npz), where --resume goes on.
 import json
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.common.checks import chosen_runs, finished_runs, pad_name
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, write_json
 from experiments.common.tasks import parts_of_runs
-from experiments.recognize.config import PRESETS
+from experiments.recognize.config import PRESETS, Recognition
 from experiments.studies import mismatch, open_set, physics, stopping
-from experiments.studies.arguments import StudyArgs
-from experiments.studies.lab import StudyLab, prepare_lab
+from experiments.studies.arguments import StudyArgs, StudyName
+from experiments.studies.lab import DEBUG_EPISODES, StudyLab, StudySize, prepare_lab
 from experiments.studies.report import report_settings
 from experiments.studies.tables import study_table
+from experiments.train.finished import FinishedRun, finished_runs
 
 
 class Study(NamedTuple):
@@ -48,12 +47,13 @@ STUDIES = {
 def run(args: StudyArgs) -> dict[str, Any]:
     """A study on every pad and seed, pooled."""
     out = args.folder
-    begin(out, args, choose_preset(PRESETS, args.preset), args.resume, args.overwrite)
-    chosen = chosen_runs(args.trained_run, args.pads)
-    # Numbers are among all of the study's: a pad's episodes are the same whichever others are chosen.
-    folders = {i: folder for i, folder in enumerate(finished_runs(args.trained_run)) if folder in chosen}
-    parts = parts_of_runs(partial(make_part, args), folders, out / "part", seed=args.seed, options=args.tasks)
-    pads = [pad_name(folder) for folder in folders.values()]
+    cfg = choose_preset(PRESETS, args.preset)
+    begin(out, args, cfg, args.resume, args.overwrite)
+    runs = finished_runs(args.pad_model, args.pads)
+    size = StudySize(DEBUG_EPISODES if args.preset == "debug" else args.episodes, args.preset == "debug")
+    work = partial(make_part, args.study, cfg, size)
+    parts = parts_of_runs(work, runs, out / "part", seed=args.seed, options=args.tasks)
+    pads = [run.pad_name for run in runs.values()]
     found = STUDIES[args.study].report(parts, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}
     write_json(out / "metrics.json", result)
@@ -64,6 +64,6 @@ def run(args: StudyArgs) -> dict[str, Any]:
     return result
 
 
-def make_part(args: StudyArgs, folder: Path, seed: int) -> Part:
+def make_part(study: StudyName, cfg: Recognition, size: StudySize, run: FinishedRun, seed: int) -> Part:
     """The study on one pad and seed."""
-    return STUDIES[args.study].evaluate(prepare_lab(args, folder, seed))
+    return STUDIES[study].evaluate(prepare_lab(cfg, size, run, seed))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from experiments.common.checks import require_dataset, require_objects
-from experiments.common.options import ResumableOptions
+from experiments.common.options import ResumableOptions, UnitName
 from i2t.cli.options import Count, Limits, Seed, require_path, require_with
 from i2t.paper.config import PaperOptions
 
@@ -18,8 +18,10 @@ class TrainArgs(ResumableOptions):
     preset: Literal["paper", "debug", "study"] = "paper"
     dataset: Path | None = None  # a data set to train on instead of simulating one
     skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one to train on
-    objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for recognition
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # of those files
+    objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for the pad model
+    unit: UnitName | None = None  # of those files
+    rig: Path | None = None  # with --dataset: of the lab; its object_covariance says how far poses may be off
+    pad_model_of: Literal["train", "all"] = "train"  # touches of --dataset that the pad model is fitted to
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
     pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
     pads: tuple[Seed, ...] | None = None  # numbers of simulated pads, in place of the preset's
@@ -34,7 +36,7 @@ class TrainArgs(ResumableOptions):
     def next_command(self) -> str:
         """Command to try with a finished run."""
         if self.dataset is None:
-            return f"python -m experiments.recognize --trained-run {self.out}"
+            return f"python -m experiments.recognize --pad-model {self.out}"
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:
@@ -46,7 +48,10 @@ class TrainArgs(ResumableOptions):
         if self.objects and not self.dataset:
             raise ValueError("--objects are meshes of the objects in --dataset; pass both, or neither")
         require_with(f"--split {self.split}", self.split != "auto", "--dataset", self.dataset is not None)
+        require_with("--rig", self.rig is not None, "--dataset", self.dataset is not None)
+        require_with("--pad-model-of all", self.pad_model_of == "all", "--dataset", self.dataset is not None)
         require_with("--skin-name", self.skin_name is not None, "--dataset", self.dataset is not None)
         require_dataset("--dataset", self.dataset)
         require_path("--pad", self.pad, "file")
+        require_path("--rig", self.rig, "file")
         require_objects(self.objects, self.unit, least=1, catalogue=False)

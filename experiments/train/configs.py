@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
+from i2t.paper.config import PaperOptions
 from i2t.prediction.methods import METHODS
 from i2t.simulation.touches import PressLimits, SimulationErrors
 from i2t.skin.contact import FINE_GRID
@@ -49,6 +50,9 @@ class TrainExperiment:
     training: TrainConfig = field(default_factory=lambda: TrainConfig(epochs=120))
     pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
     seeds: int = 1
+    split: str = "auto"  # what is held out of a recording: object, session, block or time
+    softness: float = 1.0  # of the skin, in units of the nominal one's
+    paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
     hidden_tilt: float = 0.4 * math.pi / 180  # rad, that a noisy view leaves open
     block: float = 6e-3  # m, edge of a spatial block where presses on one object are split
 

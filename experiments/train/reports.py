@@ -12,6 +12,7 @@ from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
 from experiments.common.tables import text_table
 from experiments.train.evaluation import Evaluation
+from experiments.train.finished import CHECKPOINTS, KEPT, ON_PRESSURE, PAD_MODEL, FinishedRun, write_training
 from experiments.train.prepare import Prepared
 from i2t import viz
 from i2t.dataset import Dataset, Split, holds_simulated, source_words
@@ -20,13 +21,22 @@ from i2t.files.writing import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 from i2t.prediction.predictor import Predictor, coverage, save
 from i2t.prediction.touch_model import Reading
+from i2t.recognition.recorded import to_json
+from i2t.skin_models.pad_model import KnownPad, save_pad_model
 
 COLUMNS = ("method", "R²", "RMSE µT", "/ sigma", "cosine")
-ON_PRESSURE = "on_pressure"  # folder of the best predictor on predicted contact pressure, kept or not
 
 
-def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict[str, Any], started: float) -> None:
-    """Write the predictor, the figures and, last of all, metrics.json."""
+def report(
+    out: Path,
+    prepared: Prepared,
+    evaluation: Evaluation,
+    pad_model: KnownPad | str,
+    *,
+    about: dict[str, Any],
+    started: float,
+) -> None:
+    """Write predictors, the pad model where there is no reason that there is none, figures and, last, metrics.json."""
     dataset, split, choice = prepared.touches.dataset, prepared.split, evaluation.choice
     touches = dataset.touches
     truth, groups = touches.reading[split.test], split.groups[split.test]
@@ -51,20 +61,34 @@ def report(out: Path, prepared: Prepared, evaluation: Evaluation, *, about: dict
             for name, mean in evaluation.predicted.items()
         },
         "by_object": by_object(dataset, split, truth, evaluation.predicted),
+        "pad_model": pad_model if isinstance(pad_model, str) else to_json(pad_model),
         "seconds": 0.0,
     }
-    kept = {"predictor": choice.best, ON_PRESSURE: choice.best_on_pressure}
-    kept |= {slug(name): name for name, each in evaluation.predictors.items() if "curve" in (each.metadata or {})}
-    for folder, method in kept.items():
-        if method is not None:
-            predictor = evaluation.predictors[method]
-            metadata = {"method": method, "source": dataset.source, "seed": about["seed"]}
-            kept_from_training = ("epochs", "force_range", "board")
-            metadata |= {name: x for name, x in (predictor.metadata or {}).items() if name in kept_from_training}
-            save(out / "checkpoint" / folder, replace(predictor, metadata=metadata))
+    if not isinstance(pad_model, str):
+        save_pad_model(out / PAD_MODEL, pad_model)
+    kept = save_predictors(out, evaluation, {"source": dataset.source, "seed": about["seed"]})
+    write_training(FinishedRun(out, about["pad"], kept, pad_model if isinstance(pad_model, str) else None))
     figures(out, prepared, evaluation, metrics)
     metrics["seconds"] = round(time.perf_counter() - started, 1)
     write_json(out / "metrics.json", metrics)
+
+
+def save_predictors(out: Path, evaluation: Evaluation, about: dict[str, Any]) -> dict[str, str]:
+    """Write the predictor that is kept, the best on predicted contact pressure, and the networks, each with what it is
+    of; returns their methods by folder.
+    """
+    best = {KEPT: evaluation.choice.best, ON_PRESSURE: evaluation.choice.best_on_pressure}
+    kept = {folder: method for folder, method in best.items() if method is not None}
+    kept |= {slug(name): name for name, each in evaluation.predictors.items() if "curve" in (each.metadata or {})}
+    for folder, method in kept.items():
+        predictor = evaluation.predictors[method]
+        from_training = {
+            name: value
+            for name, value in (predictor.metadata or {}).items()
+            if name in ("epochs", "force_range", "board")
+        }
+        save(out / CHECKPOINTS / folder, replace(predictor, metadata={"method": method, **about, **from_training}))
+    return kept
 
 
 def curves_of(fitted: Mapping[str, Predictor]) -> dict[str, np.ndarray]:

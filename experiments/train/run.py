@@ -16,9 +16,10 @@ on contact masks or depths (paper-mask, paper-depth), in a study also with the m
 paper-depth-force), and two models on predicted contact pressure (pressure-network, gp). The best of all of them on the
 validation touches is kept as the predictor, a baseline too. Where a model on predicted contact pressure loses to a
 baseline, `experiments.fidelity` tests likely causes. A ceiling shows what the same model would reach if the camera and
-the arm made no error. Results go to --out: metrics.json, config.json, figures, the data (data.h5) and checkpoint/,
-which `i2t.load_predictor` reads. Of --dataset the training touches are kept (recognition.h5, recognition.json,
-meshes/), so that `experiments.recognize` can make a pad model of them.
+the arm made no error. A pad model is fitted to the touches of the training objects, for `experiments.recognize`; of
+--dataset it needs the objects' meshes, and --rig tells how far they may be off. Results go to --out: metrics.json,
+config.json, figures, the data (data.h5), checkpoint/, which `i2t.load_predictor` reads, and pad_model.npz, which
+`i2t.load_pad_model` reads (`experiments.train.finished` has the whole list).
 
 On two quiet cores the default took 101 s the first time, when everything is compiled, and 72 s the second; `--preset
 debug` 30 s and 16 s.
@@ -26,7 +27,7 @@ debug` 30 s and 16 s.
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,64 +36,75 @@ from typing import Any
 import jax
 
 from experiments.common.presets import choose_preset
-from experiments.common.runs import begin
+from experiments.common.runs import METRICS, begin
 from experiments.common.tasks import Task, tasks_here
-from experiments.train import recognition_data
 from experiments.train.arguments import TrainArgs
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.evaluation import evaluate, pressure_note
 from experiments.train.prepare import Prepared, prepare
-from experiments.train.recognition_data import MeshFile
 from experiments.train.reports import print_table, report, summarise
-from experiments.train.simulate import ceiling, simulated_dataset
-from i2t import dataset as data
-from i2t.dataset import Dataset, source_words
+from experiments.train.simulate import ceiling
+from experiments.train.sources import RecordedSource, SimulatedSource, TouchSource
+from i2t.dataset import source_words
 from i2t.files.terminal import printable
 from i2t.prediction.methods import find_methods
-from i2t.skin.files import load_pad, load_pad_about
-from i2t.types import Pad
+from i2t.recognition.recorded import describe
+from i2t.skin_models.pad_model import KnownPad
 
 CEILING = "ceiling: GP without camera and arm errors"
 
 
 def run(args: TrainArgs) -> dict[str, Any]:
     """The experiment: every pad and seed, then the table over them."""
-    cfg = choose_preset(PRESETS, args.preset, methods=args.methods, pads=args.pads)
-    cfg = replace(cfg, methods=("mean", *(name for name in (*cfg.methods, *args.method) if name != "mean")))
-    if args.epochs is not None:
-        cfg = replace(cfg, training=replace(cfg.training, epochs=args.epochs))
-    find_methods(cfg.methods)  # refuses names that are none, before anything is made
-    seeds = range(args.seed, args.seed + (args.seeds or cfg.seeds))
-    meshes = {path.stem: MeshFile(path, str(args.unit)) for path in args.objects}
-    pads: Sequence[Pad | int | None] = (None,) if args.dataset else (load_pad(args.pad),) if args.pad else cfg.pads
+    cfg = configure(args)
+    sources = sources_of(args, cfg)
+    seeds = range(args.seed, args.seed + cfg.seeds)
     begin(args.out, args, cfg, args.resume, args.overwrite)
-    several, tasks = len(seeds) * len(pads) > 1, []
-    for pad in pads:
+    tasks: list[Task] = []
+    for source in sources:
         for seed in seeds:
-            name = f"pad-{pad if isinstance(pad, int) else 0}-seed-{seed}"
-            place = args.out / name if several else args.out
-            work = partial(run_one, args, cfg, seed=seed, pad=pad, out=place, meshes=meshes)
-            tasks.append(Task(name, place / "metrics.json", work))
+            name = f"pad-{source.pad if isinstance(source.pad, int) else 0}-seed-{seed}"
+            place = args.out / name if len(seeds) * len(sources) > 1 else args.out
+            work = partial(run_one, source, cfg, seed=seed, pad_model_seed=args.seed + len(tasks), out=place)
+            tasks.append(Task(name, place / METRICS, work))
     for task in tasks_here(tasks, args.tasks):
         task.work()
     parts = [json.loads(task.finished.read_text()) for task in tasks]
-    result = parts[0] if not several else summarise(parts, args.out)
+    result = parts[0] if len(parts) == 1 else summarise(parts, args.out)
     print_table(result)
     return result
 
 
-def run_one(
-    args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path, meshes: Mapping[str, MeshFile]
-) -> None:
-    """One pad and seed: prepare the touches, fit every method, evaluate them, report."""
+def configure(args: TrainArgs) -> TrainExperiment:
+    """The preset with what the command line changes of it; refuses methods that there are not."""
+    cfg = choose_preset(
+        PRESETS, args.preset, methods=args.methods, pads=args.pads, seeds=args.seeds, split=args.split,
+        softness=args.softness, paper=args.paper,
+    )  # fmt: skip
+    methods = ("mean", *(name for name in (*cfg.methods, *args.method) if name != "mean"))
+    find_methods(methods)
+    epochs = cfg.training.epochs if args.epochs is None else args.epochs
+    return replace(cfg, methods=methods, training=replace(cfg.training, epochs=epochs))
+
+
+def sources_of(args: TrainArgs, cfg: TrainExperiment) -> Sequence[TouchSource]:
+    """The recording, or the pads with which touches are simulated."""
+    if args.dataset is not None:
+        every = args.pad_model_of == "all"
+        return [RecordedSource(args.dataset, args.skin_name, args.objects, args.unit, args.rig, every)]
+    pads = cfg.pads if args.pad is None else (str(args.pad),)
+    return [SimulatedSource(pad, cfg.simulation) for pad in pads]
+
+
+def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_seed: int, out: Path) -> None:
+    """One pad and seed: prepare the touches, fit every method, evaluate them, fit the pad model, report."""
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
-    prepared = prepare(touches_of(args, cfg, seed, pad, out), cfg, args.split, seed, args.softness)
+    objects = source.objects_known()  # before all that takes long
+    prepared = prepare(source.dataset(seed, out), cfg, cfg.split, seed, cfg.softness)
     print(summary_of(prepared))
     touches, split = prepared.touches, prepared.split
-    touches = replace(touches, paper=args.paper, training=cfg.training)
-    if args.dataset:
-        print(recognition_data.keep(out, touches.dataset, split.train, meshes))
+    touches = replace(touches, paper=cfg.paper, training=cfg.training)
 
     methods, fitted = find_methods(cfg.methods), {}
     for method in methods:
@@ -105,17 +117,21 @@ def run_one(
     evaluation = evaluate(prepared, methods, fitted)
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(touches.dataset, touches.pressure_model, split, seed)
-    notes = [*prepared.notes, *pressure_note(evaluation.choice, args.dataset)]
-    about = {"seed": seed, "pad": str(args.pad) if args.pad else pad, "notes": notes}
-    report(out, prepared, evaluation, about=about, started=started)
+    notes = [*prepared.notes, *pressure_note(evaluation.choice, source.recording)]
+    about = {"seed": seed, "pad": source.pad, "notes": notes}
+    pad_model = fit_or_explain(partial(source.pad_model, pad_model_seed, touches.dataset, split.train, objects))
+    report(out, prepared, evaluation, pad_model, about=about, started=started)
 
 
-def touches_of(args: TrainArgs, cfg: TrainExperiment, seed: int, pad: Pad | int | None, out: Path) -> Dataset:
-    """Recorded touches, or simulated ones."""
-    if args.dataset:
-        return data.load_dataset(args.dataset, skin=args.skin_name)
-    name = load_pad_about(args.pad).name if args.pad else None
-    return simulated_dataset(cfg.simulation, 0 if pad is None else pad, out / "data.h5", seed=seed, name=name)
+def fit_or_explain(fit: Callable[[], KnownPad]) -> KnownPad | str:
+    """The pad model, or why the touches make none: many that a predictor is content with do not."""
+    try:
+        known = fit()
+    except ValueError as error:
+        print(printable(f"note: no pad model, so that recognition cannot use this run: {error}"))
+        return str(error)
+    print(describe(known))
+    return known
 
 
 def summary_of(prepared: Prepared) -> str:

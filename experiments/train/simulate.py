@@ -18,19 +18,18 @@ from i2t.rendering.render import prepare_surface
 from i2t.runtime.batching import select_rows
 from i2t.runtime.progress import progress
 from i2t.simulation import touches as simulation
-from i2t.skin.pad import numbered_pad
 from i2t.types import Pad
 
 
-def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int, name: str | None = None) -> Dataset:
+def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name: str) -> Dataset:
     """The data set in `path`, simulated first where there is none, so that a resumed run finds the same touches.
 
     Args:
         cfg: Objects, counts and errors.
-        pad: The pad, or the number of a random one.
+        pad: The pad.
         path: HDF5 file to keep it in.
         seed: Of sites and errors.
-        name: Of the pad in the data set; by default its number.
+        name: Of the pad in the data set.
 
     Returns:
         The data set, which says that it is simulated.
@@ -38,15 +37,13 @@ def simulated_dataset(cfg: Simulation, pad: Pad | int, path: Path, *, seed: int,
     if path.exists():
         return data.load_dataset(path)
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
-    named = name or (f"simulated pad {pad}" if isinstance(pad, int) else "pad on disk")
-    pad = numbered_pad(pad) if isinstance(pad, int) else pad
     with progress(total=cfg.touches, desc="simulating touches", unit="touch") as bar:
         touches = simulation.simulate_touches(
             jax.random.key(seed), surfaces, pad, cfg.errors, cfg.counts(),
             limits=cfg.limits, touches_per_session=cfg.touches_per_session, progress=bar.update,
         )  # fmt: skip
     meta = {"made by": f"experiments.train, seed {seed}"}
-    dataset = Dataset.simulated(touches, cfg.objects, pad, pad_name=named, session="run", meta=meta)
+    dataset = Dataset.simulated(touches, cfg.objects, pad, pad_name=name, session="run", meta=meta)
     data.save_dataset(path, dataset)
     return dataset
 

@@ -28,6 +28,7 @@ from i2t import viz
 from i2t.dataset import Dataset, holds_simulated, source_words
 from i2t.errors import DataError
 from i2t.recognition.metrics import to_json
+from i2t.skin.pad import numbered_pad
 from i2t.types import ReturnCode
 from i2t.viz import agreement, clusters
 from i2t.viz.clusters import TouchMap
@@ -83,11 +84,11 @@ def run(args: TsneArgs) -> dict[str, Any]:
 
 def read_touches(args: TsneArgs) -> Dataset:
     """Recorded touches, or simulated ones, that met something (DataError: too few)."""
-    dataset = (
-        data.load_dataset(args.dataset)
-        if args.dataset
-        else simulated_dataset(TRAININGS[args.preset].simulation, 0, args.out / "data.h5", seed=args.seed)
-    )
+    if args.dataset:
+        dataset = data.load_dataset(args.dataset)
+    else:
+        plan, name = TRAININGS[args.preset].simulation, "simulated pad 0"
+        dataset = simulated_dataset(plan, numbered_pad(0), args.out / "data.h5", seed=args.seed, name=name)
     dataset = dataset.select(~np.isin(dataset.touches.code, [ReturnCode.FAILED, ReturnCode.AIR]))
     if len(dataset) < MIN_TOUCHES:
         raise DataError(f"the data set holds {len(dataset)} touches; {MIN_TOUCHES} at least are needed")

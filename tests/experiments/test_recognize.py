@@ -1,10 +1,9 @@
 """The whole of `python -m experiments.recognize` on its debug preset, simulated and live, and of the studies,
-which share what it compiles and the pad model that it fits.
+which share what it compiles.
 """
 
 import json
 
-import jax
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -12,7 +11,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from experiments.common.runs import load_part
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
-from experiments.recognize import trained_run as trained_run_of_recognition
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS
 from experiments.recognize.run import configure
@@ -27,13 +25,11 @@ from tools.gallery.figures import FIGURES
 from tools.gallery.story import Story
 from tools.reproduce.recognition_tables import STUDY_TABLES
 
-pytestmark = pytest.mark.usefixtures("pad_models_fitted_once")
-
 
 @pytest.fixture(scope="module")
 def finished(trained_run, tmp_path_factory):
     out = tmp_path_factory.mktemp("recognize") / "debug"
-    assert recognize.main(["--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]) == 0
+    assert recognize.main(["--preset", "debug", "--pad-model", str(trained_run), "--out", str(out)]) == 0
     return out
 
 
@@ -72,14 +68,14 @@ def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
     assert set(tools.truth) == {0, 1}
     assert len(np.unique(tools.episodes.site)) == tools.episodes.site.size  # no two touches share a site
     assert len(np.unique(tools.pool)) == 6  # two episodes to a pool
-    assert recognize.main(["--preset", "debug", "--trained-run", str(trained_run), "--out", str(finished)]) == 2
+    assert recognize.main(["--preset", "debug", "--pad-model", str(trained_run), "--out", str(finished)]) == 2
     assert "holds a finished run" in capsys.readouterr().err
 
 
 @pytest.mark.full
 def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained_run, tmp_path, monkeypatch):
     out = tmp_path / "paper"
-    args = ["--method", "paper", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    args = ["--method", "paper", "--preset", "debug", "--pad-model", str(trained_run), "--out", str(out)]
     assert recognize.main(args) == 0
     before = (out / "metrics.json").read_text()
     written = json.loads(before)
@@ -111,8 +107,8 @@ def test_what_was_recorded_is_trained_on_and_recognised(trained_run, tmp_path, c
     """As a lab does with its own data set: the belief must find the object more often than guessing would."""
     data, run, out = trained_run / "data.h5", tmp_path / "run", tmp_path / "recognized"
     assert train.main(["--preset", "debug", "--epochs", "2", "--dataset", str(data), "--out", str(run)]) == 0
-    assert "make a pad model of" in capsys.readouterr().out
-    words = ["--preset", "debug", "--trained-run", str(run), "--dataset", str(data), "--out", str(out)]
+    assert "pad model of" in capsys.readouterr().out
+    words = ["--preset", "debug", "--pad-model", str(run), "--dataset", str(data), "--out", str(out)]
     assert recognize.main(words) == 0
     written = json.loads((out / "metrics.json").read_text())
     assert written["source"] == "simulated"  # as the data set says of itself
@@ -128,7 +124,7 @@ LIVE = ["--num-sites", "3", "--num-particles", "16", "--num-surrogates", "2", "-
 @pytest.mark.full
 def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, capsys):
     out = tmp_path / "live"
-    args = ["live", "--trained-run", str(trained_run), "--out", str(out), *LIVE]
+    args = ["live", "--pad-model", str(trained_run), "--out", str(out), *LIVE]
     args += ["--max-touches", "2", "--prior-unknown", "0.1"]
     assert recognize.main(args) == 0
     result = json.loads((out / "result.json").read_text())
@@ -156,8 +152,6 @@ LONG_FIGURES = {"overview", "episode", "registration"}
 @pytest.mark.full
 def test_figures_of_the_gallery_are_drawn(trained_run):
     story = Story(trained_run, world=PRESETS["debug"])
-    world = story.world.errors, story.world.limits
-    story.__dict__["run"] = trained_run_of_recognition.load_trained_run(jax.random.key(0), trained_run, *world)
     for name in set(FIGURE_NAMES) - LONG_FIGURES:
         canvas = FigureCanvasAgg(FIGURES[name](story))
         canvas.draw()
@@ -177,7 +171,7 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
     monkeypatch.setattr(ObjectRecognizer, "_choose", none_is_safe)
     monkeypatch.setattr(ObjectRecognizer, "warm_up", lambda self: None)
     out = tmp_path / "live"
-    assert recognize.main(["live", "--trained-run", str(trained_run), "--out", str(out), *LIVE]) == 2
+    assert recognize.main(["live", "--pad-model", str(trained_run), "--out", str(out), *LIVE]) == 2
     assert len(draws) == MAX_EMPTY_DRAWS
     captured = capsys.readouterr()
     assert f"no touch is safe on what may be there: {MAX_EMPTY_DRAWS} draws" in captured.out
@@ -188,7 +182,7 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
 @pytest.mark.full
 def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
     out = tmp_path / "study"
-    words = ["physics", "--preset", "debug", "--trained-run", str(trained_run), "--out", str(out)]
+    words = ["physics", "--preset", "debug", "--pad-model", str(trained_run), "--out", str(out)]
     assert studies.main(words) == 0
     before = (out / "metrics.json").read_text()
     metrics = json.loads(before)

@@ -1,12 +1,10 @@
 """Tables of recognition: by what episodes are alike, each object by itself, the paper's rows and no others."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 
-from experiments.common import checks
 from experiments.common.runs import load_part, save_part
 from experiments.recognize import report
 from experiments.recognize.report import COMPARED, FAIR, IMAGINE2TOUCH, RULES_GP, EpisodeResults
@@ -129,18 +127,6 @@ def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_indepe
     found = report.mean_over_objects([part])["mean of the sets"]["fused"]
     assert found["mean"] == pytest.approx(0.5)
     assert found["high"] - found["low"] > 2 * 1.96 * np.sqrt(0.25 / 24)
-
-
-def test_pads_of_a_study_are_chosen_by_number(tmp_path):
-    for pad in (0, 1, 2):
-        folder = tmp_path / f"pad-{pad}-seed-0"
-        folder.mkdir()
-        (folder / "metrics.json").write_text(json.dumps({"pad": pad}))
-    chosen = checks.chosen_runs(tmp_path, ("0", "2"))
-    assert [folder.name for folder in chosen] == ["pad-0-seed-0", "pad-2-seed-0"]
-    assert len(checks.chosen_runs(tmp_path, ())) == 3
-    with pytest.raises(ValueError, match="has no run with pad 7; its pads are 0, 1, 2"):
-        checks.chosen_runs(tmp_path, ("7",))
 
 
 def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_own():

@@ -10,7 +10,7 @@ REFUSED = [
     ("calibrate --dataset DIR --simulated", "pass one of --dataset DIR"),
     ("fidelity --dataset nowhere", "nowhere"),
     ("recognize live --prior-unknown 0.1 --num-surrogates 0", "surrogates"),
-    ("recognize live --skin replay --pad nominal", "--skin replay is not known; give a name"),
+    ("recognize live --skin replay --pad-model nominal", "--skin replay is not known; give a name"),
     ("recognize recorded --readings nowhere --label what", "--readings nowhere: there is no such file"),
     ("recognize recorded --label what", "--readings"),
     ("reconstruct --conditions guess", "is none of reading"),

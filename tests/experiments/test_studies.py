@@ -8,6 +8,7 @@ import pytest
 
 from experiments.recognize.config import PRESETS
 from experiments.studies import mismatch, open_set, physics, report, stopping
+from experiments.studies.lab import StudySize
 from experiments.studies.run import STUDIES
 from experiments.studies.tables import study_table
 from i2t.recognition.intervals import Estimate
@@ -88,12 +89,12 @@ def test_settings_are_compared_with_the_first_and_counted_as_by_hand():
 
 
 def test_a_world_differs_in_what_its_name_says():
-    lab = SimpleNamespace(args=SimpleNamespace(debug=False), cfg=PRESETS["paper"])
+    lab = SimpleNamespace(size=StudySize(1, debug=False), cfg=PRESETS["paper"])
     made = mismatch.worlds(lab)
     assert next(iter(made)) == "matched"
     assert made["arm twice as stiff"].limits.stiffness == 2 * lab.cfg.limits.stiffness
     assert made["chip remembers twice as much"].errors.faults.hysteresis == 2 * lab.cfg.errors.faults.hysteresis
-    lab.args.debug = True
+    lab.size = StudySize(1, debug=True)
     assert set(mismatch.worlds(lab)) == set(mismatch.DEBUG_WORLDS)
 
 

@@ -20,10 +20,13 @@ from helpers.debug_run import COMMAND
 import i2t
 from experiments.train import __main__ as command
 from experiments.train import simulate
+from experiments.train.configs import PRESETS
 from experiments.train.evaluation import evaluate
+from experiments.train.finished import ON_PRESSURE, read_run
 from experiments.train.prepare import Prepared
-from experiments.train.reports import ON_PRESSURE, print_table, summarise
+from experiments.train.reports import print_table, summarise
 from experiments.train.run import CEILING
+from experiments.train.sources import simulated_touches
 from i2t import dataset
 from i2t.contact.pressure import ContactPressure, PressureModelConfig
 from i2t.dataset import Split
@@ -33,8 +36,10 @@ from i2t.prediction.metrics import Score, score
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.skin.boards import grid_board
-from i2t.skin.files import save_pad
-from i2t.skin.pad import nominal_pad
+from i2t.skin.files import load_pad, save_pad
+from i2t.skin.pad import nominal_pad, numbered_pad
+from i2t.skin_models.pad_fit import ContactModel
+from i2t.skin_models.pad_model import load_pad_model
 from i2t.types import Board
 
 BASELINES = [method.title for method in map(find_method, METHODS) if method.baseline]
@@ -84,6 +89,20 @@ def test_the_kept_predictor_is_the_best_of_all_on_validation_touches_and_scored_
     assert methods[metrics["best"]]["r2"] == pytest.approx(score(truth, seen.mean).r2, abs=1e-4)
     assert methods[metrics["best"]]["rmse"] == pytest.approx(np.sqrt(((seen.mean - truth) ** 2).mean()), rel=1e-4)
     assert seen.std.min() > 0
+
+
+@pytest.mark.full
+def test_the_kept_pad_model_is_fitted_to_the_training_touches_that_were_kept(trained_run):
+    run = read_run(trained_run)
+    assert run.predictors["on_pressure"] == GaussianProcess.title
+    known = load_pad_model(run.pad_model)
+    names, plan = ("hexagon", "parallelogram"), PRESETS["debug"].simulation
+    assert (known.origin.pad, known.origin.objects, known.origin.touches) == ("simulated pad 0", names, 36)
+    touches = simulated_touches(dataset.load_dataset(run.touches), names, known.origin.made_from)
+    anew = ContactModel(plan.errors, plan.limits).fit(jax.random.split(jax.random.key(0))[0], touches)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5), known.model, anew.model)
+    jax.tree.map(np.testing.assert_array_equal, load_pad(run.simulated_pad), numbered_pad(0))
+    assert json.loads((trained_run / "metrics.json").read_text())["pad_model"]["r2"] == known.model.r2
 
 
 @pytest.mark.full

@@ -1,12 +1,14 @@
 """Touches of random contents, for what reads and writes them."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.dataset import Dataset, Image, Record, Series, missing_context
 from i2t.dataset.sets import OPTIONAL
 from i2t.skin import boards
-from i2t.types import Touches, Truth
+from i2t.types import ReturnCode, Touches, Truth
 
 
 def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"), pixels=48, board="reskin"):
@@ -43,6 +45,29 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
     )
     names = ("pad é", "pad b"), ("run 1", "run 2", "run 3", "run 4")
     return Dataset(touches, objects, *names, board, "simulated", meta={"seed": str(seed)})
+
+
+def recorded_presses(n=40, objects=("star", "mug"), **changed):
+    """Touches that are all of one skin, measured, and ended by the skin."""
+    dataset = make(n, objects=objects, pixels=8)
+    own = {
+        "pad": np.zeros(n), "code": np.full(n, ReturnCode.SKIN), "force": np.full(n, 1.0), "depth": np.full(n, 1e-4),
+        "object": np.arange(n) % len(objects), "session": np.arange(n) % 4,
+    }  # fmt: skip
+    return replace(dataset, touches=dataset.touches._replace(**(own | changed)))
+
+
+def sessions_of(*lengths):
+    """Sessions of so many usable touches, each with one that failed and one without a force."""
+    session = np.repeat(np.arange(len(lengths)), np.array(lengths) + 2)
+    n = len(session)
+    begin = np.flatnonzero(np.diff(session, prepend=-1))
+    code, force = np.full(n, ReturnCode.SKIN), np.ones(n)
+    code[begin] = ReturnCode.FAILED
+    force[begin + 1] = np.nan
+    made = make(n, pixels=8)
+    touches = made.touches._replace(session=session, code=code, force=force, pad=np.zeros(n), object=session % 3)
+    return replace(made, touches=touches, sessions=tuple(f"run {i}" for i in range(len(lengths))))
 
 
 def assert_equal(a, b):

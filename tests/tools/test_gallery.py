@@ -7,7 +7,7 @@ from tools.gallery.arguments import FIGURE_NAMES, OF_A_RUN, GalleryArgs
 
 def test_a_figure_without_a_trained_run_needs_none(tmp_path):
     nowhere = tmp_path / "none"
-    GalleryArgs(trained_run=nowhere, only=tuple(set(FIGURE_NAMES) - OF_A_RUN)).check()
+    GalleryArgs(pad_model=nowhere, only=tuple(set(FIGURE_NAMES) - OF_A_RUN)).check()
     for name in OF_A_RUN:
         with pytest.raises(ValueError, match="no finished run"):
-            GalleryArgs(trained_run=nowhere, only=(name,)).check()
+            GalleryArgs(pad_model=nowhere, only=(name,)).check()

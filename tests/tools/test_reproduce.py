@@ -33,7 +33,7 @@ def test_every_step_is_a_command_that_takes_these_arguments():
         with contextlib.redirect_stdout(said), pytest.raises(SystemExit) as ended:
             command.main([*words, "--help"])
         assert ended.value.code == 0
-        for option in ("--out", *filter(None, [step.again]), *(["--trained-run"] if step.uses else [])):
+        for option in ("--out", *filter(None, [step.again]), *(["--pad-model"] if step.uses else [])):
             assert option in said.getvalue(), f"{step.name}: {option}"
 
 
@@ -62,7 +62,7 @@ def test_steps_run_once_in_order_go_on_and_keep_what_they_measured(tmp_path, rep
     assert command("--only", "paper", "study") == command("--only", "paper", "study") == 0
     assert [" ".join(words[:2]) for words in played] == ["-m experiments.train", "-m experiments.recognize"]
     assert "--resume" in played[0]
-    assert played[1][-2:] == ["--trained-run", "runs/study"]
+    assert played[1][-2:] == ["--pad-model", "runs/study"]
     assert json.loads((tmp_path / "docs" / "results" / "paper.json").read_text()) == {"step": "paper", "sets": {}}
 
 

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
+
+from experiments.train.finished import FORMER_NAMES, require_simulated_runs
 
 FigureName = Literal[
     "overview", "patches", "press", "episode", "calibration_curve", "predictors", "registration", "rig",
@@ -17,14 +19,13 @@ class GalleryArgs:
     """Draw the figures of the documents."""
 
     out: Path = Path("runs/gallery")  # folder for the figures
-    trained_run: Path = Path("runs/train")  # a finished run of experiments.train that simulated its touches
+    FORMER_NAMES: ClassVar = FORMER_NAMES
+
+    pad_model: Path = Path("runs/train")  # folder of a run of experiments.train that simulated its touches
     only: tuple[FigureName, ...] = ()  # some of the figures, by name
 
     def check(self) -> None:
         """Refuse a run that is not there, where a figure needs one."""
         if OF_A_RUN.isdisjoint(self.only or FIGURE_NAMES):
             return
-        if not (self.trained_run / "metrics.json").is_file():
-            raise ValueError(
-                f"--trained-run {self.trained_run}: no finished run; python -m experiments.train makes one"
-            )
+        require_simulated_runs(self.pad_model)

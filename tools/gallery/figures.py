@@ -99,7 +99,7 @@ def calibration_curve(story: Story) -> Figure:
 
 def predictors(story: Story) -> Figure:
     """Every predictor of the run on unseen objects."""
-    methods = json.loads((story.folder / "metrics.json").read_text())["methods"]
+    methods = json.loads((story.finished.folder / "metrics.json").read_text())["methods"]
     names = list(methods)
     r2 = np.array([methods[name]["r2"] for name in names])
     low, high = np.array([methods[name]["r2_interval"] for name in names], float).T  # none of too few sessions is NaN

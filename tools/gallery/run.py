@@ -20,7 +20,7 @@ PALETTE_SIZE = 256  # of a picture, which keeps it small
 def run(args: GalleryArgs) -> None:
     """Draw the figures asked for."""
     args.out.mkdir(parents=True, exist_ok=True)
-    story = Story(args.trained_run)
+    story = Story(args.pad_model)
     for name in args.only or FIGURE_NAMES:
         path = viz.save_figure(FIGURES[name](story), args.out / f"{name}.png")
         Image.open(path).convert("RGB").quantize(PALETTE_SIZE, method=Image.Quantize.MAXCOVERAGE).save(

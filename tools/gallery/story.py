@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 
 import i2t
 from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.trained_run import TrainedRun, load_trained_run, meshes_by_name
+from experiments.recognize.plans import meshes_by_name
+from experiments.recognize.trained_run import TrainedRun, load_trained_run
+from experiments.train.finished import FinishedRun, finished_runs
 from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import touch_simulator
@@ -32,10 +34,15 @@ class Story:
     ) -> None:
         self.folder, self.world, self.config = folder, world, config
 
+    @property
+    def finished(self) -> FinishedRun:
+        """The run."""
+        return finished_runs(self.folder)[0]
+
     @cached_property
     def run(self) -> TrainedRun:
         """The run with its pad model."""
-        return load_trained_run(jax.random.key(0), self.folder, self.world.errors, self.world.limits)
+        return load_trained_run(self.finished)
 
     @cached_property
     def unseen(self) -> Touches:

@@ -10,8 +10,8 @@ class Step(NamedTuple):
     """A command whose metrics the documents show."""
 
     name: str  # of the step, of its folder below --out, and of its file in docs/results
-    command: str  # as a user types it, without --out and --trained-run
-    uses: str | None = None  # the step whose folder it takes as --trained-run
+    command: str  # as a user types it, without --out and --pad-model
+    uses: str | None = None  # the step whose folder it takes as --pad-model
     minutes: int | None = None  # on two cores, roughly; none where it was not measured
     again: str | None = "--resume"  # the option with which it takes up an unfinished folder
     result: str = "metrics.json"  # the file that is there once it is done
@@ -32,7 +32,7 @@ class Step(NamedTuple):
         """
         words = [*shlex.split(self.command), "--out", str(out / self.name)]
         if self.uses:
-            words += ["--trained-run", str(out / self.uses)]
+            words += ["--pad-model", str(out / self.uses)]
         return words + ([self.again] if resume and self.again else [])
 
 
