@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, pictures_in
@@ -38,20 +39,26 @@ def command(kind: type[Any], module: str) -> Main:
     return main
 
 
-def command_of_parts(package: str, parts: Mapping[str, tuple[type[Any], str]]) -> Main:
+def command_of_parts(
+    package: str, parts: Mapping[str, tuple[type[Any], str]], by_option: Mapping[str, str] = MappingProxyType({})
+) -> Main:
     """A command whose first word names one of its parts; without such a word it is the first part.
 
     Args:
         package: The command's, such as `experiments.registration`.
         parts: Options and module of each, as `command` takes them, by name.
+        by_option: Parts that an option names in place of the first, by the option.
 
     Returns:
         Its `main`.
     """
+    first = next(iter(parts))
 
     def main(argv: Sequence[str] | None = None) -> int:
         words = _words(argv)
-        name = words.pop(0) if words and words[0] in parts else next(iter(parts))
+        name = words.pop(0) if words and words[0] in parts else first
+        if name == first:
+            name = next((by_option[flag] for word in words if (flag := word.partition("=")[0]) in by_option), first)
         about = f"\n\nParts of this command, each with its own --help: {', '.join(parts)}."
         return _carry_out(*parts[name], words, f"python -m {package} {name}", about)
 

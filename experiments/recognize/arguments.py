@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar, Literal
 import tyro
 
 from experiments.common.checks import require_dataset, require_objects
-from experiments.common.options import ResumableOptions, UnitName
+from experiments.common.options import ResumableOptions, RunOptions, UnitName
 from experiments.train.finished import FORMER_NAMES, require_pad_model, require_simulated_runs
-from i2t.cli.options import Count, Limits, Probability, Seed, require_path, require_with
+from i2t.cli.options import Count, Limits, Probability, Seed, require_path
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import did_you_mean, require_extra
 
@@ -19,61 +19,65 @@ NOT_REAL = ("simulated", "emulated")
 
 @dataclass(frozen=True)
 class SimulateArgs(ResumableOptions):
-    """Recognise objects by touch and report how often and how sure."""
+    """Recognise objects by simulated touches and report how often and how sure."""
 
     FORMER_NAMES: ClassVar = FORMER_NAMES
 
     out: Path = Path("runs/recognize")  # folder for everything that is made
-    pad_model: Path = Path("runs/train")  # folder of a run of experiments.train, or of several; or for --dataset a file
+    pad_model: Path = Path("runs/train")  # folder of a run of experiments.train, or of several pads and seeds
     pads: tuple[str, ...] = ()  # of several, those that are used, by number; all unless given
     method: Literal["all", "paper"] = "all"  # every method on the same episodes, or the paper's own loop by itself
-    preset: PresetName | None = None  # episodes and poses: short, or paper (as the documents say) with --dataset
+    preset: PresetName = "short"  # episodes and poses
     objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
     unit: UnitName | None = None  # of those files
-    dataset: Path | None = None  # recorded touches to recognise; its objects are the catalogue's or those of --objects
-    skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one that is meant
-    other_skin: bool = False  # with --dataset: judge touches of another skin all the same, and say so
-    max_touches: Count | None = None  # with --dataset: of each session; by default as many as all long enough ones have
-    rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
     episodes: Count | None = None  # of each object, for each pad and seed
     paper_episodes: Count | None = None  # the same in the paper's sets, twice as many unless given
     num_particles: Count | None = None  # poses of each object, in place of the preset's
 
     @property
     def next_command(self) -> str:
-        """Command to try with a finished run: a study, where the run simulates its touches."""
-        if self.dataset is None:
-            return f"python -m experiments.studies open_set --pad-model {self.pad_model}"
-        return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
+        """Command to try with a finished run: a study."""
+        return f"python -m experiments.studies open_set --pad-model {self.pad_model}"
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        recorded = self.dataset is not None
-        if self.method == "paper" and (recorded or self.objects):
-            raise ValueError("--method paper plays the paper's own sets; pass it without --dataset and --objects")
-        for flag, given in (
-            ("--other-skin", self.other_skin),
-            ("--skin-name", self.skin_name is not None),
-            ("--max-touches", self.max_touches is not None),
-            ("--rig", self.rig is not None),
-        ):
-            require_with(flag, given, "--dataset", recorded)
-        simulated = (
-            ("--episodes", self.episodes), ("--paper-episodes", self.paper_episodes), ("--pads", self.pads),
-            ("--workers", self.tasks.workers > 1),
-        )  # fmt: skip
-        for flag, value in simulated:
-            if recorded and value:
-                raise ValueError(f"{flag} is for simulated episodes, and --dataset brings its own; leave it out")
+        if self.method == "paper" and self.objects:
+            raise ValueError("--method paper plays the paper's own sets; pass it without --objects")
         if self.objects and self.paper_episodes is not None:
             raise ValueError("--paper-episodes is for the paper's sets, and --objects are others; pass --episodes")
         require_objects(self.objects, self.unit)
+        require_simulated_runs(self.pad_model, self.pads)
+
+
+@dataclass(frozen=True)
+class DatasetArgs(RunOptions):
+    """Recognise the objects of recorded sessions and report how often and how sure."""
+
+    FORMER_NAMES: ClassVar = FORMER_NAMES
+
+    dataset: Path  # recorded touches; its objects are the catalogue's or those of --objects
+    out: Path = Path("runs/recognize")  # folder for everything that is made
+    pad_model: Path = Path("runs/train")  # of the skin: folder of a run of experiments.train, a file, or nominal
+    preset: PresetName = "paper"  # poses, and touches that a session must have
+    objects: tuple[Path, ...] = ()  # to tell apart: names of the catalogue and mesh files
+    unit: UnitName | None = None  # of those files
+    skin_name: str | None = None  # of several skins that were read in each touch, the one that is meant
+    other_skin: bool = False  # judge touches of another skin all the same, and say so
+    max_touches: Count | None = None  # of each session; by default as many as all long enough ones have
+    rig: Path | None = None  # of the lab that recorded them: its object_covariance says how far poses may be off
+    num_particles: Count | None = None  # poses of each object, in place of the preset's
+
+    @property
+    def next_command(self) -> str:
+        """Command to try with a finished run."""
+        return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
+
+    def check(self) -> None:
+        """Refuse files that are not there."""
+        require_objects(self.objects, self.unit)
         require_dataset("--dataset", self.dataset)
         require_path("--rig", self.rig, "file")
-        if recorded:
-            require_pad_model(self.pad_model)
-        else:
-            require_simulated_runs(self.pad_model, self.pads)
+        require_pad_model(self.pad_model)
 
 
 @dataclass(frozen=True)

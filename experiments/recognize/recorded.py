@@ -1,4 +1,12 @@
-"""Recorded touches as episodes: each session is one, judged by a pad model of the skin that recorded it."""
+"""Question: which objects were touched in recorded sessions?
+
+    python -m experiments.recognize --dataset DIR                      on the pad model of runs/train
+    python -m experiments.recognize --dataset DIR --pad-model runs/skin --rig lab.toml --objects a.stl b.stl --unit mm
+
+Each session is an episode, judged by a pad model of the very skin that recorded it, as in `experiments.recognize.run`;
+the paper's rules are applied to the predictor that the run of the pad model kept. Results go to --out: metrics.json
+(95 % intervals over sessions), config.json and figures.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,11 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments.common.presets import choose_preset
 from experiments.common.runs import begin
 from experiments.recognize import report as reporting
-from experiments.recognize.arguments import SimulateArgs
-from experiments.recognize.config import Recognition
-from experiments.recognize.plans import meshes_by_name
+from experiments.recognize.arguments import DatasetArgs
+from experiments.recognize.config import PRESETS, Recognition
+from experiments.recognize.plans import load_meshes, meshes_by_name
 from experiments.train.finished import find_pad_model
 from i2t import dataset as data
 from i2t.dataset import Dataset, source_words
@@ -53,12 +62,12 @@ class Sessions(NamedTuple):
         return sentence
 
 
-def run(args: SimulateArgs, cfg: Recognition, own: dict[str, Mesh]) -> dict[str, Any]:
+def run(args: DatasetArgs) -> dict[str, Any]:
     """Recognise the objects of recorded sessions, and write down how often and how sure."""
-    assert args.dataset is not None
+    cfg = choose_preset(PRESETS, args.preset, num_particles=args.num_particles)
     loaded, corrections = corrected_dataset(data.load_dataset(args.dataset, skin=args.skin_name))
     recorded = merge_samples(loaded)
-    meshes = own or meshes_of(recorded.objects, args.dataset)
+    meshes = load_meshes(args.objects, args.unit) or meshes_of(recorded.objects, args.dataset)
     sessions = choose_sessions(recorded, cfg.touches, args.max_touches)
     rig = None if args.rig is None else Rig.read(args.rig)
     file, trained = find_pad_model(args.pad_model)
@@ -68,7 +77,7 @@ def run(args: SimulateArgs, cfg: Recognition, own: dict[str, Mesh]) -> dict[str,
     warning = require_skin(known.skin, pads, recorded.board, str(args.dataset), other_skin=args.other_skin)
     if warning:
         print(warning)
-    begin(args.out, args, cfg, args.resume, args.overwrite)
+    begin(args.out, args, cfg, None, args.overwrite)
     print(describe(known))
     for correction in corrections:
         print(f"note: {correction}")

@@ -7,8 +7,7 @@
     python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything
     python -m experiments.recognize --pad-model runs/study      every pad and seed of a study, intervals over pads
     python -m experiments.recognize --objects a.stl b.stl --unit mm      meshes of your own, simulated episodes
-    python -m experiments.recognize --dataset DIR         recorded touches, each session an episode; --pad-model is of
-                                                          the skin that recorded them
+    python -m experiments.recognize --dataset DIR         recorded touches (experiments.recognize.recorded)
 
 The objects were not trained on. Each episode puts one of them down with the errors of the world, touches it ten times
 at random safe sites of random candidates, drawn anew for each touch, and asks after each touch which one it is:
@@ -22,7 +21,7 @@ at random safe sites of random candidates, drawn anew for each touch, and asks a
 
 The paper's two sets (three primitives, two tools) are played apart, at sites that the paper's heuristic draws on random
 candidates, so that every method judges the same episodes; all five are played as one set. What was fixed before testing
-is in docs/recognition.md. Everything is simulated unless --dataset says otherwise. Results go to --out: metrics.json
+is in docs/recognition.md. Everything is simulated. Results go to --out: metrics.json
 (95 % intervals over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
 """
 
@@ -37,7 +36,7 @@ import numpy as np
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin
 from experiments.common.tasks import parts_of_runs
-from experiments.recognize import paper, recorded
+from experiments.recognize import paper
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
@@ -74,8 +73,6 @@ class EpisodeWorld(NamedTuple):
 def run(args: SimulateArgs) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
     cfg, own = configure(args), load_meshes(args.objects, args.unit)
-    if args.dataset is not None:
-        return recorded.run(args, cfg, own)
     runs = finished_runs(args.pad_model, args.pads)
     begin(args.out, args, cfg, args.resume, args.overwrite)
     by_paper = args.method == "paper"
@@ -91,8 +88,8 @@ def configure(args: SimulateArgs) -> Recognition:
     n = args.episodes
     of_paper = args.paper_episodes if args.paper_episodes is not None or n is None else 2 * n
     return choose_preset(
-        PRESETS, args.preset or ("short" if args.dataset is None else "paper"),
-        episodes=n, own_episodes=n, validation_episodes=n, paper_episodes=of_paper, num_particles=args.num_particles,
+        PRESETS, args.preset, num_particles=args.num_particles,
+        episodes=n, own_episodes=n, validation_episodes=n, paper_episodes=of_paper,
     )  # fmt: skip
 
 

@@ -134,3 +134,12 @@ def test_a_slip_in_the_name_of_a_step_is_told(capsys):
     assert "there is no step graps; did you mean grasps?" in capsys.readouterr().err
     assert reproduce(["--only", "nothing"]) == 2
     assert "see their names with --list" in capsys.readouterr().err
+
+
+def test_recorded_touches_have_a_part_of_their_own_that_their_option_names(capsys):
+    for words in ([], ["simulate"], ["dataset"]):
+        assert recognize.main([*words, "--dataset", "nowhere"]) == 2
+        assert "--dataset nowhere: there is no such data set" in capsys.readouterr().err
+        with pytest.raises(SystemExit):
+            recognize.main([*words, "--dataset", "nowhere", "--episodes", "3"])
+        assert "--episodes" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import pytest
 from experiments.calibrate.arguments import CalibrateArgs
 from experiments.common.commands import say_where
 from experiments.common.runs import METRICS
-from experiments.recognize.arguments import SimulateArgs
+from experiments.recognize.arguments import DatasetArgs, SimulateArgs
 from experiments.train.arguments import TrainArgs
 from tools.check_docs import pages
 
@@ -22,11 +22,19 @@ def test_results_pictures_and_the_next_command_are_named_where_there_are_any(tmp
     assert said == f"\nresults and pictures (curves.png) are in {tmp_path}\nnext: python -m experiments.train\n"
 
 
-@pytest.mark.parametrize("dataset", [None, Path("DATA")])
-@pytest.mark.parametrize("options", [TrainArgs, SimulateArgs, CalibrateArgs])
-def test_what_is_suggested_can_be_typed(options, dataset, tmp_path):
+RECORDED = {"dataset": Path("DATA")}
+
+
+@pytest.mark.parametrize(
+    ("options", "given"),
+    [
+        (TrainArgs, {}), (TrainArgs, RECORDED), (SimulateArgs, {}), (DatasetArgs, RECORDED), (CalibrateArgs, {}),
+        (CalibrateArgs, RECORDED),
+    ],
+)  # fmt: skip
+def test_what_is_suggested_can_be_typed(options, given, tmp_path):
     """Of a calibration with a known tip, a pad of the same presses; without presses nothing."""
     (tmp_path / METRICS).write_text('{"tip": "sphere:4"}')
-    suggested = options(out=tmp_path, dataset=dataset).next_command
-    assert bool(suggested) == (options is not CalibrateArgs or dataset is not None)
+    suggested = options(out=tmp_path, **given).next_command
+    assert bool(suggested) == (options is not CalibrateArgs or bool(given))
     assert not list(pages.commands(pages.ROOT / "README.md", f"    {suggested}\n"))

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from experiments.common.runs import load_part
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
-from experiments.recognize.arguments import SimulateArgs
+from experiments.recognize.arguments import DatasetArgs, SimulateArgs
 from experiments.recognize.config import PRESETS
 from experiments.recognize.run import configure
 from experiments.studies import __main__ as studies
@@ -200,5 +200,5 @@ def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
 
 def test_a_few_episodes_are_played_unless_touches_were_recorded(tmp_path):
     assert configure(SimulateArgs()) == PRESETS["short"]
-    assert configure(SimulateArgs(dataset=tmp_path)) == PRESETS["paper"]
+    assert DatasetArgs(tmp_path).preset == "paper"
     assert configure(SimulateArgs(preset="paper", episodes=7)).paper_episodes == 14
