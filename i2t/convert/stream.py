@@ -23,9 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from i2t.convert import presses
+from i2t.convert import log_rows, presses
 from i2t.convert.common import Converted
-from i2t.convert.log_rows import LABELS, LINE, NAMES, ROWS_READ_AT_ONCE, STAMP, LogRows, TimedRows, on_one_clock
+from i2t.convert.log_rows import LABELS, LINE, NAMES, STAMP, LogRows, TimedRows, on_one_clock
 from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
@@ -98,7 +98,7 @@ class _Search:
             self.found += more
             return
         self.early.append(rows)
-        if self.rows >= ROWS_READ_AT_ONCE:
+        if self.rows >= log_rows.ROWS_READ_AT_ONCE:
             self._begin()
 
     def goes_on_pressed(self, rows: LogRows) -> bool:
@@ -363,7 +363,7 @@ def _rows(
     which = [table.header.index(name) for name in columns.names]
     number_of: dict[tuple[str, ...], int] = {} if which else {(): 0}
     with progress(desc=source.name, unit="row", unit_scale=True) as bar:
-        while some := list(islice(table.rows, ROWS_READ_AT_ONCE)):
+        while some := list(islice(table.rows, log_rows.ROWS_READ_AT_ONCE)):
             bar.update(len(some))
             rows, numbers = sound_rows(source, table.header, some, wanted, partial(_needed, timed=first), notes)
             if not rows:

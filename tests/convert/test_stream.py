@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.recordings import READING_NAMES, converted, refused, run, write_table
 
-from i2t.convert import stream
+from i2t.convert import log_rows
 from i2t.convert.stream import table_of_presses
 from i2t.errors import DataError
 from i2t.recordings.segmentation import segment_presses
@@ -69,7 +69,7 @@ def test_a_log_read_piece_by_piece_has_the_presses_of_the_whole(tmp_path, monkey
     np.testing.assert_allclose(numbers(whole), found.reading, atol=1e-6)
     for at_once in (64, 1000):
         # Noise is found from the first rows, so a press may begin and end a block sooner or later.
-        monkeypatch.setattr(stream, "ROWS_READ_AT_ONCE", at_once)
+        monkeypatch.setattr(log_rows, "ROWS_READ_AT_ONCE", at_once)
         pieces = table_of_presses(path, board=BOARD)
         np.testing.assert_allclose([line for line, _ in pieces.rows], [line for line, _ in whole.rows], atol=8)
         np.testing.assert_allclose(numbers(pieces), numbers(whole), atol=1.0)
@@ -295,7 +295,7 @@ def test_a_simulated_log_says_so(tmp_path):
 
 @pytest.mark.full
 def test_memory_does_not_grow_with_the_log(tmp_path, monkeypatch):
-    monkeypatch.setattr(stream, "ROWS_READ_AT_ONCE", 2048)
+    monkeypatch.setattr(log_rows, "ROWS_READ_AT_ONCE", 2048)
     peaks = []
     for presses in (10, 60):
         path = write_table(tmp_path / f"{presses}.csv", NAMES, log(presses)[0])
