@@ -5,14 +5,27 @@ waits for an answer that was known.
 """
 
 import difflib
+import re
 from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import NamedTuple
 
-from i2t.files.terminal import printable
-
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
 MIN_LIKENESS = 0.7  # smallest ratio of `difflib` at which one name is taken for a misspelling of another
+# Controls, ends of lines and paragraphs, marks that turn the direction of writing, and halves of characters.
+_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: object) -> str:
+    """A text in one line, with its control characters escaped; letters of every script stay.
+
+    Args:
+        text: A name, a path or a message.
+
+    Returns:
+        The text, with `\\x1b` for an escape and `\\n` for the end of a line.
+    """
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
 class I2TError(Exception):

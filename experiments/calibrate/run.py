@@ -38,7 +38,7 @@ from experiments.calibrate.held_out import HeldOut, hold_out
 from experiments.common.runs import begin
 from i2t import dataset as data
 from i2t.dataset import Dataset
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.recordings.diagnose import check_presses, repeated_rows
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate

@@ -9,7 +9,7 @@ from experiments.common.runs import begin, write_json
 from experiments.common.tables import text_table
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.heads import caption, compare_with_baselines, missed_ranges, table, test_heads, to_numbers
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.heads.heads import fit_head
 from i2t.recordings.read import SkinRecording, read_recordings
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from i2t.files.terminal import printable
+from i2t.errors import printable
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str = "") -> str:

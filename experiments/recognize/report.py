@@ -13,7 +13,7 @@ from experiments.common.tables import text_table
 from experiments.recognize import figures
 from i2t import viz
 from i2t.dataset import holds_simulated
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TouchObservation

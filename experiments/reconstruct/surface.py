@@ -48,7 +48,7 @@ from experiments.reconstruct.world import (
     split_objects,
 )
 from i2t import viz
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
 from i2t.reconstruction.surface import (
     Z_90,

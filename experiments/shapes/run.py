@@ -43,8 +43,7 @@ from experiments.shapes.methods import (
 from experiments.shapes.world import StampPressConfig, press_stamps
 from i2t import dataset as data
 from i2t.dataset import Dataset, source_words
-from i2t.errors import DataError
-from i2t.files.terminal import printable
+from i2t.errors import DataError, printable
 from i2t.paper.classifier import Classifier
 from i2t.runtime.progress import progress
 from i2t.skin.elasticity import Grid

@@ -16,7 +16,7 @@ from experiments.train.finished import CHECKPOINTS, KEPT, ON_PRESSURE, PAD_MODEL
 from experiments.train.prepare import Prepared
 from i2t import viz
 from i2t.dataset import Dataset, Split, holds_simulated, source_words
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.files.writing import slug
 from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
 from i2t.prediction.predictor import Predictor, coverage, save

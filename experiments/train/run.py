@@ -46,7 +46,7 @@ from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling
 from experiments.train.sources import RecordedSource, SimulatedSource, TouchSource
 from i2t.dataset import source_words
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.prediction.methods import find_methods
 from i2t.recognition.recorded import describe
 from i2t.skin_models.pad_model import KnownPad

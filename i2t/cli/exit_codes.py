@@ -19,8 +19,7 @@ from typing import Any
 
 from i2t.cli.options import check_options, read_options
 from i2t.cli.pipes import NOBODY_READS, nobody_reads
-from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError
-from i2t.files.terminal import printable
+from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError, printable
 from i2t.runtime.compile_cache import use_compile_cache
 
 FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes

@@ -14,7 +14,7 @@ from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import require_together
 from i2t.collect.notes import resume
 from i2t.collect.path import TouchPath
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.hardware.plugins import find_plugin
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible

@@ -15,8 +15,7 @@ import numpy as np
 from i2t.collect.first_touch import RigContradictedError, first_touch
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
-from i2t.errors import DeviceError
-from i2t.files.terminal import printable
+from i2t.errors import DeviceError, printable
 from i2t.hardware.rig_checks import implausible, other_lens
 from i2t.hardware.skin_health import check_skin, rest_samples
 

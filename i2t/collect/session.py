@@ -26,8 +26,7 @@ from i2t.collect.site_plan import SiteSampler, patch_extractor
 from i2t.collect.touch import ChooseSite, Site, SiteOutcome
 from i2t.dataset import SKIN_NAME, load_dataset
 from i2t.dataset.card import write_card
-from i2t.errors import DataError, DeviceError
-from i2t.files.terminal import printable
+from i2t.errors import DataError, DeviceError, printable
 from i2t.hardware.protocols import View
 from i2t.hardware.rig import Rig
 from i2t.skin.boards import name_of_board

@@ -29,8 +29,7 @@ import tyro
 from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import require_writable
 from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
-from i2t.errors import DataError, require_extra
-from i2t.files.terminal import printable
+from i2t.errors import DataError, printable, require_extra
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:

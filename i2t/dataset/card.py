@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from i2t.dataset.sets import NOT_STATED, Dataset, source_words
-from i2t.files.terminal import printable
+from i2t.errors import printable
 from i2t.files.writing import replacing
 
 CARD = "README.md"

@@ -10,8 +10,7 @@ from i2t.cli import exit_codes as cli
 from i2t.convert.commands import main
 from i2t.dataset import save_dataset
 from i2t.dataset.card import card_of
-from i2t.errors import DataError
-from i2t.files.terminal import printable
+from i2t.errors import DataError, printable
 
 EVIL = "mug\x1b[2J\n\x07\x9b31m\u202e"
 SHOWN = r"mug\x1b[2J\n\x07\x9b31m\u202e"
