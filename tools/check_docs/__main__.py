@@ -8,7 +8,7 @@ Each finding is one line, `file:line: sentence`, or a linter's own report. The e
 Pages: files, tests, commands and their options exist; tables repeat what was measured (docs/results), and results that
 sentences name stand in tables. mypy checks their Python, and Sphinx, which builds the site, their links and names.
 Code: floors, circles and forbidden imports are contracts of import-linter; docstrings say what is taken and given, and
-pydoclint compares them with the signature. pyproject.toml and docs/conf.py configure these.
+ruff compares them with the signature. pyproject.toml and docs/conf.py configure these.
 """
 
 import sys

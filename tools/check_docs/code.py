@@ -31,7 +31,7 @@ def findings(root: Path) -> Iterator[Finding]:
 def docstrings(path: Path, text: str) -> Iterator[Finding]:
     """Public functions, methods and constructors that take arguments say in sections what they take and give.
 
-    Pydoclint judges sections, and lets a docstring without any pass.
+    Ruff compares sections with the signature, and lets a docstring without any pass.
     """
     for node in ast.parse(text).body:
         for member in node.body if isinstance(node, ast.ClassDef) else (node,):

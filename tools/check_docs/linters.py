@@ -1,7 +1,7 @@
-"""What libraries judge by their own commands: imports, docstrings, Python on the pages, and the site.
+"""What libraries judge by their own commands: imports, Python on the pages, and the site.
 
-import-linter checks the contracts of pyproject.toml, pydoclint the sections of docstrings, mypy the code that pages and
-the examples of public names show, and Sphinx every link, anchor and name.
+import-linter checks the contracts of pyproject.toml, mypy the code that pages and the examples of public names show,
+and Sphinx every link, anchor and name.
 """
 
 import inspect
@@ -36,7 +36,6 @@ def start(root: Path, folder: Path, *, site: bool = True) -> dict[str, subproces
     scripts = Path(sys.executable).parent
     commands = {
         "import-linter": [str(scripts / "lint-imports"), "--no-cache", "--no-logo"],
-        "pydoclint": [str(scripts / "pydoclint"), "i2t"],
         "mypy": [sys.executable, "-m", "mypy", "--no-error-summary",
                  *map(str, write_code(root, folder / "code"))],
     }  # fmt: skip
