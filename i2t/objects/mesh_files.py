@@ -1,6 +1,6 @@
 """Mesh files of other people: read with an explicit unit, cleaned, and honest about what was cleaned.
 
-A file says nothing reliable about its unit, so the caller does. `i2t.objects.mesh_formats` reads its triangles.
+A file says nothing reliable about its unit, so the caller does. `i2t.objects.formats` reads its triangles.
 Everything in a file is one object, whatever number of bodies it has (`i2t.objects.mesh_cleaning`). The object's frame
 stands on the table, and `Object.T_file_object` leads back to the file's.
 """
@@ -16,7 +16,8 @@ from i2t.files.reading import read_bytes as read_file
 from i2t.files.writing import as_path
 from i2t.geometry import inverse
 from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
-from i2t.objects.mesh_formats import foreign_kind, parse_mesh
+from i2t.objects.formats.kinds import foreign_kind
+from i2t.objects.formats.parse import parse_mesh
 from i2t.objects.solids import IDENTITY, Mesh, Object, table_transform, transform_mesh
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.errors import DataError
 from i2t.objects import read_mesh
-from i2t.objects.mesh_formats import parse_mesh
+from i2t.objects.formats.parse import parse_mesh
 
 SIZE = np.array([40.0, 30.0, 20.5])
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * SIZE
