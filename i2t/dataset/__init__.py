@@ -12,6 +12,7 @@ from i2t.dataset.splits import (
     holdout_blocks,
     holdout_last,
     holdout_names,
+    same_places,
     spatial_blocks,
     square_blocks,
 )
@@ -48,6 +49,7 @@ __all__ = [
     "load_dataset",
     "missing_context",
     "read_touch",
+    "same_places",
     "save_dataset",
     "source_words",
     "spatial_blocks",

@@ -14,12 +14,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from i2t.dataset.sets import Dataset
 from i2t.errors import DataError
 
 # Of a block: a regular grid of presses may fall on block edges, and rounding must not scatter it to both sides.
 EDGE_SLACK = 1e-3
+PLACE_M = 0.2e-3  # largest distance between presses at one place
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,20 @@ def square_blocks(position: np.ndarray, edge: float, *, origin: tuple[float, flo
         return np.zeros(0, np.int64)
     cell = np.floor((position - (position.min(0) if origin is None else np.array(origin))) / edge + EDGE_SLACK)
     return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def same_places(position: np.ndarray) -> np.ndarray:
+    """Group positions into places no wider than `PLACE_M` (complete linkage).
+
+    Args:
+        position: (n, 2) m.
+
+    Returns:
+        Number of the place (n,) of each position, counted from 0.
+    """
+    if len(position) < 2:
+        return np.zeros(len(position), np.int64)
+    return fcluster(linkage(position, "complete"), PLACE_M, "distance").astype(np.int64) - 1
 
 
 def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarray:

@@ -45,6 +45,7 @@ from i2t.skin.pad import POISSON_RATIO, YOUNG_PA
 from i2t.skin_models import magnetization as physics
 from i2t.skin_models import pressure_gp as gp
 from i2t.skin_models.layer import MIN_LOAD_N, NOMINAL_LAYER, Layer
+from i2t.skin_models.layer_fit import layer_prior
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.types import Board, in_one_line
 
@@ -326,7 +327,7 @@ def _maps(chips: bytes, rotations: bytes, poisson: float, young: float) -> np.nd
 
 @jit_quickly
 def _cell_features(board: Board, poisson: Array, young: Array) -> Float[Array, "x c k"]:
-    layer = jax.tree.map(jnp.float32, physics.layer_prior().median)
+    layer = jax.tree.map(jnp.float32, layer_prior(3 * len(board.chips)).median)
     pad = physics.make_pad(layer._replace(young=young), board)._replace(
         poisson=poisson, mount_compliance=jnp.float32(0)
     )

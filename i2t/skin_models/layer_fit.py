@@ -1,0 +1,371 @@
+"""Parameters of an elastic magnetic layer, fitted by evidence.
+
+Readings are linear in the weights of the magnetization map and nonlinear in the other parameters of the layer,
+`LayerParameters`: y = Phi(theta) w + noise with w ~ N(0, I). Integrating the weights out leaves the evidence
+(Bishop, "Pattern Recognition and Machine Learning", section 3.5)
+
+    -log p(y | theta) = log |M| / 2 + N log s + (|y - Phi m|^2 / s^2 + |m|^2) / 2 + const,
+    M = I + Phi' Phi / s^2,   m = M^-1 Phi' y / s^2,
+
+of which the derivative by Phi is (Phi M^-1 - (y - Phi m) m') / s^2. Together with the parameters' prior it is maximised
+as Gauss-Newton does, by taking Phi as linear, in a trust region whose size follows the gain ratio: what the step gains
+over what the linear model promised (Nocedal and Wright, "Numerical Optimization", algorithm 4.1). The curvature at the
+maximum gives the ranges of the parameters (Laplace).
+
+The search runs in the coordinates of the prior: standard deviations from its median. Linear algebra is in double
+precision. `n` is the number of presses, `c` of channels, `N = n c` of readings, `k` of weights, `d` of coordinates, of
+which `e` change Phi by more than a scale.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float
+from scipy import linalg, optimize
+
+from i2t.skin.pad import (
+    CHIP_GAP_M,
+    MAGNETIZATION_A_PER_M,
+    MOUNT_COMPLIANCE_M_PER_N,
+    POISSON_RATIO,
+    THICKNESS_M,
+    YOUNG_PA,
+)
+from i2t.types import in_one_line
+
+NO_PAD = "no pad explains these presses; check the tip, the unit of the loads and the board"
+MAX_STEPS = 30  # of the trust region, rejected ones included
+INNER_STEPS = 300  # of L-BFGS in each
+SMALL_GAIN = 0.1  # in log density: a step that promises less, under half a posterior standard deviation, is the last
+MIN_GAIN_RATIO = 0.1  # of a step that is taken
+FIRST_RADIUS, MAX_RADIUS = 1.0, 3.0  # of the trust region, in standard deviations of the prior
+DIFFERENCE_STEP = 1e-3  # prior standard deviations, of second derivatives
+IMPLAUSIBLE_STDS = 3.0  # prior standard deviations from the median beyond which a parameter is reported
+MAGNETIZATION_STD = 0.7 * MAGNETIZATION_A_PER_M  # A/m: patches and the uniform part share the variance
+
+
+@in_one_line
+class LayerParameters(NamedTuple):
+    """Parameters that readings are nonlinear in; also their coordinates in the prior, and their ranges."""
+
+    thickness: Float[Array, ""]  # m
+    gap: Float[Array, ""]  # m, from the layer's base to the chips
+    young: Float[Array, ""]  # Pa; only the prior's where presses are controlled by depth
+    poisson: Float[Array, ""]
+    contact_offset: Float[Array, ""]  # m, first contact later than believed; zero where controlled by force
+    mount_compliance: Float[Array, ""]  # m/N, of an edge-clamped skin
+    tip_offset: Float[Array, "2"]  # m, of the tip from where it was believed
+    tip_scale: Float[Array, ""]  # true radius of the tip over the stated one
+    board_offset: Float[Array, "2"]  # m, of the board in the plane of the skin
+    board_rotation: Float[Array, "3"]  # rad, rotation vector of the board about its middle
+    gains: Float[Array, " c"]  # of the channels
+    patch_strength: Float[Array, "3"]  # A/m, of the map's patches along each axis
+    uniform_strength: Float[Array, ""]  # A/m, of the uniform part
+    patch_length: Float[Array, ""]  # m
+    noise_std: Float[Array, ""]  # uT, of a reading, with everything that the model leaves out
+
+
+# Parameters that change the design matrices; the others only scale what the matrices give.
+DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
+                     "tip_scale", "board_offset", "board_rotation")  # fmt: skip
+SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # those that change features by more than a scale
+# Priors are normal for NORMAL_PARAMETERS, lognormal for the others but the mount compliance, which is 0 for bonded
+# skins: its square root is normal.
+NORMAL_PARAMETERS = ("poisson", "contact_offset", "tip_offset", "board_offset", "board_rotation", "gains")
+ROOT_NORMAL = "mount_compliance"
+
+
+class LayerPrior(NamedTuple):
+    """Prior of `LayerParameters`."""
+
+    median: LayerParameters
+    std: LayerParameters  # of the parameter, its logarithm, or the root of its share of the median
+
+
+def layer_prior(channels: int) -> LayerPrior:
+    """Prior that approximates `sample_pad` and the errors of a careful mount.
+
+    Args:
+        channels: Number of channels of the board, three for each chip.
+
+    Returns:
+        Medians and standard deviations.
+    """
+    median = LayerParameters(
+        thickness=jnp.asarray(THICKNESS_M + 0.5e-3),
+        gap=jnp.asarray(CHIP_GAP_M),
+        young=jnp.asarray(YOUNG_PA),
+        poisson=jnp.asarray(POISSON_RATIO),
+        contact_offset=jnp.asarray(0.0),
+        mount_compliance=jnp.asarray(0.3 * MOUNT_COMPLIANCE_M_PER_N),
+        tip_offset=jnp.zeros(2),
+        tip_scale=jnp.asarray(1.0),
+        board_offset=jnp.zeros(2),
+        board_rotation=jnp.zeros(3),
+        gains=jnp.ones(channels),
+        patch_strength=jnp.full(3, MAGNETIZATION_STD),
+        uniform_strength=jnp.asarray(MAGNETIZATION_STD),
+        patch_length=jnp.asarray(3e-3),
+        noise_std=jnp.asarray(2.0),
+    )
+    std = LayerParameters(
+        thickness=jnp.asarray(0.12),
+        gap=jnp.asarray(0.17),
+        young=jnp.asarray(0.15),
+        poisson=jnp.asarray(0.003),
+        contact_offset=jnp.asarray(1e-4),  # m
+        mount_compliance=jnp.asarray(0.6),
+        tip_offset=jnp.full(2, 5e-4),  # m
+        tip_scale=jnp.asarray(0.03),
+        board_offset=jnp.full(2, 3e-4),  # m
+        board_rotation=jnp.asarray([0.015, 0.015, 0.03]),  # rad
+        gains=jnp.full(channels, 0.05),
+        patch_strength=jnp.full(3, 0.7),
+        uniform_strength=jnp.asarray(0.7),
+        patch_length=jnp.asarray(0.2),
+        noise_std=jnp.asarray(1.0),
+    )
+    return LayerPrior(median, std)
+
+
+def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParameters:
+    """Parameters at coordinates of the prior.
+
+    Args:
+        coordinates: Standard deviations from the median; their prior is normal with variance 1.
+        prior: Medians and standard deviations.
+
+    Returns:
+        The parameters in their units.
+    """
+
+    def value(name: str) -> Array:
+        median, std, at = (getattr(part, name) for part in (prior.median, prior.std, coordinates))
+        if name in NORMAL_PARAMETERS:
+            return median + std * at
+        return median * (1 + std * at) ** 2 if name == ROOT_NORMAL else median * jnp.exp(std * at)
+
+    return LayerParameters(**{name: value(name) for name in LayerParameters._fields})
+
+
+@in_one_line
+class LayerPosterior(NamedTuple):
+    """Fitted layer and how well it is known."""
+
+    layer: LayerParameters  # the most likely one
+    low: LayerParameters  # ends of each parameter's 95 % range
+    high: LayerParameters
+    converged: Bool[Array, ""] | bool
+
+
+class UnitFeatures(NamedTuple):
+    """Readings of weights on a layer whose gains and map strengths are 1, and their derivatives."""
+
+    value: Float[np.ndarray, "n c k"]  # uT
+    changes: Float[np.ndarray, "e n c k"]  # along each coordinate of SHAPE_PARAMETERS
+
+
+def fit_layer(
+    unit_features: Callable[[LayerParameters], Float[Array, "n c k"]],
+    linearize: Callable[[LayerParameters], tuple[Float[Array, "n c k"], Float[Array, "e n c k"]]],
+    readings: Float[np.ndarray, "n c"],
+    prior: LayerPrior,
+) -> LayerPosterior:
+    """Find the most likely layer and the ranges of its parameters.
+
+    Args:
+        unit_features: Readings (uT) of weights at coordinates of the prior, on a layer whose gains and map strengths
+            are 1; first those of the map's patches, in three equal parts, then three of the uniform part.
+        linearize: The same, and their derivatives along each coordinate of SHAPE_PARAMETERS.
+        readings: Of the n presses (uT).
+        prior: Of the parameters.
+
+    Returns:
+        The layer and its ranges. A warning says that the search did not converge, and which parameters are far from
+        the medians of their prior.
+
+    Raises:
+        ValueError: The search cannot begin, because no press is finite at the prior's median.
+    """
+    start, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, prior.median))
+
+    def coordinates(x: np.ndarray) -> LayerParameters:
+        return unravel(jnp.asarray(x, jnp.float32))
+
+    def linear_model(x: np.ndarray, rows: np.ndarray) -> tuple[_LinearModel, np.ndarray]:
+        value, changes = (np.asarray(part) for part in linearize(coordinates(x)))
+        rows = _finite_rows(rows, np.isfinite(value).all((1, 2)) & np.isfinite(changes).all((0, 2, 3)))
+        features = UnitFeatures(*(np.float64(part) for part in (value[rows], changes[:, rows])))
+        return _LinearModel(x, features, readings[rows], prior), rows
+
+    def exact_value(x: np.ndarray, rows: np.ndarray) -> float:
+        value = np.asarray(unit_features(coordinates(x)), np.float64)[rows]
+        return _LinearModel(x, UnitFeatures(value, value[:0, None]), readings[rows], prior).value_and_gradient(x)[0]
+
+    x, radius, converged = np.asarray(start, np.float64), FIRST_RADIUS, False
+    model, rows = linear_model(x, np.arange(len(readings)))
+    value = model.value_and_gradient(x)[0]
+    if not np.isfinite(value):
+        raise ValueError(NO_PAD)
+    for _ in range(MAX_STEPS):
+        proposal, promised = model.minimize(radius)
+        converged = value - promised < SMALL_GAIN
+        if converged:
+            x = proposal
+            break
+        reached = exact_value(proposal, rows)
+        gain, length = (value - reached) / (value - promised), model.shape_step(proposal)
+        if gain < 0.25 or not np.isfinite(gain):
+            radius = 0.25 * length
+        elif gain > 0.75 and length > 0.99 * radius:
+            radius = min(2 * radius, MAX_RADIUS)
+        if gain > MIN_GAIN_RATIO:
+            x = proposal
+            model, rows = linear_model(x, rows)
+            value = model.value_and_gradient(x)[0]
+    if not converged:
+        warnings.warn(f"the fit of the layer did not converge in {MAX_STEPS} steps", stacklevel=3)
+    _report_implausible(coordinates(x))
+    std = np.sqrt(np.diag(np.linalg.inv(model.curvature(x))))
+    layer, *ends = (parameters_at(coordinates(x + step * std), prior) for step in (0.0, -1.96, 1.96))
+    low, high = (jax.tree.map(choose, *ends) for choose in (jnp.minimum, jnp.maximum))
+    root = 1 + prior.std.mount_compliance * coordinates(x - 1.96 * std).mount_compliance
+    low = low._replace(mount_compliance=jnp.where(root < 0, 0.0, low.mount_compliance))
+    return LayerPosterior(layer, low, high, converged)
+
+
+@dataclass(frozen=True)
+class _LinearModel:
+    """Negative log posterior of a layer whose unit features are linear about some coordinates."""
+
+    at: np.ndarray  # (d,)
+    features: UnitFeatures
+    readings: np.ndarray  # (n, c)
+    prior: LayerPrior
+
+    @cached_property
+    def _index(self) -> LayerParameters:
+        """Numbers of the coordinates of each parameter."""
+        unravel = ravel_pytree(self.prior.median)[1]
+        numbers = unravel(jnp.arange(len(self.at), dtype=jnp.float32))
+        return jax.tree.map(lambda number: np.asarray(np.rint(number), int), numbers)
+
+    @cached_property
+    def _shape(self) -> np.ndarray:
+        """(e,) numbers of the coordinates that features change with."""
+        return np.concatenate([getattr(self._index, name).ravel() for name in SHAPE_PARAMETERS])
+
+    @cached_property
+    def _scales(self) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, float]]:
+        index, prior = self._index, jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), self.prior)
+        patches = (self.features.value.shape[-1] - 3) // 3
+
+        def scales(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+            """Gains (c, 1), strengths (k,) and noise at coordinates."""
+            gains = prior.median.gains + prior.std.gains * x[index.gains]
+            strength = prior.median.patch_strength * np.exp(prior.std.patch_strength * x[index.patch_strength])
+            level = prior.median.uniform_strength * np.exp(prior.std.uniform_strength * x[index.uniform_strength])
+            noise = prior.median.noise_std * np.exp(prior.std.noise_std * x[index.noise_std])
+            return gains[:, None], np.append(np.repeat(strength, patches), np.full(3, level)), float(noise)
+
+        return scales
+
+    def value_and_gradient(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Negative log posterior density at coordinates, up to a constant, and its gradient; infinite where the
+        regression cannot be solved.
+        """
+        gains, strength, noise = self._scales(x)
+        scale = gains * strength
+        moved = (x - self.at)[self._shape]
+        unit = self.features.value
+        if len(self.features.changes):
+            unit = unit + np.tensordot(moved, self.features.changes, 1)
+        phi, y = (unit * scale).reshape(-1, unit.shape[-1]), self.readings.ravel()
+        factor = _cholesky(np.eye(phi.shape[1]) + phi.T @ phi / noise**2)
+        if factor is None:
+            return np.inf, np.zeros_like(x)
+        mean = linalg.cho_solve((factor, True), phi.T @ y) / noise**2
+        rest = y - phi @ mean
+        value = (
+            np.log(np.diag(factor)).sum()
+            + len(y) * np.log(noise)
+            + 0.5 * (rest @ rest / noise**2 + mean @ mean + x @ x)
+        )
+        covariance = linalg.cho_solve((factor, True), np.eye(len(factor)))
+        by_phi = ((phi @ covariance - np.outer(rest, mean)) / noise**2).reshape(unit.shape)
+        gradient, index, std = x.copy(), self._index, self.prior.std
+        if len(self.features.changes):
+            gradient[self._shape] += np.tensordot(self.features.changes, by_phi * scale, 3)
+        by_scale = by_phi * unit * scale
+        gradient[index.gains] += np.asarray(std.gains) * (by_scale.sum((0, 2)) / gains[:, 0])
+        by_weight = by_scale.sum((0, 1))
+        gradient[index.patch_strength] += np.asarray(std.patch_strength) * by_weight[:-3].reshape(3, -1).sum(1)
+        gradient[index.uniform_strength] += float(std.uniform_strength) * by_weight[-3:].sum()
+        trace = len(y) - len(factor) + np.trace(covariance)
+        gradient[index.noise_std] += float(std.noise_std) * (trace - rest @ rest / noise**2)
+        return float(value), gradient
+
+    def minimize(self, radius: float) -> tuple[np.ndarray, float]:
+        """Coordinates of the least value within a radius of where features are linear, and that value."""
+        bounds = [(None, None)] * len(self.at)
+        for number in self._shape:
+            bounds[number] = (self.at[number] - radius, self.at[number] + radius)
+        found = optimize.minimize(
+            self.value_and_gradient,
+            self.at,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": INNER_STEPS},
+        )
+        return found.x, float(found.fun)
+
+    def shape_step(self, x: np.ndarray) -> float:
+        """Largest move from where features are linear, in standard deviations of the prior."""
+        return float(np.abs(x - self.at)[self._shape].max())
+
+    def curvature(self, x: np.ndarray) -> np.ndarray:
+        """Second derivatives (d, d) at coordinates, by differences of the gradient."""
+        ways = DIFFERENCE_STEP * np.eye(len(x))
+        change = [self.value_and_gradient(x + way)[1] - self.value_and_gradient(x - way)[1] for way in ways]
+        curvature = np.stack(change) / (2 * DIFFERENCE_STEP)
+        return 0.5 * (curvature + curvature.T)
+
+
+def _cholesky(matrix: np.ndarray) -> np.ndarray | None:
+    try:
+        return linalg.cholesky(matrix, lower=True) if np.isfinite(matrix).all() else None
+    except linalg.LinAlgError:
+        return None
+
+
+def _finite_rows(rows: np.ndarray, finite: np.ndarray) -> np.ndarray:
+    """Rows of the presses whose features and derivatives are finite; a warning counts those that are lost."""
+    lost = rows[~finite[rows]]
+    if len(lost) == len(rows):
+        raise ValueError(NO_PAD)
+    if len(lost):
+        warnings.warn(
+            f"{len(lost)} of {len(rows)} presses are left out of the fit of the layer, because the derivatives of "
+            f"their readings are not finite (the first is in row {lost[0]})",
+            stacklevel=5,
+        )
+    return rows[finite[rows]]
+
+
+def _report_implausible(coordinates: LayerParameters) -> None:
+    """Warn of parameters that ended where the prior hardly allows them."""
+    far = [name for name, at in coordinates._asdict().items() if np.abs(at).max() > IMPLAUSIBLE_STDS]
+    if far:
+        warnings.warn(
+            f"the fitted {', '.join(far)} {'is' if len(far) == 1 else 'are'} more than {IMPLAUSIBLE_STDS:g} standard "
+            "deviations from the prior's median; check the tip, the unit of the loads and the board",
+            stacklevel=4,
+        )
