@@ -18,7 +18,7 @@ from i2t.patches.dimensions import CONTACT_TOLERANCE_M, REACH
 
 NUM_CLUSTERS = 5  # the paper's
 NUM_COMPONENTS = 50  # of the views
-PERPLEXITY = 30.0
+PERPLEXITY = 30.0  # effective number of neighbours; less where there are few touches
 
 
 class Clusters(NamedTuple):
@@ -111,7 +111,6 @@ def embed(
     x: Float[np.ndarray, "n d"],
     others: Float[np.ndarray, "m d"] | None = None,
     seed: int = 0,
-    perplexity: float = PERPLEXITY,
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
     """t-SNE of touches and, among them, of other points: t-SNE has no projection of its own.
 
@@ -119,7 +118,6 @@ def embed(
         x: Features of the touches.
         others: Features of other points, such as cluster means.
         seed: Of t-SNE.
-        perplexity: Effective number of neighbours; less where there are few touches.
 
     Returns:
         Positions on the map of the touches and of the other points.
@@ -134,7 +132,7 @@ def embed(
     both = x if others is None else np.concatenate([x, others])
     if len(both) < 4:
         raise ValueError(f"{len(both)} touches make no map; give four at least")
-    most = min(perplexity, (len(both) - 1) / 3)
+    most = min(PERPLEXITY, (len(both) - 1) / 3)
     with threadpool_limits(1):
         at = TSNE(2, perplexity=most, init="pca", random_state=seed).fit_transform(both.astype(np.float32))
     return at[: len(x)].astype(np.float64), at[len(x) :].astype(np.float64)
