@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 RESAMPLES = 1000
-LEVEL = 0.95  # coverage of intervals
+COVERAGE = 0.95  # of every interval
 MIN_CLUSTERS = 3  # fewer say nothing about others: there is no interval over them
 EQUALLY_NEAR = 1e-12  # of the squared lengths of features: what rounding makes of one distance
 
@@ -103,7 +103,7 @@ def grouped_interval(
         statistic(np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))]))
         for _ in range(RESAMPLES)
     ]
-    low, high = np.nanquantile(draws, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = np.nanquantile(draws, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
     return float(low), float(high)
 
 
@@ -120,7 +120,7 @@ def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
     n, mean = len(sample), sample.mean(0)
     if n < 2:
         return Estimate(mean, mean * np.nan, mean * np.nan)
-    half = stats.t.ppf((1 + LEVEL) / 2, n - 1) * sample.std(0, ddof=1) / np.sqrt(n)
+    half = stats.t.ppf((1 + COVERAGE) / 2, n - 1) * sample.std(0, ddof=1) / np.sqrt(n)
     return Estimate(mean, mean - half, mean + half)
 
 

@@ -12,11 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from i2t.prediction.metrics import COVERAGE, RESAMPLES, Estimate
 from i2t.recognition.intervals import (
-    COVERAGE,
-    RESAMPLES,
     Clusters,
-    Estimate,
     bootstrap_clusters,
     mean_interval,
     rate_interval,
