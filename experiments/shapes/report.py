@@ -9,7 +9,8 @@ from experiments.common.intervals import with_interval
 from experiments.shapes.methods import METHODS
 from i2t import viz
 from i2t.dataset import holds_simulated, source_words
-from i2t.recognition.intervals import Estimate, rate_interval, student_interval
+from i2t.prediction.metrics import Estimate, student_interval
+from i2t.recognition.intervals import rate_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 

@@ -22,7 +22,7 @@ from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score,
 from i2t.prediction.predictor import Predictor, coverage, save
 from i2t.prediction.touch_model import Reading
 from i2t.recognition.recorded import to_json
-from i2t.skin_models.pad_model import KnownPad, save_pad_model
+from i2t.skin_models.pad_model import KnownPad
 
 COLUMNS = ("method", "R²", "RMSE µT", "/ sigma", "cosine")
 
@@ -65,7 +65,7 @@ def report(
         "seconds": 0.0,
     }
     if not isinstance(pad_model, str):
-        save_pad_model(out / PAD_MODEL, pad_model)
+        pad_model.save(out / PAD_MODEL)
     kept = save_predictors(out, evaluation, {"source": dataset.source, "seed": about["seed"]})
     write_training(FinishedRun(out, about["pad"], kept, pad_model if isinstance(pad_model, str) else None))
     figures(out, prepared, evaluation, metrics)

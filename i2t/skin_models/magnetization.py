@@ -78,14 +78,6 @@ GAIN_STD = 0.05  # of the chips' gains, as in `sample_pad`
 GAIN_ROUNDS = 3
 
 
-@in_one_line
-class Presses(NamedTuple):
-    """Positions and loads of presses."""
-
-    position: Float[Array, "n 2"]  # m, tool frame
-    load: Float[Array, " n"]  # depth in m, or normal force in N
-
-
 @runtime_checkable
 class Tip(Protocol):
     """Any tip whose surface over the skin is known."""
@@ -351,7 +343,14 @@ def pressure_design(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) 
 
 @partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
 def design_matrices(
-    layer: LayerParameters, board: Board, tip: Tip, presses: Presses, *, by_force: bool, grid: Grid = GRID
+    layer: LayerParameters,
+    board: Board,
+    tip: Tip,
+    position: Float[Array, "n 2"],
+    load: Float[Array, " n"],
+    *,
+    by_force: bool,
+    grid: Grid = GRID,
 ) -> Float[Array, "n c 3 m m"]:
     """`design_matrix` of many presses.
 
@@ -359,7 +358,8 @@ def design_matrices(
         layer: Parameters of the layer.
         board: The sensor board.
         tip: What presses; hashable.
-        presses: Positions (m) and loads (m or N).
+        position: Where, as believed (m).
+        load: Forces (N) or depths (m).
         by_force: Whether the loads are forces.
         grid: Cells of the pad.
 
@@ -367,10 +367,10 @@ def design_matrices(
         Readings (uT) of 1 A/m for each press.
     """
 
-    def one(press: Presses) -> Array:
-        return design_matrix(layer, board, tip, press.position, press.load, by_force=by_force, grid=grid)
+    def one(press: tuple[Array, Array]) -> Array:
+        return design_matrix(layer, board, tip, *press, by_force=by_force, grid=grid)
 
-    return map_batches(one, presses, batch_size=DESIGN_BATCH)
+    return map_batches(one, (position, load), batch_size=DESIGN_BATCH)
 
 
 def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], window: float) -> Float[Array, "n c k"]:
@@ -513,9 +513,10 @@ def _simulate_readings(pad: Pad, contact: ContactPressure) -> Float[Array, "m c"
 
 
 class TipReadings(NamedTuple):
-    """Presses of one tip with their readings."""
+    """n presses of one tip with their readings, in random order."""
 
-    presses: Presses  # n of them, positions (m) and loads (m or N), in random order
+    position: Float[Array, "n 2"]  # m, tool frame
+    load: Float[Array, " n"]  # depth in m, or normal force in N
     reading: Float[Array, "n c"]  # uT
     board: Board  # of any number of chips
 
@@ -552,12 +553,12 @@ class MagnetizationModel:
         Raises:
             ValueError: A press is not finite, or what is fitted is not.
         """
-        presses, readings, board = data
-        _check_finite(presses, readings)
-        first = min(self.max_layer_presses, len(presses.load))
-        some = TipReadings(jax.tree.map(lambda part: part[:first], presses), readings[:first], board)
+        _check_finite(data)
+        position, load, readings, board = data
+        first = slice(self.max_layer_presses)
+        some = TipReadings(position[first], load[first], readings[first], board)
         layer = _fit_layer(self, some, layer_prior())
-        designs = design_matrices(layer, board, self.tip, presses, by_force=self.by_force, grid=self.grid)
+        designs = design_matrices(layer, board, self.tip, position, load, by_force=self.by_force, grid=self.grid)
         features = weight_features(layer, designs, self.grid.window)
         gains, solved, pad = _map_and_gains(layer, features, readings, board, self.grid.window)
         left_out = np.asarray(readings, np.float64) - np.asarray(solved.leave_one_out, np.float64)
@@ -567,13 +568,15 @@ class MagnetizationModel:
         return fitted
 
 
-def _check_finite(presses: Presses, readings: Array) -> None:
+def _check_finite(pressed: TipReadings) -> None:
     """Raise ValueError where a position, load or reading is not finite."""
-    for name, values in (("positions", presses.position), ("loads", presses.load), ("readings", readings)):
-        wrong = ~np.isfinite(np.asarray(values)).reshape(len(values), -1).all(1)
+    for name in ("position", "load", "reading"):
+        values = np.asarray(getattr(pressed, name))
+        wrong = ~np.isfinite(values).reshape(len(values), -1).all(1)
         if wrong.any():
+            first = np.argmax(wrong)
             raise ValueError(
-                f"{wrong.sum()} presses have {name} that are not finite, the first in row {np.argmax(wrong)}; drop them"
+                f"{wrong.sum()} presses have {name}s that are not finite, the first in row {first}; drop them"
             )
 
 
@@ -661,9 +664,8 @@ def _linearized(
     value, changes = _design_derivatives(
         coordinates,
         prior,
-        pressed.board,
+        pressed,
         tip=model.tip,
-        presses=pressed.presses,
         by_force=model.by_force,
         grid=model.grid,
     )
@@ -716,26 +718,25 @@ _value_and_gradient = jax.jit(jax.value_and_grad(_negative_log_posterior), stati
 def _design_derivatives(
     coordinates: LayerParameters,
     prior: LayerPrior,
-    board: Board,
+    pressed: TipReadings,
     *,
     tip: RoundTip,
-    presses: Presses,
     by_force: bool,
     grid: Grid,
 ) -> tuple[Array, Array]:
     """Design matrices of all presses, and their change along each coordinate of DESIGN_PARAMETERS."""
     start, unravel = ravel_pytree(_design_coordinates(coordinates))
 
-    def one(press: Presses) -> tuple[Array, Array]:
+    def one(press: tuple[Array, Array]) -> tuple[Array, Array]:
         def at(vector: Array) -> Array:
             moved = coordinates._replace(**dict(zip(DESIGN_PARAMETERS, unravel(vector), strict=True)))
             layer = parameters_at(moved, prior)
-            return design_matrix(layer, board, tip, press.position, press.load, by_force=by_force, grid=grid)
+            return design_matrix(layer, pressed.board, tip, *press, by_force=by_force, grid=grid)
 
         def along(direction: Array) -> Array:
             return jax.jvp(at, (start,), (direction,))[1]
 
         return at(start), jax.lax.map(along, jnp.eye(len(start)))
 
-    value, changes = jax.lax.map(one, presses)
+    value, changes = jax.lax.map(one, (pressed.position, pressed.load))
     return value, jnp.swapaxes(changes, 0, 1)

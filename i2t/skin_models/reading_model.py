@@ -244,9 +244,7 @@ def read_pressure(
 
 
 @_one_thread_each
-def fit_readings(
-    touches: PressedTouches, layer: Layer, board: Board, *, softness: float, loads: Sequence[float] = LOADS_N
-) -> FittedReadings:
+def fit_readings(touches: PressedTouches, layer: Layer, board: Board, *, softness: float) -> FittedReadings:
     """Fit the reading model of a pad to its touches.
 
     Args:
@@ -254,7 +252,6 @@ def fit_readings(
         layer: As `choose_layer` found it.
         board: Of the pad.
         softness: Indentation of the pad over that of the layer.
-        loads: At which touches are to be predicted (N).
 
     Returns:
         The model, and its mixture's errors on touches left out.
@@ -270,9 +267,9 @@ def fit_readings(
             errors += [left_out for left_out, _ in pool.map(partial(_left_out, system, weighted), posteriors)]
             groups.append(_Models(r, weighted.precision, posteriors))
     left_out = np.einsum("m,mnc->nc", shares, errors) * system.scale
-    mean, variance = _linear_maps(touches.pressure, system, maps, groups, shares, loads)
+    mean, variance = _linear_maps(touches.pressure, system, maps, groups, shares, LOADS_N)
     model = LinearReadingModel(
-        loads=jnp.float32(loads),
+        loads=jnp.float32(LOADS_N),
         mean=jnp.float32(mean * system.scale),
         root=jnp.float32(_roots(variance)),
         scale=jnp.float32(system.scale),

@@ -251,7 +251,7 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
     fitted, given = sample_pad(jax.random.key(0)), {}
 
     def fitting(model, _, pressed):
-        given.update(model=model, load=np.asarray(pressed.presses.load), readings=np.asarray(pressed.reading))
+        given.update(model=model, load=np.asarray(pressed.load), readings=np.asarray(pressed.reading))
         given.update(board=pressed.board)
         return PadFit(fitted, layer_prior().median, np.full((60, len(fitted.gains)), 3.0))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.common.intervals import clusters_needed, with_interval
-from i2t.recognition.intervals import student_interval
+from i2t.prediction.metrics import student_interval
 
 
 @pytest.mark.parametrize(
