@@ -33,7 +33,7 @@ TABLE_TOUCHES = (1, 2, 3, 4, 5, 8, 12, 16)  # touches of the table
 def run(args: ActiveTouchArgs) -> dict[str, Any]:
     """Make the environment and play every policy; write metrics.json, config.json and a figure."""
     sizes = PRESETS[args.preset]
-    begin(args.out, args, sizes, None, args.overwrite)
+    begin(args, sizes)
     key_lab, _, key_test = jax.random.split(jax.random.key(args.seed), 3)
     environment, params = make_lab(key_lab, args, sizes)
     curves: dict[str, Estimate] = {}

@@ -13,7 +13,6 @@ minutes. Results go to --out: metrics.json (95 % intervals over labels), config.
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,9 +31,9 @@ from experiments.common.reading_tables import (
     rows_of_labels,
     training_rows,
 )
-from experiments.common.runs import METRICS, Part, begin, load_part, save_part, write_json
+from experiments.common.runs import METRICS, Part, begin, write_json
 from experiments.common.tables import text_table
-from experiments.common.tasks import Task, run_tasks
+from experiments.common.tasks import make_parts
 from experiments.recognize import figures
 from experiments.recognize.arguments import RecordedArgs
 from experiments.recognize.reading_methods import (
@@ -85,28 +84,27 @@ def run(args: RecordedArgs) -> dict[str, Any]:
     refuse_counters(table, args.readings[0])
     require_rows(table, LEAST_ROWS, args.readings[0])
     alike = close_followers(table)
-    begin(args.out, args, FIXED, args.resume, args.overwrite)
+    begin(args, FIXED)
     print(
         f"{len(table.label)} readings of {len(table.columns)} values, {len(table.labels)} labels in "
         f"{len(table.groups)} groups; the first {args.train_share:.0%} of each label's rows teach"
     )
     for sentence in [*table.notes, *describe_touches(table, args.touch, alike)]:
         print(sentence)
-    paths = {
-        (split, i): args.out / f"{split.replace(' ', '_')}-{i}.npz"
+    groups = len(table.groups)
+    makers = {
+        args.out / f"{split.replace(' ', '_')}-{i}.npz": partial(make_part, args, split, i)
         for split in SPLITS
-        for i in range(len(table.groups))
+        for i in range(groups)
     }
-    tasks = [Task(path.stem, path, partial(make_part, args, *which, path)) for which, path in paths.items()]
-    run_tasks(tasks, args.tasks, bar="groups")
+    made = make_parts(makers, args.workers, bar="groups")
     summary: dict[str, Any] = {
         "source": "recorded", "readings": [path.name for path in args.readings], "labels": table.labels,
         "groups": table.groups, "rows": len(table.label), "columns": len(table.columns), "intervals": "over labels",
         "seed": args.seed, "samples": table.samples or None, "close_to_the_row_before": alike,
         "touches_asked": args.max_touches, "splits": {},
     }  # fmt: skip
-    for split in SPLITS:
-        parts = [load_part(paths[split, i]) for i in range(len(table.groups))]
+    for split, parts in zip(SPLITS, (made[:groups], made[groups:]), strict=True):
         choice = choose([Fold(**fold) for part in parts for fold in part["folds"].values()])
         found = recognise(parts, choice, len(table.labels))
         summary["splits"][split] = score(found, choice, table)
@@ -182,7 +180,7 @@ def group_of(table: ReadingTable, split: str, i: int, args: RecordedArgs) -> Gro
 # --- episodes ---
 
 
-def make_part(args: RecordedArgs, split: str, i: int, path: Path) -> None:
+def make_part(args: RecordedArgs, split: str, i: int) -> Part:
     """Log probabilities, by every classifier, of the touches of one group's episodes: of the folds, of the test, and of
     the test where some labels were not taught.
     """
@@ -205,7 +203,7 @@ def make_part(args: RecordedArgs, split: str, i: int, path: Path) -> None:
             train = group.train.without(out)
             far = novelty(train, group.test.reading)[series.rows]
             part["unknown"][str(k)] = {"out": out, "far": far, "log_p": judged(train)}
-    save_part(path, part)
+    return part
 
 
 def unknown_draws(table: ReadingTable, args: RecordedArgs) -> list[np.ndarray]:

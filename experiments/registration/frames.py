@@ -77,7 +77,7 @@ class Compared(NamedTuple):
 def run(args: FramesArgs) -> dict[str, Any]:
     """Compare the patches of all objects, print the table, write metrics.json and config.json."""
     args.check()
-    begin(args.out, args, args, None, args.overwrite)
+    begin(args, args)
     objects: dict[str, Any] = {}
     for item in OBJECTS:
         mesh = read_mesh(args.data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
