@@ -15,9 +15,8 @@ import jax
 import numpy as np
 
 from experiments.active_touch.arguments import PRESETS, ActiveTouchArgs, ActiveTouchSizes
-from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
-from experiments.common.tables import markdown
+from experiments.common.tables import cell, markdown
 from experiments.recognize import figures
 from i2t import viz
 from i2t.prediction.metrics import Estimate
@@ -75,8 +74,5 @@ def table(curves: dict[str, Estimate]) -> str:
     """Accuracy after some touches, with 95 % intervals over pads."""
     touches = len(next(iter(curves.values())).mean)
     shown = [n for n in TABLE_TOUCHES if n <= touches]
-    rows = [
-        [name, *(with_interval(*(part[n - 1] for part in each), digits=2) for n in shown)]
-        for name, each in curves.items()
-    ]
+    rows = [[name, *(cell([part[n - 1] for part in each], 2) for n in shown)] for name, each in curves.items()]
     return markdown(["policy", *map(str, shown)], rows)

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
 from experiments.common.reading_tables import (
     AT_RANDOM,
     IN_ORDER,
@@ -32,7 +31,7 @@ from experiments.common.reading_tables import (
     training_rows,
 )
 from experiments.common.runs import METRICS, Part, begin, write_json
-from experiments.common.tables import text_table
+from experiments.common.tables import cell, text_table
 from experiments.common.tasks import make_parts
 from experiments.recognize import figures
 from experiments.recognize.arguments import RecordedArgs
@@ -319,25 +318,21 @@ def print_tables(summary: dict[str, Any]) -> None:
         )
         rows = []
         for method, values in entry["methods"].items():
-            cells = [_cell({part: x[t - 1] for part, x in values["accuracy"].items()}) for t in shown]
+            cells = [cell({part: x[t - 1] for part, x in values["accuracy"].items()}) for t in shown]
             error = values["calibration_error"]
             ece = f"{error['error']:.3f} (chance {error['chance']:.3f}, below {error['chance_high']:.3f})"
             rows.append([method, *cells, f"{np.mean(values['log_loss']['mean']):.3f}", ece])
         print(text_table(["method", *(f"after {t}" for t in shown), "log loss", "ECE"], rows))
         for stop in entry["methods"][BELIEF]["stopping"]:
             print(
-                f"  stop at an error of {stop['requested_error']:.0%}: {_cell(stop['stopped'])} stop early, of whom "
-                f"{_cell(stop['stopped_error'])} err"
+                f"  stop at an error of {stop['requested_error']:.0%}: {cell(stop['stopped'])} stop early, of whom "
+                f"{cell(stop['stopped_error'])} err"
             )
     unknown = summary["unknown"]
     if unknown is not None:
         print(f"\n{unknown['unknown']} of {unknown['episodes']} episodes with labels held out; area under the curve")
         rows = [
-            [name, *(_cell({part: x[i] for part, x in unknown[name].items()}) for i in range(len(unknown["touches"])))]
+            [name, *(cell({part: x[i] for part, x in unknown[name].items()}) for i in range(len(unknown["touches"])))]
             for name in (BELIEF, NOVELTY)
         ]
         print(text_table(["by", *(f"after {t}" for t in unknown["touches"])], rows))
-
-
-def _cell(estimate: dict[str, Any]) -> str:
-    return with_interval(estimate["mean"], estimate["low"], estimate["high"])

@@ -22,8 +22,8 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
+from experiments.common.tables import cell
 from experiments.registration.arguments import FramesArgs
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.distortion import pixel_rays
@@ -245,7 +245,7 @@ def report(metrics: dict[str, Any]) -> None:
     )
     for name, windows in metrics["objects"].items():
         for window, values in windows.items():
-            median = with_interval(values["median_absolute_mm"], *values["interval_95_mm"], digits=2)
+            median = cell((values["median_absolute_mm"], *values["interval_95_mm"]), 2)
             first, third = values["bias_quartiles_mm"]
             bias = f"{values['bias_median_mm']:+.2f} ({first:+.2f}, {third:+.2f})"
             print(

@@ -22,7 +22,6 @@ from sklearn.neighbors import KNeighborsClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from experiments.common.intervals import with_interval
 from experiments.common.reading_tables import (
     SPLITS,
     ReadingTable,
@@ -33,7 +32,7 @@ from experiments.common.reading_tables import (
     with_outliers,
 )
 from experiments.common.runs import Part, begin, write_json
-from experiments.common.tables import text_table
+from experiments.common.tables import cell, text_table
 from experiments.common.tasks import make_parts
 from experiments.shapes import strokes
 from experiments.shapes.arguments import ShapesArgs
@@ -266,8 +265,8 @@ def report(result: Mapping[str, Any]) -> None:
         rows = [
             [
                 name,
-                with_interval(*each["accuracy"], ends=2),
-                with_interval(*each["log_loss"], ends=2),
+                cell(each["accuracy"], ends=2),
+                cell(each["log_loss"], ends=2),
                 f"{each['calibration']['error']:.3f} ({each['calibration']['chance']:.3f} by chance)",
             ]
             for name, each in part["methods"].items()

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
+from experiments.common.tables import cell
 from experiments.shapes.methods import METHODS
 from i2t import viz
 from i2t.dataset import holds_simulated, source_words
@@ -75,20 +75,16 @@ def report(result: dict[str, Any]) -> None:
         print(f"{'paper, one real skin':30}" + "".join(f"{PUBLISHED_RATES[name]:10.2f}" for name in (*names, "total")))
     for method, scored in result["splits"]["random"].items():
         each = "".join(f"{scored['by_shape'][name][0]:10.2f}" for name in names)
-        print(f"{method:30}{each}  {_interval(scored['total'])}")
+        print(f"{method:30}{each}  {cell(scored['total'], ends=2)}")
     methods = [method for method in METHODS if method in result["splits"]["random"]]
     print(f"\nheld out{kind}{'':20}" + "".join(f"{method:>30}" for method in methods))
     for split, scored in result["splits"].items():
-        print(f"{split:28}" + "".join(f"{_interval(scored[method]['total']):>30}" for method in methods))
+        print(f"{split:28}" + "".join(f"{cell(scored[method]['total'], ends=2):>30}" for method in methods))
     for each, rates in result["new"].items():
         print(f"\na new skin, {each} presses of each shape{kind}")
         for method, value in rates.items():
-            print(f"  {method:40}{_interval(value)}")
+            print(f"  {method:40}{cell(value, ends=2)}")
     print(f"{result['seconds']:.0f} s")
-
-
-def _interval(value: list[float]) -> str:
-    return with_interval(*value, ends=2)
 
 
 def figures(out: Path, result: dict[str, Any]) -> None:
