@@ -123,6 +123,9 @@ def sound_rows(
     columns: Sequence[str],
     needed: Callable[[np.ndarray], np.ndarray],
     notes: ReadingLog,
+    *,
+    bound: float = MAX_TABLE_VALUE,
+    remedy: str = "correct it",
 ) -> tuple[list[tuple[int, list[str]]], np.ndarray]:
     """Read the numbers of rows, and leave out rows without plausible numbers as damaged.
 
@@ -133,6 +136,8 @@ def sound_rows(
         columns: Names of the columns to read.
         needed: Takes the mask (n, columns) of empty fields, and returns the mask of fields that may not be empty.
         notes: Log that refuses or counts damaged rows.
+        bound: Bound of a plausible number.
+        remedy: What the user is to do about a cell without one.
 
     Returns:
         The rows that are left, and their numbers (n, columns), NaN in empty fields.
@@ -145,30 +150,30 @@ def sound_rows(
         if len(cells) == len(header):
             complete.append((number, cells))
         else:
-            remedy = "give one for each column"
+            advice = "give one for each column"
             if 3 * len(cells) > 4 * len(header):  # a field in three or more is torn
-                remedy = "if its numbers have decimal commas, export it with semicolons between fields"
-            notes.skip_row(DataError(f"{path}: line {number} has not {len(header)} fields but {len(cells)}; {remedy}"))
+                advice = "if its numbers have decimal commas, export it with semicolons between fields"
+            notes.skip_row(DataError(f"{path}: line {number} has not {len(header)} fields but {len(cells)}; {advice}"))
     at = [header.index(name) for name in columns]
     numbers = _numbers([[cells[i] for i in at] for _, cells in complete], len(at))
-    wrong = (np.abs(numbers) >= MAX_TABLE_VALUE) & (np.array(columns) != TIME)  # Unix time is larger than all else
+    wrong = (np.abs(numbers) >= bound) & (np.array(columns) != TIME)  # Unix time is larger than all else
     wrong |= np.isinf(numbers) | (np.isnan(numbers) & needed(np.isnan(numbers)))
     for k in np.flatnonzero(wrong.any(1)):
         (line, cells), j = complete[k], int(np.flatnonzero(wrong[k])[0])
         cell = cells[at[j]]
-        problem = _problem(cell, columns[j])
+        problem = _problem(cell, columns[j], remedy)
         cell = as_written(cell)
         notes.skip_row(DataError(f"{path}: line {line} has {cell!r} in column {columns[j]}, {problem}"))
     sound = ~wrong.any(1)
     return [row for row, kept in zip(complete, sound, strict=True) if kept], numbers[sound]
 
 
-def _problem(cell: str, column: str) -> str:
+def _problem(cell: str, column: str, remedy: str) -> str:
     """Half a sentence on what is wrong with a cell without a plausible number, and what to do."""
     if cell.endswith(GROUPED_MARK):
         return "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
     if column != TIME or not (cell.endswith(NO_TIME_MARK) or re.search("[0-9][:./-][0-9]", cell)):
-        return "which is not a plausible number; correct it"
+        return f"which is not a plausible number; {remedy}"
     days = parse_number(as_written(cell))
     counted = " but may count days, as spreadsheets do" if days and EXCEL_DAYS[0] <= days < EXCEL_DAYS[1] else ""
     return f"which is no time in ISO 8601{counted}; write it as 2025-10-20 12:00:00.010, or in seconds"
