@@ -9,7 +9,7 @@ from experiments.common.tables import cell
 from experiments.shapes.methods import METHODS
 from i2t import viz
 from i2t.dataset import holds_simulated, source_words
-from i2t.recognition.intervals import Estimate, rate_interval, student_interval
+from i2t.recognition.intervals import rate_interval, student_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 
@@ -23,7 +23,7 @@ def summarise(
     """
     new = {
         each: {
-            method: _plain(student_interval(np.concatenate([part["new"][each][method] for part in parts])))
+            method: list(map(float, student_interval(np.concatenate([part["new"][each][method] for part in parts]))))
             for method in methods
         }
         for each, methods in parts[0]["new"].items()
@@ -47,7 +47,7 @@ def _scored(
     np.add.at(confusion, (true, guess), 1)
     return {
         "total": _total(guesses, truth, held),
-        "by_shape": {name: _plain(rate_interval(guess[true == i] == i)) for i, name in enumerate(names)},
+        "by_shape": {name: list(map(float, rate_interval(guess[true == i] == i))) for i, name in enumerate(names)},
         "confusion": confusion.tolist(),
     }
 
@@ -58,10 +58,6 @@ def _total(guesses: list[list[int]], truth: list[np.ndarray], held: list[np.ndar
     total = student_interval(np.array(folds))
     mean = float(np.concatenate(right).mean())  # folds are nearly of one size
     return [mean, float(total.low), float(total.high)]
-
-
-def _plain(estimate: Estimate) -> list[float]:
-    return [float(estimate.mean), float(estimate.low), float(estimate.high)]
 
 
 def report(result: dict[str, Any]) -> None:

@@ -15,20 +15,18 @@ LAG_GAIN = 0.03  # of R2, at least
 LAG_SHARE = 0.5  # of the R2 that is explained with the lag, which is lost without: where noise hides the rest
 
 
-def find_lag(presses: Presses, max_lag: int = 4) -> Finding:
+def find_lag(presses: Presses) -> Finding:
     """Ask whether each reading belongs to the labels of an earlier or later row.
 
     Args:
         presses: In the order of time.
-        max_lag: Rows by which labels may be shifted. With lag k the reading of row i belongs to the labels of row
-            i + k.
 
     Returns:
-        The finding; the estimate is the lag (rows).
+        The finding; the estimate is the lag (rows). With lag k the reading of row i belongs to the labels of row i + k.
     """
     load = presses.height if presses.height is not None and np.isfinite(presses.height).all() else presses.force
     loads = [] if load is None or not np.isfinite(load).all() else [load]
-    return lag_between(np.column_stack([presses.position, *loads]), presses.readings, max_lag)
+    return lag_between(np.column_stack([presses.position, *loads]), presses.readings)
 
 
 def lag_between(labels: Float[np.ndarray, "n k"], readings: Float[np.ndarray, "n c"], max_lag: int = 4) -> Finding:
@@ -37,7 +35,7 @@ def lag_between(labels: Float[np.ndarray, "n k"], readings: Float[np.ndarray, "n
     Args:
         labels: Of each row, in any units.
         readings: Of the same rows (uT).
-        max_lag: As for `find_lag`.
+        max_lag: Rows by which labels may be shifted.
 
     Returns:
         The finding, as of `find_lag`.
