@@ -23,7 +23,7 @@ import trimesh
 from PIL import Image
 
 from experiments.common.runs import begin, write_json
-from experiments.common.tables import cell
+from experiments.common.tables import cell, text_table
 from experiments.registration.arguments import FramesArgs
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.patches import DepthPatch, patch_from_depth
@@ -200,17 +200,15 @@ def measured_share(path: Path) -> float:
 def report(metrics: dict[str, Any]) -> None:
     """The table a person reads."""
     print("real against imagined patches, each patch's bias taken off; 95 % interval over sites; mm")
-    print(
-        f"{'object':18}{'window':>8}{'patches':>9}{'median |d|':>22}{'IQR':>7}{'bias':>22}{'> 5 mm':>8}{'compared':>10}"
-    )
+    rows = []
     for name, windows in metrics["objects"].items():
         for window, values in windows.items():
             median = cell((values["median_absolute_mm"], *values["interval_95_mm"]), 2)
             first, third = values["bias_quartiles_mm"]
             bias = f"{values['bias_median_mm']:+.2f} ({first:+.2f}, {third:+.2f})"
-            print(
-                f"{name:18}{window:>8}{values['patches']:>9}{median:>22}{values['interquartile_range_mm']:7.2f}{bias:>22}"
-                f"{100 * values['over_5_mm']:7.1f}%{100 * values['compared']:9.0f}%"
-            )
+            shares = f"{100 * values['over_5_mm']:.1f} %", f"{100 * values['compared']:.0f} %"
+            spread = cell(values["interquartile_range_mm"], 2)
+            rows.append((name, window, str(values["patches"]), median, spread, bias, *shares))
+    print(text_table(("object", "window", "patches", "median |d|", "IQR", "bias", "> 5 mm", "compared"), rows))
     for name, share in metrics["f200_measured"].items():
         print(f"F200 {name}: {100 * share:.0f} % of the image measured")
