@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from experiments.common.tables import cell
 from experiments.fidelity.forward import loses_beyond_chance
-from experiments.fidelity.sections import CannotTellError, Section, cell
+from experiments.fidelity.sections import CannotTellError, Section
 from i2t.heads.heads import (
     HEAD_TARGETS,
     MIN_HEAD_ROWS,

@@ -77,7 +77,7 @@ def run(args: DatasetArgs) -> dict[str, Any]:
     warning = require_skin(known, pads, recorded.board, str(args.dataset), other_skin=args.other_skin)
     if warning:
         print(warning)
-    begin(args.out, args, cfg, None, args.overwrite)
+    begin(args, cfg)
     print(describe(known))
     for correction in corrections:
         print(f"note: {correction}")

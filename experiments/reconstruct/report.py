@@ -99,7 +99,7 @@ def _after(found: dict[int, Episode], count: int, pads: int) -> dict[str, list[f
     values = {name: np.array([each.scores[count][name] for each in kept.values()]) for name in SCORES}
     means = {name: mean_interval(value, clusters) for name, value in values.items()}
     means |= {"ratio": ratio("chamfer_mm", START), "hidden_ratio": ratio("hidden_mm", 0)}
-    return {name: [float(found.mean), float(found.low), float(found.high)] for name, found in means.items()}
+    return {name: list(map(float, found)) for name, found in means.items()}
 
 
 def draw_errors(report: dict[str, Any]) -> Picture:

@@ -156,7 +156,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         return recorded.run(args)
     sizes, started = args.sizes, time.monotonic()
     split = split_objects(args)
-    begin(args.out, args, sizes, None, args.overwrite)
+    begin(args, sizes)
     print(f"a library of {len(split.train)} shapes, and what {sizes.pads} skins read", flush=True)
     known = surface_model(list(split.train.values()), config=SurfaceConfig(on_table=False), low=LOW_M, high=HIGH_M)
     reality = make_reality(args.seed, split, sizes)

@@ -15,9 +15,9 @@ from i2t.files.kinds import MAX_MESH_BYTES, MESH_SUFFIXES
 from i2t.files.reading import read_bytes as read_file
 from i2t.files.writing import as_path
 from i2t.geometry import inverse
-from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
 from i2t.objects.formats.kinds import foreign_kind
 from i2t.objects.formats.parse import parse_mesh
+from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
 from i2t.objects.solids import IDENTITY, Mesh, Object, table_transform, transform_mesh
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
