@@ -51,7 +51,7 @@ def main(touches: int = 936, epochs: int = 60, episodes: int = 24, count: int = 
     params = environment_params(surfaces, [pad], pools.joined(), config)
     robot = begin_episodes(keys[3], world, params, truth)
     score = reading_scorers({"paper": predictor}, surfaces, dataset.touches.reading[~held_out].std(0))["paper"]
-    made = run_loop(keys[4], score, robot, world, params, pools, np.zeros(episodes, int))
+    made = run_loop(keys[4], score, robot, pools, np.zeros(episodes, int))
     belief = loop.beliefs(made.distance, "votes")[:, -1]
     right = float((belief.argmax(1) == truth).mean())
     print(f"recognised after {count} touches: {right:.0%} of {episodes} (chance {1 / len(UNSEEN):.0%}; simulated)")

@@ -20,6 +20,7 @@ from scipy.linalg import lapack
 
 Array: TypeAlias = Any  # of NumPy or JAX
 
+STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine in ten
 SMALL_SYSTEM = 40  # edge of matrices that are inverted in one call
 UNINFORMED_VARIANCE = 1e6  # of what is left out where a matrix is not positive definite, which rounding can bring about
 

@@ -64,7 +64,7 @@ class ReadyModelsArgs(RunOptions):
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:
     """Make the models and their card."""
-    begin(args.out, args, args, None, args.overwrite)
+    begin(args, args)
     card = _of_a_run(args) if args.eflesh is None else _of_a_session(args, args.eflesh)
     card["megabytes"] = round(sum(path.stat().st_size for path in args.out.rglob("*") if path.is_file()) / 1e6, 2)
     write_json(args.out / METRICS, card)

@@ -15,9 +15,8 @@ import jax
 import numpy as np
 
 from experiments.active_touch.arguments import PRESETS, ActiveTouchArgs, ActiveTouchSizes
-from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
-from experiments.common.tables import markdown
+from experiments.common.tables import cell, markdown
 from experiments.recognize import figures
 from i2t import viz
 from i2t.prediction.metrics import Estimate
@@ -33,7 +32,7 @@ TABLE_TOUCHES = (1, 2, 3, 4, 5, 8, 12, 16)  # touches of the table
 def run(args: ActiveTouchArgs) -> dict[str, Any]:
     """Make the environment and play every policy; write metrics.json, config.json and a figure."""
     sizes = PRESETS[args.preset]
-    begin(args.out, args, sizes, None, args.overwrite)
+    begin(args, sizes)
     key_lab, _, key_test = jax.random.split(jax.random.key(args.seed), 3)
     environment, params = make_lab(key_lab, args, sizes)
     curves: dict[str, Estimate] = {}
@@ -75,8 +74,5 @@ def table(curves: dict[str, Estimate]) -> str:
     """Accuracy after some touches, with 95 % intervals over pads."""
     touches = len(next(iter(curves.values())).mean)
     shown = [n for n in TABLE_TOUCHES if n <= touches]
-    rows = [
-        [name, *(with_interval(*(part[n - 1] for part in each), digits=2) for n in shown)]
-        for name, each in curves.items()
-    ]
+    rows = [[name, *(cell([part[n - 1] for part in each], 2) for n in shown)] for name, each in curves.items()]
     return markdown(["policy", *map(str, shown)], rows)

@@ -19,7 +19,6 @@ import i2t
 from experiments.benchmark import rendering, skin
 from experiments.benchmark import training as paper_training
 from experiments.benchmark.contests import Contest, Work, finish
-from experiments.benchmark.goals import GoalWork
 from i2t import training as learning
 from i2t.geometry import full_precision
 from i2t.paper import loss, network
@@ -63,12 +62,12 @@ def patches(small: bool) -> Iterator[Contest]:
             return
 
 
-def rates(small: bool) -> Iterator[GoalWork]:
+def rates(small: bool) -> Iterator[Contest]:
     """Contacts, simulated and imagined touches, examples of trainings with many seeds, and steps of environments."""
     steady = 0.0 if small else STEADY_S
     for about in (contacts, touches, imagined, trainings, environments):
         for name, call, made in about(small):
-            yield GoalWork(name, call, "1/s", made, steady=steady)
+            yield Contest(name, call, our_calls=1 / made, unit="1/s", steady=steady)
 
 
 Rate: TypeAlias = tuple[str, Work, int]  # what, a call, and how many it makes

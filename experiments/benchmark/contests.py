@@ -10,32 +10,40 @@ import jax
 Work: TypeAlias = Callable[[], Any]
 
 REST_S = 0.1
+FROM_SECONDS: dict[str, Callable[[float], float]] = {
+    "ms": lambda seconds: 1e3 * seconds,
+    "1/s": lambda seconds: 1 / seconds,
+}
 
 
 class Contest(NamedTuple):
-    """A piece of work, done by us and by a peer."""
+    """A piece of work, done by us, and by a peer or within a goal."""
 
     work: str
     ours: Work
-    peer_name: str
-    peer: Work
+    peer_name: str = ""
+    peer: Work | None = None
     our_calls: float = 1.0  # of ours, that do the work: a share where one call does it many times
     peer_calls: float = 1.0
-    unit: str = "s"
+    unit: str = "s"  # seconds are turned into ms and 1/s
+    goal: float | None = None  # in that unit
     steady: float = 0.0  # s that each contender works in each turn, after a rest and a call that is not counted
     measured: bool = False  # both calls return what is compared, which need not be a time, and are not warmed up
 
 
 class BenchmarkRow(NamedTuple):
-    """One comparison."""
+    """What a piece of work took."""
 
     section: str
     work: str
     unit: str
     ours: float  # median over the turns
+    least: float  # of ours
+    most: float
     peer_name: str
-    peer: float
-    ratio: float  # median over the turns of the peer's time through ours
+    peer: float | None  # median over the turns
+    ratio: float | None  # median over the turns of the peer's time through ours
+    goal: float | None
 
 
 def finish(run: Callable[..., Any], *arguments: Any) -> Any:
@@ -87,16 +95,21 @@ def measure(section: str, contest: Contest, turns: int) -> BenchmarkRow:
         turns: How often each is timed.
 
     Returns:
-        Medians, and the median of the turns' ratios.
+        Medians and the range of ours, and the median of the turns' ratios.
     """
-    contenders = {"ours": contest.ours, "peer": contest.peer}
+    contenders = {"ours": contest.ours} | ({} if contest.peer is None else {"peer": contest.peer})
     if contest.measured:
-        found = {name: [float(work()) for _ in range(turns)] for name, work in contenders.items()}
+        measured = {name: [float(work()) for _ in range(turns)] for name, work in contenders.items()}
     else:
-        found = interleave(contenders, turns, contest.steady)
-    ours = [contest.our_calls * each for each in found["ours"]]
-    peer = [contest.peer_calls * each for each in found["peer"]]
-    ratio = statistics.median(theirs / mine for mine, theirs in zip(ours, peer, strict=True))
+        measured = interleave(contenders, turns, contest.steady)
+    ours = [contest.our_calls * value for value in measured["ours"]]
+    peer = ratio = None
+    if contest.peer is not None:
+        theirs = [contest.peer_calls * value for value in measured["peer"]]
+        peer = statistics.median(theirs)
+        ratio = statistics.median(their_time / our_time for our_time, their_time in zip(ours, theirs, strict=True))
+    ours = list(map(FROM_SECONDS.get(contest.unit, float), ours))
     return BenchmarkRow(
-        section, contest.work, contest.unit, statistics.median(ours), contest.peer_name, statistics.median(peer), ratio
-    )
+        section, contest.work, contest.unit, statistics.median(ours), min(ours), max(ours), contest.peer_name, peer,
+        ratio, contest.goal,
+    )  # fmt: skip

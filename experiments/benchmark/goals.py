@@ -3,17 +3,15 @@
 No library does the same, so rows have goals in place of peers.
 """
 
-import statistics
 from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import i2t
-from experiments.benchmark.contests import Work, interleave
+from experiments.benchmark.contests import Contest, Work
 from i2t.recognition import belief, policy
 from i2t.recognition.outcomes import PredictedTouch, placement_std
 from i2t.recognition.recognizer import RecognizerConfig
@@ -26,30 +24,7 @@ TOUCHES_PER_SECOND = 370.0
 LATENCY_S = 0.5  # each is repeated for so long in each turn
 
 
-class GoalWork(NamedTuple):
-    """A piece of work, and how quick it should be."""
-
-    work: str
-    call: Work
-    unit: str  # ms for one, or 1/s
-    made: int = 1  # by a call
-    goal: float | None = None  # in that unit
-    steady: float = 0.0  # s, as of `interleave`
-
-
-class GoalRow(NamedTuple):
-    """What a piece of work took: the median over the turns and their range."""
-
-    section: str
-    work: str
-    unit: str
-    value: float
-    least: float
-    most: float
-    goal: float | None
-
-
-def simulation(small: bool) -> Iterator[GoalWork]:
+def simulation(small: bool) -> Iterator[Contest]:
     """Touches of two objects in sessions of 36, by a random pad, with the errors of a lab."""
     surfaces = [i2t.prepare_surface(i2t.make_object(name).mesh) for name in ("hexagon", "star")]
     pad, each = i2t.sample_pad(jax.random.key(0)), 36 if small else 360
@@ -59,10 +34,10 @@ def simulation(small: bool) -> Iterator[GoalWork]:
             i2t.simulate_touches, jax.random.key(1), surfaces, pad, SimulationErrors(), each, limits=limits
         )
         goal = None if how else TOUCHES_PER_SECOND
-        yield GoalWork(f"simulated touches{how}", touches, "1/s", 2 * each, goal)
+        yield Contest(f"simulated touches{how}", touches, our_calls=1 / (2 * each), unit="1/s", goal=goal)
 
 
-def latency(small: bool) -> Iterator[GoalWork]:
+def latency(small: bool) -> Iterator[Contest]:
     """What a robot asks for between two touches, by the ready models: a prediction on a mesh and of a patch, an update
     of the belief about five objects, and the next site, also of many.
     """
@@ -72,9 +47,9 @@ def latency(small: bool) -> Iterator[GoalWork]:
     T_o_t = i2t.contact_pose(hammer, hammer.vertices[hammer.vertices[:, 2].argmax()])
     patch = np.asarray(i2t.render_patch(i2t.prepare_surface(hammer), T_o_t).depth)
     steady = 0.0 if small else LATENCY_S
-    yield GoalWork("a touch on a mesh predicted", lambda: predictor.predict_touch(hammer, T_o_t, force=1.0), "ms",
-                   steady=steady)  # fmt: skip
-    yield GoalWork("a patch's reading predicted", lambda: predictor.predict(patch, force=1.0), "ms", steady=steady)
+    yield Contest("a touch on a mesh predicted", lambda: predictor.predict_touch(hammer, T_o_t, force=1.0), unit="ms",
+                  steady=steady)  # fmt: skip
+    yield Contest("a patch's reading predicted", lambda: predictor.predict(patch, force=1.0), unit="ms", steady=steady)
 
     config = RecognizerConfig(num_sites=4, num_particles=8) if small else RecognizerConfig()
     pad_model = i2t.load_pad_model("nominal").model
@@ -84,11 +59,11 @@ def latency(small: bool) -> Iterator[GoalWork]:
     assert site is not None
     seen = recognizer.observe(site, np.zeros(recognizer.channels), force=1.0, T_w_t=site.T_w_t, contact=True)
     about = f"{len(names)} objects"
-    yield GoalWork(f"the belief updated, {about}", lambda: recognizer.update(state, seen), "ms", steady=steady)
-    yield GoalWork(f"the next site chosen, {about}", lambda: recognizer.choose_touch(state), "ms", steady=steady)
+    yield Contest(f"the belief updated, {about}", lambda: recognizer.update(state, seen), unit="ms", steady=steady)
+    yield Contest(f"the next site chosen, {about}", lambda: recognizer.choose_touch(state), unit="ms", steady=steady)
     shape = (8, 3, 4) if small else (256, 25, 64)
     about = f"{shape[1]} objects, {shape[0]} sites"
-    yield GoalWork(f"the next site of a large pool, {about}", _decision(*shape), "ms", steady=steady)
+    yield Contest(f"the next site of a large pool, {about}", _decision(*shape), unit="ms", steady=steady)
 
 
 def _decision(sites: int, objects: int, particles: int) -> Work:
@@ -117,25 +92,3 @@ def _decision(sites: int, objects: int, particles: int) -> Work:
         return policy.choose_site(gain, jnp.ones(sites, bool))
 
     return lambda: jax.block_until_ready(choose(jnp.uint32(0), now))
-
-
-def measure_goal(section: str, work: GoalWork, turns: int) -> GoalRow:
-    """Time a piece of work.
-
-    Args:
-        section: Of the benchmark.
-        work: What to do.
-        turns: How often it is timed.
-
-    Returns:
-        Its row.
-    """
-    seconds = interleave({"ours": work.call}, turns, work.steady)["ours"]
-    values = sorted(work.made / s if work.unit == "1/s" else 1e3 * s / work.made for s in seconds)
-    return GoalRow(section, work.work, work.unit, statistics.median(values), values[0], values[-1], work.goal)
-
-
-def cells(row: GoalRow) -> tuple[str, ...]:
-    """A row's cells: section, work, value with its range, goal."""
-    value = f"{row.value:.3g} ({row.least:.3g} to {row.most:.3g}) {row.unit}"
-    return row.section, row.work, value, "-" if row.goal is None else f"{row.goal:g}"

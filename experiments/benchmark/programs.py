@@ -32,7 +32,7 @@ STAGES = {  # JAX's events of one program, in their order
 }
 DUMP = re.compile(r"module_(\d+)\.jit_(.*?)\.(?:cpu_gpu_|sm_.*|cpu_)?before_optimizations\.txt")
 ROOT = Path(__file__).parents[2]
-THROUGH = (Path(__file__), ROOT / "i2t" / "compiling.py")  # what only passes a call on
+THROUGH = (Path(__file__), ROOT / "i2t" / "runtime" / "compiling.py")  # what only passes a call on
 SHOWN = 15  # programs of a table
 
 

@@ -14,13 +14,14 @@ and rates.
 import os
 import platform
 from collections.abc import Callable, Iterator
+from itertools import chain
 
 import jax
 
-from experiments.benchmark import accelerator, goals, startup
+from experiments.benchmark import accelerator, startup
 from experiments.benchmark.arguments import BenchmarkArgs, BenchmarkSection
 from experiments.benchmark.contests import BenchmarkRow, Contest, measure
-from experiments.benchmark.goals import GoalWork, latency, measure_goal, simulation
+from experiments.benchmark.goals import latency, simulation
 from experiments.benchmark.rendering import rendering
 from experiments.benchmark.skin import skin
 from experiments.benchmark.startup import COMMANDS, FEW, StartupRow
@@ -32,12 +33,9 @@ CONTESTS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # Tru
     "training": training,
     "rendering": rendering,
     "skin": skin,
-    "accelerator": accelerator.patches,
-}
-GOALS: dict[BenchmarkSection, Callable[[bool], Iterator[GoalWork]]] = {
     "latency": latency,
     "simulation": simulation,
-    "accelerator": accelerator.rates,
+    "accelerator": lambda small: chain(accelerator.patches(small), accelerator.rates(small)),
 }
 
 
@@ -52,11 +50,6 @@ def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
     ]
     if rows:
         print(table(rows))
-    reached = [
-        measure_goal(name, work, args.turns) for name in args.sections if name in GOALS for work in GOALS[name](small)
-    ]
-    if reached:
-        print(text_table(("section", "work", "median (range)", "goal"), map(goals.cells, reached)))
     started = _startup(args, small) if "startup" in args.sections else []
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -65,7 +58,6 @@ def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
             "machine": machine,
             "config": {"turns": args.turns, "preset": args.preset},
             "rows": [row._asdict() for row in rows],
-            "goals": [row._asdict() for row in reached],
             "startup": [row._asdict() for row in started],
         }
         write_json(args.out / "benchmark.json", report)
@@ -88,9 +80,12 @@ def _startup(args: BenchmarkArgs, small: bool) -> list[StartupRow]:
 
 
 def table(rows: list[BenchmarkRow]) -> str:
-    """The rows as text, one comparison a line."""
+    """The rows as text, one piece of work a line."""
     lines = []
     for row in rows:
-        ours, peer = (f"{value:.3g} {row.unit}" for value in (row.ours, row.peer))
-        lines.append((row.section, row.work, ours, peer, row.peer_name, f"{row.ratio:.2f}"))
-    return text_table(("section", "work", "ours", "peer", "", "ratio"), lines)
+        ours = f"{row.ours:.3g} ({row.least:.3g} to {row.most:.3g}) {row.unit}"
+        peer = "-" if row.peer is None else f"{row.peer:.3g} {row.unit}"
+        ratio = "-" if row.ratio is None else f"{row.ratio:.2f}"
+        goal = "-" if row.goal is None else f"{row.goal:g}"
+        lines.append((row.section, row.work, ours, peer, row.peer_name, ratio, goal))
+    return text_table(("section", "work", "ours (range)", "peer", "", "ratio", "goal"), lines)

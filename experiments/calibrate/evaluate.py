@@ -7,11 +7,11 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from experiments.calibrate.held_out import PressSplit
-from experiments.calibrate.methods import CALIBRATED, METHODS, calibrated_with_std
+from experiments.calibrate.methods import BASELINES, CALIBRATED, calibrated
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.prediction.metrics import grouped_interval, student_interval
 from i2t.recordings.presses import LoadedPresses
 from i2t.runtime.progress import progress
-from i2t.skin_models.tip_gp.population import STDS_WITHIN_90_PERCENT
 
 Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of presses -> a value for each draw
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]
@@ -88,9 +88,9 @@ def predict_all(
     recording: LoadedPresses, rows: np.ndarray, test: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Readings at the test by every method, and which of them (n, c) lie in the 90 % range of `i2t.calibrate`."""
-    predicted = {name: method(recording, rows, test) for name, method in METHODS.items() if name != CALIBRATED}
-    predicted[CALIBRATED], std = calibrated_with_std(recording, rows, test)
-    return predicted, np.abs(recording.readings[test] - predicted[CALIBRATED]) < STDS_WITHIN_90_PERCENT * std
+    predicted = {name: method(recording, rows, test) for name, method in BASELINES.items()}
+    predicted[CALIBRATED], std = calibrated(recording, rows, test)
+    return predicted, np.abs(recording.readings[test] - predicted[CALIBRATED]) < STDS_WITHIN_90 * std
 
 
 def explained(readings: np.ndarray, error: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""The compared methods: each predicts readings at rows of a recording from other rows, all alike from outside."""
+"""The compared methods: each predicts readings at rows of a recording from other rows."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -39,18 +39,11 @@ def plain(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.nd
         return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, at)
 
 
-def calibrated(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """Predictions of `i2t.calibrate`."""
-    return calibrated_with_std(recording, rows, test)[0]
-
-
-def calibrated_with_std(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def calibrated(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Predictions of `i2t.calibrate` and their standard deviations."""
     known = recording.position[rows], recording.load[rows], recording.readings[rows]
     calibration = calibrate(*known, load_kind=recording.load_kind, board=recording.own_board)
     return calibration.predict(recording.position[test], recording.load[test])
 
 
-METHODS: dict[str, Predict] = {
-    MEAN: mean, NEIGHBOURS: neighbours, PLAIN: plain, CALIBRATED: calibrated,
-}  # fmt: skip
+BASELINES: dict[str, Predict] = {MEAN: mean, NEIGHBOURS: neighbours, PLAIN: plain}

@@ -11,7 +11,7 @@ from experiments.calibrate.evaluate import explained
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.recordings.diagnose import repeated_rows
-from i2t.skin_models.magnetization import MagnetizationModel, Presses, TipReadings, parse_tip
+from i2t.skin_models.magnetization import MagnetizationModel, TipReadings, parse_tip
 from i2t.types import Board
 
 MAX_PAD_PRESSES = 300  # at random: a map is known by then, and every press costs
@@ -35,9 +35,9 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         raise ValueError(f"{len(rows)} presses are too few to fit a pad to; give at least {MIN_PAD_PRESSES}")
     tip = args.tip or tip_of(dataset) or dataset.objects[int(touches.object[0])]
     readings, board = recording.readings[rows], Board(*(jnp.float32(part) for part in dataset.board))
-    presses = Presses(jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows]))
+    position, load_of_press = jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows])
     model = MagnetizationModel(parse_tip(tip), recording.by_force)
-    fitted = model.fit(None, TipReadings(presses, jnp.float32(readings), board))
+    fitted = model.fit(None, TipReadings(position, load_of_press, jnp.float32(readings), board))
     square = fitted.left_out**2
     r2, error_std = explained(readings, square.sum(1)), float(np.sqrt(np.mean(square)))
     about = {

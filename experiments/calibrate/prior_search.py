@@ -71,7 +71,7 @@ PRESETS: dict[str, PriorSearch] = {
 def run(args: CalibrateArgs) -> dict[str, Any]:
     """Search, and write prior.npz."""
     started, cfg, out = time.perf_counter(), choose_preset(PRESETS, args.preset), args.out
-    begin(out, args, cfg, None, args.overwrite)
+    begin(args, cfg)
     rng = np.random.default_rng(POPULATION_SEED)
     tasks = population_tasks(cfg)
     first = join(draw_wide(rng, cfg.wide), *(near(rng, kernels, cfg.anchored) for kernels in ANCHORS.values()))

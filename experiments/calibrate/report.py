@@ -8,9 +8,8 @@ from matplotlib.figure import Figure
 
 from experiments.calibrate.evaluate import INTERVAL
 from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN
-from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
-from experiments.common.tables import text_table
+from experiments.common.tables import cell, text_table
 from i2t.prediction.metrics import MIN_CLUSTERS
 from i2t.recordings.diagnose import Finding
 from i2t.recordings.diagnose.changes import CHANGED_SKIN, REPEATED_ROWS
@@ -56,10 +55,7 @@ def _draw(axes: Any, by_method: dict[str, Any]) -> None:
 def count_table(curves: dict[str, dict[int, dict[str, float]]], presses: str = "presses") -> str:
     """Mean and interval of each curve at each number of presses, which are headed as given."""
     counts = list(next(iter(curves.values())))
-    rows = (
-        [label, *(with_interval(*(by_count[n][end] for end in INTERVAL)) for n in counts)]
-        for label, by_count in curves.items()
-    )
+    rows = ([label, *(cell(by_count[n]) for n in counts)] for label, by_count in curves.items())
     return text_table([presses, *map(str, counts)], rows)
 
 

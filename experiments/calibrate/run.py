@@ -64,7 +64,7 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
     new = ~repeated_rows(recording.readings)
     held = hold_out(recording, cfg, args.seed, new, str(args.dataset))
     counts, draws = counts_and_draws(args, cfg, held)
-    begin(args.out, args, cfg, None, args.overwrite)
+    begin(args, cfg)
     for finding in warnings:
         if finding.wrong:
             print(f"warning: {finding.sentence}")

@@ -58,7 +58,7 @@ PRESETS: dict[str, SimulatedPreset] = {
 def run(args: CalibrateArgs) -> dict[str, Any]:
     """R2 of every method on every kind of skin, a value for each skin."""
     started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
-    begin(args.out, args, cfg, None, args.overwrite)
+    begin(args, cfg)
     metrics = {
         "source": "simulated",
         "seed": SKINS_SEED,

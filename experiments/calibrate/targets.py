@@ -19,7 +19,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     assert args.dataset is not None
     started, preset = time.perf_counter(), FIDELITY_PRESETS[args.preset]
     recording = one_recording(args.dataset)
-    begin(args.out, args, preset, None, args.overwrite)
+    begin(args, preset)
     for note in recording.notes:
         print(printable(note))
     metrics: dict[str, Any] = {"source": recording.source, "seed": args.seed, "rows": len(recording), "heads": {}}

@@ -4,25 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from typing import Any
 
-from experiments.common.tables import markdown
+from experiments.common.tables import cell, markdown
 
 Measured = dict[str, Any]
 Table = Callable[[Measured], str]
 Cell = Callable[[Any], str]  # of what was measured of a row
 UNSHOWN = ", average"  # a rule between the other two
-
-
-def number(value: float | None, decimals: int = 3) -> str:
-    """A number, or a dash where there is none."""
-    return "-" if value is None else f"{value:.{decimals}f}"
-
-
-def estimate(found: Any, decimals: int = 3, sign: bool = False) -> str:
-    """A mean with its interval, from a dict of mean, low and high or a list of the three."""
-    mean, low, high = found.values() if isinstance(found, dict) else found
-    plus = "+" if sign else ""
-    limits = "" if low is None or high is None else f" [{low:{plus}.{decimals}f}, {high:{plus}.{decimals}f}]"
-    return f"{mean:{plus}.{decimals}f}{limits}"
 
 
 def percent(found: Mapping[str, Any], decimals: int = 1) -> str:
@@ -58,7 +45,7 @@ def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False, 
         entries = reduce(lambda node, name: node[name], path.split("/"), measured)
         best = measured["best"] if kept else None
         rows = [
-            [f"{name} (kept)" if name == best else name, *(cell(found) for cell in cells)]
+            [f"{name} (kept)" if name == best else name, *(render_cell(found) for render_cell in cells)]
             for name, found in entries.items()
             if shown(name, *hidden)
         ]
@@ -69,7 +56,7 @@ def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False, 
 
 def numbers_of(keys: Sequence[str], decimals: int = 2) -> tuple[Cell, ...]:
     """Cells of single scores."""
-    return tuple(lambda scores, key=key: number(scores[key], decimals) for key in keys)
+    return tuple(lambda scores, key=key: cell(scores[key], decimals) for key in keys)
 
 
 def span(name: str, decimals: int, scores: Mapping[str, Any]) -> str:
@@ -77,4 +64,4 @@ def span(name: str, decimals: int, scores: Mapping[str, Any]) -> str:
     if name not in scores:
         return ""
     mean, low, high = scores[name]
-    return estimate([mean, low, high] if low < high else [mean, None, None], decimals)
+    return cell([mean, low, high] if low < high else mean, decimals)

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
-from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, pictures_in
+from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, folder_of, pictures_in
 from i2t.cli.options import check_options, docstring_of, read_options
 
 Main: TypeAlias = Callable[..., int]  # takes the command line, by default the process's, and gives the exit code
@@ -75,14 +75,14 @@ def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str,
     if code := exit_code_of_run(renamed):
         return code
     args = read_options(kind, words, program=program, description=docstring_of(module) + about, config=())
-    out: Path | None = getattr(args, "folder", getattr(args, "out", None))
+    out = folder_of(args)
 
     def work() -> Any:
         check_options(args, words)
         if hasattr(args, "check"):
             args.check()
         if out is not None and hasattr(args, "overwrite"):
-            check_out(out, getattr(args, "resume", None), args.overwrite, kind=kind.__name__)
+            check_out(args, out)
         elif out is not None:
             check_folder(out)
         result = importlib.import_module(module).run(args)

@@ -1,12 +1,9 @@
 """Options that experiments share: a dataclass of options inherits them. This module imports nothing large."""
 
-from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Literal
 
-import tyro
-
-from experiments.common.tasks import TaskOptions
-from i2t.cli.options import Seed
+from i2t.cli.options import Count, Seed
 
 UnitName = Literal["m", "cm", "mm", "inch"]  # of the coordinates in mesh files
 
@@ -24,4 +21,4 @@ class ResumableOptions(RunOptions):
     """Options of an experiment in parts, such as pads and seeds."""
 
     resume: bool = False  # go on with an unfinished run in --out
-    tasks: Annotated[TaskOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=TaskOptions)
+    workers: Count = 1  # processes that make pads and seeds side by side; 1 is this one

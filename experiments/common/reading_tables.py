@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from i2t.errors import DataError, did_you_mean
-from i2t.recordings.cells import GROUPED_MARK, as_written, parse_number
+from i2t.recordings.cells import parse_number
 from i2t.recordings.columns import FIELD_STEM, beginning_of
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.samples import first_samples, mean_samples
-from i2t.recordings.tables import open_text_table
+from i2t.recordings.tables import open_text_table, sound_rows
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
@@ -203,18 +203,17 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
         raise DataError(f"{path}: column {twice} stands twice in the first line; rename one")
     if not kept:
         raise DataError(f"{path}: no column is left for the reading; leave out fewer")
-    texts: list[list[str]] = []
-    readings: list[np.ndarray] = []
-    for line, cells in rows:
-        if len(cells) != len(header):
-            raise DataError(f"{path}: line {line} has {len(cells)} fields for {len(header)} columns; correct it")
-        names = (label, group, touch)
-        texts.append(["" if name is None else _name(path, line, name, cells[header.index(name)]) for name in names])
-        readings.append(_reading(path, line, [header[i] for i in kept], [cells[i] for i in kept]))
-    if not readings:
+    log, columns = ReadingLog(skip_bad=False), tuple(header[i] for i in kept)
+    remedy = "correct or remove the row, or leave the column out (--ignore)"
+    sound, reading = sound_rows(path, header, rows, columns, np.ones_like, log, bound=MAX_VALUE, remedy=remedy)
+    if not sound:
         raise DataError(f"{path}: holds no row below the names of its columns; give one a touch")
-    columns, reading = tuple(header[i] for i in kept), np.array(readings)
-    log = ReadingLog(skip_bad=False, lines=list(notes))
+    names = (label, group, touch)
+    texts = [
+        ["" if name is None else _name(path, line, name, cells[header.index(name)]) for name in names]
+        for line, cells in sound
+    ]
+    log.lines += notes
     heard = log.keep_heard(_silent(columns, reading))
     log.require_heard(path)
     labels, groups, touches = zip(*(row for row, keep in zip(texts, heard, strict=True) if keep), strict=True)
@@ -240,29 +239,12 @@ def _name(path: Path, line: int, column: str, text: str) -> str:
     return text.strip()
 
 
-def _reading(path: Path, line: int, columns: Sequence[str], texts: Sequence[str]) -> np.ndarray:
-    values = np.array([_number(text) for text in texts])
-    good = np.abs(values) <= MAX_VALUE
-    if good.all():
-        return values
-    at = int(good.argmin())
-    column, text = columns[at], texts[at].strip()
-    wrong = f"is beyond {MAX_VALUE:g}" if np.isfinite(values[at]) else "is not a number"
-    if text.endswith(GROUPED_MARK):
-        text, wrong = as_written(text), "may be decimal or grouped thousands"
-    what = f"has {text!r} in column {column}, which {wrong}" if text else f"lacks column {column}"
-    raise DataError(f"{path}: line {line} {what}; correct or remove the row, or leave the column out (--ignore)")
-
-
-def _number(text: str) -> float:
-    number = parse_number(text)
-    return np.nan if number is None else number
-
-
 def _in_order(texts: Sequence[str]) -> tuple[str, ...]:
     """Different texts: numbers by size where all are numbers, else by the alphabet."""
     different = sorted(set(texts))
-    return tuple(sorted(different, key=float) if np.isfinite([*map(_number, different)]).all() else different)
+    numbers = [parse_number(text) for text in different]
+    are_numbers = all(number is not None and np.isfinite(number) for number in numbers)
+    return tuple(sorted(different, key=float) if are_numbers else different)
 
 
 # --- splits ---

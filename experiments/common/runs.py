@@ -23,6 +23,7 @@ CONFIG, METRICS = "config.json", "metrics.json"
 LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
 MAX_PICTURES_NAMED = 6
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # whose versions a run notes
+NO_SETTINGS = ("out", "resume", "overwrite", "workers")  # options that change no result
 CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours
 # Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
 # methods and conditions, which `i2t.files.serialization` cannot hold: that is for NamedTuples whose type is known.
@@ -54,7 +55,7 @@ def settings(args: Any) -> dict[str, Any]:
     """Options of a run, from a dataclass, what the files that they name hold, and package versions; where results go,
     workers and resuming are no settings.
     """
-    kept = {name: value for name, value in asdict(args).items() if name not in ("out", "resume", "overwrite", "tasks")}
+    kept = {name: value for name, value in asdict(args).items() if name not in NO_SETTINGS}
     named = [each for value in kept.values() for each in (value if isinstance(value, tuple) else (value,))]
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
@@ -68,23 +69,34 @@ def _digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite: bool) -> None:
+def folder_of(args: Any) -> Path | None:
+    """The folder of a run by its options: their `folder`, or `out`; None where nothing is written."""
+    folder: Path | None = getattr(args, "folder", getattr(args, "out", None))
+    return folder
+
+
+def begin(args: Any, experiment: Any) -> None:
     """Make the folder of a run, or refuse one that is in use (ValueError); note what is run and with which versions.
 
-    `args` and `experiment` are dataclasses. An unfinished run of the same settings goes on with `resume` (None: this
-    experiment cannot); what is there is replaced with `overwrite`, once this run has made something.
+    An unfinished run of the same settings goes on with `args.resume`, where the experiment has that option; what is
+    there is replaced with `args.overwrite`, once this run has made something.
+
+    Args:
+        args: The options, a dataclass.
+        experiment: The settings, a dataclass.
     """
-    config = settings(args) | {"experiment": asdict(experiment)}
+    out = folder_of(args)
+    assert out is not None
+    config = settings(args) | {"experiment": asdict(experiment), "kind": type(args).__name__}
     path = out / CONFIG
-    check_out(out, resume, overwrite, kind=type(args).__name__)
-    config["kind"] = type(args).__name__
-    if path.exists() and not overwrite:
+    check_out(args, out)
+    if path.exists() and not args.overwrite:
         before = json.loads(path.read_text())
         same = json.loads(json.dumps(config, default=str))
         if {"files": {}, **before, "versions": None, "kind": None} != {**same, "versions": None, "kind": None}:
             raise ValueError(f"{out} was begun with other settings or data ({path}); pass those, or --overwrite")
     place = out.resolve()
-    if path.exists() and overwrite:
+    if path.exists() and args.overwrite:
         shutil.rmtree(_aside(place), ignore_errors=True)
         place.rename(_aside(place))
     _BEGUN[place] = [parent for parent in place.parents if not parent.exists()]
@@ -92,25 +104,26 @@ def begin(out: Path, args: Any, experiment: Any, resume: bool | None, overwrite:
     write_json(path, config)
 
 
-def check_out(out: Path, resume: bool | None, overwrite: bool, kind: str = "") -> None:
-    """Refuse a folder that a run may not use (ValueError); makes nothing, and imports nothing large.
-
-    `kind` is the name of the experiment's options, which a run notes, so that none replaces another's.
+def check_out(args: Any, out: Path) -> None:
+    """Refuse a folder that a run of these options may not use (ValueError), as one that holds a run of others; makes
+    nothing, and imports nothing large.
     """
     check_folder(out)
     path = out / CONFIG
-    if (path.exists() and not _is_ours(path, kind)) or (not path.exists() and out.exists() and any(out.iterdir())):
+    begun = path.exists()
+    if not _is_ours(path, type(args).__name__) if begun else out.exists() and any(out.iterdir()):
         raise ValueError(f"{out} is not empty and holds no run of this experiment; choose another --out")
-    if not path.exists():
+    if not begun:
         return
-    if overwrite:
+    if args.overwrite:
         if Path.cwd().is_relative_to(out.resolve()):
             raise ValueError(f"{out} is the folder in which this command runs; --overwrite does not replace it")
         return
     if (out / METRICS).exists():
         raise ValueError(f"{out} holds a finished run; choose another --out, or pass --overwrite")
-    if not resume:
-        remedy = "pass --overwrite" if resume is None else "pass --resume to go on with it, or --overwrite"
+    resumable = hasattr(args, "resume")
+    if not (resumable and args.resume):
+        remedy = "pass --resume to go on with it, or --overwrite" if resumable else "pass --overwrite"
         raise ValueError(f"{out} holds an unfinished run; {remedy}")
 
 
@@ -159,7 +172,7 @@ def _is_ours(config: Path, kind: str) -> bool:
         about = json.loads(config.read_text())
     except (OSError, ValueError):
         return False
-    return isinstance(about, dict) and about.keys() >= CONFIG_KEYS and (not kind or about.get("kind", kind) == kind)
+    return isinstance(about, dict) and about.keys() >= CONFIG_KEYS and about.get("kind", kind) == kind
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:
@@ -183,15 +196,18 @@ def pictures_in(out: Path) -> str:
 
 
 def save_part(path: Path, part: Part) -> None:
-    """Write nested dicts of arrays whole or not at all, for a resumed run to find.
+    """Write a part whole or not at all, for a resumed run to find.
 
     Args:
-        path: An npz file.
+        path: An npz file for nested dicts of arrays, or a JSON file.
         part: What to write.
 
     Raises:
         DataError: It cannot be written.
     """
+    if path.suffix == ".json":
+        write_json(path, part)
+        return
     import numpy as np
 
     with replacing(path) as temporary:
@@ -202,11 +218,13 @@ def load_part(path: Path) -> Part:
     """Read what `save_part` wrote.
 
     Args:
-        path: An npz file.
+        path: Its file.
 
     Returns:
         The same nested dicts.
     """
+    if path.suffix == ".json":
+        return dict(json.loads(path.read_text()))
     import numpy as np
 
     part: Part = {}

@@ -1,8 +1,37 @@
 """Tables as text and in Markdown, in one way for all experiments."""
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from i2t.errors import printable
+
+NO_SIGN = 5e-7  # a number below is 0.0, without the sign that rounding leaves it
+
+
+def cell(value: Any, digits: int = 3, *, ends: int | None = None, signed: bool = False) -> str:
+    """A number, or one with its 95 % interval in brackets; without brackets where there is no interval, as of too few
+    clusters.
+
+    Args:
+        value: The number, or the number and the lower and upper end of its interval, as a sequence or a dict in that
+            order; None or NaN stands for what is not known.
+        digits: Decimals.
+        ends: Decimals of the interval, if others.
+        signed: Whether positive numbers have a sign too.
+
+    Returns:
+        Such as `0.81 [0.79, 0.83]`, `0.81`, or `-`.
+    """
+    values = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else (value,)
+    number, *limits = (math.nan if part is None else 0.0 if abs(part) < NO_SIGN else float(part) for part in values)
+    if not math.isfinite(number):
+        return "-"
+    sign = "+" if signed else ""
+    text = f"{number:{sign}.{digits}f}"
+    if not limits or not all(map(math.isfinite, limits)):
+        return text
+    return f"{text} [{', '.join(f'{limit:{sign}.{digits if ends is None else ends}f}' for limit in limits)}]"
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str = "") -> str:

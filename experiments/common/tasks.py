@@ -8,28 +8,15 @@ of the cores; what a worker prints goes to a log next to the task's file. This m
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from experiments.common.runs import Part, load_part, save_part
-from i2t.cli.options import Count
 from i2t.runtime.compile_cache import use_compile_cache
 from i2t.runtime.progress import progress
-
-Run = TypeVar("Run")
-
-
-@dataclass(frozen=True)
-class TaskOptions:
-    """Who makes the parts of a study: its pads, seeds and settings."""
-
-    FLAT: ClassVar[bool] = True  # the flag is --workers, not --tasks.workers
-
-    workers: Count = 1  # processes that make pads and seeds side by side; 1 is this one
 
 
 class Task(NamedTuple):
@@ -45,64 +32,45 @@ class Task(NamedTuple):
         return self.finished.parent / f"{self.name}.log"
 
 
-def run_tasks(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None = None) -> None:
-    """Make what is missing, here or elsewhere, as in `tasks_here`."""
-    for task in tasks_here(tasks, options, bar=bar):
-        task.work()
-
-
-def tasks_here(tasks: Sequence[Task], options: TaskOptions, *, bar: str | None = None) -> Iterator[Task]:
-    """Make what is missing in other processes, or say what is to be made here.
+def run_tasks(tasks: Sequence[Task], workers: int = 1, *, bar: str | None = None) -> None:
+    """Make what is missing.
 
     Args:
         tasks: In the order in which they are begun.
-        options: Who makes them.
+        workers: Processes that make them side by side; 1 is this one.
         bar: What a bar calls them while this process makes them; without it there is none.
-
-    Yields:
-        What this process has to make.
 
     Raises:
         ChildProcessError: A worker died.
         Exception: What a task raised; the others end.
     """
     missing = [task for task in tasks if not task.finished.exists()]
-    if options.workers == 1 or len(missing) < 2:
-        yield from progress(missing, desc=bar or "", disable=bar is None)
+    if workers == 1 or len(missing) < 2:
+        for task in progress(missing, desc=bar or "", disable=bar is None):
+            task.work()
     else:
-        _make(missing, min(options.workers, len(missing)))
+        _make(missing, min(workers, len(missing)))
 
 
-def parts_of_runs(
-    make: Callable[[Run, int], Part],
-    runs: Mapping[int, Run],
-    stem: Path,
-    *,
-    seed: int,
-    options: TaskOptions,
-) -> list[Part]:
-    """Make a part of every finished run, kept at once as `stem`-i.npz.
+def make_parts(makers: Mapping[Path, Callable[[], Part]], workers: int = 1, *, bar: str | None = None) -> list[Part]:
+    """Make the parts of a run that are missing, each kept at once in its file, and read all.
 
     Args:
-        make: Makes a part from a run and a seed; workers get both pickled.
-        runs: By the numbers i that their seeds and parts count by.
-        stem: Of the parts' files.
-        seed: Of run 0.
-        options: Who makes them.
+        makers: What makes each part, by its file: .npz for nested dicts of arrays, .json for anything JSON holds;
+            workers get them pickled.
+        workers: As of `run_tasks`.
+        bar: As of `run_tasks`.
 
     Returns:
         The parts, as `load_part` reads them.
     """
-    tasks = []
-    for i, run in runs.items():
-        path = stem.with_name(f"{stem.name}-{i}.npz")
-        tasks.append(Task(path.stem, path, partial(_keep_part, make, run, seed + i, path)))
-    run_tasks(tasks, options)
-    return [load_part(task.finished) for task in tasks]
+    tasks = [Task(path.stem, path, partial(_keep_part, make, path)) for path, make in makers.items()]
+    run_tasks(tasks, workers, bar=bar)
+    return [load_part(path) for path in makers]
 
 
-def _keep_part(make: Callable[[Run, int], Part], run: Run, seed: int, path: Path) -> None:
-    save_part(path, make(run, seed))
+def _keep_part(make: Callable[[], Part], path: Path) -> None:
+    save_part(path, make())
 
 
 def _make(tasks: Sequence[Task], workers: int) -> None:

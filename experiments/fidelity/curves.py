@@ -11,11 +11,11 @@ from typing import TypeAlias
 import numpy as np
 
 from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M
-from experiments.calibrate.evaluate import INTERVAL, ErrorCurves, learning_curves, summarise
+from experiments.calibrate.evaluate import ErrorCurves, learning_curves, summarise
 from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED
 from experiments.calibrate.report import figure
-from experiments.common.intervals import with_interval
+from experiments.common.tables import cell
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.forward import (
     SIMPLE_GP,
@@ -24,7 +24,7 @@ from experiments.fidelity.forward import (
     press_set,
     simple_gp,
 )
-from experiments.fidelity.sections import CannotTellError, Section, cell
+from experiments.fidelity.sections import CannotTellError, Section
 from i2t.dataset import square_blocks
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import SkinRecording
@@ -57,7 +57,7 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
         r2[name] = summarise(scores.r2[name])
         section.tables[f"held out: {name} ({len(test)} presses)"] = [
             ["R2, mean of the draws [95 %]", *map(str, counts)],
-            *([method, *(_interval_cell(by_count.get(n)) for n in counts)] for method, by_count in r2[name].items()),
+            *([method, *(cell(by_count.get(n)) for n in counts)] for method, by_count in r2[name].items()),
         ]
         section.sentences.append(compare_with_baselines(name, scores.errors[name]))
     section.numbers |= {"load": presses.load_kind, "r2": r2, "held_out": {n: len(t) for n, (_, t) in splits.items()}}
@@ -113,10 +113,6 @@ def compare_with_baselines(split: str, errors: ErrorCurves) -> str:
     if not lost:
         return f"Held out {split}: no baseline beats {CALIBRATED} by more than chance."
     return f"Held out {split}: {CALIBRATED} loses to a baseline at {', '.join(lost)}."
-
-
-def _interval_cell(summary: dict[str, float] | None) -> str:
-    return "-" if summary is None else with_interval(*(summary[end] for end in INTERVAL))
 
 
 # --- several sessions of one skin ---

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from experiments.common.tables import cell
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.describe import changes_in_air
 from experiments.fidelity.forward import (
@@ -19,7 +20,7 @@ from experiments.fidelity.forward import (
     predicted_from_others,
     press_set,
 )
-from experiments.fidelity.sections import CannotTellError, Section, cell
+from experiments.fidelity.sections import CannotTellError, Section
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import STREAM_GAP_S, SkinRecording
 from i2t.skin.boards import AXES_OF_CHIP

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from experiments.common.tables import cell
 from experiments.fidelity.forward import loses_beyond_chance
-from experiments.fidelity.sections import CannotTellError, Section, cell
+from experiments.fidelity.sections import CannotTellError, Section
 from i2t.heads.heads import (
     HEAD_TARGETS,
     MIN_HEAD_ROWS,
-    STDS_OF_90_PERCENT,
     Head,
     HeadPrediction,
     fit_head,
@@ -20,6 +20,7 @@ from i2t.heads.heads import (
     target_rows,
 )  # fmt: skip
 from i2t.heads.regression import BASELINE_HEADS, HeadBudget
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.recordings.read import TARGETS, SkinRecording
 
 PUBLISHED_FIGURES = {
@@ -139,7 +140,7 @@ def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[
     missed = np.sum(error**2, axis=1)
     rmse = kind.scale * float(np.sqrt(np.mean(missed)))
     total = float(np.sum((truth - truth.mean(0)) ** 2))
-    inside = float(np.mean(np.abs(error) <= STDS_OF_90_PERCENT * predicted.std))
+    inside = float(np.mean(np.abs(error) <= STDS_WITHIN_90 * predicted.std))
     r2 = 1 - float(np.sum(missed)) / total if total > 0 else float("nan")
     return HeadScore(len(truth), rmse, kind.scale * float(np.median(np.sqrt(missed))), r2, inside, unfamiliar), missed
 

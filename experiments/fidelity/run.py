@@ -39,7 +39,7 @@ def run(args: FidelityArgs) -> dict[str, Any]:
     started, preset = time.perf_counter(), choose_preset(FIDELITY_PRESETS, args.preset)
     read = _recordings(args.dataset)
     recordings = named_apart([recording for _, recording in read])
-    begin(args.out, args, preset, None, args.overwrite)
+    begin(args, preset)
     chapters: dict[str, list[Section]] = {}
     for recording in recordings:
         print(f"\n{recording.name}: {len(recording)} readings")

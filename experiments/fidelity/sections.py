@@ -73,13 +73,6 @@ def full_stop(sentence: str) -> str:
     return bare if bare.endswith(("...", "!", "?", ":")) else bare.rstrip(".") + "."
 
 
-def cell(value: float | int | None, digits: int = 3) -> str:
-    """A number for a table."""
-    if value is None or value != value:  # NaN
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.{digits}f}"
-
-
 def join(names: Sequence[Any], most: int = 12) -> str:
     """Names in a sentence, not all of many."""
     shown = ", ".join(map(str, names[:most]))

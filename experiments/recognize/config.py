@@ -24,7 +24,6 @@ class Recognition:
     pool_sites: int = 100  # of each object, in each pool from which the paper's heuristic draws
     pool_episodes: int = 5  # that share such a pool
     num_particles: int = 128  # poses of each object
-    simulated_touches: int = 900  # with a pad that was not recorded, to which its pad model is fitted
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE_GRID))
     site_limits: touch_sites.SiteLimits = touch_sites.RECOGNITION_LIMITS
@@ -53,7 +52,6 @@ PRESETS: dict[str, Recognition] = {
         pool_sites=10,
         pool_episodes=2,
         num_particles=16,
-        simulated_touches=100,
         limits=PressLimits(),
     ),
 }

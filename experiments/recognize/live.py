@@ -73,7 +73,7 @@ def run(args: LiveArgs) -> dict[str, Any]:
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
     _, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
     known = load_pad_model(find_pad_model(args.pad_model)[0])
-    require_skin(known.skin, [args.worn], worn_board(args, known.board), f"--skin {args.skin.kind}")
+    require_skin(known, [args.worn], worn_board(args, known.board), f"--skin {args.skin.kind}")
     print(describe(known))
     recognizer = ObjectRecognizer(
         key_sites, known.model, meshes, T_w_o=np.asarray(rig.T_world_object),

@@ -195,13 +195,13 @@ def play_set(
     pools, pool = draw_pools(key_sites, objects, surfaces, len(truth), cfg)
     config = EnvironmentConfig(cfg.errors, cfg.limits, cfg.touches)
     environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], pools.joined(), config)
-    running = begin_episodes(key_world, environment, params, truth)
+    episodes = begin_episodes(key_world, environment, params, truth)
     shared: dict[TouchNumber, TouchOutcome] = {}
     believed: dict[str, np.ndarray] = {}
     with progress(total=len(scorers) * truth.size * cfg.touches, desc=f"{name}: the paper's loop", unit="touch") as bar:
         for method, score in scorers.items():
             made = run_loop(
-                jax.random.clone(key_choice), score, running, environment, params, pools, pool,
+                jax.random.clone(key_choice), score, episodes, pools, pool,
                 shared=shared, progress=bar.update,
             )  # fmt: skip
             believed |= {f"{method}, {rule}": p for rule, p in beliefs_by_rule(made.distance).items()}

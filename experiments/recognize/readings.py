@@ -13,12 +13,10 @@ minutes. Results go to --out: metrics.json (95 % intervals over labels), config.
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
 from experiments.common.reading_tables import (
     AT_RANDOM,
     IN_ORDER,
@@ -32,9 +30,9 @@ from experiments.common.reading_tables import (
     rows_of_labels,
     training_rows,
 )
-from experiments.common.runs import METRICS, Part, begin, load_part, save_part, write_json
-from experiments.common.tables import text_table
-from experiments.common.tasks import Task, run_tasks
+from experiments.common.runs import METRICS, Part, begin, write_json
+from experiments.common.tables import cell, text_table
+from experiments.common.tasks import make_parts
 from experiments.recognize import figures
 from experiments.recognize.arguments import RecordedArgs
 from experiments.recognize.reading_methods import (
@@ -85,28 +83,27 @@ def run(args: RecordedArgs) -> dict[str, Any]:
     refuse_counters(table, args.readings[0])
     require_rows(table, LEAST_ROWS, args.readings[0])
     alike = close_followers(table)
-    begin(args.out, args, FIXED, args.resume, args.overwrite)
+    begin(args, FIXED)
     print(
         f"{len(table.label)} readings of {len(table.columns)} values, {len(table.labels)} labels in "
         f"{len(table.groups)} groups; the first {args.train_share:.0%} of each label's rows teach"
     )
     for sentence in [*table.notes, *describe_touches(table, args.touch, alike)]:
         print(sentence)
-    paths = {
-        (split, i): args.out / f"{split.replace(' ', '_')}-{i}.npz"
+    groups = len(table.groups)
+    makers = {
+        args.out / f"{split.replace(' ', '_')}-{i}.npz": partial(make_part, args, split, i)
         for split in SPLITS
-        for i in range(len(table.groups))
+        for i in range(groups)
     }
-    tasks = [Task(path.stem, path, partial(make_part, args, *which, path)) for which, path in paths.items()]
-    run_tasks(tasks, args.tasks, bar="groups")
+    made = make_parts(makers, args.workers, bar="groups")
     summary: dict[str, Any] = {
         "source": "recorded", "readings": [path.name for path in args.readings], "labels": table.labels,
         "groups": table.groups, "rows": len(table.label), "columns": len(table.columns), "intervals": "over labels",
         "seed": args.seed, "samples": table.samples or None, "close_to_the_row_before": alike,
         "touches_asked": args.max_touches, "splits": {},
     }  # fmt: skip
-    for split in SPLITS:
-        parts = [load_part(paths[split, i]) for i in range(len(table.groups))]
+    for split, parts in zip(SPLITS, (made[:groups], made[groups:]), strict=True):
         choice = choose([Fold(**fold) for part in parts for fold in part["folds"].values()])
         found = recognise(parts, choice, len(table.labels))
         summary["splits"][split] = score(found, choice, table)
@@ -182,7 +179,7 @@ def group_of(table: ReadingTable, split: str, i: int, args: RecordedArgs) -> Gro
 # --- episodes ---
 
 
-def make_part(args: RecordedArgs, split: str, i: int, path: Path) -> None:
+def make_part(args: RecordedArgs, split: str, i: int) -> Part:
     """Log probabilities, by every classifier, of the touches of one group's episodes: of the folds, of the test, and of
     the test where some labels were not taught.
     """
@@ -205,7 +202,7 @@ def make_part(args: RecordedArgs, split: str, i: int, path: Path) -> None:
             train = group.train.without(out)
             far = novelty(train, group.test.reading)[series.rows]
             part["unknown"][str(k)] = {"out": out, "far": far, "log_p": judged(train)}
-    save_part(path, part)
+    return part
 
 
 def unknown_draws(table: ReadingTable, args: RecordedArgs) -> list[np.ndarray]:
@@ -321,25 +318,21 @@ def print_tables(summary: dict[str, Any]) -> None:
         )
         rows = []
         for method, values in entry["methods"].items():
-            cells = [_cell({part: x[t - 1] for part, x in values["accuracy"].items()}) for t in shown]
+            cells = [cell({part: x[t - 1] for part, x in values["accuracy"].items()}) for t in shown]
             error = values["calibration_error"]
             ece = f"{error['error']:.3f} (chance {error['chance']:.3f}, below {error['chance_high']:.3f})"
             rows.append([method, *cells, f"{np.mean(values['log_loss']['mean']):.3f}", ece])
         print(text_table(["method", *(f"after {t}" for t in shown), "log loss", "ECE"], rows))
         for stop in entry["methods"][BELIEF]["stopping"]:
             print(
-                f"  stop at an error of {stop['requested_error']:.0%}: {_cell(stop['stopped'])} stop early, of whom "
-                f"{_cell(stop['stopped_error'])} err"
+                f"  stop at an error of {stop['requested_error']:.0%}: {cell(stop['stopped'])} stop early, of whom "
+                f"{cell(stop['stopped_error'])} err"
             )
     unknown = summary["unknown"]
     if unknown is not None:
         print(f"\n{unknown['unknown']} of {unknown['episodes']} episodes with labels held out; area under the curve")
         rows = [
-            [name, *(_cell({part: x[i] for part, x in unknown[name].items()}) for i in range(len(unknown["touches"])))]
+            [name, *(cell({part: x[i] for part, x in unknown[name].items()}) for i in range(len(unknown["touches"])))]
             for name in (BELIEF, NOVELTY)
         ]
         print(text_table(["by", *(f"after {t}" for t in unknown["touches"])], rows))
-
-
-def _cell(estimate: dict[str, Any]) -> str:
-    return with_interval(estimate["mean"], estimate["low"], estimate["high"])

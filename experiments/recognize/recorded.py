@@ -74,10 +74,10 @@ def run(args: DatasetArgs) -> dict[str, Any]:
     known = load_pad_model(file)
     used = recorded.select(np.isin(recorded.touches.session, [recorded.sessions.index(n) for n in sessions.names]))
     pads = [recorded.pads[i] for i in np.unique(used.touches.pad)]
-    warning = require_skin(known.skin, pads, recorded.board, str(args.dataset), other_skin=args.other_skin)
+    warning = require_skin(known, pads, recorded.board, str(args.dataset), other_skin=args.other_skin)
     if warning:
         print(warning)
-    begin(args.out, args, cfg, None, args.overwrite)
+    begin(args, cfg)
     print(describe(known))
     for correction in corrections:
         print(f"note: {correction}")

@@ -7,26 +7,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.common.intervals import clusters_needed, with_interval
+from experiments.common.intervals import clusters_needed
 from experiments.common.runs import Part, write_json
-from experiments.common.tables import text_table
+from experiments.common.tables import cell, text_table
 from experiments.recognize import figures
 from i2t import viz
 from i2t.dataset import holds_simulated
 from i2t.errors import printable
 from i2t.objects.solids import Mesh
+from i2t.prediction.metrics import MIN_CLUSTERS, Estimate
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.calibrated import TEMPERATURE_SCALING, TemperatureScaling
 from i2t.recognition.episodes import EVIDENCE, Episodes
-from i2t.recognition.intervals import (
-    MIN_CLUSTERS,
-    Estimate,
-    cluster_interval,
-    estimate_at,
-    rate_interval,
-    rows_of,
-)
+from i2t.recognition.intervals import cluster_interval, estimate_at, rate_interval, rows_of
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 from i2t.types import Board
@@ -300,15 +294,16 @@ def print_tables(summary: dict[str, Any]) -> None:
             if method.endswith(UNPRINTED):
                 continue
             published, accuracy = published_accuracy(name, method), values["accuracy"]
-            cells = [_cell({part: limits[t - 1] for part, limits in accuracy.items()}) for t in columns]
+            cells = [cell({part: limits[t - 1] for part, limits in accuracy.items()}) for t in columns]
             means = [f"{np.mean(values[score]):.3f}" for score in ("calibration_error", "log_loss")]
-            rows.append([method, *cells, _cell(values["mean"]), *means, _paper(published)])
+            rows.append([method, *cells, cell(values["mean"]), *means, _paper(published)])
         head = ["method", *(f"after {t}" for t in columns), "mean of all", "ECE", "NLL", ""]
         print(text_table(head, rows))
         print_objects(entry, touches)
         for pair, values in entry["paired"].items():
             pads = f"; {values['pads_needed']} pads for +- 3 points" if values["pads_needed"] else ""
-            print(f"  {pair}: after {touches} {_cell(values['last'], '+')}, mean {_cell(values['mean'], '+')}{pads}")
+            last, mean = (cell(values[score], signed=True) for score in ("last", "mean"))
+            print(f"  {pair}: after {touches} {last}, mean {mean}{pads}")
 
 
 def published_accuracy(name: str, method: str) -> float | None:
@@ -324,7 +319,7 @@ def published_accuracy(name: str, method: str) -> float | None:
 def print_objects(entry: dict[str, Any], touches: int) -> None:
     """Print the rate at which each object is recognised."""
     rows = (
-        [method, *(_cell(values["by_object"][name]["last"]) for name in entry["objects"])]
+        [method, *(cell(values["by_object"][name]["last"]) for name in entry["objects"])]
         for method, values in entry["methods"].items()
         if method.endswith(SHOWN_BY_OBJECT)
     )
@@ -336,14 +331,14 @@ def print_mean_over_objects(summary: dict[str, Any]) -> None:
     if "mean of the sets" not in summary:
         return
     rows = (
-        [method, _cell(estimate), _paper(published_accuracy("mean", method))]
+        [method, cell(estimate), _paper(published_accuracy("mean", method))]
         for method, estimate in summary["mean of the sets"].items()
         if not method.endswith(UNPRINTED)
     )
     print(f"\nall objects of {' and '.join(PAPER_SETS)}, each decided among those of its set:")
     print(text_table(["method", "after the last touch", ""], rows))
     for pair, estimate in summary["differences of these means"].items():
-        print(f"  {pair}: {_cell(estimate, '+')}")
+        print(f"  {pair}: {cell(estimate, signed=True)}")
 
 
 def print_stopping(summary: dict[str, Any]) -> None:
@@ -351,19 +346,15 @@ def print_stopping(summary: dict[str, Any]) -> None:
     entry = summary["sets"].get("all", next(iter(summary["sets"].values())))
     for stop in entry["methods"]["fused"]["stopping"]:
         print(
-            f"stop at an error of {stop['requested_error']:.0%}: error {_cell(stop['error'])}, predicted "
+            f"stop at an error of {stop['requested_error']:.0%}: error {cell(stop['error'])}, predicted "
             f"{stop['predicted_error']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
-            f"{stop['stopped']['mean']:.0%} that stopped early error {_cell(stop['stopped_error'])}, predicted "
+            f"{stop['stopped']['mean']:.0%} that stopped early error {cell(stop['stopped_error'])}, predicted "
             f"{stop['stopped_predicted_error']:.3f}"
         )
 
 
 def _paper(published: float | None) -> str:
     return f"paper: {published:.2f}" if published else ""
-
-
-def _cell(estimate: dict[str, Any], sign: str = "") -> str:
-    return with_interval(estimate["mean"], estimate["low"], estimate["high"], sign=sign)
 
 
 # --- figures ---

@@ -35,7 +35,7 @@ import numpy as np
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin
-from experiments.common.tasks import parts_of_runs
+from experiments.common.tasks import make_parts
 from experiments.recognize import paper
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
@@ -74,12 +74,12 @@ def run(args: SimulateArgs) -> dict[str, Any]:
     """Every pad and seed of the run, then the tables over them."""
     cfg, own = configure(args), load_meshes(args.objects, args.unit)
     runs = finished_runs(args.pad_model, args.pads)
-    begin(args.out, args, cfg, args.resume, args.overwrite)
+    begin(args, cfg)
     by_paper = args.method == "paper"
     play_run = partial(paper.play, cfg) if by_paper else partial(play, cfg, own)
-    stem = args.out / ("loop" if by_paper else "episodes")
-    made = parts_of_runs(play_run, runs, stem, seed=args.seed, options=args.tasks)
-    parts = [reporting.from_part(part) for part in made]
+    stem = "loop" if by_paper else "episodes"
+    makers = {args.out / f"{stem}-{i}.npz": partial(play_run, run, args.seed + i) for i, run in runs.items()}
+    parts = [reporting.from_part(part) for part in make_parts(makers, args.workers)]
     return paper.report(args.out, runs.values(), parts) if by_paper else report(args.out, runs.values(), parts, own)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from experiments.reconstruct.world import MM_PER_M, Session, hidden_points
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.objects.solids import Mesh
 from i2t.reconstruction.signed_distances import (
     VoxelGrid,
@@ -16,7 +17,6 @@ from i2t.reconstruction.signed_distances import (
     signed_distance_grid,
 )
 from i2t.reconstruction.surface import (
-    Z_90,
     SurfaceEstimate,
     SurfaceState,
 )
@@ -95,8 +95,8 @@ def judge(estimate: SurfaceEstimate, truth: TrueShape, errors: SurfaceErrors) ->
         "chamfer_mm": MM_PER_M * 0.5 * float(there.mean() + back.mean()),
         "iou": float((found & truth.inside).sum() / max((found | truth.inside).sum(), 1)),
         "f_score": float(2 * precision * recall / max(precision + recall, 1e-9)),
-        "coverage": float((errors.distance / errors.std < Z_90).mean()),
-        "band_mm": MM_PER_M * Z_90 * float(errors.std.mean()),
+        "coverage": float((errors.distance / errors.std < STDS_WITHIN_90).mean()),
+        "band_mm": MM_PER_M * STDS_WITHIN_90 * float(errors.std.mean()),
         "hidden_mm": MM_PER_M * float(back[truth.hidden].mean()),
     }
 

@@ -58,7 +58,7 @@ Infer = Callable[[PressCurve, PressModel, PatchLibrary], Array]  # weights of th
 def run(args: PatchArgs) -> dict[str, Any]:
     """Run every method on the same presses; print the table, write metrics.json, config.json and a figure."""
     sizes = PATCH_PRESETS[args.preset]
-    begin(args.out, args, sizes, None, args.overwrite)
+    begin(args, sizes)
     key_parts, key_presses, _ = jax.random.split(jax.random.key(args.seed), 3)  # as many as results were made with
     parts = make_parts(key_parts, sizes)
     library = jax.tree.map(jnp.asarray, parts["train"].library)

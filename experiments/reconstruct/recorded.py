@@ -40,7 +40,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     name = choose_object(dataset, args.object, path)
     T_o_t, hit = read_touches(dataset, name)
     model = prior_of(T_o_t[hit], args)
-    begin(args.out, args, args.sizes, None, args.overwrite)  # data that cannot be used leave no folder behind
+    begin(args, args.sizes)  # data that cannot be used leave no folder behind
     state, _ = init(model)
     way = swept_way(dataset)
     for pose, contact in zip(T_o_t, hit, strict=True):

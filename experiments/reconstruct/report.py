@@ -10,7 +10,8 @@ from experiments.reconstruct.arguments import CONDITIONS, ORACLE, PATCH, POSE, R
 from experiments.reconstruct.episodes import SCORES, START, Episode
 from i2t import viz
 from i2t.objects.solids import Mesh
-from i2t.recognition.intervals import Estimate, bootstrap_clusters, mean_interval
+from i2t.prediction.metrics import Estimate
+from i2t.recognition.intervals import bootstrap_clusters, mean_interval
 from i2t.reconstruction.evidence import SurfaceEvidence, Sweep
 from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import SurfaceEstimate
@@ -98,7 +99,7 @@ def _after(found: dict[int, Episode], count: int, pads: int) -> dict[str, list[f
     values = {name: np.array([each.scores[count][name] for each in kept.values()]) for name in SCORES}
     means = {name: mean_interval(value, clusters) for name, value in values.items()}
     means |= {"ratio": ratio("chamfer_mm", START), "hidden_ratio": ratio("hidden_mm", 0)}
-    return {name: [float(found.mean), float(found.low), float(found.high)] for name, found in means.items()}
+    return {name: list(map(float, found)) for name, found in means.items()}
 
 
 def draw_errors(report: dict[str, Any]) -> Picture:

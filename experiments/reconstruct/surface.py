@@ -49,9 +49,9 @@ from experiments.reconstruct.world import (
 )
 from i2t import viz
 from i2t.errors import printable
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, choose_touch
 from i2t.reconstruction.surface import (
-    Z_90,
     SurfaceConfig,
     SurfaceEstimate,
     SurfaceModel,
@@ -156,7 +156,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
         return recorded.run(args)
     sizes, started = args.sizes, time.monotonic()
     split = split_objects(args)
-    begin(args.out, args, sizes, None, args.overwrite)
+    begin(args, sizes)
     print(f"a library of {len(split.train)} shapes, and what {sizes.pads} skins read", flush=True)
     known = surface_model(list(split.train.values()), config=SurfaceConfig(on_table=False), low=LOW_M, high=HIGH_M)
     reality = make_reality(args.seed, split, sizes)
@@ -213,13 +213,17 @@ def choose_band(explorer: Explorer, numbers: Sequence[int]) -> Band:
 
     def fitting(floor: float) -> Band:
         """The scale with which a band of this floor holds as much as it should, over all numbers of touches."""
-        needed = [np.sqrt(np.maximum((each.distance / Z_90) ** 2 - floor**2, 0)) / each.std for each in errors]
+        needed = [
+            np.sqrt(np.maximum((each.distance / STDS_WITHIN_90) ** 2 - floor**2, 0)) / each.std for each in errors
+        ]
         counted_alike = np.concatenate([np.full(len(each), 1 / len(each)) for each in needed])
         scale = np.quantile(np.concatenate(needed), BAND, weights=counted_alike, method="inverted_cdf")
         return Band(float(scale), floor)
 
     def unevenness(band: Band) -> float:
-        held = [np.mean(each.distance <= Z_90 * np.hypot(band.scale * each.std, band.floor)) for each in errors]
+        held = [
+            np.mean(each.distance <= STDS_WITHIN_90 * np.hypot(band.scale * each.std, band.floor)) for each in errors
+        ]
         return float(np.mean((np.array(held) - BAND) ** 2))
 
     return min(map(fitting, BAND_FLOORS_M), key=unevenness)

@@ -1,7 +1,7 @@
 """Tables of surfaces from touches."""
 
-from experiments.common.cells import Measured, estimate, number
-from experiments.common.tables import markdown
+from experiments.common.cells import Measured
+from experiments.common.tables import cell, markdown
 
 _ENDS = (("iou", 2), ("f_score", 2), ("coverage", 2), ("band_mm", 1))  # scores after the last touch, and decimals
 SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "in the 90 % band": "0.88 to 0.92"}
@@ -49,7 +49,7 @@ def _by_touches(title: str, found: Measured) -> str:
     """A row for each condition, a column for each number of touches."""
     counts = sorted({int(count) for each in found.values() for count in each})
     rows = [
-        [name, *(estimate(each[str(count)], 2) if str(count) in each else "" for count in counts)]
+        [name, *(cell(each[str(count)], 2) if str(count) in each else "" for count in counts)]
         for name, each in found.items()
     ]
     return markdown([title, *map(_touches, counts)], rows)
@@ -66,8 +66,8 @@ def _surfaces(measured: Measured) -> tuple[list[str], list[list[str]]]:
     rows = []
     for name, found in conditions.items():
         after = found["after"]
-        begun = number(after["0"]["chamfer_mm"][0] / after["0"]["ratio"][0], 2)
-        course = [estimate(after[str(count)]["ratio"], 2) if str(count) in after else "" for count in counts]
+        begun = cell(after["0"]["chamfer_mm"][0] / after["0"]["ratio"][0], 2)
+        course = [cell(after[str(count)]["ratio"], 2) if str(count) in after else "" for count in counts]
         last = after[max(after, key=int)]
-        rows.append([name, begun, *course, *(number(last[score][0], decimals) for score, decimals in _ENDS)])
+        rows.append([name, begun, *course, *(cell(last[score][0], decimals) for score, decimals in _ENDS)])
     return ["condition", "start, mm", *map(_touches, counts), "IoU", "F-score", "in the 90 % band", "band, mm"], rows

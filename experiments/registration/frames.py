@@ -5,8 +5,8 @@
 DIR holds `ycbvideo` (five frames of YCB-Video, an Asus Xtion at 0.5 to 0.65 m), `ycb_meshes` and `apc_depth` (two
 frames of a RealSense F200). On each posed mesh of the five frames, sites are drawn that the camera sees in all of
 them; there a real patch is extracted from the depth image, and the same patch is imagined from the mesh, at three sizes
-of window. The frames follow each other within a second and show the same scene, so intervals are over sites. The F200's
-frames have no poses of objects: patches are extracted along normals of the depth itself. It takes about a minute on two
+of window. The frames follow each other within a second and show the same scene, so intervals are over sites. Of the
+F200's frames, which have no poses of objects, the share of measured pixels is told. It takes about a minute on two
 cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is what can be
 expected. Results go to --out: metrics.json and config.json.
 """
@@ -22,11 +22,10 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from experiments.common.intervals import with_interval
 from experiments.common.runs import begin, write_json
+from experiments.common.tables import cell, text_table
 from experiments.registration.arguments import FramesArgs
 from i2t.depth.camera import Camera, Encoding, read_depth
-from i2t.depth.distortion import pixel_rays
 from i2t.depth.patches import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
 from i2t.objects import Mesh, read_mesh
@@ -43,8 +42,6 @@ MAX_OCCLUSION_M = 8e-3  # where the image is further than this from the mesh, so
 BORDER_PX = 3  # from a site to the border of the object's label
 EXTRA_REACH_M = STANDOFF  # by which a real patch is read deeper, so that neither noise nor what is in front clips it
 MIN_SHARE = 0.1  # share of a patch's pixels that must be comparable
-F200_FILL_M = 4e-3  # every fifth row and column of the F200's frames is empty, 1 to 1.6 mm wide
-F200_PATCHES = 5
 
 
 @dataclass(frozen=True)
@@ -61,8 +58,6 @@ OBJECTS = (
     FrameObject("025_mug", 14, (-17.11e-3, 16.62e-3, 38.43e-3)),
     FrameObject("061_foam_brick", 21, (-18.46e-3, 17.24e-3, 16.89e-3)),
 )
-# From the data set's cam.info.txt.
-F200 = Camera(640, 480, 477.584259, 477.584167, 314.188080, 245.884354)
 
 
 class Compared(NamedTuple):
@@ -77,7 +72,7 @@ class Compared(NamedTuple):
 def run(args: FramesArgs) -> dict[str, Any]:
     """Compare the patches of all objects, print the table, write metrics.json and config.json."""
     args.check()
-    begin(args.out, args, args, None, args.overwrite)
+    begin(args, args)
     objects: dict[str, Any] = {}
     for item in OBJECTS:
         mesh = read_mesh(args.data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
@@ -93,7 +88,7 @@ def run(args: FramesArgs) -> dict[str, Any]:
         "seed": args.seed,
         "frames": len(FRAMES),
         "objects": objects,
-        "f200": {name: f200_summary(*f200_patches(args, name)) for name in F200_FRAMES},
+        "f200_measured": {name: measured_share(args.data / "apc_depth" / f"{name}.depth.png") for name in F200_FRAMES},
     }
     write_json(args.out / "metrics.json", metrics)
     report(metrics)
@@ -197,61 +192,23 @@ def summary(part: Compared) -> dict[str, Any]:
     }
 
 
-def f200_patches(cfg: FramesArgs, name: str) -> tuple[np.ndarray, DepthPatch]:
-    """A frame without poses, and patches along normals of planes through what is around some of its pixels."""
-    depth = read_depth(cfg.data / "apc_depth" / f"{name}.depth.png", YCB_DEPTH_UNIT_M, Encoding.ROTATED)
-    x, y = np.asarray(pixel_rays(F200))
-    points = np.stack([x * depth, y * depth, depth], -1)
-    rng = np.random.default_rng(cfg.seed)
-    frames_at: list[tuple[np.ndarray, np.ndarray]] = []
-    for row, column in rng.permutation(np.argwhere(np.isfinite(depth))):
-        centre = points[row, column]
-        half = int(np.ceil(PATCH_WINDOW / 2 / centre[2] * F200.fx))
-        around = points[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1].reshape(-1, 3)
-        around = around[np.linalg.norm(around - centre, axis=1) < PATCH_WINDOW / 2]
-        if len(around) < half**2:  # a third of the disc's pixels
-            continue
-        middle = around.mean(0)
-        normal = np.linalg.svd(around - middle, full_matrices=False)[2][2]
-        normal *= -np.sign(normal @ middle)  # towards the camera
-        if -normal @ middle < MIN_COSINE * np.linalg.norm(middle):
-            continue
-        frames_at.append((middle, normal))
-        if len(frames_at) == F200_PATCHES:
-            break
-    if not frames_at:
-        raise ValueError(f"{name} holds no point with enough measured pixels around it; check its encoding")
-    T_w_t = jax.jit(jax.vmap(contact_frame))(*(jnp.float32(np.array(part)) for part in zip(*frames_at, strict=True)))
-    extract = jax.vmap(partial(patch_from_depth, fill=F200_FILL_M), (None, None, None, 0))
-    patches = jax.device_get(jax.jit(extract, static_argnums=1)(depth, F200, np.eye(4, dtype=np.float32), T_w_t))
-    return depth, patches
-
-
-def f200_summary(depth: np.ndarray, patches: DepthPatch) -> dict[str, Any]:
-    """How much of a frame without poses was measured, and of its patches seen."""
-    return {
-        "measured": float(np.isfinite(depth).mean()),
-        "depth_quartiles_m": [float(q) for q in np.nanpercentile(depth, [25, 50, 75])],
-        "seen": [float(share) for share in patches.valid_mask.mean((1, 2))],
-        "filled": [float(share) for share in patches.inpainted_mask.mean((1, 2))],
-    }
+def measured_share(path: Path) -> float:
+    """The share of the pixels of an F200's depth image that were measured."""
+    return float(np.isfinite(read_depth(path, YCB_DEPTH_UNIT_M, Encoding.ROTATED)).mean())
 
 
 def report(metrics: dict[str, Any]) -> None:
     """The table a person reads."""
     print("real against imagined patches, each patch's bias taken off; 95 % interval over sites; mm")
-    print(
-        f"{'object':18}{'window':>8}{'patches':>9}{'median |d|':>22}{'IQR':>7}{'bias':>22}{'> 5 mm':>8}{'compared':>10}"
-    )
+    rows = []
     for name, windows in metrics["objects"].items():
         for window, values in windows.items():
-            median = with_interval(values["median_absolute_mm"], *values["interval_95_mm"], digits=2)
+            median = cell((values["median_absolute_mm"], *values["interval_95_mm"]), 2)
             first, third = values["bias_quartiles_mm"]
             bias = f"{values['bias_median_mm']:+.2f} ({first:+.2f}, {third:+.2f})"
-            print(
-                f"{name:18}{window:>8}{values['patches']:>9}{median:>22}{values['interquartile_range_mm']:7.2f}{bias:>22}"
-                f"{100 * values['over_5_mm']:7.1f}%{100 * values['compared']:9.0f}%"
-            )
-    for name, values in metrics["f200"].items():
-        seen = ", ".join(f"{100 * share:.0f}" for share in values["seen"])
-        print(f"F200 {name}: {100 * values['measured']:.0f} % of the image measured; seen of the patches: {seen} %")
+            shares = f"{100 * values['over_5_mm']:.1f} %", f"{100 * values['compared']:.0f} %"
+            spread = cell(values["interquartile_range_mm"], 2)
+            rows.append((name, window, str(values["patches"]), median, spread, bias, *shares))
+    print(text_table(("object", "window", "patches", "median |d|", "IQR", "bias", "> 5 mm", "compared"), rows))
+    for name, share in metrics["f200_measured"].items():
+        print(f"F200 {name}: {100 * share:.0f} % of the image measured")

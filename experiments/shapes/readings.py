@@ -8,7 +8,6 @@ Where the rows of a label were made in one go, the ambient field of that hour te
 So strokes are compared without it (`experiments.shapes.strokes`), and what it tells alone is a row of the table.
 """
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -23,7 +22,6 @@ from sklearn.neighbors import KNeighborsClassifier
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from experiments.common.intervals import with_interval
 from experiments.common.reading_tables import (
     SPLITS,
     ReadingTable,
@@ -33,9 +31,9 @@ from experiments.common.reading_tables import (
     training_rows,
     with_outliers,
 )
-from experiments.common.runs import begin, write_json
-from experiments.common.tables import text_table
-from experiments.common.tasks import Task, run_tasks
+from experiments.common.runs import Part, begin, write_json
+from experiments.common.tables import cell, text_table
+from experiments.common.tasks import make_parts
 from experiments.shapes import strokes
 from experiments.shapes.arguments import ShapesArgs
 from experiments.shapes.methods import PAPER, Methods, classify
@@ -86,18 +84,18 @@ def run(args: ShapesArgs, cfg: Methods) -> dict[str, Any]:
     refuse_counters(table, args.readings, may_number_touches=False)
     require_rows(table, MIN_ROWS, args.readings)
     data = as_strokes(table, args.samples, args.readings)
-    begin(args.out, args, cfg, args.resume, args.overwrite)
+    begin(args, cfg)
     started = time.perf_counter()
     n, t, d = data.reading.shape
     print(f"{n} rows of {len(data.labels)} labels, {t} sample{'s' if t > 1 else ''} of {d} values each")
     for sentence in table.notes:
         print(sentence)
     train = training_rows(table, SHARE, args.seed)
-    tasks = []
-    for name, taught in train.items():
-        path = args.out / f"{name.replace(' ', '-')}.json"
-        tasks.append(Task(path.stem, path, partial(make_part, data, taught, cfg, args.seed, path)))
-    run_tasks(tasks, args.tasks, bar="splits")
+    makers = {
+        args.out / f"{name.replace(' ', '-')}.json": partial(make_part, data, taught, cfg, args.seed)
+        for name, taught in train.items()
+    }
+    parts = make_parts(makers, args.workers, bar="splits")
     result = {
         "source": "table",
         "seed": args.seed,
@@ -106,9 +104,7 @@ def run(args: ShapesArgs, cfg: Methods) -> dict[str, Any]:
         "values": d,
         "labels": list(data.labels),
         "train": {name: int(taught.sum()) for name, taught in train.items()},
-        "splits": {
-            task_name: json.loads(task.finished.read_text()) for task_name, task in zip(train, tasks, strict=True)
-        },
+        "splits": dict(zip(train, parts, strict=True)),
         "seconds": round(time.perf_counter() - started, 1),
     }
     figures(args.out, result)
@@ -128,11 +124,11 @@ def as_strokes(table: ReadingTable, samples: int, path: Path) -> StrokeTable:
     return StrokeTable(table.reading.reshape(n, samples, -1), table.label, table.labels)
 
 
-def make_part(data: StrokeTable, taught: np.ndarray, cfg: Methods, seed: int, path: Path) -> None:
-    """Scores of all methods in one split, kept in `path`."""
+def make_part(data: StrokeTable, taught: np.ndarray, cfg: Methods, seed: int) -> Part:
+    """Scores of all methods in one split."""
     train, test = np.flatnonzero(taught), np.flatnonzero(~taught)
     told = {name: told_by(fit, data.label, train, test) for name, fit in baselines(data, cfg, seed).items()}
-    part: dict[str, Any] = {}
+    part: Part = {}
     if data.reading.shape[1] > 1:
         warped = WarpedStrokes(data, train)
         told |= {name: warped.tell(test, paths=name == PATH) for name in (WARPED, PATH)}
@@ -148,7 +144,7 @@ def make_part(data: StrokeTable, taught: np.ndarray, cfg: Methods, seed: int, pa
             if name != WARPED:
                 gain = mean_interval(ours - right(each.p, truth), [truth])
                 scores[name][f"{WARPED} better by"] = list(to_json(gain).values())
-    write_json(path, {"methods": scores, **part})
+    return {"methods": scores, **part}
 
 
 # --- methods ---
@@ -269,8 +265,8 @@ def report(result: Mapping[str, Any]) -> None:
         rows = [
             [
                 name,
-                with_interval(*each["accuracy"], ends=2),
-                with_interval(*each["log_loss"], ends=2),
+                cell(each["accuracy"], ends=2),
+                cell(each["log_loss"], ends=2),
                 f"{each['calibration']['error']:.3f} ({each['calibration']['chance']:.3f} by chance)",
             ]
             for name, each in part["methods"].items()

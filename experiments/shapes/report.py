@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
+from experiments.common.tables import cell
 from experiments.shapes.methods import METHODS
 from i2t import viz
 from i2t.dataset import holds_simulated, source_words
-from i2t.recognition.intervals import Estimate, rate_interval, student_interval
+from i2t.prediction.metrics import student_interval
+from i2t.recognition.intervals import rate_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 
@@ -23,7 +24,7 @@ def summarise(
     """
     new = {
         each: {
-            method: _plain(student_interval(np.concatenate([part["new"][each][method] for part in parts])))
+            method: list(map(float, student_interval(np.concatenate([part["new"][each][method] for part in parts]))))
             for method in methods
         }
         for each, methods in parts[0]["new"].items()
@@ -47,7 +48,7 @@ def _scored(
     np.add.at(confusion, (true, guess), 1)
     return {
         "total": _total(guesses, truth, held),
-        "by_shape": {name: _plain(rate_interval(guess[true == i] == i)) for i, name in enumerate(names)},
+        "by_shape": {name: list(map(float, rate_interval(guess[true == i] == i))) for i, name in enumerate(names)},
         "confusion": confusion.tolist(),
     }
 
@@ -58,10 +59,6 @@ def _total(guesses: list[list[int]], truth: list[np.ndarray], held: list[np.ndar
     total = student_interval(np.array(folds))
     mean = float(np.concatenate(right).mean())  # folds are nearly of one size
     return [mean, float(total.low), float(total.high)]
-
-
-def _plain(estimate: Estimate) -> list[float]:
-    return [float(estimate.mean), float(estimate.low), float(estimate.high)]
 
 
 def report(result: dict[str, Any]) -> None:
@@ -75,20 +72,16 @@ def report(result: dict[str, Any]) -> None:
         print(f"{'paper, one real skin':30}" + "".join(f"{PUBLISHED_RATES[name]:10.2f}" for name in (*names, "total")))
     for method, scored in result["splits"]["random"].items():
         each = "".join(f"{scored['by_shape'][name][0]:10.2f}" for name in names)
-        print(f"{method:30}{each}  {_interval(scored['total'])}")
+        print(f"{method:30}{each}  {cell(scored['total'], ends=2)}")
     methods = [method for method in METHODS if method in result["splits"]["random"]]
     print(f"\nheld out{kind}{'':20}" + "".join(f"{method:>30}" for method in methods))
     for split, scored in result["splits"].items():
-        print(f"{split:28}" + "".join(f"{_interval(scored[method]['total']):>30}" for method in methods))
+        print(f"{split:28}" + "".join(f"{cell(scored[method]['total'], ends=2):>30}" for method in methods))
     for each, rates in result["new"].items():
         print(f"\na new skin, {each} presses of each shape{kind}")
         for method, value in rates.items():
-            print(f"  {method:40}{_interval(value)}")
+            print(f"  {method:40}{cell(value, ends=2)}")
     print(f"{result['seconds']:.0f} s")
-
-
-def _interval(value: list[float]) -> str:
-    return with_interval(*value, ends=2)
 
 
 def figures(out: Path, result: dict[str, Any]) -> None:

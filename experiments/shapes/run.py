@@ -13,7 +13,6 @@ each shape are known of. The paper's classifier reached 0.92 on a random fifth. 
 config.json, figures, and the presses (data.h5).
 """
 
-import json
 import time
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,8 +23,8 @@ import jax
 import numpy as np
 
 from experiments.common.presets import choose_preset
-from experiments.common.runs import begin, write_json
-from experiments.common.tasks import Task, run_tasks
+from experiments.common.runs import Part, begin, write_json
+from experiments.common.tasks import make_parts
 from experiments.shapes import report
 from experiments.shapes.arguments import ShapesArgs
 from experiments.shapes.methods import (
@@ -94,7 +93,7 @@ def run(args: ShapesArgs) -> dict[str, Any]:
         from experiments.shapes import readings  # needs scikit-learn, as nothing else here does
 
         return readings.run(args, cfg.methods)
-    begin(args.out, args, cfg, args.resume, args.overwrite)
+    begin(args, cfg)
     started = time.perf_counter()
     presses = prepare(args, cfg)
     dataset, names = presses.dataset, presses.names
@@ -102,12 +101,9 @@ def run(args: ShapesArgs) -> dict[str, Any]:
         f"{len(dataset)} presses ({source_words(dataset.source)}) of {', '.join(map(printable, names))} on "
         f"{len(presses.pads)} pads"
     )
-    tasks = []
-    for pad in range(len(presses.pads)):
-        path = args.out / f"pad-{pad}.json"
-        tasks.append(Task(path.stem, path, partial(make_part, presses, pad, cfg, args.seed, path)))
-    run_tasks(tasks, args.tasks, bar="pads")
-    parts = [json.loads(task.finished.read_text()) for task in tasks]
+    pads = range(len(presses.pads))
+    makers = {args.out / f"pad-{pad}.json": partial(make_part, presses, pad, cfg, args.seed) for pad in pads}
+    parts = make_parts(makers, args.workers, bar="pads")
     result = {
         "source": dataset.source,
         "seed": args.seed,
@@ -149,8 +145,8 @@ def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:
     return made
 
 
-def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int, path: Path) -> None:
-    """Guesses of all methods on one pad, split by split, and their scores where it is a new skin, kept in `path`."""
+def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) -> Part:
+    """Guesses of all methods on one pad, split by split, and their scores where it is a new skin."""
     own, others = presses.pads[pad], presses.pads[:pad] + presses.pads[pad + 1 :]
     classes = len(presses.names)
     benchmark = StampClassificationBenchmark(own, presses.dataset.board, presses.names, cfg.methods, seed)
@@ -171,4 +167,4 @@ def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int, 
             for method, rates in new[str(each)].items():
                 guess = benchmark.log_probability(method, train, test, seed + draw).argmax(1)
                 rates.append(float(np.mean(guess == own.shape[test])))
-    write_json(path, {"splits": splits, "new": new})
+    return {"splits": splits, "new": new}

@@ -122,7 +122,7 @@ def press_stamp(
     key: Key[Array, ""], stamp: Stamp, pad: Pad, position: Float[Array, "2"], rotation: Float[Array, ""],
     force: Float[Array, ""], cfg: StampPressConfig,
 ) -> Touches:  # fmt: skip
-    """One press; the reading is still that of an ideal sensor, and indices are left 0 (see `apply_sensor_model`)."""
+    """One press; the reading is still that of an ideal sensor, and indices are left 0 (see `read_session`)."""
     key_arm, key_tilt, key_scalars = jax.random.split(key, 3)
     force_error, travel_error, *slant = jax.random.normal(key_scalars, (4,))
     believed = pose(position, rotation, stamp)
@@ -194,8 +194,8 @@ def press_session(
     touches = map_batches(
         one, (jax.random.split(key_touch, n), which, positions, rotations, forces), batch_size=PRESSES_AT_ONCE
     )
-    touches = touches._replace(object=which)
-    return simulation.apply_sensor_model(key_skin, touches, pad, ERRORS, presses_before=presses_before)
+    read = simulation.read_session(key_skin, touches.reading, touches.T_w_t, pad, ERRORS, presses_before=presses_before)
+    return touches._replace(reading=read, object=which)
 
 
 def press_stamps(

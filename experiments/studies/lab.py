@@ -26,7 +26,7 @@ from i2t.recognition.site_pool import (
     TouchPlan,
     plan_random_touches,
     pose_particles,
-    precompute_outcomes,
+    predict_outcomes,
     prepare_surfaces,
 )
 from i2t.simulation import touches as simulation
@@ -98,9 +98,7 @@ class StudyLab:
     ) -> list[PredictedTouch]:
         """Predicted touches of the lab's objects, for each reading model."""
         overtravel = self.cfg.limits.overtravel
-        return precompute_outcomes(
-            self.surfaces, particles.twist, sites.T_w_t, models, overtravel=overtravel, label=label
-        )
+        return predict_outcomes(self.surfaces, particles.twist, sites.T_w_t, models, overtravel=overtravel, label=label)
 
     def simulate(
         self,

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import Part, begin, write_json
-from experiments.common.tasks import parts_of_runs
+from experiments.common.tasks import make_parts
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.studies import mismatch, open_set, physics, stopping
 from experiments.studies.arguments import StudyArgs, StudyName
@@ -48,11 +48,12 @@ def run(args: StudyArgs) -> dict[str, Any]:
     """A study on every pad and seed, pooled."""
     out = args.folder
     cfg = choose_preset(PRESETS, args.preset)
-    begin(out, args, cfg, args.resume, args.overwrite)
+    begin(args, cfg)
     runs = finished_runs(args.pad_model, args.pads)
     size = StudySize(DEBUG_EPISODES if args.preset == "debug" else args.episodes, args.preset == "debug")
     work = partial(make_part, args.study, cfg, size)
-    parts = parts_of_runs(work, runs, out / "part", seed=args.seed, options=args.tasks)
+    makers = {out / f"part-{i}.npz": partial(work, run, args.seed + i) for i, run in runs.items()}
+    parts = make_parts(makers, args.workers)
     pads = [run.pad_name for run in runs.values()]
     found = STUDIES[args.study].report(parts, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **found}

@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from experiments.common.cells import Measured, Table, estimate, number, percent, shown
-from experiments.common.tables import markdown
+from experiments.common.cells import Measured, Table, percent, shown
+from experiments.common.tables import cell, markdown
 
 
 def study_table(name: str, hidden: Sequence[str] = ()) -> Table:
@@ -28,10 +28,6 @@ def _cell(value: Any, column: Mapping[str, Any]) -> str:
     """A word as it is; a number or an interval as its column says; a dash where there is none."""
     if isinstance(value, str):
         return value
-    if not isinstance(value, dict):
-        return number(value, column["decimals"])
-    if value["mean"] is None:
-        return "-"
-    if column["percent"]:
+    if column["percent"] and isinstance(value, dict) and value["mean"] is not None:
         return percent(value, column["decimals"])
-    return estimate(value, column["decimals"], column["signed"])
+    return cell(value, column["decimals"], signed=column["signed"] and isinstance(value, dict))

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.intervals import with_interval
 from experiments.common.runs import write_json
-from experiments.common.tables import text_table
+from experiments.common.tables import cell, text_table
 from experiments.train.evaluation import Evaluation
 from experiments.train.finished import CHECKPOINTS, KEPT, ON_PRESSURE, PAD_MODEL, FinishedRun, write_training
 from experiments.train.prepare import Prepared
@@ -22,7 +21,7 @@ from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score,
 from i2t.prediction.predictor import Predictor, coverage, save
 from i2t.prediction.touch_model import Reading
 from i2t.recognition.recorded import to_json
-from i2t.skin_models.pad_model import KnownPad, save_pad_model
+from i2t.skin_models.pad_model import KnownPad
 
 COLUMNS = ("method", "R²", "RMSE µT", "/ sigma", "cosine")
 
@@ -65,7 +64,7 @@ def report(
         "seconds": 0.0,
     }
     if not isinstance(pad_model, str):
-        save_pad_model(out / PAD_MODEL, pad_model)
+        pad_model.save(out / PAD_MODEL)
     kept = save_predictors(out, evaluation, {"source": dataset.source, "seed": about["seed"]})
     write_training(FinishedRun(out, about["pad"], kept, pad_model if isinstance(pad_model, str) else None))
     figures(out, prepared, evaluation, metrics)
@@ -223,10 +222,10 @@ def print_table(result: dict[str, Any]) -> None:
     print(f"\ntest touches{kind}; {over}; kept as predictor: {result['best']}")
     rows = []
     for name, values in result["methods"].items():
-        numbers = [_number(values.get(field)) for field in ("rmse", "rmse_sigma", "cosine")]
-        axes = " / ".join(_number(value) for value in values["r2_axis"])
-        r2 = with_interval(values["r2"], *values["r2_interval"])
-        rows.append([name, r2, *numbers, axes, _number(values.get("coverage_90"))])
+        numbers = [cell(values.get(field), 2) for field in ("rmse", "rmse_sigma", "cosine")]
+        axes = " / ".join(cell(value, 2) for value in values["r2_axis"])
+        r2 = cell((values["r2"], *values["r2_interval"]))
+        rows.append([name, r2, *numbers, axes, cell(values.get("coverage_90"), 2)])
     print(text_table((*COLUMNS, "R² x / y / z", "in 90 %"), rows))
     _print_choice(result)
     _print_objects(result["by_object"])
@@ -237,12 +236,12 @@ def _print_choice(result: dict[str, Any]) -> None:
     """Print what was kept, how sure that is, and whether its range holds what it says."""
     best, choice = result["best"], result["choice"]
     lead, inside = choice["over_best_baseline"], result["methods"][best]
-    said = f"kept: {best}, the best on validation touches (R² {_number(result['validation_r2'][best])})"
+    said = f"kept: {best}, the best on validation touches (R² {cell(result['validation_r2'][best], 2)})"
     if best != choice["best_baseline"]:
         said += f", {_lead(lead, result['validated_on'])} above {choice['best_baseline']}"
     print(
-        f"\n{said}; its 90 % range holds {_number(inside.get('validation_coverage_90'))} of validation values and "
-        f"{_number(inside.get('coverage_90'))} of test values"
+        f"\n{said}; its 90 % range holds {cell(inside.get('validation_coverage_90'), 2)} of validation values and "
+        f"{cell(inside.get('coverage_90'), 2)} of test values"
     )
     for note in result["notes"]:
         print(printable(f"note: {note}"))
@@ -253,16 +252,16 @@ def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:
     objects = f"{over['objects']} {'object' if over['objects'] == 1 else 'objects'}"
     if lead["low"] is None or not np.isfinite(lead["low"]):
         groups = objects if over["groups"] == over["objects"] else f"{over['groups']} groups of {objects}"
-        return f"{with_interval(lead['r2'], None, None)} ({groups}: no interval)"
-    return f"{with_interval(lead['r2'], lead['low'], lead['high'])} (over {over['groups']} groups of {objects})"
+        return f"{cell(lead['r2'])} ({groups}: no interval)"
+    return f"{cell(lead)} (over {over['groups']} groups of {objects})"
 
 
 def _print_methods(title: str, methods: dict[str, Any]) -> None:
     """Estimates of every method."""
     rows = []
     for name, values in methods.items():
-        numbers = [_number(values[field][0]) for field in ("rmse", "rmse_sigma", "cosine")]
-        rows.append([name, with_interval(*values["r2"]), *numbers])
+        numbers = [cell(values[field][0], 2) for field in ("rmse", "rmse_sigma", "cosine")]
+        rows.append([name, cell(values["r2"]), *numbers])
     print(f"\n{title}\n{text_table(COLUMNS, rows)}")
 
 
@@ -271,9 +270,5 @@ def _print_objects(scores: dict[str, dict[str, float]]) -> None:
     if len(scores) < 2:
         return
     methods = next(iter(scores.values()))
-    rows = ([method, *(_number(row.get(method)) for row in scores.values())] for method in methods)
+    rows = ([method, *(cell(row.get(method), 2) for row in scores.values())] for method in methods)
     print(f"\n{text_table(['R² by object', *scores], rows)}")
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None or not np.isfinite(value) else f"{value:.2f}"

@@ -37,7 +37,7 @@ import jax
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS, begin
-from experiments.common.tasks import Task, tasks_here
+from experiments.common.tasks import Task, run_tasks
 from experiments.train.arguments import TrainArgs
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.evaluation import evaluate, pressure_note
@@ -59,7 +59,7 @@ def run(args: TrainArgs) -> dict[str, Any]:
     cfg = configure(args)
     sources = sources_of(args, cfg)
     seeds = range(args.seed, args.seed + cfg.seeds)
-    begin(args.out, args, cfg, args.resume, args.overwrite)
+    begin(args, cfg)
     tasks: list[Task] = []
     for source in sources:
         for seed in seeds:
@@ -67,8 +67,7 @@ def run(args: TrainArgs) -> dict[str, Any]:
             place = args.out / name if len(seeds) * len(sources) > 1 else args.out
             work = partial(run_one, source, cfg, seed=seed, pad_model_seed=args.seed + len(tasks), out=place)
             tasks.append(Task(name, place / METRICS, work))
-    for task in tasks_here(tasks, args.tasks):
-        task.work()
+    run_tasks(tasks, args.workers)
     parts = [json.loads(task.finished.read_text()) for task in tasks]
     result = parts[0] if len(parts) == 1 else summarise(parts, args.out)
     print_table(result)

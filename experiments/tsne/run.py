@@ -52,7 +52,7 @@ PRESETS = {"paper": Plan(), "debug": Plan(3, 2, 99)}
 def run(args: TsneArgs) -> dict[str, Any]:
     """The experiment: touches, map, clusters, stability, agreement, figure."""
     plan = choose_preset(PRESETS, args.preset)
-    begin(args.out, args, plan, None, args.overwrite)
+    begin(args, plan)
     dataset = read_touches(args)
     touches = dataset.touches
     started = time.perf_counter()

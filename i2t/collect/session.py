@@ -22,7 +22,7 @@ from i2t.collect.dry_run import dry_run
 from i2t.collect.notes import board_notes, device_notes, keep_same, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
-from i2t.collect.site_plan import SiteSampler, patch_extractor
+from i2t.collect.site_plan import SiteSampler, extract_patch
 from i2t.collect.touch import ChooseSite, Site, SiteOutcome
 from i2t.dataset import SKIN_NAME, load_dataset
 from i2t.dataset.card import write_card
@@ -101,7 +101,7 @@ def _connect(
         keep_same(notes, device_notes("skin", skin, each.name) | board_notes(each), args.out)
     camera = stack.enter_context(devices.camera)
     keep_same(notes, device_notes("camera", camera), args.out)
-    extract_patch, pose = patch_extractor(), sampler.site(0).T_w_t
+    pose = sampler.site(0).T_w_t
     blank = np.full((camera.camera.height, camera.camera.width), 0.1, np.float32)
     extract_patch(View(0.0, blank, None), camera.camera, pose, pose)  # which compiles it
     arm = stack.enter_context(devices.arm)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Key
 
-from i2t.collect.touch import ExtractPatch, SeenPatch, Site
+from i2t.collect.touch import SeenPatch, Site
 from i2t.depth.camera import Camera
 from i2t.depth.patches import view_from_depth
 from i2t.geometry import full_precision, nearest_rigid
@@ -84,26 +84,21 @@ class SiteSampler:
         return self.site(next(number for number in count() if number not in done))
 
 
-def patch_extractor() -> ExtractPatch:
-    """A function that extracts patches from views as the simulation does from its own, so that what was trained on one
-    fits the other.
+def extract_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenPatch:
+    """Extract a patch from a view as the simulation does from its own, so that what was trained on one fits the other.
+
+    Args:
+        view: Seen by the camera, with its depth image (m).
+        camera: Intrinsics, for each of which it is compiled once.
+        T_w_c: (4, 4) where the camera stood.
+        T_w_t: (4, 4) pose of the tool that looks at the patch.
 
     Returns:
-        The function, which is compiled once for each camera.
+        The patch, its surroundings, and the share of its pixels that were seen.
     """
-
-    def extract(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenPatch:
-        wide, patch, nearest, visible_share = jax.device_get(
-            _extract(
-                jnp.asarray(view.depth, jnp.float32),
-                camera,
-                jnp.asarray(T_w_c, jnp.float32),
-                jnp.asarray(T_w_t, jnp.float32),
-            )
-        )
-        return SeenPatch(patch, wide, float(nearest), float(visible_share))
-
-    return extract
+    depth, *poses = (jnp.asarray(part, jnp.float32) for part in (view.depth, T_w_c, T_w_t))
+    wide, patch, nearest, visible_share = jax.device_get(_extract(depth, camera, *poses))
+    return SeenPatch(patch, wide, float(nearest), float(visible_share))
 
 
 @full_precision

@@ -28,12 +28,10 @@ from i2t.dataset.store import (
     save_dataset,
     write_touch,
 )
-from i2t.errors import DataError
 
 __all__ = [
     "SKIN_NAME",
     "BadFileWarning",
-    "DataError",
     "Dataset",
     "Image",
     "Record",

@@ -17,7 +17,7 @@ import numpy as np
 
 from i2t.depth.camera import Camera
 from i2t.emulators.robot_motion import Robot
-from i2t.emulators.scene import ContactModel, Contacts, TouchableScene
+from i2t.emulators.scene import ContactModel, Contacts, ObjectScene
 from i2t.errors import NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware.base import CameraBase
@@ -82,7 +82,7 @@ class SkinInLab:
         seed: Of the noise.
     """
 
-    def __init__(self, scene: TouchableScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
+    def __init__(self, scene: ObjectScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
         self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
         self.samples: deque[StreamRow] = deque(maxlen=QUEUE_SAMPLES)
         self.number = 0
@@ -135,7 +135,7 @@ class SimulatedLab:
         seed: Of the noise.
     """
 
-    def __init__(self, scene: TouchableScene, clock: Clock, seed: int = 0) -> None:
+    def __init__(self, scene: ObjectScene, clock: Clock, seed: int = 0) -> None:
         self.scene, self.clock = scene, clock
         self.skins = [SkinInLab(scene, seed=seed)]  # first the one at the tool
         self.contacts = Contacts([self.skins[0].contact_model])
@@ -282,7 +282,7 @@ class SimulatedCamera(CameraBase):
 
     def __init__(
         self,
-        scene: TouchableScene,
+        scene: ObjectScene,
         camera: Camera,
         T_t_c: Array,
         pose: Callable[[], Array],

@@ -13,7 +13,7 @@ import socket
 import struct
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,8 +36,6 @@ from i2t.types import Array, Board, Pad, Surface
 LINE_LENGTH_M = 0.12  # of a line on which the object is looked for
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
 LINE_TOLERANCE_M, LINE_TOLERANCE_RAD = 20e-6, 1e-4  # how far from its line a tool is still on it
-SEEN_AT_M = (0.4, 0.0)  # middle of what a camera sees of a plane, below the tool's first pose
-TABLES_SEEN = 5  # times as wide as a table
 ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # base axes: the Earth's about, in its southern half
 STANDING_QUERIES = 3  # times that the same pose is asked for before the tool is taken to stand
 
@@ -104,64 +102,6 @@ class ContactLine(NamedTuple):
         return float(force), self.centre[i], reading
 
 
-class SpringPlane:
-    """A horizontal plane that pushes back like a spring: everything about it is known in closed form.
-
-    Args:
-        height: m, in the base.
-        stiffness: N/m, with arm and mount in it.
-        gain: (3 chips,) uT/N, by which each newton changes the reading.
-        errors: Of the lab.
-        board: Of the skin.
-    """
-
-    def __init__(
-        self,
-        height: float,
-        stiffness: float,
-        gain: Array,
-        errors: SimulationErrors,
-        board: Board,
-    ) -> None:
-        self.height, self.stiffness, self.gain = height, stiffness, gain
-        self.errors, self.board = errors, board
-        self.rest, self.gains = np.zeros(board.num_readings), np.ones(board.num_readings)
-        self.triangles = TABLES_SEEN * table_triangles(np.eye(4)) + np.array([*SEEN_AT_M, height])
-        self.T_t_camera = np.eye(4)
-
-    def near(self, position: Array) -> bool:
-        """Test whether anything may be within a line's reach, from above or below.
-
-        Args:
-            position: (3,) m, in the base.
-
-        Returns:
-            False only where nothing can be met.
-        """
-        return bool(abs(position[2] - self.height) < LINE_LENGTH_M)
-
-    def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line from a pose along tool z, with what the skin meets on it.
-
-        Args:
-            T_b_t: (4, 4) pose that the arm reports.
-
-        Returns:
-            The line.
-        """
-        down = -T_b_t[2, 2]
-        first = (T_b_t[2, 3] - self.height) / down if down > 0 else np.inf
-        force = np.array([0.0, 1.0])
-        return ContactLine(
-            T_b_t=T_b_t,
-            first=float(first),
-            past_contact=force / self.stiffness,
-            force=force,
-            centre=np.zeros((2, 2)),
-            reading=force[:, None] * self.gain[None],
-        )
-
-
 # Compiled once, whichever seed.
 _draw_errors = jax.jit(sample_session_errors)
 
@@ -203,11 +143,25 @@ class ObjectScene:
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
     def near(self, position: Array) -> bool:
-        """Test whether the object may be near, as in `SpringPlane.near`."""
+        """Test whether the object may be within a line's reach.
+
+        Args:
+            position: (3,) m, in the base.
+
+        Returns:
+            False only where nothing can be met.
+        """
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
     def ahead(self, T_b_t: Array) -> ContactLine:
-        """The line to the object, as in `SpringPlane.ahead`; the tool is off the pose by the arm's own errors."""
+        """The line from a pose along tool z, with what the skin meets on it.
+
+        Args:
+            T_b_t: (4, 4) pose that the arm reports; the tool is off it by the arm's own errors.
+
+        Returns:
+            The line.
+        """
         off = np.eye(4)
         off[:3, 3] = self.errors.repeatability * self._random.standard_normal(3)
         off[:3, :3] = so3_exp(self.errors.approach_angle * self._random.standard_normal(3))
@@ -241,9 +195,6 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
     return first, *jax.lax.map(press, loads)
 
 
-TouchableScene: TypeAlias = ObjectScene | SpringPlane
-
-
 class ContactModel:
     """Contact of a skin on a moving tool, and the skin's reading.
 
@@ -261,7 +212,7 @@ class ContactModel:
 
     def __init__(
         self,
-        scene: TouchableScene,
+        scene: ObjectScene,
         wait: bool = True,
         T_tool_skin: Array | None = None,
         to: Address | None = None,

@@ -62,18 +62,17 @@ class FittedPlane(NamedTuple):
     flatness_error: float  # m, by which each corner misses their plane
 
 
-def corner_rotation(side: tuple[int, int], tilt: float = TILT_RAD) -> Float[Array, "3 3"]:
+def corner_rotation(side: tuple[int, int]) -> Float[Array, "3 3"]:
     """The turn that brings one corner of the skin forward.
 
     Args:
         side: Signs of the corner's x and y.
-        tilt: rad.
 
     Returns:
         (3, 3) rotation in the tool's axes.
     """
     axis = np.array([side[1], -side[0], 0.0]) / math.sqrt(2)  # axis x corner is along +z
-    return Rotation.from_rotvec(tilt * axis).as_matrix()
+    return Rotation.from_rotvec(TILT_RAD * axis).as_matrix()
 
 
 def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> float:
@@ -124,13 +123,12 @@ def corner_force(indentation: Float[Array, " n"], soft: float, stiffness: float)
     return (np.cbrt(half + root) + np.cbrt(half - root)) ** 3
 
 
-def fit_plane(touches: Sequence[Array], height: float, half: float = PAD_WINDOW / 2) -> FittedPlane:
+def fit_plane(touches: Sequence[Array], height: float) -> FittedPlane:
     """The skin's face from the tool's poses where each of its corners began to touch.
 
     Args:
         touches: Four T_b_t (4, 4), in the order of `CORNER_SIGNS`.
         height: m, of the flat in the base.
-        half: m, half the skin's edge.
 
     Returns:
         Where the face is in the tool.
@@ -138,7 +136,7 @@ def fit_plane(touches: Sequence[Array], height: float, half: float = PAD_WINDOW 
     Raises:
         ValueError: It lies so far from the tool's frame that something else was touched.
     """
-    corners = half * np.array(CORNER_SIGNS, float)
+    corners = PAD_WINDOW / 2 * np.array(CORNER_SIGNS, float)
     z = np.array([(height - T[2, 3] - T[2, :2] @ corner) / T[2, 2] for T, corner in zip(touches, corners, strict=True)])
     design = np.column_stack([np.ones(4), corners])
     z0, sx, sy = np.linalg.lstsq(design, z, rcond=None)[0]

@@ -51,6 +51,7 @@ from i2t.heads.regression import (
     nearest_known,
     predict_regression,
 )
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.recordings.diagnose.smooth import thinned
 from i2t.recordings.read import (
     MIN_CHANGE,
@@ -70,7 +71,6 @@ BLOCK_M = 6e-3
 BLOCKS_ACROSS = 4  # of a range too small for blocks of BLOCK_M
 TIME_STRETCHES = 10  # of a recording of one position
 RANGE_SHARE = 0.9  # of rows in a stated range, and of groups that hold as many
-STDS_OF_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
 ALIKE_SHARE = 0.05  # of the rows, whose errors say how far off the head is for a reading like them
 ALIKE_ROWS = 30  # at least
 UNFAMILIAR_QUANTILE = 0.999  # of distances between known readings
@@ -539,7 +539,7 @@ def _fit_spread(readings: np.ndarray, errors: np.ndarray, groups: np.ndarray, di
     ratio = (np.abs(flat) / _alike(record, record.likeness, leave_out_itself=True)).reshape(errors.shape)
     # In the way of holding out that needs most: between known places, as a rule.
     factor = np.max([_factor_of_groups(*way) for way in zip(ratio, groups, strict=True)], axis=0)
-    return record._replace(factor=np.maximum(factor / STDS_OF_90_PERCENT, 1e-3))
+    return record._replace(factor=np.maximum(factor / STDS_WITHIN_90, 1e-3))
 
 
 def _factor_of_groups(ratio: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -115,15 +115,14 @@ def prism(region: CrossSection, height: Real, base: Real = 0.0) -> Manifold:
     return Manifold.extrude(region, height).translate((0, 0, base))
 
 
-def ball(radius: Real, centre: Sequence[Real] = (0.0, 0.0, 0.0), scale: Sequence[Real] = (1.0, 1.0, 1.0)) -> Manifold:
+def ball(radius: Real, scale: Sequence[Real] = (1.0, 1.0, 1.0)) -> Manifold:
     """A sphere, or an ellipsoid along the axes.
 
     Args:
         radius: mm.
-        centre: mm.
         scale: Factors along the axes.
 
     Returns:
         The solid.
     """
-    return Manifold.sphere(radius, segments(radius)).scale(tuple(scale)).translate(tuple(centre))
+    return Manifold.sphere(radius, segments(radius)).scale(tuple(scale))

@@ -194,7 +194,7 @@ def ellipsoid(width: float = 70e-3, depth: float = 50e-3, height: float = 40e-3)
         The mesh (m).
     """
     axes = 0.5 * MM_PER_M * np.array([width, depth, height])
-    return mesh_from_solid(ball(axes.max(), scale=list(axes / axes.max())))
+    return mesh_from_solid(ball(axes.max(), list(axes / axes.max())))
 
 
 def torus(across: float = 68e-3, tube: float = 20e-3) -> Mesh:

@@ -190,12 +190,12 @@ def features_of(
     return np.c_[seen, standard / np.sqrt(max(standard.shape[1], 1))]
 
 
-def fold_of(groups: Int[np.ndarray, " n"], folds: int = FOLDS) -> Int[np.ndarray, " n"]:
-    """Parts of cross-validation that leave groups whole; rows by themselves where there is but one group.
+def fold_of(groups: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Parts of cross-validation that leave groups whole: `FOLDS`, or as many as there are groups; of a single group,
+    rows are parted by themselves.
 
     Args:
         groups: The run or spatial block of each touch.
-        folds: How many parts, at most as many as groups.
 
     Returns:
         The number of each touch's part, from 0.
@@ -203,7 +203,7 @@ def fold_of(groups: Int[np.ndarray, " n"], folds: int = FOLDS) -> Int[np.ndarray
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2:
         names = group = np.arange(len(groups))
-    return np.random.default_rng(0).permutation(len(names))[group.ravel()] % min(folds, len(names))
+    return np.random.default_rng(0).permutation(len(names))[group.ravel()] % min(FOLDS, len(names))
 
 
 def ridge(

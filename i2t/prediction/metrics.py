@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 RESAMPLES = 1000
+COVERAGE = 0.95  # of every interval
 MIN_CLUSTERS = 3  # fewer say nothing about others: there is no interval over them
 EQUALLY_NEAR = 1e-12  # of the squared lengths of features: what rounding makes of one distance
 
@@ -81,7 +82,7 @@ def _three(values: Iterable[float]) -> tuple[float, float, float]:
 
 
 def grouped_interval(
-    statistic: Callable[[np.ndarray], float], groups: np.ndarray, seed: int = 0, level: float = 0.95
+    statistic: Callable[[np.ndarray], float], groups: np.ndarray, seed: int = 0
 ) -> tuple[float, float]:
     """Percentile bootstrap over whole groups (Davison and Hinkley 1997, section 3.8).
 
@@ -89,7 +90,6 @@ def grouped_interval(
         statistic: Function of the resampled row numbers.
         groups: (n,) run or spatial block of each row; rows of one group are not independent.
         seed: Of the resampling.
-        level: Coverage.
 
     Returns:
         Both ends of the interval; NaN where there are fewer than three groups. Resamples of which the statistic is NaN
@@ -103,16 +103,15 @@ def grouped_interval(
         statistic(np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))]))
         for _ in range(RESAMPLES)
     ]
-    low, high = np.nanquantile(draws, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.nanquantile(draws, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
     return float(low), float(high)
 
 
-def student_interval(values: Sequence[int | float] | np.ndarray, level: float = 0.95) -> Estimate:
+def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
     """Mean and Student's t interval of independent values, such as seeds or episodes.
 
     Args:
         values: (n, ...), independent along axis 0.
-        level: Coverage.
 
     Returns:
         Mean and both ends, floats for values (n,); a single value has no interval (NaN).
@@ -121,7 +120,7 @@ def student_interval(values: Sequence[int | float] | np.ndarray, level: float = 
     n, mean = len(sample), sample.mean(0)
     if n < 2:
         return Estimate(mean, mean * np.nan, mean * np.nan)
-    half = stats.t.ppf((1 + level) / 2, n - 1) * sample.std(0, ddof=1) / np.sqrt(n)
+    half = stats.t.ppf((1 + COVERAGE) / 2, n - 1) * sample.std(0, ddof=1) / np.sqrt(n)
     return Estimate(mean, mean - half, mean + half)
 
 

@@ -30,6 +30,7 @@ from i2t.contact.pressure import PressureModelConfig
 from i2t.errors import CheckpointError
 from i2t.files.archives import may_grow_to
 from i2t.files.reading import read_json
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.models import ready_hint, ready_path
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.patches.views import WideView
@@ -43,7 +44,6 @@ from i2t.types import Board, Surface
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 4
 MAX_DESCRIPTION_BYTES = 2**26
-STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine in ten
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 

@@ -248,7 +248,7 @@ def believe(
             some: Episodes = select_rows(episodes, rows)
             tables = predict_outcomes(
                 surfaces, twist, T[np.resize(where, most)], reading_models,
-                overtravel=overtravel, bar=bar,
+                overtravel=overtravel, label=label, bar=bar,
             )  # fmt: skip
             some = some._replace(site=of_touch.reshape(each, touches))
             found: dict[str, np.ndarray] = {}

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
 
 from i2t.recognition.environment import (
     EnvironmentObservation,
@@ -83,9 +82,9 @@ class SingleTouchEnv(gymnasium.Env):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("step before reset; call reset first")
         self._key, key = jax.random.split(self._key)
-        obs, self._state, reward, done, info = _step(
-            self.environment, key, self._state, _as_action(action), self.params
-        )
+        touch, prediction = jnp.asarray(action["action"], jnp.int32), jnp.asarray(action["prediction"], jnp.float32)
+        made = _step(self.environment, key, self._state, TouchAction(touch, prediction), self.params)
+        obs, self._state, reward, done, info = made
         return _as_dict(obs), float(reward), bool(done), False, {name: np.asarray(info[name]) for name in INFOS}
 
 
@@ -140,26 +139,8 @@ def register_environments() -> str:
     return ENVIRONMENT_ID
 
 
-@partial(jax.jit, static_argnums=0)
-def _reset(
-    environment: TouchEnvironment, key: Key[Array, ""], params: EnvironmentParams
-) -> tuple[EnvironmentObservation, EpisodeState]:
-    return environment.reset(key, params)
-
-
-@partial(jax.jit, static_argnums=0)
-def _step(
-    environment: TouchEnvironment,
-    key: Key[Array, ""],
-    state: EpisodeState,
-    action: TouchAction,
-    params: EnvironmentParams,
-) -> tuple[EnvironmentObservation, EpisodeState, Array, Array, dict[str, Any]]:
-    return environment.step_env(key, state, action, params)
-
-
-def _as_action(action: dict[str, Any]) -> TouchAction:
-    return TouchAction(jnp.asarray(action["action"], jnp.int32), jnp.asarray(action["prediction"], jnp.float32))
+_reset = jax.jit(TouchEnvironment.reset, static_argnums=0)
+_step = jax.jit(TouchEnvironment.step_env, static_argnums=0)
 
 
 def _as_dict(obs: EnvironmentObservation) -> dict[str, np.ndarray]:

@@ -18,13 +18,9 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy import stats
 
-from i2t.prediction.metrics import MIN_CLUSTERS as MIN_CLUSTERS
-from i2t.prediction.metrics import Estimate as Estimate
-from i2t.prediction.metrics import student_interval as student_interval
+from i2t.prediction.metrics import COVERAGE, MIN_CLUSTERS, RESAMPLES, Estimate, student_interval
 from i2t.types import Array
 
-COVERAGE = 0.95  # of every interval
-RESAMPLES = 1000  # of a bootstrap
 ALIKE = 1e-12  # variance of episodes that differ by rounding only
 
 Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, for each factor

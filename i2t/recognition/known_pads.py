@@ -102,7 +102,7 @@ def _predict(
 ) -> PredictedTouch:
     """Predicted touches, (pads, sites, objects, k)."""
     surfaces = [element(params.surfaces, i) for i in range(params.objects)]
-    made = predict_outcomes(surfaces, twist, params.T_w_site, models, overtravel=overtravel)
+    made = predict_outcomes(surfaces, twist, params.T_w_site, models, overtravel=overtravel, label="pads")
     return jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *made)
 
 

@@ -12,11 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from i2t.prediction.metrics import COVERAGE, RESAMPLES, Estimate
 from i2t.recognition.intervals import (
-    COVERAGE,
-    RESAMPLES,
     Clusters,
-    Estimate,
     bootstrap_clusters,
     mean_interval,
     rate_interval,
@@ -179,7 +177,6 @@ def calibration_error(
     confidences: Float[Array, "*n"],
     hit: Shaped[Array, "*n"],
     bins: int = BINS,
-    seed: int = 0,
     *,
     cluster: Shaped[Array, "*n"] | None = None,
 ) -> CalibrationError:
@@ -194,7 +191,6 @@ def calibration_error(
         confidences: Of the decisions, in [0, 1].
         hit: Whether each is right, as `hits`.
         bins: How many.
-        seed: Of the resampling.
         cluster: Label of each decision's cluster, whose decisions are right or wrong together at one confidence.
 
     Returns:
@@ -203,7 +199,7 @@ def calibration_error(
     confidences, hit = np.ravel(np.asarray(confidences, np.float64)), np.ravel(hit)
     which = np.clip((confidences * bins).astype(int), 0, bins - 1)
     of_draw = np.arange(len(which)) if cluster is None else np.unique(np.ravel(cluster), return_inverse=True)[1]
-    drawn = np.random.default_rng(seed).random((RESAMPLES, of_draw.max(initial=-1) + 1))[:, of_draw] < confidences
+    drawn = np.random.default_rng(0).random((RESAMPLES, of_draw.max(initial=-1) + 1))[:, of_draw] < confidences
     in_bin = (which[:, None] == np.arange(bins)).astype(np.float64)
     observed, *chance = np.abs(np.vstack([hit, drawn]) @ in_bin - confidences @ in_bin).sum(1) / len(confidences)
     return CalibrationError(float(observed), float(np.mean(chance)), float(np.quantile(chance, COVERAGE)))
@@ -268,9 +264,7 @@ def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *,
 # --- unknown objects ---
 
 
-def auroc(
-    p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], *, clusters: Clusters = (), seed: int = 0
-) -> Estimate:
+def auroc(p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], *, clusters: Clusters = ()) -> Estimate:
     """Area under the receiver operating characteristic of detecting unknown objects: the probability that an episode
     with an unknown object has more in the unknown class than one without, equal ones counted half.
 
@@ -278,7 +272,6 @@ def auroc(
         p_unknown: Probability of the unknown class.
         unknown: Whether the object was unknown.
         clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
-        seed: Of the bootstrap.
 
     Returns:
         Estimates (t,).
@@ -293,7 +286,7 @@ def auroc(
     def areas(weight: np.ndarray) -> np.ndarray:
         return np.array([_area(x[unknown], x[~unknown], weight[unknown], weight[~unknown]) for x in p_unknown.T])
 
-    found = bootstrap_clusters(areas, clusters, len(unknown), seed=seed)
+    found = bootstrap_clusters(areas, clusters, len(unknown))
     # Few clusters make intervals of Student's t wider than what an area can be.
     return found._replace(low=np.maximum(found.low, 0.0), high=np.minimum(found.high, 1.0))
 

@@ -29,7 +29,7 @@ from i2t.patches.views import centre
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch
-from i2t.recognition.environment import EnvironmentParams, TouchEnvironment, TouchOutcome
+from i2t.recognition.environment import TouchOutcome
 from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.rollout import RunningEpisodes, TouchNumber, advance, last_touches
 from i2t.recognition.site_pool import SitePools, pool_informativeness
@@ -209,9 +209,7 @@ def paper_rules(
 def run_loop(
     key: Key[Array, ""],
     score: Scorer,
-    running: RunningEpisodes,
-    environment: TouchEnvironment,
-    params: EnvironmentParams,
+    episodes: RunningEpisodes,
     pools: SitePools,
     pool: Int[np.ndarray, " e"],
     *,
@@ -224,9 +222,7 @@ def run_loop(
     Args:
         key: Of hypotheses and sites.
         score: Distances of touches from the objects: the method.
-        running: The episodes before their first touch.
-        environment: Its rules, the number of touches among them.
-        params: Its objects; its sites are the pools joined.
+        episodes: The episodes before their first touch, in an environment whose sites are the pools joined.
         pools: Of sites.
         pool: Number of each episode's pool.
         rule: Which of the paper's rules makes the belief that hypotheses are sampled from.
@@ -244,15 +240,15 @@ def run_loop(
         return (pool * objects + hypothesis) * each + site
 
     def touch(
-        running: RunningEpisodes, hypothesis: np.ndarray, site: np.ndarray
+        episodes: RunningEpisodes, hypothesis: np.ndarray, site: np.ndarray
     ) -> tuple[RunningEpisodes, MeasuredTouches]:
-        after = advance(running, row(hypothesis, site)[:, None], environment, params, shared=shared)
+        after = advance(episodes, row(hypothesis, site)[:, None], shared=shared)
         shared.update(after.new)
-        return after, last_touches(after, environment, params)
+        return after, last_touches(after)
 
     made = loop.run(
-        key, running, touch, score, pool_informativeness(pools)[pool],
-        count=environment.config.touches, rule=rule, progress=progress,
+        key, episodes, touch, score, pool_informativeness(pools)[pool],
+        count=episodes.environment.config.touches, rule=rule, progress=progress,
     )  # fmt: skip
     rows = [row(*one) for one in zip(made.hypothesis.T, made.site.T, strict=True)]
     return made._replace(site=np.stack(rows, axis=1))

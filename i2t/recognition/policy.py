@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jax.scipy.special import logsumexp, xlogy
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.contact.press import stop_load
+from i2t.contact.press import PressLimits, stop_load
 from i2t.recognition.belief import Belief, TouchObservation, evidence, log_likelihood, posterior
 from i2t.recognition.outcomes import PredictedTouch, interpolate_load
 from i2t.rendering.ops import element
@@ -69,7 +69,6 @@ def expected_information_gain(
     likelihood: Likelihood,
     *,
     skin_change: float | Float[Array, ""] = 25.0,
-    force: float | Float[Array, ""] = 8.0,
     num_draws: int = NUM_DRAWS,
     num_particles: int = NUM_COMPARED_PARTICLES,
 ) -> InformationGain:
@@ -81,7 +80,6 @@ def expected_information_gain(
         table: Predicted touches, (sites, objects, k).
         likelihood: How far measurements may be from predictions.
         skin_change: Change of the reading (uT) at which a press ends.
-        force: Force (N) at which it ends at the latest.
         num_draws: Imagined outcomes of each site; static.
         num_particles: Particles of each object they are compared with; static.
 
@@ -99,7 +97,7 @@ def expected_information_gain(
     twist = compared.mean[objects, particle] + jnp.einsum("nij,nj->ni", root[objects, particle], normal)
     noise = _draw_noise(key_noise, likelihood, (num_draws, table.reading.shape[-1] + 2))
     draws = _Draws(objects, particle, twist, noise)
-    imagine = partial(imagine_observation, likelihood=likelihood, skin_change=skin_change, force=force)
+    imagine = partial(imagine_observation, likelihood=likelihood, skin_change=skin_change, force=PressLimits.force)
 
     def site_gain(row: PredictedTouch) -> InformationGain:
         some = jax.tree.map(lambda x: jax.vmap(lambda x, i: x[i])(x, compared.particle), row)  # (objects, particles)

@@ -35,7 +35,7 @@ from i2t.recognition.policy import choose_informative_site
 from i2t.recognition.site_pool import (
     SitePool,
     place_surfaces,
-    precompute_outcomes,
+    predict_outcomes,
     prepare_surfaces,
     safe_sites,
     sample_sites,
@@ -186,7 +186,7 @@ class ObjectRecognizer:
         self.sites = sites  # in the object's frame, as the predicted touches are
         pose_prior = outcomes.placement_std(POSE_STD_M, POSE_STD_RAD) if pose_prior is None else pose_prior
         self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed)
-        (table,) = precompute_outcomes(
+        (table,) = predict_outcomes(
             surfaces, self.particles.twist, sites.T_w_t, [pad_model.reading_model],
             overtravel=config.overtravel, label="candidates",
         )  # fmt: skip

@@ -50,6 +50,8 @@ SitePolicy: TypeAlias = Callable[[Array, EpisodeState, EnvironmentParams], Array
 class RunningEpisodes(NamedTuple):
     """Episodes side by side, as far as they went; arrays on the host."""
 
+    environment: TouchEnvironment
+    params: EnvironmentParams
     key_touch: UInt32[np.ndarray, "2"]  # data of the random key of all touches
     states: EpisodeState  # (e, ...), all with as many touches
     new: Mapping[TouchNumber, TouchOutcome] = {}  # touches that the last call of `advance` had to make
@@ -76,14 +78,12 @@ def begin_episodes(
     """
     pad = np.zeros(len(truth), int) if pad is None else pad
     begun = _begin(key, jnp.asarray(truth), jnp.asarray(pad), params, environment.config)
-    return RunningEpisodes(*jax.device_get(begun))
+    return RunningEpisodes(environment, params, *jax.device_get(begun))
 
 
 def advance(
-    running: RunningEpisodes,
+    episodes: RunningEpisodes,
     site: Int[np.ndarray, "e n"],
-    environment: TouchEnvironment,
-    params: EnvironmentParams,
     *,
     shared: Mapping[TouchNumber, TouchOutcome] | None = None,
     bar: Progress | None = None,
@@ -91,10 +91,8 @@ def advance(
     """Make the next n touches of every episode.
 
     Args:
-        running: The episodes.
+        episodes: The episodes so far.
         site: Numbers of the sites to touch.
-        environment: Its rules.
-        params: What may be there.
         shared: Touches that episodes of the same key, objects and sites made; they are not made again.
         bar: Shows progress.
 
@@ -107,7 +105,7 @@ def advance(
     site = np.asarray(site)
     if (site < 0).any():
         raise ValueError("an episode has no site to touch: none was chosen")
-    states, (e, n) = running.states, site.shape
+    states, (e, n) = episodes.states, site.shape
     count = int(states.num_made[0])
     numbers = [(count + i % n, i // n, int(where)) for i, where in enumerate(site.reshape(-1))]
     made = {} if shared is None else {number: shared[number] for number in numbers if number in shared}
@@ -115,8 +113,8 @@ def advance(
         bar.update(len(made))
     missing = np.flatnonzero([number not in made for number in numbers])
     new: dict[TouchNumber, TouchOutcome] = {}
-    keys = np.asarray(_touch_keys(running.key_touch, count, n=n, episodes=e))
-    for rows, batch in _touch(states, keys, site, missing, environment, params):
+    keys = np.asarray(_touch_keys(episodes.key_touch, count, n=n, episodes=e))
+    for rows, batch in _touch(episodes, keys, site, missing):
         new |= {numbers[i]: jax.tree.map(lambda x, j=j: x[j], batch) for j, i in enumerate(rows)}
         if bar is not None:
             bar.update(len(rows))
@@ -124,67 +122,43 @@ def advance(
     outcome = jax.tree.map(lambda *x: np.stack(x).reshape(e, n, *x[0].shape), *[made[number] for number in numbers])
     for i in range(n):
         states = _record(states, site[:, i], jax.tree.map(lambda x, i=i: x[:, i], outcome))
-        if params.beliefs is not None:
-            states = jax.device_get(_believe(states, params, environment.config))
-    return RunningEpisodes(running.key_touch, states, new)
+        if episodes.params.beliefs is not None:
+            states = jax.device_get(_believe(states, episodes.params, episodes.environment.config))
+    return episodes._replace(states=states, new=new)
 
 
-def observations(
-    running: RunningEpisodes, environment: TouchEnvironment, params: EnvironmentParams
-) -> TouchObservation:
-    """Measurements of all touches so far.
+def episodes_of(episodes: RunningEpisodes) -> Episodes:
+    """Record of episodes as far as they went.
 
     Args:
-        running: The episodes.
-        environment: Its rules.
-        params: What may be there.
+        episodes: The episodes so far.
 
     Returns:
-        Measurements (e, t).
+        Objects, sites and measurements of the touches made.
     """
-    states = running.states
+    states, params = episodes.states, episodes.params
     e, count = len(states.object), int(states.num_made[0])
     parts = filled_batches(np.arange(e), EPISODE_BATCH)
     calls = ((select_rows(states, rows),) for rows in parts)
-    read = np.concatenate(list(spread(_read, calls, shared=(params.pads, environment.config))))[:e, :count]
-    made = jax.tree.map(lambda x: x[:, :count], states.made)
-    advanced = advance_from(np.asarray(params.T_w_site)[states.site[:, :count]], made.T_w_t)
-    return TouchObservation(*map(jnp.asarray, (read, made.force, advanced.astype(np.float32), made.contact)))
+    read = np.concatenate(list(spread(_read, calls, shared=(params.pads, episodes.environment.config))))[:e, :count]
+    site, made = np.asarray(states.site[:, :count]), jax.tree.map(lambda x: x[:, :count], states.made)
+    advanced = advance_from(np.asarray(params.T_w_site)[site], made.T_w_t).astype(np.float32)
+    seen = TouchObservation(*map(jnp.asarray, (read, made.force, advanced, made.contact)))
+    return Episodes(np.asarray(states.object), site, seen, np.asarray(made.T_w_t))
 
 
-def last_touches(running: RunningEpisodes, environment: TouchEnvironment, params: EnvironmentParams) -> MeasuredTouches:
+def last_touches(episodes: RunningEpisodes) -> MeasuredTouches:
     """The last touch of each episode.
 
     Args:
-        running: The episodes.
-        environment: Its rules.
-        params: What may be there.
+        episodes: The episodes so far.
 
     Returns:
         Measurements (e,).
     """
-    seen = observations(running, environment, params)
-    last = int(running.states.num_made[0]) - 1
-    return MeasuredTouches(
-        *map(np.asarray, (running.states.made.T_w_t[:, last], seen.reading[:, -1], seen.force[:, -1]))
-    )
-
-
-def episodes_of(running: RunningEpisodes, environment: TouchEnvironment, params: EnvironmentParams) -> Episodes:
-    """Record of episodes as far as they went.
-
-    Args:
-        running: The episodes.
-        environment: Its rules.
-        params: What may be there.
-
-    Returns:
-        The record.
-    """
-    states, count = running.states, int(running.states.num_made[0])
-    seen = observations(running, environment, params)
-    site, T_w_t = np.asarray(states.site[:, :count]), np.asarray(states.made.T_w_t[:, :count])
-    return Episodes(np.asarray(states.object), site, seen, T_w_t)
+    made = episodes_of(episodes)
+    seen = made.observations
+    return MeasuredTouches(made.T_w_t[:, -1], np.asarray(seen.reading[:, -1]), np.asarray(seen.force[:, -1]))
 
 
 def rollout(
@@ -209,13 +183,13 @@ def rollout(
         The episodes, and the posterior over the objects after each touch.
     """
     key_world, key_policy = jax.random.split(key)
-    running = begin_episodes(key_world, environment, params, truth, pad)
+    episodes = begin_episodes(key_world, environment, params, truth, pad)
     posteriors = []
     for i in range(environment.config.touches):
-        site = _choose(jax.random.fold_in(key_policy, i), running.states, params, policy=policy)
-        running = advance(running, np.asarray(site)[:, None], environment, params)
-        posteriors.append(np.asarray(_posteriors(running.states.belief)))
-    return episodes_of(running, environment, params), np.stack(posteriors, axis=1)
+        site = _choose(jax.random.fold_in(key_policy, i), episodes.states, params, policy=policy)
+        episodes = advance(episodes, np.asarray(site)[:, None])
+        posteriors.append(np.asarray(_posteriors(episodes.states.belief)))
+    return episodes_of(episodes), np.stack(posteriors, axis=1)
 
 
 def run_episodes(
@@ -245,10 +219,10 @@ def run_episodes(
         The episodes.
     """
     environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], sites, config)
-    running = begin_episodes(key, environment, params, truth)
+    episodes = begin_episodes(key, environment, params, truth)
     with progress(total=chosen.size, desc=f"{label}: touching", unit="touch") as bar:
-        running = advance(running, chosen, environment, params, bar=bar)
-    return episodes_of(running, environment, params)
+        episodes = advance(episodes, chosen, bar=bar)
+    return episodes_of(episodes)
 
 
 # --- policies ---
@@ -366,19 +340,14 @@ def _touch_keys(key: Array, before: Int[Array, ""] | int, *, n: int, episodes: i
 
 
 def _touch(
-    states: EpisodeState,
-    keys: np.ndarray,
-    site: np.ndarray,
-    missing: np.ndarray,
-    environment: TouchEnvironment,
-    params: EnvironmentParams,
+    episodes: RunningEpisodes, keys: np.ndarray, site: np.ndarray, missing: np.ndarray
 ) -> Iterator[tuple[np.ndarray, TouchOutcome]]:
     """The missing touches, rows of `site` in the order of episodes, in batches of one size that are filled up."""
-    e, n = site.shape
+    states, params, (e, n) = episodes.states, episodes.params, site.shape
     size = min(EPISODE_BATCH, 1 << (e - 1).bit_length())
     of_pads = [missing[states.pad[missing // n] == pad] for pad in np.unique(states.pad)]
     batches = [rows[start : start + size] for rows in of_pads for start in range(0, len(rows), size)]
-    given = environment.config
+    given = episodes.environment.config
     config = EnvironmentConfig(given.press_errors, given.limits, given.touches, given.law)
 
     def call(rows: np.ndarray) -> tuple[np.ndarray, EpisodeState, np.ndarray, Pad, PadResponse]:

@@ -1,7 +1,7 @@
 """Sites of several objects: the safe ones, the chosen ones, and the predicted touch of each on every object.
 
 A pool of sites serves a recogniser that chooses among them, so that touches are predicted once for every object in each
-of its possible poses (`precompute_outcomes`). Episodes that are to be judged need sites of their own, because those
+of its possible poses (`predict_outcomes`). Episodes that are to be judged need sites of their own, because those
 that share sites are alike: `plan_random_touches` draws every touch's site anew; where sites are chosen, `sample_pools`
 draws a pool for every few episodes. Simulated objects stand at the world's origin. Where an object stands elsewhere,
 its surface is placed there (`place_surfaces`) before sites are drawn and checked, because what is safe depends on how
@@ -9,6 +9,7 @@ it stands: on what is up, and on where the table is.
 """
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -174,7 +175,7 @@ def _are_safe(surface: Surface, T_w_t: Array, limits: touch_sites.SiteLimits) ->
     return jax.vmap(partial(touch_sites.is_safe, surface, limits=limits))(T_w_t)
 
 
-def precompute_outcomes(
+def predict_outcomes(
     surfaces: Sequence[Surface],
     twist: Float[Array, "k 6"],
     T_w_site: Float[Array | np.ndarray, "sites 4 4"],
@@ -182,8 +183,9 @@ def precompute_outcomes(
     *,
     overtravel: float,
     label: str,
+    bar: Progress | None = None,
 ) -> list[PredictedTouch]:
-    """Predict touches with a progress bar.
+    """Predict a touch of every object in every pose at every site, with a progress bar.
 
     Args:
         surfaces: Of the objects.
@@ -192,34 +194,7 @@ def precompute_outcomes(
         reading_models: Of some pads, at the same loads.
         overtravel: Distance (m) beyond a site after which a press gives up.
         label: What the bar says the touches are for.
-
-    Returns:
-        For each pad the predicted touches, (sites, objects, k), on the host.
-    """
-    layers = {tuple(float(part) for part in model.layer) for model in reading_models}
-    total = len(layers) * len(surfaces) * len(T_w_site) * len(twist)
-    with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
-        return predict_outcomes(surfaces, twist, T_w_site, reading_models, overtravel=overtravel, bar=bar)
-
-
-def predict_outcomes(
-    surfaces: Sequence[Surface],
-    twist: Float[Array, "k 6"],
-    T_w_site: Float[Array | np.ndarray, "sites 4 4"],
-    reading_models: Sequence[LinearReadingModel],
-    *,
-    overtravel: float,
-    bar: Progress | None = None,
-) -> list[PredictedTouch]:
-    """Predict a touch of every object in every pose at every site.
-
-    Args:
-        surfaces: Of the objects.
-        twist: Of the pose particles (m).
-        T_w_site: Sites.
-        reading_models: Of some pads, at the same loads.
-        overtravel: Distance (m) beyond a site after which a press gives up.
-        bar: Shows progress.
+        bar: A bar of several predictions, which counts these too, instead of one of their own.
 
     Returns:
         For each pad the predicted touches, (sites, objects, k), on the host.
@@ -228,12 +203,15 @@ def predict_outcomes(
     for i, model in enumerate(reading_models):
         by_layer.setdefault(tuple(float(part) for part in model.layer), []).append(i)
     most = max(len(some) for some in by_layer.values())
-    found: dict[int, PredictedTouch] = {}
-    for some in by_layer.values():
-        models = [reading_models[i] for i in np.resize(some, most)]  # filled up: one compilation serves all layers
-        made = _predict_on_layer(surfaces, twist, np.asarray(T_w_site), models, overtravel, bar)
-        found |= dict(zip(some, made, strict=False))
-    return [found[i] for i in range(len(reading_models))]
+    predicted: dict[int, PredictedTouch] = {}
+    total = len(by_layer) * len(surfaces) * len(T_w_site) * len(twist)
+    new_bar = partial(progress, total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True)
+    with new_bar() if bar is None else nullcontext(bar) as shown:
+        for some in by_layer.values():
+            models = [reading_models[i] for i in np.resize(some, most)]  # filled up: one compilation serves all layers
+            made = _predict_on_layer(surfaces, twist, np.asarray(T_w_site), models, overtravel, shown)
+            predicted |= dict(zip(some, made, strict=False))
+    return [predicted[i] for i in range(len(reading_models))]
 
 
 def _predict_on_layer(
@@ -242,7 +220,7 @@ def _predict_on_layer(
     T: np.ndarray,
     models: Sequence[LinearReadingModel],
     overtravel: float,
-    bar: Progress | None,
+    bar: Progress,
 ) -> list[PredictedTouch]:
     each = max(BATCH_TOUCHES // len(twist), 1)
     rows = filled_batches(np.arange(len(T)), each)
@@ -256,8 +234,7 @@ def _predict_on_layer(
             result = jax.tree.map(lambda x, shape=shape: np.empty((*shape, *x.shape[1:]), x.dtype), part)
         for whole, values in zip(jax.tree.leaves(result), jax.tree.leaves(part), strict=True):
             whole[some, number] = values
-        if bar is not None:
-            bar.update(len(np.unique(some)) * len(twist))
+        bar.update(len(np.unique(some)) * len(twist))
     assert result is not None
     return result
 

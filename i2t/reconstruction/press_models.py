@@ -34,13 +34,12 @@ NO_SLANT = np.zeros(2, np.float32)
 SLIDING_RIDGE = 0.1  # of the mean square of the pressures
 
 
-def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelihood | None = None) -> PressModel:
+def imagine_presses(pad: Pad, library: PatchLibrary) -> PressModel:
     """Readings of a pad of known physics at a library's patches: simulated, nominal, or fitted to its presses.
 
     Args:
         pad: The skin.
         library: The patches.
-        likelihood: How far presses differ from what is imagined.
 
     Returns:
         The model, on the default device.
@@ -65,7 +64,7 @@ def imagine_presses(pad: Pad, library: PatchLibrary, *, likelihood: PatchLikelih
         travel=jnp.asarray((indentation + loads[None] / np.float32(PressLimits.stiffness)).T),
         axes=jnp.asarray(axes),
         noise=jnp.asarray(np.maximum(variance, 0), jnp.float32),
-        likelihood=likelihood or PatchLikelihood(),
+        likelihood=PatchLikelihood(),
     )
 
 

@@ -37,7 +37,6 @@ from i2t.reconstruction.signed_distances import VoxelGrid, corners_of, extract_m
 from i2t.types import Array
 
 MIN_ACROSS_M, MAX_ACROSS_M = 2e-3, 1.0  # of a shape of the library
-Z_90 = 1.645  # standard deviations of a band of 90 %
 
 
 @dataclass(frozen=True)

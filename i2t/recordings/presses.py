@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from i2t.dataset import Dataset, square_blocks
+from i2t.dataset import Dataset
 from i2t.geometry import inverse
 from i2t.types import Board
 
@@ -109,14 +109,3 @@ class LoadedPresses(NamedTuple):
         """
         both = np.column_stack([self.position, self.load])
         return (both / np.maximum(both.std(0), 1e-9))[rows]
-
-    def blocks(self, edge_mm: float) -> Int[np.ndarray, " n"]:
-        """The square block of the skin in which each press lies.
-
-        Args:
-            edge_mm: Edge of a block (mm).
-
-        Returns:
-            Numbers from 0.
-        """
-        return square_blocks(MM_PER_M * self.position, edge_mm)

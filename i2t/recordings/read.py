@@ -35,6 +35,7 @@ from i2t.recordings.columns import (
     TARGET_COLUMNS,
     TIME,
     ambient_columns,
+    beginning_of,
     library_factor,
     value_columns,
 )
@@ -398,8 +399,8 @@ def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
     names = value_columns(chips)
     if not chips or any(name not in table.columns for name in names):
         raise DataError(
-            f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({table.text.beginning}); name them as in "
-            "docs/data.md"
+            f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({beginning_of(table.text.header)}); name them "
+            "as in docs/data.md"
         )
     return names
 
@@ -496,14 +497,6 @@ def _cleaned(recording: SkinRecording) -> SkinRecording:
     return replace(recording, targets=known)
 
 
-def _lines(path: Path) -> list[list[str]]:
-    """The cells of a table's lines."""
-    try:
-        return list(csv.reader(read_text(path).splitlines()))
-    except csv.Error as error:
-        raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
-
-
 def _numbers(cells: list[str], count: int) -> list[float]:
     """Numbers of a line; NaN for other text."""
     numbers = [parse_number(cell) for cell in [*cells, *[""] * count][:count]]
@@ -513,7 +506,10 @@ def _numbers(cells: list[str], count: int) -> list[float]:
 def _loose_table(folder: Path, name: str) -> np.ndarray:
     """One table of a session without its damage: rows in the order of time, unreadable cells as NaN."""
     path = table_path(folder, name)
-    lines = [line for line in _lines(path) if line]
+    try:
+        lines = [line for line in csv.reader(read_text(path).splitlines()) if line]
+    except csv.Error as error:
+        raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
     if not lines:
         raise DataError(f"{path}: holds no row; restore it from the source")
     width = Counter(map(len, lines)).most_common(1)[0][0]

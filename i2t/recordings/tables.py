@@ -37,7 +37,6 @@ from i2t.recordings.columns import (
     TEXT_COLUMNS,
     TIME,
     UNIT_WORDS,
-    beginning_of,
     is_field_or_ours,
     is_number,
     is_ours,
@@ -67,11 +66,6 @@ class TextTable(NamedTuple):
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
     notes: list[str]  # sentences on what was changed
 
-    @property
-    def beginning(self) -> str:
-        """The first names, for a sentence that refuses the table."""
-        return beginning_of(self.header)
-
 
 class TableRows(NamedTuple):
     """A table whose rows are read one after the other, once."""
@@ -95,7 +89,7 @@ def read_text_table(path: Path) -> TextTable:
     """
     with os_errors_as_data_errors(path):
         require_unpackable(path)
-    table = _table(path)
+    table = open_text_table(path)
     return TextTable(table.header, list(table.rows), table.notes)
 
 
@@ -113,7 +107,40 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
     Raises:
         DataError: The file cannot be read, or is not a table. Errors in a row are raised when that row is read.
     """
-    return _table(path, as_named, texts)
+    with os_errors_as_data_errors(path):
+        encoding = encoding_of_file(path)
+    lines = _lines(path, encoding)
+    begins = _beginning(lines, texts)
+    parts = [cells for _, cells in _parsed(path, begins.sample, begins.delimiter, strict=False) if not _is_empty(cells)]
+    units = parts[0] if parts and _are_units(parts[0]) else []
+    sample = parts[bool(units) :]
+    kept = [i for i, name in enumerate(begins.names) if name]
+    stated = [_with_unit(path, begins.names[i], *units[i : i + 1]) for i in kept]
+    cells_of = [[cells[i].strip() for cells in sample if i < len(cells) and cells[i].strip()] for i in kept]
+    notes = _notes_on(encoding, begins)
+    columns = _Columns(stated, [1.0] * len(stated), False, texts) if as_named else _our_columns(stated, cells_of, notes)
+    dates = columns.where(lambda name, _: columns.stamps and name == TIME)
+    seconds = columns.where(lambda name, factor: name == TIME and factor == 1)
+    seconds = [i for i in seconds if not as_named and i not in dates and _is_decimal_time(cells_of[i])]
+    numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or is_read(name)))
+    numbers = [i for i in numbers if i not in (*dates, *seconds)]
+    at, counters = [kept[i] for i in numbers], [kept[i] for i in columns.where(lambda name, _: name == TIME)]
+
+    def all_kinds() -> Counter[str]:
+        return count_kinds(
+            (cells for _, cells in _parsed(path, _lines(path, encoding), begins.delimiter, strict=False)), at, counters
+        )
+
+    signs = DecimalSigns(path, count_kinds(sample, at, counters), all_kinds, begins.delimiter)
+    changes: list[tuple[list[int], Callable[[str], str]]] = [(dates, _stamp), (seconds, _with_decimal_point)]
+    if begins.delimiter != "," or signs.sign == ",":
+        decimal = ", and commas are decimal" if signs.sign == "," else ""
+        notes.append(f"fields are separated by {DELIMITERS[begins.delimiter]}{decimal}")
+    if units:
+        notes.append("units stand in the line below the names of the columns")
+    numbered = _parsed(path, chain(begins.sample, lines), begins.delimiter, begins.before)
+    rows = _without_other_lines(path, numbered, begins, columns, units, notes)
+    return TableRows(columns.header, _undone(rows, begins, columns, kept, numbers, signs, changes, notes), notes)
 
 
 def sound_rows(
@@ -123,6 +150,9 @@ def sound_rows(
     columns: Sequence[str],
     needed: Callable[[np.ndarray], np.ndarray],
     notes: ReadingLog,
+    *,
+    bound: float = MAX_TABLE_VALUE,
+    remedy: str = "correct it",
 ) -> tuple[list[tuple[int, list[str]]], np.ndarray]:
     """Read the numbers of rows, and leave out rows without plausible numbers as damaged.
 
@@ -133,6 +163,8 @@ def sound_rows(
         columns: Names of the columns to read.
         needed: Takes the mask (n, columns) of empty fields, and returns the mask of fields that may not be empty.
         notes: Log that refuses or counts damaged rows.
+        bound: Bound of a plausible number.
+        remedy: What the user is to do about a cell without one.
 
     Returns:
         The rows that are left, and their numbers (n, columns), NaN in empty fields.
@@ -145,30 +177,30 @@ def sound_rows(
         if len(cells) == len(header):
             complete.append((number, cells))
         else:
-            remedy = "give one for each column"
+            advice = "give one for each column"
             if 3 * len(cells) > 4 * len(header):  # a field in three or more is torn
-                remedy = "if its numbers have decimal commas, export it with semicolons between fields"
-            notes.skip_row(DataError(f"{path}: line {number} has not {len(header)} fields but {len(cells)}; {remedy}"))
+                advice = "if its numbers have decimal commas, export it with semicolons between fields"
+            notes.skip_row(DataError(f"{path}: line {number} has not {len(header)} fields but {len(cells)}; {advice}"))
     at = [header.index(name) for name in columns]
     numbers = _numbers([[cells[i] for i in at] for _, cells in complete], len(at))
-    wrong = (np.abs(numbers) >= MAX_TABLE_VALUE) & (np.array(columns) != TIME)  # Unix time is larger than all else
+    wrong = (np.abs(numbers) >= bound) & (np.array(columns) != TIME)  # Unix time is larger than all else
     wrong |= np.isinf(numbers) | (np.isnan(numbers) & needed(np.isnan(numbers)))
     for k in np.flatnonzero(wrong.any(1)):
         (line, cells), j = complete[k], int(np.flatnonzero(wrong[k])[0])
         cell = cells[at[j]]
-        problem = _problem(cell, columns[j])
+        problem = _problem(cell, columns[j], remedy)
         cell = as_written(cell)
         notes.skip_row(DataError(f"{path}: line {line} has {cell!r} in column {columns[j]}, {problem}"))
     sound = ~wrong.any(1)
     return [row for row, kept in zip(complete, sound, strict=True) if kept], numbers[sound]
 
 
-def _problem(cell: str, column: str) -> str:
+def _problem(cell: str, column: str, remedy: str) -> str:
     """Half a sentence on what is wrong with a cell without a plausible number, and what to do."""
     if cell.endswith(GROUPED_MARK):
         return "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
     if column != TIME or not (cell.endswith(NO_TIME_MARK) or re.search("[0-9][:./-][0-9]", cell)):
-        return "which is not a plausible number; correct it"
+        return f"which is not a plausible number; {remedy}"
     days = parse_number(as_written(cell))
     counted = " but may count days, as spreadsheets do" if days and EXCEL_DAYS[0] <= days < EXCEL_DAYS[1] else ""
     return f"which is no time in ISO 8601{counted}; write it as 2025-10-20 12:00:00.010, or in seconds"
@@ -230,44 +262,6 @@ class _Columns(NamedTuple):
     def where(self, wanted: Callable[[str, float], bool]) -> list[int]:
         """Indices of the columns whose name and factor are wanted."""
         return [i for i, both in enumerate(zip(self.header, self.factors, strict=True)) if wanted(*both)]
-
-
-def _table(path: Path, as_named: bool = False, texts: Sequence[str] = ()) -> TableRows:
-    """The table under our names and in our units, with notes on what was changed."""
-    with os_errors_as_data_errors(path):
-        encoding = encoding_of_file(path)
-    lines = _lines(path, encoding)
-    begins = _beginning(lines, texts)
-    parts = [cells for _, cells in _parsed(path, begins.sample, begins.delimiter, strict=False) if not _is_empty(cells)]
-    units = parts[0] if parts and _are_units(parts[0]) else []
-    sample = parts[bool(units) :]
-    kept = [i for i, name in enumerate(begins.names) if name]
-    stated = [_with_unit(path, begins.names[i], *units[i : i + 1]) for i in kept]
-    cells_of = [[cells[i].strip() for cells in sample if i < len(cells) and cells[i].strip()] for i in kept]
-    notes = _notes_on(encoding, begins)
-    columns = _Columns(stated, [1.0] * len(stated), False, texts) if as_named else _our_columns(stated, cells_of, notes)
-    dates = columns.where(lambda name, _: columns.stamps and name == TIME)
-    seconds = columns.where(lambda name, factor: name == TIME and factor == 1)
-    seconds = [i for i in seconds if not as_named and i not in dates and _is_decimal_time(cells_of[i])]
-    numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or is_read(name)))
-    numbers = [i for i in numbers if i not in (*dates, *seconds)]
-    at, counters = [kept[i] for i in numbers], [kept[i] for i in columns.where(lambda name, _: name == TIME)]
-
-    def all_kinds() -> Counter[str]:
-        return count_kinds(
-            (cells for _, cells in _parsed(path, _lines(path, encoding), begins.delimiter, strict=False)), at, counters
-        )
-
-    signs = DecimalSigns(path, count_kinds(sample, at, counters), all_kinds, begins.delimiter)
-    changes: list[tuple[list[int], Callable[[str], str]]] = [(dates, _stamp), (seconds, _with_decimal_point)]
-    if begins.delimiter != "," or signs.sign == ",":
-        decimal = ", and commas are decimal" if signs.sign == "," else ""
-        notes.append(f"fields are separated by {DELIMITERS[begins.delimiter]}{decimal}")
-    if units:
-        notes.append("units stand in the line below the names of the columns")
-    numbered = _parsed(path, chain(begins.sample, lines), begins.delimiter, begins.before)
-    rows = _without_other_lines(path, numbered, begins, columns, units, notes)
-    return TableRows(columns.header, _undone(rows, begins, columns, kept, numbers, signs, changes, notes), notes)
 
 
 def _without_other_lines(

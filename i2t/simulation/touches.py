@@ -182,7 +182,7 @@ def simulate_touch(
             1 mm; it is worked out anew where it is not given.
 
     Returns:
-        One touch. Its reading is still that of an ideal sensor (see `apply_sensor_model`), and its indices are left 0
+        One touch. Its reading is still that of an ideal sensor (see `read_session`), and its indices are left 0
         for the caller.
     """
     key_arm, key_tilt, key_camera, key_scalars = jax.random.split(key, 4)
@@ -272,31 +272,6 @@ def _press(
 
 
 @geometry.full_precision
-def apply_sensor_model(
-    key: Key[Array, ""],
-    touches: Touches,
-    pad: Pad,
-    errors: SimulationErrors,
-    *,
-    presses_before: Int[Array, ""] | int = 0,
-) -> Touches:
-    """Give the touches of one session readings of a real sensor instead of those of an ideal one.
-
-    Args:
-        key: random key of the session; faults of the board itself are the same in all its sessions.
-        touches: of one session, in the order made.
-        pad: the skin.
-        errors: whose noise and faults are applied.
-        presses_before: that the pad had in the sessions before, and that softened it.
-
-    Returns:
-        The touches with other readings.
-    """
-    read = read_session(key, touches.reading, touches.T_w_t, pad, errors, presses_before=presses_before)
-    return touches._replace(reading=read)
-
-
-@geometry.full_precision
 def read_session(
     key: Key[Array, ""],
     reading: Float[Array, "n c"],
@@ -343,7 +318,7 @@ def touch_simulator(
     Args:
         key: random key of the session and of all its touches.
         surface: of the object, in its frame.
-        pad: the skin; its readings are those of an ideal sensor (see `apply_sensor_model`).
+        pad: the skin; its readings are those of an ideal sensor (see `read_session`).
         errors: of the lab.
         limits: when a press ends.
         T_w_o: pose of the object as the lab believes it; the world's origin by default.
@@ -420,7 +395,8 @@ def _simulate_session(
 
     touches = jax.vmap(touch)(jax.random.split(key_touches, n), chosen.T_w_t)
     touches = touches._replace(code=jnp.where(chosen.safe, touches.code, ReturnCode.FAILED))
-    return apply_sensor_model(key_skin, touches, pad, errors, presses_before=presses_before)
+    read = read_session(key_skin, touches.reading, touches.T_w_t, pad, errors, presses_before=presses_before)
+    return touches._replace(reading=read)
 
 
 OF_SESSION = ("n", "law")  # static

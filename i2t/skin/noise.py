@@ -1,4 +1,4 @@
-"""Sensor errors added to the field: white noise, a slow ambient field, steps of the converter, drift.
+"""Sensor errors added to the field: white noise, a slow ambient field, steps of the converter.
 
 A chip's sample is `quantise(field + ambient + white)`; a reading is the mean of the samples in contact minus the mean
 of the samples before it. Sizes come from recordings of real ReSkin boards at rest with the paper's settings (MLX90393,
@@ -32,7 +32,7 @@ class Noise:
     common: float = 0.26  # part of that variance that is the slow ambient field
     step_xy: float = 0.150  # of the converter
     step_z: float = 0.242
-    drift: float = 4.0  # median over channels of the drift's standard deviation at the end of a session
+    drift: float = 4.0  # median over channels of a real board's drift in a session; not added to readings
     ambient_samples: int = 10  # averaged before contact, as in the paper
     contact_samples: int = 10  # and in contact
 
@@ -156,24 +156,3 @@ def quantise(readings: Float[Array, "*n c"], noise: Noise) -> Float[Array, "*n c
     steps = noise.steps(channels // 3).reshape((1,) * (readings.ndim - 1) + (channels,))
     safe = jnp.where(steps > 0, steps, 1)
     return jnp.where(steps > 0, jnp.round(readings / safe) * safe, readings)
-
-
-def drift(key: Key[Array, ""], touches: int, noise: Noise, channels: int) -> Float[Array, "n c"]:
-    """Drift of each channel at each of a session's touches: a random walk from zero.
-
-    Its standard deviation at the end is lognormal over channels about `noise.drift` with a factor of e either way, so
-    that two thirds of the channels lie between 1.5 and 11 uT and the largest of many reach the 64 uT once seen.
-
-    Args:
-        key: random key.
-        touches: of the session.
-        noise: sizes of the errors.
-        channels: of the board, three for each chip.
-
-    Returns:
-        Drift in uT.
-    """
-    key_size, key_walk = jax.random.split(key)
-    size = noise.drift * jnp.exp(jax.random.normal(key_size, (channels,)))
-    steps = jax.random.normal(key_walk, (touches, channels)) / np.sqrt(touches)
-    return size[None] * jnp.cumsum(steps, axis=0)

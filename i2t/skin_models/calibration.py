@@ -122,25 +122,16 @@ class Calibration:
         """
         positions, loads, single = _as_rows(positions, loads, self.load_kind)
         _check_rows(positions, loads, self.load_kind)
-        previous = None if self.previous is None else self.previous.predict_mean(positions, loads)
-        table = PressTable(positions, loads, previous)
-        with one_thread_for_few(len(self.gp.readings)):
-            mean, std = population.predict_population(self.gp, table, self._conditioned)
+        mean, std = self._predict_table(PressTable(positions, loads))
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
 
-    def predict_mean(self, positions: np.ndarray, loads: np.ndarray) -> np.ndarray:
-        """Mean readings of presses, which a later session takes for its own mean.
-
-        Args:
-            positions: (n, 2) m.
-            loads: (n, kinds) m or N.
-
-        Returns:
-            (n, c) uT.
-        """
-        columns = loads if loads.shape[1] > 1 else loads[:, 0] if loads.shape[1] else None
-        return self.predict(positions, columns)[0]
+    def _predict_table(self, table: PressTable) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation (uT) of the mixture; the mean of an earlier session is that of this one."""
+        if self.previous is not None:
+            table = table._replace(previous_mean=self.previous._predict_table(table)[0])
+        with one_thread_for_few(len(self.gp.readings)):
+            return population.predict_population(self.gp, table, self._conditioned)
 
     def save(self, path: Path | str) -> None:
         """Write one file, which appears whole or not at all.
@@ -222,7 +213,7 @@ class TipModel:
                 raise ValueError(
                     "the earlier session has other channels or another kind of load; calibrate it as this one"
                 )
-            table = table._replace(previous_mean=previous.predict_mean(table.position, table.loads))
+            table = table._replace(previous_mean=previous._predict_table(table)[0])
         chips = np.stack(list(boards.values())) if boards else None
         gp = population.fit_population(table, readings, load_kinds=LOAD_COLUMNS[self.load_kind], chip_positions=chips)
         kept = () if gp.chip_positions is None else gp.chip_positions

@@ -30,14 +30,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 from scipy import linalg, optimize
 
-from i2t.skin.pad import (
-    CHIP_GAP_M,
-    MAGNETIZATION_A_PER_M,
-    MOUNT_COMPLIANCE_M_PER_N,
-    POISSON_RATIO,
-    THICKNESS_M,
-    YOUNG_PA,
-)
+from i2t.skin_models.magnetic_layer import SHAPE_PARAMETERS, LayerParameters, LayerPrior, parameters_at
 from i2t.types import in_one_line
 
 NO_PAD = "no pad explains these presses; check the tip, the unit of the loads and the board"
@@ -48,111 +41,6 @@ MIN_GAIN_RATIO = 0.1  # of a step that is taken
 FIRST_RADIUS, MAX_RADIUS = 1.0, 3.0  # of the trust region, in standard deviations of the prior
 DIFFERENCE_STEP = 1e-3  # prior standard deviations, of second derivatives
 IMPLAUSIBLE_STDS = 3.0  # prior standard deviations from the median beyond which a parameter is reported
-MAGNETIZATION_STD = 0.7 * MAGNETIZATION_A_PER_M  # A/m: patches and the uniform part share the variance
-
-
-@in_one_line
-class LayerParameters(NamedTuple):
-    """Parameters that readings are nonlinear in; also their coordinates in the prior, and their ranges."""
-
-    thickness: Float[Array, ""]  # m
-    gap: Float[Array, ""]  # m, from the layer's base to the chips
-    young: Float[Array, ""]  # Pa; only the prior's where presses are controlled by depth
-    poisson: Float[Array, ""]
-    contact_offset: Float[Array, ""]  # m, first contact later than believed; zero where controlled by force
-    mount_compliance: Float[Array, ""]  # m/N, of an edge-clamped skin
-    tip_offset: Float[Array, "2"]  # m, of the tip from where it was believed
-    tip_scale: Float[Array, ""]  # true radius of the tip over the stated one
-    board_offset: Float[Array, "2"]  # m, of the board in the plane of the skin
-    board_rotation: Float[Array, "3"]  # rad, rotation vector of the board about its middle
-    gains: Float[Array, " c"]  # of the channels
-    patch_strength: Float[Array, "3"]  # A/m, of the map's patches along each axis
-    uniform_strength: Float[Array, ""]  # A/m, of the uniform part
-    patch_length: Float[Array, ""]  # m
-    noise_std: Float[Array, ""]  # uT, of a reading, with everything that the model leaves out
-
-
-# Parameters that change the design matrices; the others only scale what the matrices give.
-DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
-                     "tip_scale", "board_offset", "board_rotation")  # fmt: skip
-SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # those that change features by more than a scale
-# Priors are normal for NORMAL_PARAMETERS, lognormal for the others but the mount compliance, which is 0 for bonded
-# skins: its square root is normal.
-NORMAL_PARAMETERS = ("poisson", "contact_offset", "tip_offset", "board_offset", "board_rotation", "gains")
-ROOT_NORMAL = "mount_compliance"
-
-
-class LayerPrior(NamedTuple):
-    """Prior of `LayerParameters`."""
-
-    median: LayerParameters
-    std: LayerParameters  # of the parameter, its logarithm, or the root of its share of the median
-
-
-def layer_prior(channels: int) -> LayerPrior:
-    """Prior that approximates `sample_pad` and the errors of a careful mount.
-
-    Args:
-        channels: Number of channels of the board, three for each chip.
-
-    Returns:
-        Medians and standard deviations.
-    """
-    median = LayerParameters(
-        thickness=jnp.asarray(THICKNESS_M + 0.5e-3),
-        gap=jnp.asarray(CHIP_GAP_M),
-        young=jnp.asarray(YOUNG_PA),
-        poisson=jnp.asarray(POISSON_RATIO),
-        contact_offset=jnp.asarray(0.0),
-        mount_compliance=jnp.asarray(0.3 * MOUNT_COMPLIANCE_M_PER_N),
-        tip_offset=jnp.zeros(2),
-        tip_scale=jnp.asarray(1.0),
-        board_offset=jnp.zeros(2),
-        board_rotation=jnp.zeros(3),
-        gains=jnp.ones(channels),
-        patch_strength=jnp.full(3, MAGNETIZATION_STD),
-        uniform_strength=jnp.asarray(MAGNETIZATION_STD),
-        patch_length=jnp.asarray(3e-3),
-        noise_std=jnp.asarray(2.0),
-    )
-    std = LayerParameters(
-        thickness=jnp.asarray(0.12),
-        gap=jnp.asarray(0.17),
-        young=jnp.asarray(0.15),
-        poisson=jnp.asarray(0.003),
-        contact_offset=jnp.asarray(1e-4),  # m
-        mount_compliance=jnp.asarray(0.6),
-        tip_offset=jnp.full(2, 5e-4),  # m
-        tip_scale=jnp.asarray(0.03),
-        board_offset=jnp.full(2, 3e-4),  # m
-        board_rotation=jnp.asarray([0.015, 0.015, 0.03]),  # rad
-        gains=jnp.full(channels, 0.05),
-        patch_strength=jnp.full(3, 0.7),
-        uniform_strength=jnp.asarray(0.7),
-        patch_length=jnp.asarray(0.2),
-        noise_std=jnp.asarray(1.0),
-    )
-    return LayerPrior(median, std)
-
-
-def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParameters:
-    """Parameters at coordinates of the prior.
-
-    Args:
-        coordinates: Standard deviations from the median; their prior is normal with variance 1.
-        prior: Medians and standard deviations.
-
-    Returns:
-        The parameters in their units.
-    """
-
-    def value(name: str) -> Array:
-        median, std, at = (getattr(part, name) for part in (prior.median, prior.std, coordinates))
-        if name in NORMAL_PARAMETERS:
-            return median + std * at
-        return median * (1 + std * at) ** 2 if name == ROOT_NORMAL else median * jnp.exp(std * at)
-
-    return LayerParameters(**{name: value(name) for name in LayerParameters._fields})
 
 
 @in_one_line

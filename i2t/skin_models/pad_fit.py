@@ -44,7 +44,7 @@ from i2t.skin_models.likelihood import (
     fit_position_errors,
     outlier_range,
 )
-from i2t.skin_models.pad_model import KnownPad, PadModel, origin_of
+from i2t.skin_models.pad_model import KnownPad, PadModel, PadOrigin
 from i2t.skin_models.reading_model import (
     CHOOSING_TOUCHES,
     LAYERS,
@@ -104,7 +104,11 @@ class ContactModel:
             ValueError: The touches say nothing finite of how soft the pad is.
         """
         dataset, rows, _, made_from = data
-        return KnownPad(self._fit(key, data), dataset.board, origin_of(dataset, rows, made_from))
+        touches = dataset.touches
+        objects = tuple(dataset.objects[i] for i in np.unique(touches.object[rows]))
+        pad = dataset.pads[int(touches.pad[rows][0])]
+        origin = PadOrigin(pad, dataset.source, objects, int(rows.sum()), made_from)
+        return KnownPad(self._fit(key, data), dataset.board, origin)
 
     def _fit(self, key: Key[Array, ""], data: ObjectTouches) -> PadModel:
         errors, limits, touches = self.errors, self.limits, data.dataset.touches

@@ -1,9 +1,9 @@
 """Pad models with their skin: what they predict, on disk, and refused for touches of another skin.
 
 origin = PadOrigin("skin A", "real", ("hexagon", "parallelogram"), touches=300, made_from="DATA")
-save_pad_model("pad_model.npz", KnownPad(pad_model, dataset.board, origin))
+KnownPad(pad_model, dataset.board, origin).save("pad_model.npz")
 known = load_pad_model("pad_model.npz")
-require_skin(known.skin, ["skin A"], dataset.board, "DATA/later")
+require_skin(known, ["skin A"], dataset.board, "DATA/later")
 """
 
 from collections.abc import Sequence
@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from i2t.contact.pressure import ContactPressure
-from i2t.dataset import Dataset
 from i2t.errors import DataError
 from i2t.files import serialization
 from i2t.skin.boards import same_board
@@ -53,26 +52,12 @@ class PadOrigin:
 
 
 @in_one_line
-class SkinIdentity(NamedTuple):
-    """Identity of a skin."""
-
-    pad: str  # its name in data sets
-    board: Board
-    made_from: str  # a run, a data set or a file
-
-
-@in_one_line
 class KnownPad(NamedTuple):
     """A pad model and its skin."""
 
     model: PadModel
     board: Board
     origin: PadOrigin
-
-    @property
-    def skin(self) -> SkinIdentity:
-        """Skin of the model."""
-        return SkinIdentity(self.origin.pad, self.board, self.origin.made_from)
 
     @property
     def left_out(self) -> Float[np.ndarray, "n c"]:
@@ -91,7 +76,7 @@ class KnownPad(NamedTuple):
         return _predict(self.model.reading_model, self.model.likelihood, contact)
 
     def save(self, path: Path | str) -> None:
-        """Write one file, as `save_pad_model`.
+        """Write one file, which appears whole or not at all.
 
         Args:
             path: Of the file; `.npz` by custom.
@@ -99,7 +84,8 @@ class KnownPad(NamedTuple):
         Raises:
             SerializationError: It cannot be written.
         """
-        save_pad_model(path, self)
+        record = _Record(**self.model._asdict() | {"r2": np.asarray(self.model.r2)}, board=self.board)
+        serialization.save(path, PAD_MODEL_KIND, record, asdict(self.origin))
 
 
 @jax.jit
@@ -124,25 +110,11 @@ class _Record(NamedTuple):
     board: Board
 
 
-def save_pad_model(path: Path | str, known: KnownPad) -> None:
-    """Write one file, which appears whole or not at all.
-
-    Args:
-        path: Of the file; `.npz` by custom.
-        known: The pad model, its board and its origin.
-
-    Raises:
-        SerializationError: It cannot be written.
-    """
-    record = _Record(**known.model._asdict() | {"r2": np.asarray(known.model.r2)}, board=known.board)
-    serialization.save(path, PAD_MODEL_KIND, record, asdict(known.origin))
-
-
 def load_pad_model(path: Path | str) -> KnownPad:
     """The pad model in a file, or the ready one that comes with i2t.
 
     Args:
-        path: Of a file that `save_pad_model` wrote; or the name of a ready model, "nominal" (`i2t.models`), of one
+        path: Of a file that `KnownPad.save` wrote; or the name of a ready model, "nominal" (`i2t.models`), of one
             simulated pad.
 
     Returns:
@@ -181,23 +153,6 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 
-def origin_of(dataset: Dataset, rows: Bool[np.ndarray, " n"], made_from: str) -> PadOrigin:
-    """Origin of a pad model that is fitted to touches of one skin.
-
-    Args:
-        dataset: Of the touches.
-        rows: Which of them it is fitted to.
-        made_from: The run, data set or file.
-
-    Returns:
-        Skin, source, objects and number of touches.
-    """
-    touches = dataset.touches
-    objects = tuple(dataset.objects[i] for i in np.unique(touches.object[rows]))
-    pad = dataset.pads[int(touches.pad[rows][0])]
-    return PadOrigin(pad, dataset.source, objects, int(rows.sum()), made_from)
-
-
 def with_press_errors(model: PadModel, error_std: float) -> PadModel:
     """A pad model whose errors of readings include those of the pad that its touches were simulated with.
 
@@ -227,12 +182,12 @@ def inflated(model: PadModel, factor: float) -> PadModel:
 
 
 def require_skin(
-    skin: SkinIdentity, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
+    known: KnownPad, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
 ) -> str | None:
     """Refuse touches of another skin than a pad model's.
 
     Args:
-        skin: That the pad model is of.
+        known: The pad model.
         pads: Names of the skins that touch.
         board: Of these skins.
         whose: Names the touches in messages.
@@ -244,15 +199,18 @@ def require_skin(
     Raises:
         DataError: The skin or the board is another.
     """
-    if not same_board(skin.board, board):
+    origin = known.origin
+    if not same_board(known.board, board):
         raise DataError(
-            f"{whose}: the board has {_described(board)}, and that of the pad model of {skin.made_from} "
-            f"{_described(skin.board)}; use a pad model of that very skin"
+            f"{whose}: the board has {_described(board)}, and that of the pad model of {origin.made_from} "
+            f"{_described(known.board)}; use a pad model of that very skin"
         )
-    others = sorted(set(pads) - {skin.pad})
+    others = sorted(set(pads) - {origin.pad})
     if not others:
         return None
-    told = f"{whose}: the skin is {_quoted(others)}, and the pad model of {skin.made_from} is of {_quoted([skin.pad])}"
+    told = (
+        f"{whose}: the skin is {_quoted(others)}, and the pad model of {origin.made_from} is of {_quoted([origin.pad])}"
+    )
     if not other_skin:
         raise DataError(f"{told}; every skin differs: use a pad model of that very skin")
     return f"ANOTHER SKIN: {told}"

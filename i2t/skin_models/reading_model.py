@@ -42,10 +42,9 @@ from i2t.runtime.batching import map_batches, select_rows, usable_cores
 from i2t.runtime.compiling import jit_quickly
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import POISSON_RATIO, YOUNG_PA
-from i2t.skin_models import magnetization as physics
+from i2t.skin_models import magnetic_layer as physics
 from i2t.skin_models import pressure_gp as gp
 from i2t.skin_models.layer import MIN_LOAD_N, NOMINAL_LAYER, Layer
-from i2t.skin_models.layer_fit import layer_prior
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.types import Board, in_one_line
 
@@ -245,9 +244,7 @@ def read_pressure(
 
 
 @_one_thread_each
-def fit_readings(
-    touches: PressedTouches, layer: Layer, board: Board, *, softness: float, loads: Sequence[float] = LOADS_N
-) -> FittedReadings:
+def fit_readings(touches: PressedTouches, layer: Layer, board: Board, *, softness: float) -> FittedReadings:
     """Fit the reading model of a pad to its touches.
 
     Args:
@@ -255,7 +252,6 @@ def fit_readings(
         layer: As `choose_layer` found it.
         board: Of the pad.
         softness: Indentation of the pad over that of the layer.
-        loads: At which touches are to be predicted (N).
 
     Returns:
         The model, and its mixture's errors on touches left out.
@@ -271,9 +267,9 @@ def fit_readings(
             errors += [left_out for left_out, _ in pool.map(partial(_left_out, system, weighted), posteriors)]
             groups.append(_Models(r, weighted.precision, posteriors))
     left_out = np.einsum("m,mnc->nc", shares, errors) * system.scale
-    mean, variance = _linear_maps(touches.pressure, system, maps, groups, shares, loads)
+    mean, variance = _linear_maps(touches.pressure, system, maps, groups, shares, LOADS_N)
     model = LinearReadingModel(
-        loads=jnp.float32(loads),
+        loads=jnp.float32(LOADS_N),
         mean=jnp.float32(mean * system.scale),
         root=jnp.float32(_roots(variance)),
         scale=jnp.float32(system.scale),
@@ -327,7 +323,7 @@ def _maps(chips: bytes, rotations: bytes, poisson: float, young: float) -> np.nd
 
 @jit_quickly
 def _cell_features(board: Board, poisson: Array, young: Array) -> Float[Array, "x c k"]:
-    layer = jax.tree.map(jnp.float32, layer_prior(3 * len(board.chips)).median)
+    layer = jax.tree.map(jnp.float32, physics.layer_prior(3 * len(board.chips)).median)
     pad = physics.make_pad(layer._replace(young=young), board)._replace(
         poisson=poisson, mount_compliance=jnp.float32(0)
     )

@@ -77,7 +77,6 @@ def permutation_test(
     x: Float[np.ndarray, "n a"],
     y: Float[np.ndarray, "n b"],
     *,
-    k: int = NUM_NEIGHBOURS,
     permutations: int = 999,
     seed: int = 0,
     groups: Int[np.ndarray, " n"] | None = None,
@@ -87,7 +86,6 @@ def permutation_test(
     Args:
         x: Features of the one.
         y: Features of the other.
-        k: Neighbours of each touch.
         permutations: How many random pairings.
         seed: Of the pairings.
         groups: Of each touch, within which touches are paired anew: whether they agree beyond the group. All touches
@@ -96,7 +94,7 @@ def permutation_test(
     Returns:
         The agreement, its mean over permutations, and p-values.
     """
-    pair, rng = _Pair(x, y, k), np.random.default_rng(seed)
+    pair, rng = _Pair(x, y, NUM_NEIGHBOURS), np.random.default_rng(seed)
     observed = pair.agree(np.arange(len(x)))
     permuted = np.array([pair.agree(_random_pairing(rng, len(x), groups)) for _ in range(permutations)])
     p = (1 + np.sum(permuted >= np.array(observed)[None], axis=0)) / (1 + permutations)

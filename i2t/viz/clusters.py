@@ -18,7 +18,9 @@ from i2t.patches.dimensions import CONTACT_TOLERANCE_M, REACH
 
 NUM_CLUSTERS = 5  # the paper's
 NUM_COMPONENTS = 50  # of the views
-PERPLEXITY = 30.0
+STARTS = 10  # random starts of k-means, of which the best is taken
+PART_SHARE = 0.8  # of the touches, in a random part
+PERPLEXITY = 30.0  # effective number of neighbours; less where there are few touches
 
 
 class Clusters(NamedTuple):
@@ -53,19 +55,18 @@ def views(patch: Float[np.ndarray, "n h w"], kind: Literal["mask", "depth"] = "m
     return view.reshape(len(patch), -1).astype(np.float64)
 
 
-def components(x: Float[np.ndarray, "n d"], most: int = NUM_COMPONENTS) -> Float[np.ndarray, "n c"]:
+def components(x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n c"]:
     """The first principal components, as lengths: distances are kept but for what the other components add.
 
     Args:
         x: Features of the touches.
-        most: How many components, at most.
 
     Returns:
-        A row for each touch, the greatest component first.
+        A row of at most `NUM_COMPONENTS` for each touch, the greatest first.
     """
     centred = np.asarray(x, np.float64) - np.mean(x, axis=0, keepdims=True)
     u, s, _ = np.linalg.svd(centred, full_matrices=False)
-    return (u * s[None])[:, : min(most, len(s))]
+    return (u * s[None])[:, : min(NUM_COMPONENTS, len(s))]
 
 
 def standardised(x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
@@ -81,14 +82,13 @@ def standardised(x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
     return (x - np.mean(x, axis=0, keepdims=True)) / np.where(std > 0, std, 1)
 
 
-def cluster(x: Float[np.ndarray, "n d"], clusters: int = NUM_CLUSTERS, seed: int = 0, starts: int = 10) -> Clusters:
+def cluster(x: Float[np.ndarray, "n d"], clusters: int = NUM_CLUSTERS, seed: int = 0) -> Clusters:
     """k-means; clusters are numbered by size.
 
     Args:
         x: Features of the touches.
         clusters: How many.
         seed: Of the random starts.
-        starts: How many, of which the best is taken.
 
     Returns:
         Cluster of each touch, and the clusters' means.
@@ -102,7 +102,7 @@ def cluster(x: Float[np.ndarray, "n d"], clusters: int = NUM_CLUSTERS, seed: int
     if len(x) < clusters:
         raise ValueError(f"{len(x)} touches cannot be sorted into {clusters} clusters; give more touches")
     with threadpool_limits(1):
-        fitted = KMeans(clusters, n_init=starts, random_state=seed).fit(x)
+        fitted = KMeans(clusters, n_init=STARTS, random_state=seed).fit(x)
     order = np.argsort(-np.bincount(fitted.labels_, minlength=clusters), kind="stable")
     return Clusters(np.argsort(order)[fitted.labels_], fitted.cluster_centers_[order])
 
@@ -111,7 +111,6 @@ def embed(
     x: Float[np.ndarray, "n d"],
     others: Float[np.ndarray, "m d"] | None = None,
     seed: int = 0,
-    perplexity: float = PERPLEXITY,
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
     """t-SNE of touches and, among them, of other points: t-SNE has no projection of its own.
 
@@ -119,7 +118,6 @@ def embed(
         x: Features of the touches.
         others: Features of other points, such as cluster means.
         seed: Of t-SNE.
-        perplexity: Effective number of neighbours; less where there are few touches.
 
     Returns:
         Positions on the map of the touches and of the other points.
@@ -134,7 +132,7 @@ def embed(
     both = x if others is None else np.concatenate([x, others])
     if len(both) < 4:
         raise ValueError(f"{len(both)} touches make no map; give four at least")
-    most = min(perplexity, (len(both) - 1) / 3)
+    most = min(PERPLEXITY, (len(both) - 1) / 3)
     with threadpool_limits(1):
         at = TSNE(2, perplexity=most, init="pca", random_state=seed).fit_transform(both.astype(np.float32))
     return at[: len(x)].astype(np.float64), at[len(x) :].astype(np.float64)
@@ -179,25 +177,23 @@ def rand_index(a: Int[np.ndarray, " n"], b: Int[np.ndarray, " n"]) -> float:
 
 
 def stability(
-    x: Float[np.ndarray, "n d"], clusters: int = NUM_CLUSTERS, seeds: int = 10, share: float = 0.8
+    x: Float[np.ndarray, "n d"], seeds: int = 10
 ) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
     """Agreement of clusterings between seeds and between random parts of the touches.
 
     Args:
         x: Features of the touches.
-        clusters: How many.
         seeds: How many clusterings of each kind.
-        share: Of the touches in each part.
 
     Returns:
         Adjusted Rand indices of all pairs of seeds, and of all pairs of parts on the touches they share.
     """
-    whole = [cluster(x, clusters, seed).label for seed in range(seeds)]
+    whole = [cluster(x, seed=seed).label for seed in range(seeds)]
     parts = []
     for seed in range(seeds):
-        rows = np.random.default_rng(seed).permutation(len(x))[: max(round(share * len(x)), clusters)]
+        rows = np.random.default_rng(seed).permutation(len(x))[: max(round(PART_SHARE * len(x)), NUM_CLUSTERS)]
         label = np.full(len(x), -1)
-        label[rows] = cluster(x[rows], clusters, seed).label
+        label[rows] = cluster(x[rows], seed=seed).label
         parts.append(label)
     return _pairwise_rand_indices(whole), _pairwise_rand_indices(parts)
 

@@ -64,7 +64,6 @@ def plot_patches(
     title: str,
     simulated: bool,
     *,
-    tolerance: float = CONTACT_TOLERANCE_M,
     window: float = PATCH_WINDOW,
     reach: float = REACH,
 ) -> Picture:
@@ -75,7 +74,6 @@ def plot_patches(
         labels: One for each patch.
         title: What is shown.
         simulated: Whether it was simulated.
-        tolerance: m behind the nearest point that counts as contact.
         window: m, edge of a patch.
         reach: m, largest depth of a patch.
 
@@ -88,7 +86,7 @@ def plot_patches(
     axes = figure.subplots(2, n, squeeze=False)
     for i in range(n):
         image = draw_patch(axes[0, i], depth[i], window, reach)
-        mask = depth[i] <= depth[i].min() + tolerance
+        mask = depth[i] <= depth[i].min() + CONTACT_TOLERANCE_M
         draw_map(axes[1, i], mask, window, cmap="gray", low=0, high=1)
         axes[0, i].set_title(labels[i], fontsize=9)
         axes[0, i].set_xticklabels([])
@@ -100,8 +98,8 @@ def plot_patches(
     axes[1, 0].set_ylabel("y (mm)")
     figure.colorbar(image, ax=axes[0, -1], label="depth behind\nthe nearest point (mm)")
     figure.suptitle(
-        f"{titled(title, simulated)}\ndepth (above) and contact masks: white lies within {tolerance * MM_PER_M:g} mm "
-        "of the nearest point",
+        f"{titled(title, simulated)}\ndepth (above) and contact masks: white lies within "
+        f"{CONTACT_TOLERANCE_M * MM_PER_M:g} mm of the nearest point",
         fontsize=10,
     )
     return figure

@@ -96,8 +96,6 @@ def plot_object(
     T_o_t: Float[Array, "n 4 4"],
     title: str,
     simulated: bool,
-    *,
-    numbers: bool = True,
 ) -> Picture:
     """A still picture of an object with its touches; where none can be drawn the figure says why.
 
@@ -107,7 +105,6 @@ def plot_object(
         T_o_t: Tool poses in the object's frame.
         title: What is shown.
         simulated: Whether it was simulated.
-        numbers: Whether touches carry their numbers.
 
     Returns:
         The figure.
@@ -115,7 +112,7 @@ def plot_object(
     figure = Picture(figsize=(6.5, 5.4), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()
-    picture = object_image(vertices, faces, T_o_t, numbers=numbers)
+    picture = object_image(vertices, faces, T_o_t, numbers=True)
     if picture is None:
         axes.text(0.5, 0.5, why_no_scene(), ha="center", va="center", wrap=True, transform=axes.transAxes)
     else:

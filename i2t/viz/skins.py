@@ -14,6 +14,7 @@ from i2t.types import Array, Board
 from i2t.viz.patches import draw_map
 from i2t.viz.style import BLUE, COLOURS, GREY, KPA_PER_PA, MM_PER_M, Picture, titled
 
+PANEL_COLUMNS = 5  # of touches, in a row
 ARROW_MM = 5.0  # of the field that a figure's scale names
 
 
@@ -85,8 +86,6 @@ def plot_readings(
     labels: Sequence[str],
     title: str,
     simulated: bool,
-    *,
-    columns: int = 5,
 ) -> Picture:
     """A panel per touch with the field at the chips, on one scale.
 
@@ -96,14 +95,13 @@ def plot_readings(
         labels: One for each touch.
         title: What is shown.
         simulated: Whether it was simulated.
-        columns: Panels in a row.
 
     Returns:
         The figure.
     """
     values = [np.asarray(part) for part in sets.values()]
     n = len(labels)
-    columns = min(columns, n)
+    columns = min(PANEL_COLUMNS, n)
     rows = -(-n // columns)
     scale = common_scale(np.stack(values))
     figure = Picture(figsize=(2.4 * columns, 2.6 * rows + 0.9), layout="constrained")

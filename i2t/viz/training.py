@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
 from i2t.viz.style import BLUE, COLOURS, GREY, Picture, titled
-
-NORMAL_QUANTILE_90 = 1.645  # standard deviations each way that contain nine in ten
 
 
 def plot_predicted_touches(
@@ -110,7 +109,7 @@ def plot_predictions(
     figure = Picture(figsize=(4.8, 4.4), layout="constrained")
     axes = figure.subplots()
     bars: dict[str, Any] = {"elinewidth": 0.6, "alpha": 0.5, "color": BLUE, "ms": 3, "label": "presses, 90 % bars"}
-    axes.errorbar(measured, predicted, NORMAL_QUANTILE_90 * np.asarray(std), fmt="o", **bars)
+    axes.errorbar(measured, predicted, STDS_WITHIN_90 * np.asarray(std), fmt="o", **bars)
     ends = [min(np.min(measured), np.min(predicted)), max(np.max(measured), np.max(predicted))]
     axes.plot(ends, ends, color=GREY, lw=1, label="predicted as measured")
     axes.set(xlabel="measured (µT)", ylabel="predicted (µT)")

@@ -8,6 +8,7 @@ from itertools import count
 import numpy as np
 import pytest
 from helpers.closed_form import GAIN, HEIGHT, QUIET, listed, make, names, site
+from helpers.spring_plane import SpringPlane
 
 from i2t import dataset
 from i2t.collect import command, recorder
@@ -17,7 +18,6 @@ from i2t.convert import commands
 from i2t.dataset import SkinChoiceError
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin, SkinInLab
-from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceTimeoutError
 from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.contract import refuse

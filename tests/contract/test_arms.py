@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from helpers.spring_plane import SpringPlane
 
 from i2t.emulators import ur_controller
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab
-from i2t.emulators.scene import SpringPlane
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.contract import ArmContract
 from i2t.hardware.limits import MotionLimits

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from helpers.spring_plane import SpringPlane
 
 from i2t.emulators.in_process import SimulatedLab, SimulatedSkin
 from i2t.emulators.reskin_board import started
-from i2t.emulators.scene import SpringPlane
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.contract import SkinContract
 from i2t.hardware.protocols import Skin

@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.closed_form import DOWN, GAIN, HEIGHT, NOISY, QUIET, WALL
+from helpers.spring_plane import SpringPlane
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedLab, SimulatedSkin, SkinInLab, VirtualClock
-from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, SpringPlane, _meet
+from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, _meet
 from i2t.geometry import transform
 from i2t.hardware.limits import MotionLimits
 from i2t.hardware.rig import Rig

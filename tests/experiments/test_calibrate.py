@@ -18,7 +18,7 @@ from experiments.train.configs import PRESETS as TRAINING
 from experiments.train.splitting import split_dataset
 from i2t import dataset as data
 from i2t import skin_models as calibration
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
 from i2t.files import serialization
 from i2t.recordings.presses import LoadedPresses
@@ -57,7 +57,7 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     kept = load_calibration(tmp_path / "out" / "calibration.npz")
     assert kept.load_kind == "depth"
     assert kept.predict(np.zeros(2), 2e-3)[0].shape == (15,)
-    assert set(metrics["r2"]["random presses"]) == set(methods.METHODS)
+    assert set(metrics["r2"]["random presses"]) == {*methods.BASELINES, methods.CALIBRATED}
     assert metrics["kept"]["board_shares"] == kept.board_shares
     assert f"kept in calibration.npz: {kept.about_board}" in capsys.readouterr().out
     for by_method in metrics["r2"].values():
@@ -75,12 +75,13 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
 def test_held_out_presses_are_never_in_a_pool():
     cfg = arguments.PRESETS["paper"]
     presses = read_presses(recording(600), "auto")
-    held, blocks = share_masks(presses.blocks(cfg.block_mm), cfg, 0)
+    of_press = square_blocks(1e3 * presses.position, cfg.block_mm)
+    held, blocks = share_masks(of_press, cfg, 0)
     assert held.sum() == 150
     cell = np.floor((1e3 * presses.position - (1e3 * presses.position).min(0)) / 6).astype(int)
     inside = {tuple(c) for c in cell[blocks]}
     assert inside.isdisjoint({tuple(c) for c in cell[~blocks]})
-    again, _ = share_masks(presses.blocks(cfg.block_mm), cfg, 0)
+    again, _ = share_masks(of_press, cfg, 0)
     np.testing.assert_array_equal(held, again)
     (split,) = hold_out(presses, cfg, 0, np.ones(600, bool), "set").splits
     np.testing.assert_array_equal(split.tests[RANDOM], np.flatnonzero(held))
@@ -157,9 +158,9 @@ def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough()
 
 def test_presses_left_out_in_turn_are_scored_as_one_test(monkeypatch):
     """The mean of the others misses each press by n / (n - 1) times what it is from the mean of all."""
-    monkeypatch.setattr("experiments.calibrate.evaluate.METHODS", {methods.MEAN: methods.mean})
+    monkeypatch.setattr("experiments.calibrate.evaluate.BASELINES", {methods.MEAN: methods.mean})
     simple = lambda r, rows, test: (methods.mean(r, rows, test), np.ones((len(test), 15)))  # noqa: E731
-    monkeypatch.setattr("experiments.calibrate.evaluate.calibrated_with_std", simple)
+    monkeypatch.setattr("experiments.calibrate.evaluate.calibrated", simple)
     readings = np.random.default_rng(0).normal(size=(24, 15))
     presses = LoadedPresses(SPREAD, np.linspace(1e-3, 3e-3, 24), readings, load_kind="depth")
     splits = hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(24, bool), "set").splits
@@ -251,7 +252,7 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
     fitted, given = sample_pad(jax.random.key(0)), {}
 
     def fitting(model, _, pressed):
-        given.update(model=model, load=np.asarray(pressed.presses.load), readings=np.asarray(pressed.reading))
+        given.update(model=model, load=np.asarray(pressed.load), readings=np.asarray(pressed.reading))
         given.update(board=pressed.board)
         return PadFit(fitted, layer_prior().median, np.full((60, len(fitted.gains)), 3.0))
 
@@ -291,7 +292,7 @@ def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
     if what == "prior":
         assert (tmp_path / "prior.npz").stat().st_size < 100_000
     else:
-        assert set(metrics["cases"]["lattice, depth"]["r2"]) == set(methods.METHODS)
+        assert set(metrics["cases"]["lattice, depth"]["r2"]) == {*methods.BASELINES, methods.CALIBRATED}
 
 
 def test_a_split_of_too_few_touches_says_what_each_part_needs_and_what_to_add():

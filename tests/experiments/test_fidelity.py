@@ -8,7 +8,7 @@ import pytest
 from helpers import random_touches
 from helpers.skin_presses import presses_of_a_skin
 
-from experiments.calibrate.methods import METHODS
+from experiments.calibrate.methods import BASELINES, CALIBRATED
 from experiments.fidelity import __main__ as fidelity
 from experiments.fidelity import curves, describe, dynamics, forward, heads, run
 from experiments.fidelity.config import FidelityPreset
@@ -131,7 +131,7 @@ def test_the_report_compares_sessions_and_is_kept_as_text(tmp_path, monkeypatch,
     assert set(metrics["recordings"]) == {"mine <b>", "other", "Across sessions"}
     r2 = metrics["recordings"]["mine <b>"]["Calibration curves"]["r2"]
     assert {"random presses", "later in time"} <= set(r2)
-    assert set(r2["random presses"]) == set(METHODS)
+    assert set(r2["random presses"]) == {*BASELINES, CALIBRATED}
     across = metrics["recordings"]["Across sessions"]["What one session says of another"]["r2"]
     assert across["mine <b> -> other"]["as it is"] > 0.9  # they are the same presses
     capsys.readouterr()

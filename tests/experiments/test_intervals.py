@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from experiments.common.intervals import clusters_needed, with_interval
-from i2t.recognition.intervals import student_interval
+from experiments.common.intervals import clusters_needed
+from experiments.common.tables import cell
+from i2t.prediction.metrics import student_interval
 
 
 @pytest.mark.parametrize(
@@ -15,13 +16,16 @@ from i2t.recognition.intervals import student_interval
         ((0.81, 0.79, 0.83), {}, "0.810 [0.790, 0.830]"),
         ((0.81, None, None), {}, "0.810"),
         ((0.81, math.nan, 0.9), {"digits": 2}, "0.81"),
+        (0.81, {"digits": 2}, "0.81"),
+        ({"mean": 0.81, "low": 0.79, "high": 0.83}, {"digits": 2}, "0.81 [0.79, 0.83]"),
+        (None, {}, "-"),
         ((None, 0.1, 0.2), {}, "-"),
-        ((0.5, -0.1, 0.2), {"sign": "+", "ends": 1}, "+0.500 [-0.1, +0.2]"),
+        ((0.5, -0.1, 0.2), {"signed": True, "ends": 1}, "+0.500 [-0.1, +0.2]"),
         ((0.0, -1e-9, 0.0881), {}, "0.000 [0.000, 0.088]"),  # zero has no sign
     ],
 )
 def test_an_interval_is_printed_where_there_is_one(numbers, options, said):
-    assert with_interval(*numbers, **options) == said
+    assert cell(numbers, **options) == said
 
 
 def test_as_many_clusters_as_are_said_make_the_interval_as_narrow_as_wanted_and_one_less_does_not():

@@ -59,12 +59,12 @@ def test_several_files_are_groups_and_those_of_one_name_are_told_apart(tmp_path)
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("what,u\na,1\nb,\n", "line 3 lacks column u"),
-        ("what,u\na,1\nb,nan\n", "line 3 has 'nan' in column u, which is not a number"),
-        ("what,u\na,1\nb,-1e31\n", "line 3 has '-1e31' in column u, which is beyond 1e\\+30"),
+        ("what,u\na,1\nb,\n", "line 3 has '' in column u, which is not a plausible number; .*--ignore"),
+        ("what,u\na,1\nb,nan\n", "line 3 has 'nan' in column u, which is not a plausible number"),
+        ("what,u\na,1\nb,-1e31\n", "line 3 has '-1e31' in column u, which is not a plausible number"),
         ("what,u\na,soft\nb,2\n", "line 2 has 'soft' in column u"),
         ("what,u\na,1\n ,2\n", "line 3 has nothing in column what"),
-        ("what,u\na,1\nb,2,3\n", "line 3 has 3 fields for 2 columns"),
+        ("what,u\na,1\nb,2,3\n", "line 3 has not 2 fields but 3"),
         ("what,u\na,1\na,2\n", "holds a only"),
         ("what,u,u\na,1,2\nb,1,2\n", "column u stands twice"),
         ("what\na\nb\n", "no column is left"),

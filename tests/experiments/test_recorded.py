@@ -12,7 +12,7 @@ from experiments.recognize import recorded, report
 from experiments.recognize.report import EpisodeResults
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
-from i2t.skin_models.pad_model import load_pad_model, save_pad_model
+from i2t.skin_models.pad_model import load_pad_model
 
 
 def test_every_long_enough_session_counts_and_the_limit_is_said():
@@ -74,7 +74,7 @@ REAL = ["live", "--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"]
 def test_another_skin_is_refused_before_anything_moves(words, said, tmp_path, capsys):
     out, pad, rig = (tmp_path / name for name in ("live", "a.npz", "lab.toml"))
     known = load_pad_model("nominal")
-    save_pad_model(pad, known._replace(origin=replace(known.origin, pad="skin A")))
+    known._replace(origin=replace(known.origin, pad="skin A")).save(pad)
     Rig().write(rig)
     words = [*words, "--pad-model", str(pad), "--objects", "star", "hammer", "--rig", str(rig), "--out", str(out)]
     assert recognize.main(words) == 2

@@ -14,17 +14,21 @@ from experiments.common.runs import begin, exit_code_of_run, settle_begun
 class _Args:
     out: Path
     seed: int = 0
+    resume: bool = False
+    overwrite: bool = False
 
 
 @dataclass(frozen=True)
 class _TableArgs:
     out: Path
     tables: tuple[Path, ...]
+    resume: bool = False
+    overwrite: bool = False
 
 
 @dataclass(frozen=True)
-class _OtherArgs:
-    out: Path
+class _OtherArgs(_Args):
+    """Options of another experiment."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ def begun(
     out: Path, seed: int = 0, resume: bool = False, overwrite: bool = False, args=_Args, raises=None, leaves=None
 ):
     """A run that begins, leaves a file, and raises."""
-    begin(out, args(out) if args is _OtherArgs else args(out, seed), _Experiment(), resume, overwrite)
+    begin(args(out, seed, resume, overwrite), _Experiment())
     if leaves:
         (out / leaves).write_text('{"r2": 0.9}')
     if raises is not None:
@@ -56,12 +60,11 @@ def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings
 def test_a_run_does_not_go_on_with_other_data_under_the_same_name(tmp_path):
     table, out = tmp_path / "t.csv", tmp_path / "run"
     table.write_text("what,u")
-    args = _TableArgs(out, (table,))
-    begin(out, args, _Experiment(), resume=False, overwrite=False)
-    begin(out, args, _Experiment(), resume=True, overwrite=False)
+    begin(_TableArgs(out, (table,)), _Experiment())
+    begin(_TableArgs(out, (table,), resume=True), _Experiment())
     table.write_text("what,v")
     with pytest.raises(ValueError, match="other settings or data"):
-        begin(out, args, _Experiment(), resume=True, overwrite=False)
+        begin(_TableArgs(out, (table,), resume=True), _Experiment())
 
 
 def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):

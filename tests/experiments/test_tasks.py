@@ -12,11 +12,11 @@ import pytest
 from helpers import small_tasks
 
 from experiments.common.runs import begin, exit_code_of_run
-from experiments.common.tasks import Task, TaskOptions, run_tasks
+from experiments.common.tasks import Task, run_tasks
 from experiments.train.arguments import TrainArgs
 
 ROOT = Path(__file__).parents[2]
-LOCAL = TaskOptions(workers=2)
+WORKERS = 2
 
 
 def numbered(folder, count=4, work=small_tasks.write_number, **more):
@@ -30,10 +30,10 @@ def made(folder):
 
 
 def test_workers_make_what_this_process_makes_and_log_what_they_print(tmp_path, capsys):
-    for name, options in {"serial": TaskOptions(), "local": LOCAL}.items():
+    for name, workers in {"serial": 1, "local": WORKERS}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "part-1").write_text("1\n")  # what is there is not made again
-        run_tasks(numbered(tmp_path / name), options)
+        run_tasks(numbered(tmp_path / name), workers)
     assert not (tmp_path / "local" / "part-1.log").exists()
     assert made(tmp_path / "serial") == made(tmp_path / "local") == {f"part-{i}": f"{i}\n" for i in range(4)}
     assert (tmp_path / "local" / "part-2.log").read_text() == "number 2\n"
@@ -43,20 +43,20 @@ def test_workers_make_what_this_process_makes_and_log_what_they_print(tmp_path, 
 
 def test_a_killed_worker_ends_the_study_in_a_sentence_and_it_can_go_on(tmp_path, capsys):
     tasks = numbered(tmp_path, 3, small_tasks.die_at_first)
-    assert exit_code_of_run(partial(run_tasks, tasks, LOCAL)) == 1
+    assert exit_code_of_run(partial(run_tasks, tasks, WORKERS)) == 1
     said = capsys.readouterr().err
     assert said.startswith("error: a worker died, perhaps for want of memory (")
     assert said.count("\n") == 1
     for task in tasks:
         task.finished.with_suffix(".seen").write_text("xx")  # nobody dies from here on
-    run_tasks(tasks, LOCAL)
+    run_tasks(tasks, WORKERS)
     assert made(tmp_path) == {f"part-{i}": f"{i}\n" for i in range(3)}
 
 
 def test_what_a_task_raises_a_worker_raises(tmp_path):
     tasks = [Task(f"part-{i}", tmp_path / f"part-{i}", partial(small_tasks.refuse, tmp_path / "part")) for i in (0, 1)]
     with pytest.raises(ValueError, match="part cannot be made"):
-        run_tasks(tasks, LOCAL)
+        run_tasks(tasks, WORKERS)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores are shared out on Linux alone")
@@ -65,18 +65,18 @@ def test_workers_share_the_cores(tmp_path):
         Task(f"cores-{i}", tmp_path / f"cores-{i}", partial(small_tasks.write_cores, tmp_path / f"cores-{i}"))
         for i in (0, 1)
     ]
-    run_tasks(tasks, LOCAL)
+    run_tasks(tasks, WORKERS)
     cores = sorted(os.sched_getaffinity(0))
     assert {task.finished.read_text() for task in tasks} <= {repr(cores[i::2]) for i in (0, 1)}
 
 
 def test_an_unfinished_run_goes_on_with_other_workers(tmp_path):
     experiment = TrainArgs(tmp_path)  # any dataclass does
-    begin(tmp_path / "out", TrainArgs(tmp_path / "out"), experiment, False, False)
+    begin(TrainArgs(tmp_path / "out"), experiment)
     (tmp_path / "out" / "part-0.npz").touch()
-    begin(tmp_path / "out", TrainArgs(tmp_path / "out", tasks=LOCAL), experiment, True, False)
+    begin(TrainArgs(tmp_path / "out", resume=True, workers=WORKERS), experiment)
     with pytest.raises(ValueError, match="other settings"):
-        begin(tmp_path / "out", TrainArgs(tmp_path / "out", seed=1, tasks=LOCAL), experiment, True, False)
+        begin(TrainArgs(tmp_path / "out", seed=1, resume=True, workers=WORKERS), experiment)
 
 
 HANGING = """
@@ -84,7 +84,7 @@ import signal, sys, time
 from functools import partial
 from pathlib import Path
 from experiments.common.runs import exit_code_of_run
-from experiments.common.tasks import Task, TaskOptions, run_tasks
+from experiments.common.tasks import Task, run_tasks
 from helpers import small_tasks
 
 folder = Path(sys.argv[1])
@@ -92,7 +92,7 @@ quick = Task("quick", folder / "quick", partial(small_tasks.write_number, folder
 slow = Task("slow", folder / "slow", partial(time.sleep, 600))
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.exit(exit_code_of_run(partial(run_tasks, [quick, slow], TaskOptions(workers=2)), folder))
+    sys.exit(exit_code_of_run(partial(run_tasks, [quick, slow], 2), folder))
 """
 
 

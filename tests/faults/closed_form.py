@@ -12,7 +12,6 @@ from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
-from i2t.emulators.scene import SpringPlane
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ApproachResult, ArmState, View
@@ -21,6 +20,7 @@ from i2t.patches.dimensions import PATCH_PIXELS, WIDE_PIXELS
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.types import Array
+from tests.helpers.spring_plane import SpringPlane
 
 HEIGHT_M, STIFFNESS_N_M = 0.03, 10e3  # of the plane
 WALL_TIME_S = 1.8e9  # Unix time at which simulated time begins

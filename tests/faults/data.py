@@ -21,7 +21,7 @@ from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, touches_in
 from i2t.collect.touch import SiteOutcome
 from i2t.emulators import reskin_board, ur_controller
-from i2t.errors import DeviceError
+from i2t.errors import DataError, DeviceError
 from tests.faults.closed_form import make_procedure, session_info, site
 from tests.faults.motion import status, watch
 from tests.faults.table import Fault, Measure, Trial
@@ -44,7 +44,7 @@ def lost_touches(folder: Path, acknowledged: list[str]) -> Trial:
     for path in present.values():
         try:
             dataset.read_touch(path)
-        except dataset.DataError:
+        except DataError:
             bad += 1
     lost = sum(name not in present for name in acknowledged)
     return {"acknowledged": len(acknowledged), "lost": lost, "unreadable": bad}

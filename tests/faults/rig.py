@@ -20,7 +20,7 @@ import trimesh
 
 from i2t.collect.first_touch import RigContradictedError, first_touch
 from i2t.collect.procedure import Procedure
-from i2t.collect.site_plan import SiteSampler, patch_extractor
+from i2t.collect.site_plan import SiteSampler, extract_patch
 from i2t.collect.touch import TOOL, Site, SkinOnTool, UnreachableError
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.emulators.scene import ObjectScene
@@ -126,7 +126,7 @@ def object_lab(name: str, rig: Rig, seed: int, believed: Rig | None = None) -> t
         device.connect()
     top = float(np.max(mesh.vertices @ wrong.T_world_object[2, :3]) + wrong.T_world_object[2, 3])
     skins = [SkinOnTool(TOOL, skin, skin.board)]
-    return Procedure(arm, skins, camera, wrong, patch_extractor(), top, clock=clock), scene
+    return Procedure(arm, skins, camera, wrong, extract_patch, top, clock=clock), scene
 
 
 # Mistakes

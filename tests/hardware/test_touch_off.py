@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from helpers.closed_form import BOARD, QUIET
+from helpers.spring_plane import SpringPlane
 
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
-from i2t.emulators.scene import SpringPlane
 from i2t.errors import DeviceError
 from i2t.geometry import transform
 from i2t.hardware.contract import refuse

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from helpers.spring_plane import SpringPlane
 
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import SessionInfo, SkinInfo
@@ -10,7 +11,6 @@ from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab, SimulatedSkin, VirtualClock
-from i2t.emulators.scene import SpringPlane
 from i2t.errors import NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware.base import DeviceBase

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.prediction.baselines import ridge
 from i2t.prediction.methods import TrainingTouches
 from i2t.prediction.metrics import score
-from i2t.prediction.predictor import STDS_WITHIN_90
 from tests.helpers.baselines import bare_dataset, fit_baselines, predict
 
 

@@ -92,7 +92,7 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, 
     T[:, 2, 3] = heights
     batches: list[int] = []
 
-    def predict(surfaces, twist, T_w_site, reading_models, *, overtravel, bar):
+    def predict(surfaces, twist, T_w_site, reading_models, *, overtravel, label, bar):
         batches.append(len(T_w_site))
         return [np.asarray(T_w_site)[:, 2, 3] for _ in reading_models]
 

@@ -119,11 +119,11 @@ def recorded(monkeypatch) -> list[np.ndarray]:
     """Sites that were touched. No touch is made; its number is its reading."""
     sites: list[np.ndarray] = []
 
-    def advance(running, site, environment, params, *, shared):
+    def advance(running, site, *, shared):
         sites.append(site)
-        return RunningEpisodes(running.key_touch, None)
+        return running
 
-    def last_touches(running, environment, params):
+    def last_touches(running):
         step = np.full(len(POOL), 1 + (len(sites) - 1) % 3, np.float32)
         return MeasuredTouches(np.tile(np.eye(4, dtype=np.float32), (len(POOL), 1, 1)), step[:, None], step)
 
@@ -133,7 +133,7 @@ def recorded(monkeypatch) -> list[np.ndarray]:
 
 
 THREE, PARAMS = random_environment(EnvironmentConfig(touches=3))
-BEGUN = RunningEpisodes(np.zeros(2, np.uint32), None)
+BEGUN = RunningEpisodes(THREE, PARAMS, np.zeros(2, np.uint32), None)
 
 
 def fixed_scorer(touches: MeasuredTouches) -> np.ndarray:
@@ -145,7 +145,7 @@ def fixed_scorer(touches: MeasuredTouches) -> np.ndarray:
 def test_the_loop_touches_where_the_heuristic_says_on_hypotheses_sampled_from_its_own_votes(recorded):
     hypotheses = []
     for key in jax.random.split(jax.random.key(0), 30):
-        result = run_loop(key, fixed_scorer, BEGUN, THREE, PARAMS, TWO_POOLS, POOL)
+        result = run_loop(key, fixed_scorer, BEGUN, TWO_POOLS, POOL)
         np.testing.assert_array_equal(result.site, WORTH[POOL[:, None], result.hypothesis])
         np.testing.assert_array_equal(np.concatenate(recorded[-3:], 1), result.site)
         np.testing.assert_allclose(result.distance, np.tile(DISTANCES, (len(POOL), 1, 1)))
@@ -160,7 +160,7 @@ def test_hypotheses_follow_the_rule_that_is_asked_for(recorded):
     """By the product of likelihoods the second object has e^2 / (1 + e^2) = .88 after one touch and .73 after two."""
     share = np.mean(
         [
-            run_loop(key, fixed_scorer, BEGUN, THREE, PARAMS, TWO_POOLS, POOL, rule="product").hypothesis.mean(0)
+            run_loop(key, fixed_scorer, BEGUN, TWO_POOLS, POOL, rule="product").hypothesis.mean(0)
             for key in jax.random.split(jax.random.key(1), 60)
         ],
         axis=0,

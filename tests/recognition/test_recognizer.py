@@ -71,7 +71,7 @@ def leaning() -> ObjectRecognizer:
     model = PadModel(None, given.likelihood(), np.ones(CHANNELS), 1.0, np.zeros((0, CHANNELS)))
     config = RecognizerConfig(num_particles=given.PARTICLES, max_touches=100)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recognizer_module, "precompute_outcomes", lambda *_, **__: [given.predicted_touches()])
+        patch.setattr(recognizer_module, "predict_outcomes", lambda *_, **__: [given.predicted_touches()])
         return ObjectRecognizer(
             jax.random.key(0), model, {"one": mesh, "other": mesh}, T_w_o=TILTED, sites=sites, config=config
         )

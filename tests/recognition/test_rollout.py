@@ -90,9 +90,9 @@ def test_methods_share_the_touches_that_both_make(monkeypatch):
     truth, batches = np.array([0, 1, 0]), []
     touch = rollout._touch
 
-    def counted(states, keys, site, missing, environment, params):
+    def counted(episodes, keys, site, missing):
         batches.append(len(missing))
-        return touch(states, keys, site, missing, environment, params)
+        return touch(episodes, keys, site, missing)
 
     monkeypatch.setattr(rollout, "_touch", counted)
     begun = begin_episodes(jax.random.key(0), environment, params, truth)
@@ -102,17 +102,17 @@ def test_methods_share_the_touches_that_both_make(monkeypatch):
     for chosen, known in ((second, None), (first, shared), (second, shared)):
         running = begun
         for step in range(2):
-            running = advance(running, chosen[:, step : step + 1], environment, params, shared=known)
+            running = advance(running, chosen[:, step : step + 1], shared=known)
             if known is not None:
                 shared |= running.new
-        episodes.append(episodes_of(running, environment, params))
+        episodes.append(episodes_of(running))
     assert batches == [3, 3, 3, 3, 1, 1]  # the third only where the second method touches elsewhere
     jax.tree.map(np.testing.assert_array_equal, tuple(episodes[0]), tuple(episodes[2]))
     jax.tree.map(np.testing.assert_array_equal, episodes[2].site, second)
-    last = last_touches(running, environment, params)
+    last = last_touches(running)
     np.testing.assert_array_equal(last.T_w_t, episodes[2].T_w_t[:, -1])
     np.testing.assert_array_equal(last.reading, episodes[2].observations.reading[:, -1])
-    together = advance(begun, second, environment, params)
+    together = advance(begun, second)
     jax.tree.map(np.testing.assert_array_equal, together.states, running.states)
     with pytest.raises(ValueError, match="no site"):
-        advance(begun, np.full((3, 1), NO_SITE), environment, params)
+        advance(begun, np.full((3, 1), NO_SITE))

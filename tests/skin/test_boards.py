@@ -21,7 +21,7 @@ from i2t.skin.boards import (
 )
 from i2t.skin.faults import Faults
 from i2t.skin.files import load_pad, save_pad
-from i2t.skin.noise import Noise, add_sensor_noise, drift
+from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import press, sample_pad
 from i2t.types import Board
 
@@ -72,7 +72,6 @@ def test_a_pad_on_any_board_is_pressed_and_kept_and_a_chip_measures_the_same_on_
 def test_noise_and_faults_have_the_board_s_channels():
     board, keys = make_board("grid-2x2"), jax.random.split(jax.random.key(0), 4)
     assert add_sensor_noise(keys[0], jnp.zeros(12), board, Noise()).shape == (12,)
-    assert drift(keys[1], 7, Noise(), 12).shape == (7, 12)
     poses, kind = jnp.tile(jnp.eye(4), (6, 1, 1)), Faults.typical()
     felt = faults.apply(keys[2], jnp.ones((6, 12)), poses, board, kind, key_board=keys[3], rest=jnp.zeros(12))
     assert felt.shape == (6, 12)

@@ -61,22 +61,3 @@ def test_samples_are_whole_steps_and_an_ideal_sensor_reports_the_field():
         assert np.all(np.abs(rounded - values) <= Noise().steps(5) / 2 * (1 + 1e-3))
     ideal = noise.add_sensor_noise(jax.random.key(0), jnp.asarray(values[0], jnp.float32), BOARD, Noise.none())
     np.testing.assert_allclose(ideal, values[0], rtol=1e-6)
-
-
-@pytest.mark.full
-def test_drift_is_a_random_walk():
-    touches = 100
-    keys = jax.random.split(jax.random.key(2), 600)
-    walks = np.asarray(jax.jit(jax.vmap(lambda key: noise.drift(key, touches, Noise(), 15)))(keys))
-    end = walks[:, -1].ravel()
-    # A normal number times a lognormal size: log |end| has mean log(drift) + mean log |normal|, the latter
-    # -(Euler's constant + log 2) / 2, and variance 1 + pi^2 / 8.
-    spread = np.sqrt(1 + np.pi**2 / 8)
-    expected = np.log(Noise().drift) - (np.euler_gamma + np.log(2)) / 2
-    assert abs(np.mean(np.log(np.abs(end))) - expected) < 5 * spread / np.sqrt(end.size)
-    # Independent increments: the halves of a walk are as large as one another and uncorrelated.
-    first, second = walks[:, touches // 2 - 1], walks[:, -1] - walks[:, touches // 2 - 1]
-    sign = np.mean(np.sign(first) == np.sign(second))
-    assert abs(sign - 0.5) < 5 * 0.5 / np.sqrt(first.size)
-    ratio = np.log(np.abs(second)) - np.log(np.abs(first))  # the size of the channel cancels: variance 2 pi^2 / 8
-    assert abs(np.mean(ratio)) < 5 * np.pi / 2 / np.sqrt(first.size)

@@ -22,7 +22,7 @@ from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import nominal_pad, press
 from i2t.skin_models.base import FittedSkinModel
 from i2t.skin_models.calibration import TipModel, TipPresses
-from i2t.skin_models.magnetization import MagnetizationModel, Presses, RoundTip, TipReadings
+from i2t.skin_models.magnetization import MagnetizationModel, RoundTip, TipReadings
 from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.skin_models.pressure_gp import PressureModel, PressureTouches
 from i2t.types import Pad
@@ -30,6 +30,13 @@ from i2t.types import Pad
 BOARD, TIP = reskin_board(), RoundTip("sphere", 4e-3)
 PRESSES, NEW = 40, 40
 KNOWN, NEW_ROWS = slice(PRESSES), slice(PRESSES, None)
+
+
+class Presses(NamedTuple):
+    """Presses of a ball."""
+
+    position: jax.Array  # m
+    load: jax.Array  # m deep
 
 
 class Pressed(NamedTuple):
@@ -82,7 +89,7 @@ def pressure_case(pressed: Pressed) -> tuple[Any, Any]:
 
 def pad_case(pressed: Pressed) -> tuple[Any, Any]:
     model = MagnetizationModel(TIP, by_force=False, grid=CELL_GRID, max_layer_presses=8, linearizations=0)
-    return model, TipReadings(some(pressed.presses, KNOWN), jnp.float32(pressed.readings[KNOWN]), BOARD)
+    return model, TipReadings(*some(pressed.presses, KNOWN), jnp.float32(pressed.readings[KNOWN]), BOARD)
 
 
 def assert_four_verbs(fitted: Any, contact: tuple[Any, ...], path: Path) -> None:

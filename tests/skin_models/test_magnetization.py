@@ -13,7 +13,7 @@ from i2t.skin import boards, contact
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import POISSON_RATIO, press, press_force, sample_pad
 from i2t.skin_models import magnetization as physics
-from i2t.skin_models.magnetization import MagnetizationModel, Presses, RoundTip, TipReadings, parse_tip
+from i2t.skin_models.magnetization import MagnetizationModel, RoundTip, TipReadings, parse_tip
 
 COARSE = Grid(20, 32)  # a quarter of the dipoles; pads are made and fitted on the same
 TIP = RoundTip("sphere", 4e-3)
@@ -51,16 +51,16 @@ def test_the_design_gives_what_the_simulator_reads():
 def test_a_pad_is_found_again_and_says_how_far_it_is_off():
     """Sixty presses of a simulated pad with a ball, with 1 uT of noise: it is fitted to half of them."""
     pad, rng = sample_pad(jax.random.key(2)), np.random.default_rng(2)
-    presses = Presses(jnp.float32(rng.uniform(-7e-3, 7e-3, (60, 2))), jnp.float32(rng.uniform(0.2e-3, 0.8e-3, 60)))
+    presses = jnp.float32(rng.uniform(-7e-3, 7e-3, (60, 2))), jnp.float32(rng.uniform(0.2e-3, 0.8e-3, 60))
 
     @jax.jit
     def read(pad, at, depth):
         return jax.vmap(lambda x, d: press(pad, TIP.height(x, COARSE), d, grid=COARSE).reading)(at, depth)
 
     readings = np.asarray(read(pad, *presses) + jnp.float32(rng.normal(size=(60, 15))))
-    known, (at, depth), held = Presses(*(part[:30] for part in presses)), (part[30:] for part in presses), readings[30:]
+    known, (at, depth), held = (part[:30] for part in presses), (part[30:] for part in presses), readings[30:]
     model = MagnetizationModel(TIP, by_force=False, grid=COARSE, max_layer_presses=16, linearizations=2)
-    fitted = model.fit(None, TipReadings(known, jnp.float32(readings[:30]), BOARD))
+    fitted = model.fit(None, TipReadings(*known, jnp.float32(readings[:30]), BOARD))
     # The fitted pad, pressed by the simulator, reads what the true one does.
     again = read(fitted.pad, at + fitted.layer.tip_offset[None], depth - fitted.layer.contact_offset)
     off = np.sqrt(np.mean((held - again) ** 2))
@@ -80,7 +80,7 @@ def test_a_pad_is_found_again_from_presses_by_force_at_symmetric_places():
     pad, rng = sample_pad(jax.random.key(1003)), np.random.default_rng(0)
     pad = pad._replace(poisson=jnp.asarray(POISSON_RATIO))  # which the layer of the fit takes as known
     position = jnp.float32(1e-3 * np.round(rng.uniform(-6, 6, (60, 2))))  # corners of four cells
-    presses = Presses(position, jnp.float32(rng.uniform(0.1, 1.5, 60)))
+    presses = position, jnp.float32(rng.uniform(0.1, 1.5, 60))
 
     @jax.jit
     def read(presses):
@@ -89,7 +89,7 @@ def test_a_pad_is_found_again_from_presses_by_force_at_symmetric_places():
     readings = read(presses) + jnp.float32(rng.normal(size=(60, 15)))
     model = partial(MagnetizationModel, TIP, by_force=True, grid=COARSE)
     fitted, start = (
-        model(**options).fit(None, TipReadings(presses, readings, BOARD))
+        model(**options).fit(None, TipReadings(*presses, readings, BOARD))
         for options in ({"max_layer_presses": 40, "linearizations": 6}, {"linearizations": 0})
     )
     np.testing.assert_allclose(fitted.layer.thickness, pad.thickness, rtol=0.02)
@@ -107,11 +107,10 @@ def test_derivatives_of_designs_against_differences_in_double_precision(board, b
     zero = jax.tree.map(jnp.zeros_like, prior.median)
     loads = (0.2, 0.7) if by_force else (0.25e-3, 0.5e-3)
     pairs = [(at, load) for at in ((0, 0), (1e-3, 1e-3), (0.3e-3, -2.1e-3)) for load in loads]
-    presses = Presses(jnp.float32([at for at, _ in pairs]), jnp.float32([load for _, load in pairs]))
+    position, load = (jnp.float32(part) for part in zip(*pairs, strict=True))
+    pressed = TipReadings(position, load, jnp.zeros((len(pairs), 3 * len(board.chips))), board)
     for tip in (RoundTip("sphere", 1.35e-3), RoundTip("sphere", 3.6e-3)):
-        _, changes = physics._design_derivatives(
-            zero, prior, board, tip=tip, presses=presses, by_force=by_force, grid=COARSE
-        )
+        _, changes = physics._design_derivatives(zero, prior, pressed, tip=tip, by_force=by_force, grid=COARSE)
         with jax.enable_x64(True):
             design, coordinates = exact_design(board, tip, by_force)
             for row, (at, load) in enumerate(pairs):
@@ -151,7 +150,6 @@ def linear_layer(monkeypatch):
     features = physics.weight_features(prior.median, designs, GRID.window)
     weights = rng.normal(size=features.shape[-1])
     readings = np.asarray(features) @ weights + rng.normal(size=shape[:2])
-    presses = Presses(jnp.zeros((12, 2)), jnp.ones(12))
     arrays = {"value": value.astype(np.float32), "changes": changes.astype(np.float32)}
 
     def derivatives(coordinates, *_, **__):
@@ -159,7 +157,7 @@ def linear_layer(monkeypatch):
         return jnp.asarray(arrays["value"] + np.tensordot(now, arrays["changes"], 1)), jnp.asarray(arrays["changes"])
 
     monkeypatch.setattr(physics, "_design_derivatives", derivatives)
-    pressed = TipReadings(presses, jnp.float32(readings), BOARD)
+    pressed = TipReadings(jnp.zeros((12, 2)), jnp.ones(12), jnp.float32(readings), BOARD)
     return pressed, prior, arrays, true
 
 
@@ -186,15 +184,15 @@ def test_a_fit_of_a_layer_that_cannot_begin_is_refused(linear_layer):
 
 
 def test_presses_that_are_not_finite_are_refused():
-    presses, readings = Presses(jnp.zeros((6, 2)), jnp.ones(6)), jnp.ones((6, 15))
+    pressed = TipReadings(jnp.zeros((6, 2)), jnp.ones(6), jnp.ones((6, 15)), BOARD)
     model = MagnetizationModel(TIP, by_force=True)
     for given, name in (
-        ((presses._replace(position=presses.position.at[2, 1].set(jnp.nan)), readings), "positions"),
-        ((presses._replace(load=presses.load.at[2].set(jnp.inf)), readings), "loads"),
-        ((presses, readings.at[2, 3].set(jnp.nan)), "readings"),
+        (pressed._replace(position=pressed.position.at[2, 1].set(jnp.nan)), "positions"),
+        (pressed._replace(load=pressed.load.at[2].set(jnp.inf)), "loads"),
+        (pressed._replace(reading=pressed.reading.at[2, 3].set(jnp.nan)), "readings"),
     ):
         with pytest.raises(ValueError, match=f"1 presses have {name} that are not finite, the first in row 2"):
-            model.fit(None, TipReadings(*given, BOARD))
+            model.fit(None, given)
 
 
 def test_left_out_is_what_leaving_out_gives():

@@ -19,7 +19,6 @@ from i2t.skin_models.pad_model import (
     load_pad_model,
     require_skin,
     same_board,
-    save_pad_model,
 )
 from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Board
@@ -41,7 +40,7 @@ def known() -> KnownPad:
 
 
 def test_a_pad_model_comes_back_with_its_skin(known, tmp_path):
-    save_pad_model(tmp_path / "pad_model.npz", known)
+    known.save(tmp_path / "pad_model.npz")
     again = load_pad_model(tmp_path / "pad_model.npz")
     assert again.origin == known.origin
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), again.model, known.model)
@@ -69,7 +68,7 @@ def test_parts_of_different_boards_are_no_pad_model(known, tmp_path):
         (known._replace(model=known.model._replace(reading_std=np.full(CHANNELS, np.nan))), "reading_std"),
         (known._replace(model=known.model._replace(reading_model=soft)), r"layer.young is not \(\) finite numbers"),
     ):
-        save_pad_model(path, broken)
+        broken.save(path)
         with pytest.raises(SerializationError, match=said):
             load_pad_model(path)
     serialization.save(path, "i2t pad", nominal_pad())
@@ -78,16 +77,15 @@ def test_parts_of_different_boards_are_no_pad_model(known, tmp_path):
 
 
 def test_another_skin_is_refused_by_both_names_and_another_board_whatever_is_asked(known):
-    skin = known.skin
-    assert require_skin(skin, ["skin A"], BOARD, "DATA/new") is None
+    assert require_skin(known, ["skin A"], BOARD, "DATA/new") is None
     with pytest.raises(DataError, match=r'DATA/new: the skin is "skin B", and .* DATA/known is of "skin A"'):
-        require_skin(skin, ["skin A", "skin B"], BOARD, "DATA/new")
-    said = require_skin(skin, ["skin B"], BOARD, "DATA/new", other_skin=True)
+        require_skin(known, ["skin A", "skin B"], BOARD, "DATA/new")
+    said = require_skin(known, ["skin B"], BOARD, "DATA/new", other_skin=True)
     assert said is not None
     assert all(words in said for words in ("ANOTHER SKIN: ", '"skin B"', '"skin A"'))
     for other in (boards.anyskin_board(), boards.grid_board(4, 4)):
         with pytest.raises(DataError, match=r"5 chips, the first at .* mm, turned by 0, 90, 0, -90"):
-            require_skin(skin, ["skin A"], other, "DATA/new", other_skin=True)
+            require_skin(known, ["skin A"], other, "DATA/new", other_skin=True)
 
 
 def test_boards_are_the_same_up_to_the_depth_of_their_chips():

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.common.cells import estimate
-from experiments.common.tables import markdown
+from experiments.common.tables import cell, markdown
 from tools.reproduce import __main__ as reproduce
 from tools.reproduce.shape_tables import PATCH_SCORES
 from tools.reproduce.skin_tables import CALIBRATED, GAIN, NEIGHBOURS, PLAIN, SESSIONS
@@ -136,8 +135,8 @@ def test_policies_are_shown_after_some_touches():
 
 
 def test_cells_by_hand():
-    assert estimate([0.5, None, None], 2) == "0.50"
-    assert estimate({"mean": 0.1, "low": -0.1, "high": 0.3}, 2, sign=True) == "+0.10 [-0.10, +0.30]"
+    assert cell([0.5, None, None], 2) == "0.50"
+    assert cell({"mean": 0.1, "low": -0.1, "high": 0.3}, 2, signed=True) == "+0.10 [-0.10, +0.30]"
     assert markdown(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
     assert set(TABLES) <= {step.name for step in STEPS}
 

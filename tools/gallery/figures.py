@@ -15,14 +15,13 @@ from i2t.patches.dimensions import PATCH_WINDOW
 from i2t.rendering.render import contact_mask
 from i2t.skin.elasticity import GRID, interior, load
 from i2t.viz.episode_report import EpisodeRecord
-from i2t.viz.style import BLUE, GREY, ORANGE, titled
+from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, titled
 from tools.gallery.arguments import FigureName
 from tools.gallery.lab_figures import monitor, registration, rig
 from tools.gallery.page_figures import from_depth, stamps
 from tools.gallery.story import HIDDEN_OBJECT, Draw, Story
 
 SHOWN = ("star", "pyramid", "cylinder", "screwdriver", "hammer")
-MM, UM = 1e3, 1e6
 TIP_RADIUS_M = 4e-3
 DOCS = Path(__file__).parents[2] / "docs"
 NAMED_PROBABILITY = 0.04  # from which an object's name has room next to its curve
@@ -63,7 +62,7 @@ def press(story: Story) -> Figure:
     """A ball pressed into the skin: pressure, displacement, reading."""
     pad = i2t.nominal_pad()
     squared = (GRID.centres[None, :] - 3e-3) ** 2 + GRID.centres[:, None] ** 2
-    pressed = i2t.press(i2t.nominal_pad(), squared / (2 * TIP_RADIUS_M), 0.4e-3)
+    pressed = i2t.press(pad, squared / (2 * TIP_RADIUS_M), 0.4e-3)
     moved, _ = interior(pad, load(pad, pressed.pressure), 0.0)
     return viz.plot_press(
         np.asarray(pressed.pressure), -np.asarray(moved[2]), pad.board, np.asarray(pressed.reading),
@@ -128,7 +127,7 @@ def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray) -> None:
 
 
 def _outline(axes: Axes, mask: np.ndarray) -> None:
-    half = MM * PATCH_WINDOW / 2
+    half = MM_PER_M * PATCH_WINDOW / 2
     at = np.linspace(-half, half, len(mask))
     axes.contour(at, at, mask, levels=[0.5], colors="white", linewidths=1.2)
 

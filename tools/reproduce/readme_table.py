@@ -3,8 +3,8 @@
 import re
 from collections.abc import Mapping
 
-from experiments.common.cells import Measured, at, estimate, number
-from experiments.common.tables import markdown
+from experiments.common.cells import Measured, at
+from experiments.common.tables import cell, markdown
 from tools.reproduce.skin_tables import r2_of
 
 WARPED, CHANGES, RECORDED, PAPER = "time-warped strokes", "less ambient", "as recorded", "paper's classifier"
@@ -33,13 +33,13 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
             "predict readings, R²",
             f"one eFlesh skin and tip, blocks held out: {best}, best baseline {baseline} "
             "([results](docs/results.md#real-presses-whole-blocks-held-out))",
-            f"six unseen objects: {estimate(pads[GP]['r2'], 2)}, best baseline {estimate(pads[MEASURED]['r2'], 2)} "
+            f"six unseen objects: {cell(pads[GP]['r2'], 2)}, best baseline {cell(pads[MEASURED]['r2'], 2)} "
             "([results](docs/results.md#simulated-objects-that-were-never-touched))",
             "errors of camera and arm cost half of what could be explained",
         ],
         [
             "know a skin from 20 presses, R²",
-            f"one eFlesh skin, blocks held out: {estimate(press, 2)} ([calibration](docs/calibration.md))",
+            f"one eFlesh skin, blocks held out: {cell(press, 2)} ([calibration](docs/calibration.md))",
             "better than a plain GP ([calibration](docs/calibration.md))",
             "partly tuned on that skin; the layer's physics failed on it",
         ],
@@ -48,11 +48,11 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
 
 def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
     paper, belief = results["paper"]["mean of the sets"], results["recognize"]["sets"]["all"]["methods"]
-    votes = ", ".join(f"{name} {number(paper[method]['mean'], 2)}" for name, method in VOTES.items())
+    votes = ", ".join(f"{name} {cell(paper[method]['mean'], 2)}" for name, method in VOTES.items())
     fused, readings_alone = (at(belief[evidence]["accuracy"], -1) for evidence in ("fused", "readings"))
-    _, _, others = estimate(belief["fused"]["last_other_objects"], 2).partition(" ")
+    _, _, others = cell(belief["fused"]["last_other_objects"], 2).partition(" ")
     rows = results["physics"]["tables"]["methods"]["rows"]
-    means = {tuple(row[:3]): number(row[3]["mean"], 2) for row in rows}
+    means = {tuple(row[:3]): cell(row[3]["mean"], 2) for row in rows}
     readings, taught, together = (
         " / ".join(means[name, evidence, touches] for name in OTHER_PHYSICS)
         for evidence, touches in (("readings", "none"), ("readings", "200"), ("fused", "200"))
@@ -68,8 +68,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "recognition by the belief, ten touches, chance .20",
             "not yet",
-            f"{estimate(fused, 2)} on six pads; for objects like these {others}; from readings alone "
-            f"{number(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
+            f"{cell(fused, 2)} on six pads; for objects like these {others}; from readings alone "
+            f"{cell(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
             f"skins with free sides / soft / of springs, over all touches: readings alone {readings} for "
             f"{matched}, after 200 touches there {taught}; fused then {together} for {both}",
         ],
@@ -88,15 +88,15 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         max((rate for name, rate in later.items() if name.endswith(kind)), key=lambda rate: rate[0])
         for kind in (CHANGES, RECORDED)
     )
-    stamps = {name: number(found["total"][0], 2) for name, found in results["shapes"]["splits"]["random"].items()}
+    stamps = {name: cell(found["total"][0], 2) for name, found in results["shapes"]["splits"]["random"].items()}
     return [
         [
             "recognise shapes",
-            f"digits drawn on one skin, later strokes, chance .10: {estimate(later[WARPED], 2)}, best baseline "
-            f"{estimate(best, 2)} ([shapes](docs/shapes.md#on-a-real-skin))",
+            f"digits drawn on one skin, later strokes, chance .10: {cell(later[WARPED], 2)}, best baseline "
+            f"{cell(best, 2)} ([shapes](docs/shapes.md#on-a-real-skin))",
             f"stamps: {stamps['imagined touch']}, paper's classifier {stamps[PAPER]}",
             "each digit in one recording, so the field around tells it: kept, it lifts the best baseline to "
-            f"{number(flattered[0], 2)}",
+            f"{cell(flattered[0], 2)}",
         ],
         [
             "patches from depth images",
@@ -106,9 +106,9 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         ],
         [
             "touch to shape",
-            f"a tip's place, not shape: median {number(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
-            f"{rebuilt['test_objects']} unseen objects: {estimate(after['5']['ratio'], 2)} of the distance left after "
-            f"5 touches, without readings {number(posed['5']['ratio'][0], 2)} "
+            f"a tip's place, not shape: median {cell(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
+            f"{rebuilt['test_objects']} unseen objects: {cell(after['5']['ratio'], 2)} of the distance left after "
+            f"5 touches, without readings {cell(posed['5']['ratio'][0], 2)} "
             "([reconstruction](docs/reconstruction.md))",
             "needs like objects; edges",
         ],

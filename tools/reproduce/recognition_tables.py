@@ -5,19 +5,19 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from experiments.common.cells import Cell, Measured, Table, at, estimate, number, percent, rows_over, shown
-from experiments.common.tables import markdown
+from experiments.common.cells import Cell, Measured, Table, at, percent, rows_over, shown
+from experiments.common.tables import cell, markdown
 from experiments.studies.tables import study_table
 
 
 def last(scores: Mapping[str, Any]) -> str:
     """Accuracy after the last touch."""
-    return estimate(at(scores["accuracy"], -1))
+    return cell(at(scores["accuracy"], -1))
 
 
 def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
     """Mean over touches of a score."""
-    return number(sum(scores[key]) / len(scores[key]), decimals)
+    return cell(sum(scores[key]) / len(scores[key]), decimals)
 
 
 METHOD_HEAD = (
@@ -25,10 +25,10 @@ METHOD_HEAD = (
     "ECE", "log loss",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
-    *(lambda scores, touch=touch: number(at(scores["accuracy"], touch)["mean"], 2) for touch in (1, 3, 5)),
+    *(lambda scores, touch=touch: cell(at(scores["accuracy"], touch)["mean"], 2) for touch in (1, 3, 5)),
     last,
-    lambda scores: estimate(scores["last_other_objects"], 2).partition(" ")[2],
-    lambda scores: estimate(scores["mean"], 2),
+    lambda scores: cell(scores["last_other_objects"], 2).partition(" ")[2],
+    lambda scores: cell(scores["mean"], 2),
     partial(mean_of, "calibration_error", 2),
     partial(mean_of, "log_loss", 2),
 )
@@ -49,14 +49,14 @@ def paper_methods(measured: Measured) -> str:
 
     sets, means = measured["sets"], measured["mean of the sets"]
     rows = [
-        [f"{name}, the paper, one real skin", *(number(found[column], 2) for column in (*sets, "mean"))]
+        [f"{name}, the paper, one real skin", *(cell(found[column], 2) for column in (*sets, "mean"))]
         for name, found in (("Imagine2touch", PUBLISHED_I2T), ("proprioception", PUBLISHED_PROPRIOCEPTION))
     ]
     chances = [1 / len(each["objects"]) for each in sets.values()]
-    rows.append(["chance", *(number(each, 2) for each in (*chances, len(sets) / sum(1 / each for each in chances)))])
+    rows.append(["chance", *(cell(each, 2) for each in (*chances, len(sets) / sum(1 / each for each in chances)))])
     for method in (each for each in means if shown(each, "measured force")):
         found = [last(each["methods"][method]) for each in sets.values()]
-        rows.append([method, *found, estimate(means[method])])
+        rows.append([method, *found, cell(means[method])])
     return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
 
 
@@ -68,12 +68,12 @@ def paper_differences(measured: Measured, hidden: Sequence[str] = ()) -> str:
     rows = []
     for pair in (each for each in next(iter(sets.values()))["paired"] if shown(each, *hidden)):
         found = (each["paired"][pair] for each in sets.values())
-        cells = (f"{estimate(each['last'], 2, sign=True)}; {each['pads_needed']}" for each in found)
+        cells = (f"{cell(each['last'], 2, signed=True)}; {each['pads_needed']}" for each in found)
         _, _, rule = pair.rpartition(", ")
         brief = re.sub(r"Imagine2touch \(paper's network, (.*?)\)", r"\1", pair)
         brief = re.sub(r"paper's network and measured force, (\w+)", r"\1 and force", brief)
         brief = re.sub(f"same rules, |, {rule}", "", brief)
-        rows.append([f"{brief} ({rule})", *cells, estimate(means[pair], 2, sign=True)])
+        rows.append([f"{brief} ({rule})", *cells, cell(means[pair], 2, signed=True)])
     return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five"], rows)
 
 
@@ -96,7 +96,7 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
         by_setting: dict[str, list[str]] = {}
         for setting, evidence, _, _, whole, less, log_loss in found["rows"]:
             if evidence in kinds and shown(setting, *hidden):
-                cells = [estimate(whole, 2), estimate(less, 2, sign=True), number(log_loss, 2)]
+                cells = [cell(whole, 2), cell(less, 2, signed=True), cell(log_loss, 2)]
                 by_setting.setdefault(setting, []).extend(cells)
         head = [f"{kind}: {name}" for kind in kinds for name in names]
         return markdown(["setting", *head], [[setting, *cells] for setting, cells in by_setting.items()])
@@ -111,7 +111,7 @@ def physics_by_touches(measured: Measured) -> str:
     cells: dict[str, dict[str, str]] = {}
     for physics, evidence, touches, mean, lost, *_ in measured["tables"]["methods"]["rows"]:
         if evidence == "readings":
-            cells.setdefault(physics, {})[touches] = f"{number(mean['mean'], 2)}: {estimate(lost, 2, sign=True)}"
+            cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {cell(lost, 2, signed=True)}"
     columns = max(cells.values(), key=len)
     rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
     return markdown(["own touches", *columns], rows)
@@ -123,8 +123,7 @@ ACTIVE_TOUCHES = (1, 4, 16)  # touches of the table
 def policies(measured: Measured) -> str:
     """Accuracy of every policy after some touches, with intervals over pads."""
     rows = [
-        [name, *(estimate(curve[touch - 1], 2) for touch in ACTIVE_TOUCHES)]
-        for name, curve in measured["accuracy"].items()
+        [name, *(cell(curve[touch - 1], 2) for touch in ACTIVE_TOUCHES)] for name, curve in measured["accuracy"].items()
     ]
     return markdown(["policy", "after 1", *map(str, ACTIVE_TOUCHES[1:])], rows)
 
@@ -139,11 +138,11 @@ def rules_of_readings(measured: Measured) -> str:
     rows = []
     for name, found in entry["methods"].items():
         accuracy, error = found["accuracy"], found["calibration_error"]
-        cells = [number(at(accuracy, min(touch, last))["mean"], 2) for touch in (1, 3, 5)]
-        scores = [mean_of("mean", 2, found["log_loss"]), f"{number(error['error'])} ({number(error['chance'])})"]
+        cells = [cell(at(accuracy, min(touch, last))["mean"], 2) for touch in (1, 3, 5)]
+        scores = [mean_of("mean", 2, found["log_loss"]), f"{cell(error['error'])} ({cell(error['chance'])})"]
         others = random["methods"][name]["accuracy"]
-        flattered = f"{number(at(others, 1)['mean'], 2)}, {number(at(others, -1)['mean'], 2)}"
-        rows.append([name, *cells, estimate(at(accuracy, -1), 2), *scores, flattered])
+        flattered = f"{cell(at(others, 1)['mean'], 2)}, {cell(at(others, -1)['mean'], 2)}"
+        rows.append([name, *cells, cell(at(accuracy, -1), 2), *scores, flattered])
     head = ["after 1", "after 3", "after 5", f"after {last} [95 %]", "log loss", "ECE (by chance)"]
     return markdown(["rule", *head, f"split at random: after 1, {last}"], rows)
 
@@ -160,8 +159,8 @@ def doubts_about_readings(measured: Measured) -> str:
     unknown = measured["unknown"]
     first, last = unknown["touches"][0], unknown["touches"][-1]
     for name in (belief, "distance from what was taught"):
-        cell = f"{estimate(at(unknown[name], 1), 2)}, {estimate(at(unknown[name], -1), 2)}"
-        rows.append([f"unknown objects, by {name}: AUROC after {first}, {last}", cell, ""])
+        found = ", ".join(cell(at(unknown[name], touch), 2) for touch in (1, -1))
+        rows.append([f"unknown objects, by {name}: AUROC after {first}, {last}", found, ""])
     return markdown(["what [95 %]", belief, "product"], rows)
 
 

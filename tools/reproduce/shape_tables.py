@@ -1,7 +1,7 @@
 """Tables of shapes from touches: surfaces, and the surface below one press."""
 
-from experiments.common.cells import Measured, Table, estimate, number, span
-from experiments.common.tables import markdown
+from experiments.common.cells import Measured, Table, span
+from experiments.common.tables import cell, markdown
 from experiments.reconstruct.tables import hidden, policies, reconstructions_and_goals, savings
 
 PATCH_SCORES = (
@@ -19,7 +19,7 @@ def local_shapes(measured: Measured) -> str:
             name,
             *(span(score, 2, found) for score, _ in PATCH_SCORES),
             goal,
-            f"{number(found['edge_degrees_median'][0], 0)}, {number(found['edge_mm_median'][0], 1)}",
+            f"{cell(found['edge_degrees_median'][0], 0)}, {cell(found['edge_mm_median'][0], 1)}",
         ]
         for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=True)
     ]
@@ -55,7 +55,7 @@ def stamps(measured: Measured) -> str:
     rows = [
         [
             title,
-            *("".join(estimate(of[each], 2) for each in of if each.startswith(method)) for method in methods),
+            *("".join(cell(of[each], 2) for each in of if each.startswith(method)) for method in methods),
             STAMP_GOALS.get(name, ""),
         ]
         for name, of in (found | measured["new"]).items()
@@ -72,10 +72,10 @@ def strokes(measured: Measured) -> str:
     rows = [
         [
             name,
-            estimate(found["accuracy"], 2),
-            number(found["log_loss"][0], 2),
-            f"{number(found['calibration']['error'])} ({number(found['calibration']['chance'])})",
-            estimate(drawn[name]["accuracy"], 2),
+            cell(found["accuracy"], 2),
+            cell(found["log_loss"][0], 2),
+            f"{cell(found['calibration']['error'])} ({cell(found['calibration']['chance'])})",
+            cell(drawn[name]["accuracy"], 2),
         ]
         for name, found in order.items()
     ]

@@ -4,21 +4,21 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from experiments.common.cells import Cell, Measured, Table, estimate, number, numbers_of, rows_over
-from experiments.common.tables import markdown
+from experiments.common.cells import Cell, Measured, Table, numbers_of, rows_over
+from experiments.common.tables import cell, markdown
 
 
 def r2_of(decimals: int, scores: Mapping[str, Any]) -> str:
     """R² of one pad and seed with its interval over sessions."""
-    return estimate([scores["r2"], *scores["r2_interval"]], decimals)
+    return cell([scores["r2"], *scores["r2_interval"]], decimals)
 
 
 ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / sigma", "median cosine")
 ON_UNSEEN = ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES)
 OVER_PADS = ("method", "R² [95 % over pads]", *ERROR_TITLES)
 OVER_PADS_CELLS: tuple[Cell, ...] = (
-    lambda scores: estimate(scores["r2"], 2),
-    *(lambda scores, key=key: number(scores[key][0], 2) for key in ERRORS),
+    lambda scores: cell(scores["r2"], 2),
+    *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS),
 )
 
 
@@ -63,10 +63,10 @@ def press_counts(test: str, held_out: str) -> Table:
         inside = measured["inside_90"][test][CALIBRATED]
         counts = _shown(over["r2"])
         rows = [
-            *([name, *(number(curves[name][n]["mean"]) for n in counts)] for name in (NEIGHBOURS, PLAIN)),
-            [f"`{CALIBRATED}`", *(estimate(over["r2"][n]) for n in counts)],
-            [f"its gain on the {PLAIN}", *(estimate(over["differences"][GAIN][n], sign=True) for n in counts)],
-            ["in its 90 % range", *(number(inside[n]["mean"], 2) for n in counts)],
+            *([name, *(cell(curves[name][n]["mean"]) for n in counts)] for name in (NEIGHBOURS, PLAIN)),
+            [f"`{CALIBRATED}`", *(cell(over["r2"][n]) for n in counts)],
+            [f"its gain on the {PLAIN}", *(cell(over["differences"][GAIN][n], signed=True) for n in counts)],
+            ["in its 90 % range", *(cell(inside[n]["mean"], 2) for n in counts)],
         ]
         head = f"{measured['source']}, {measured['held_out'][test]} {held_out} [95 % over {over['blocks']} blocks]"
         return markdown([head, *counts], rows)
@@ -80,7 +80,7 @@ def kinds_of_skin(measured: Measured) -> str:
     for name, case in measured["cases"].items():
         r2, gains = case["r2"][CALIBRATED], case["differences"][GAIN]
         inside = [found["mean"] for found in case["inside_90"].values()]
-        reached = (f"{number(r2[n]['mean'], 2)}, {estimate(gains[n], 2, sign=True)}" for n in counts)
+        reached = (f"{cell(r2[n]['mean'], 2)}, {cell(gains[n], 2, signed=True)}" for n in counts)
         rows.append([name, *reached, f"{min(inside):.2f}-{max(inside):.2f}"])
     return markdown([measured["source"], *counts, "in its 90 % range"], rows)
 
@@ -118,23 +118,23 @@ def eflesh_sessions(measured: Measured) -> str:
         return f"{x['xy_uT']:.2f}, {x['z_uT']:.2f}"
 
     def stroke(x: Any) -> str:
-        return ", ".join(number(sum(x[key]) / len(x[key])) for key in ("loop_share", "left_share"))
+        return ", ".join(cell(sum(x[key]) / len(x[key])) for key in ("loop_share", "left_share"))
 
     def spread(x: Any) -> str:
         square = [each**2 for each in x["repeat_std_uT"]]
         return f"{(sum(square) / len(square)) ** 0.5:.1f}, {x['r2_ceiling']:.3f}"
 
     def growth(x: Any) -> str:
-        return number(sum(x["share_per_decade"]) / x["holds"])
+        return cell(sum(x["share_per_decade"]) / x["holds"])
 
     quantities: list[tuple[str, Measured, Cell, Callable[[Any], str]]] = [
         ("noise in x and y, z (µT)", at_rest, noise, lambda x: noise(x["simulator"])),
         ("drift: median channel, largest (µT)", drift, lambda x: f"{x['median_uT']:.1f}, {x['largest_uT']:.1f}",
          lambda x: f"{x['simulator_uT']:.1f}, -"),
         ("hysteresis of a stroke, left after it", strokes, stroke, lambda _: "0, 0"),
-        ("creep per tenfold time", creep, growth, lambda x: number(x["simulator"])),
-        ("kept of the press before", chips, lambda x: number(max(map(abs, x["by_chip"]))),
-         lambda x: number(x["simulator"])),
+        ("creep per tenfold time", creep, growth, lambda x: cell(x["simulator"])),
+        ("kept of the press before", chips, lambda x: cell(max(map(abs, x["by_chip"]))),
+         lambda x: cell(x["simulator"])),
         ("scatter of repeats (µT), R² ceiling", ends, spread, lambda _: "-"),
     ]  # fmt: skip
     rows = [
@@ -152,7 +152,7 @@ def eflesh_heads(measured: Measured) -> str:
         for target in targets:
             tests = measured["recordings"][name]["Heads"]["heads"][target]
             cells = [
-                f"{test['kept']['rmse']:.3f} ({test['kept']['inside_90']:.2f}), {number(nearest['rmse'])}"
+                f"{test['kept']['rmse']:.3f} ({test['kept']['inside_90']:.2f}), {cell(nearest['rmse'])}"
                 for test in map(tests.__getitem__, splits)
                 for nearest in [test["baselines"]["k nearest readings"]]
             ]

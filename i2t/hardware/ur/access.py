@@ -15,20 +15,19 @@ from typing import IO
 
 from i2t.errors import DeviceError
 from i2t.hardware.poses import pose_from_vector
-from i2t.hardware.ur.ports import DASHBOARD_PORT, RTDE, SCRIPT, Answer, Port, probe, why_no_answer
+from i2t.hardware.ur.ports import DASHBOARD_PORT, PROBE_TIMEOUT_S, RTDE, SCRIPT, Answer, Port, probe, why_no_answer
 from i2t.types import Array
 
 NO_LIBRARY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
 SAFE = ("NORMAL", "REDUCED")  # safety status in which an arm may be moved
 
 
-def ask_dashboard(host: str, line: str, timeout: float = 1.0) -> str:
+def ask_dashboard(host: str, line: str) -> str:
     """Send one line to the controller's dashboard.
 
     Args:
         host: Address of the controller.
         line: The question or command.
-        timeout: s, of each step.
 
     Returns:
         The answer.
@@ -36,7 +35,8 @@ def ask_dashboard(host: str, line: str, timeout: float = 1.0) -> str:
     Raises:
         OSError: There is none in time.
     """
-    with socket.create_connection((host, DASHBOARD_PORT), timeout) as connection, connection.makefile("rw") as lines:
+    address = host, DASHBOARD_PORT
+    with socket.create_connection(address, PROBE_TIMEOUT_S) as connection, connection.makefile("rw") as lines:
         lines.readline()
         lines.write(line + "\n")
         lines.flush()

@@ -51,19 +51,18 @@ class Answer(enum.Enum):
     NO_ROUTE = "is out of reach"
 
 
-def probe(host: str, port: Port, timeout: float = PROBE_TIMEOUT_S) -> Answer:
+def probe(host: str, port: Port) -> Answer:
     """Connect to a port, and wait for its greeting if its service has one.
 
     Args:
         host: Address of the controller.
         port: One of `PORTS`.
-        timeout: Seconds to wait for the connection, and again for the greeting.
 
     Returns:
         The outcome of the attempt.
     """
     try:
-        with socket.create_connection((host, port.number), timeout) as connection:
+        with socket.create_connection((host, port.number), PROBE_TIMEOUT_S) as connection:
             return _greeting(connection, port)
     except ConnectionRefusedError:
         return Answer.REFUSED
@@ -86,18 +85,17 @@ def _greeting(connection: socket.socket, port: Port) -> Answer:
         return Answer.CLOSED
 
 
-def controller_version(host: str, timeout: float = PROBE_TIMEOUT_S) -> tuple[int, ...]:
+def controller_version(host: str) -> tuple[int, ...]:
     """Ask the RTDE server of a controller for the version of URControl.
 
     Args:
         host: Address of the controller.
-        timeout: Seconds to wait for the connection, and again for each answer.
 
     Returns:
         The numbers major, minor, bug fix and build; an empty tuple where RTDE does not answer.
     """
     try:
-        with socket.create_connection((host, RTDE.number), timeout) as connection:
+        with socket.create_connection((host, RTDE.number), PROBE_TIMEOUT_S) as connection:
             connection.sendall(PROTOCOL_REQUEST)
             connection.recv(PROTOCOL_ANSWER_BYTES, socket.MSG_WAITALL)
             connection.sendall(VERSION_REQUEST)

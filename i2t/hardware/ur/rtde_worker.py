@@ -34,6 +34,7 @@ from typing import Any, TypeAlias
 Message: TypeAlias = dict[str, Any]
 
 POLL_S = 0.01  # between two looks at the state
+SEND_TIMEOUT_S = 1.0
 STATE_RATE_HZ = 125.0
 BRAKE_MPS2 = 2.0
 STANDING_SPEED = 1e-3  # m/s and rad/s, below which the tool stands
@@ -66,9 +67,9 @@ class Channel:
         send_timeout_s: s, for which a message may wait for the other side to read.
     """
 
-    def __init__(self, end: socket.socket, send_timeout_s: float = 1.0) -> None:
+    def __init__(self, end: socket.socket) -> None:
         self._out, self._in = end, end.dup()  # two objects, as each has one timeout
-        self._out.settimeout(send_timeout_s)
+        self._out.settimeout(SEND_TIMEOUT_S)
         self._sending = threading.Lock()
         self._rest = b""
 

@@ -152,26 +152,6 @@ def findings_to_meta(session: str, findings: Iterable[Finding]) -> dict[str, str
     return {META_PREFIX + session: json.dumps([finding.to_json() for finding in findings], allow_nan=False)}
 
 
-def findings_from_meta(meta: Mapping[str, str]) -> dict[str, list[Finding]]:
-    """The findings that a data set carries.
-
-    Args:
-        meta: Of the data set.
-
-    Returns:
-        Findings by session; entries that no version of i2t wrote are left out.
-    """
-    found: dict[str, list[Finding]] = {}
-    for key, text in meta.items():
-        if not key.startswith(META_PREFIX):
-            continue
-        try:
-            found[key.removeprefix(META_PREFIX)] = [Finding(**entry) for entry in json.loads(text)]
-        except (ValueError, TypeError):
-            continue
-    return found
-
-
 def metrics_of(findings: Iterable[Finding]) -> dict[str, Any]:
     """Findings for a run's metrics.
 

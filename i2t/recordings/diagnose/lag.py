@@ -9,46 +9,44 @@ from i2t.recordings.presses import Presses
 
 LAG = "lag of the labels"
 LAG_ROWS = 300  # that are looked at
+MAX_LAG = 4  # rows by which labels may be shifted
 MIN_LAG_ROWS = 20
 LAG_UNEXPLAINED = 1.5  # times: what a smooth model leaves unexplained as recorded, over what it leaves with the lag
 LAG_GAIN = 0.03  # of R2, at least
 LAG_SHARE = 0.5  # of the R2 that is explained with the lag, which is lost without: where noise hides the rest
 
 
-def find_lag(presses: Presses, max_lag: int = 4) -> Finding:
+def find_lag(presses: Presses) -> Finding:
     """Ask whether each reading belongs to the labels of an earlier or later row.
 
     Args:
         presses: In the order of time.
-        max_lag: Rows by which labels may be shifted. With lag k the reading of row i belongs to the labels of row
-            i + k.
 
     Returns:
-        The finding; the estimate is the lag (rows).
+        The finding; the estimate is the lag (rows). With lag k the reading of row i belongs to the labels of row i + k.
     """
     load = presses.height if presses.height is not None and np.isfinite(presses.height).all() else presses.force
     loads = [] if load is None or not np.isfinite(load).all() else [load]
-    return lag_between(np.column_stack([presses.position, *loads]), presses.readings, max_lag)
+    return lag_between(np.column_stack([presses.position, *loads]), presses.readings)
 
 
-def lag_between(labels: Float[np.ndarray, "n k"], readings: Float[np.ndarray, "n c"], max_lag: int = 4) -> Finding:
+def lag_between(labels: Float[np.ndarray, "n k"], readings: Float[np.ndarray, "n c"]) -> Finding:
     """Ask whether readings belong to the labels of an earlier or later row, whatever the labels are.
 
     Args:
         labels: Of each row, in any units.
         readings: Of the same rows (uT).
-        max_lag: As for `find_lag`.
 
     Returns:
         The finding, as of `find_lag`.
     """
     n = len(labels)
-    rows = thinned(n - 2 * max_lag, LAG_ROWS) + max_lag
+    rows = thinned(n - 2 * MAX_LAG, LAG_ROWS) + MAX_LAG
     if len(rows) < MIN_LAG_ROWS:
-        enough = MIN_LAG_ROWS + 2 * max_lag
+        enough = MIN_LAG_ROWS + 2 * MAX_LAG
         sentence = f"A lag of the labels is not identifiable: {n} presses are too few ({enough} are enough)."
         return Finding(LAG, sentence, False)
-    r2 = {lag: smooth_r2(labels[rows + lag], readings[rows]) for lag in range(-max_lag, max_lag + 1)}
+    r2 = {lag: smooth_r2(labels[rows + lag], readings[rows]) for lag in range(-MAX_LAG, MAX_LAG + 1)}
     best = max(r2, key=lambda lag: r2[lag])
     near = [lag for lag in r2 if 0 < abs(lag - best) <= 3]
     contrast = r2[best] - min(r2[lag] for lag in near)

@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from i2t.types import in_one_line
 
+LOAD_STEP = 1e-3  # typical loads, half of the central difference of `load_slopes`
 MIN_RESPONSE_BASE = 1e-3  # of f: loads below zero
 UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not know where the chips are
 
@@ -195,19 +196,16 @@ def noise_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray
     return kernels.noise_variance[:, None, None] + kernels.gain_noise_variance[:, None, None] * grown
 
 
-def load_slopes(
-    kernels: SkinKernels, a: PressGeometry, b: PressGeometry, step: float = 1e-3
-) -> Float[np.ndarray, "s groups a b"]:
+def load_slopes(kernels: SkinKernels, a: PressGeometry, b: PressGeometry) -> Float[np.ndarray, "s groups a b"]:
     """Derivatives of `signal_covariances` by the load of the rows, by central differences.
 
     Args:
         kernels: s of them.
         a: Presses, one for each row.
         b: Presses, one for each column.
-        step: Half of the difference (typical loads).
 
     Returns:
         Derivatives for one typical load.
     """
-    high, low = (signal_covariances(kernels, a._replace(load=a.load + sign * step), b) for sign in (1, -1))
-    return (high - low) / (2 * step)
+    high, low = (signal_covariances(kernels, a._replace(load=a.load + sign * LOAD_STEP), b) for sign in (1, -1))
+    return (high - low) / (2 * LOAD_STEP)

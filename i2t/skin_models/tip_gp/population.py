@@ -35,6 +35,7 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 from scipy.stats import t as student_t
 
+from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.skin_models.tip_gp import kernel
 from i2t.skin_models.tip_gp.heights import (
     HEIGHT_LENGTHS_M,
@@ -62,7 +63,6 @@ from i2t.skin_models.tip_gp.members import NO_BOARD, Components, join_members, o
 from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior, with_plain
 from i2t.types import in_one_line
 
-STDS_WITHIN_90_PERCENT = 1.645  # standard deviations of a normal error that hold nine in ten
 DENSITY_EXPONENT = 0.3  # of the leave-one-out density, all channels together
 ERROR_EXPONENT = 8.0  # of the leave-one-out error, in presses' worth of one channel
 CHANNEL_EXPONENT = 0.1  # of a channel's own density, on top
@@ -248,7 +248,7 @@ def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
         A factor for each channel.
     """
     n, (mean, variance) = len(gp.readings), _left_out_mixture(gp)
-    ratios = np.abs(gp.readings - mean) / np.sqrt(variance) / STDS_WITHIN_90_PERCENT
+    ratios = np.abs(gp.readings - mean) / np.sqrt(variance) / STDS_WITHIN_90
     level = min(0.9 * (n + 1) / n, 1.0)
     together = (n * np.quantile(ratios, level) + SCALING_PRESSES * DEFAULT_SCALING) / (n + SCALING_PRESSES)
     each = n * np.quantile(ratios, level, axis=0) + SHARED_PRESSES * together

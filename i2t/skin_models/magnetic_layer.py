@@ -1,0 +1,422 @@
+"""An elastic magnetic layer over a board: its parameters, and what a press reads for each part of its magnetization.
+
+For a known displacement the reading is linear in the magnetization (`i2t.skin.dipoles`). The magnetization map is a
+series of cosines on the pad with the covariance of `i2t.skin.pad.smooth_random`. Derivatives run forward through the
+contact and the field.
+
+Metres, newtons, pascals, microtesla. `c` is the number of channels, three for each chip of the board; `m` is the number
+of cosines along an edge, `k` the number of weights.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.geometry import so3_exp
+from i2t.runtime.batching import map_batches
+from i2t.skin import elasticity as elastic
+from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
+from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
+from i2t.skin.elasticity import GRID, Grid
+from i2t.skin.pad import (
+    CHIP_GAP_M,
+    FRICTION_COEFFICIENT,
+    MAGNETIZATION_A_PER_M,
+    MAP_CELLS,
+    MOUNT_COMPLIANCE_M_PER_N,
+    POISSON_RATIO,
+    THICKNESS_M,
+    YOUNG_PA,
+)
+from i2t.types import Board, Pad, in_one_line
+from i2t.validation import round_tip
+
+MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
+DESIGN_BATCH = 8  # at a time, for the caches
+MIN_FORCE_N = 1e-3
+MAX_RADIUS_MM = 50.0  # of a tip
+MAGNETIZATION_STD = 0.7 * MAGNETIZATION_A_PER_M  # A/m: patches and the uniform part share the variance
+
+
+@in_one_line
+class LayerParameters(NamedTuple):
+    """Parameters that readings are nonlinear in; also their coordinates in the prior, and their ranges."""
+
+    thickness: Float[Array, ""]  # m
+    gap: Float[Array, ""]  # m, from the layer's base to the chips
+    young: Float[Array, ""]  # Pa; only the prior's where presses are controlled by depth
+    poisson: Float[Array, ""]
+    contact_offset: Float[Array, ""]  # m, first contact later than believed; zero where controlled by force
+    mount_compliance: Float[Array, ""]  # m/N, of an edge-clamped skin
+    tip_offset: Float[Array, "2"]  # m, of the tip from where it was believed
+    tip_scale: Float[Array, ""]  # true radius of the tip over the stated one
+    board_offset: Float[Array, "2"]  # m, of the board in the plane of the skin
+    board_rotation: Float[Array, "3"]  # rad, rotation vector of the board about its middle
+    gains: Float[Array, " c"]  # of the channels
+    patch_strength: Float[Array, "3"]  # A/m, of the map's patches along each axis
+    uniform_strength: Float[Array, ""]  # A/m, of the uniform part
+    patch_length: Float[Array, ""]  # m
+    noise_std: Float[Array, ""]  # uT, of a reading, with everything that the model leaves out
+
+
+# Parameters that change the design matrices; the others only scale what the matrices give.
+DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
+                     "tip_scale", "board_offset", "board_rotation")  # fmt: skip
+SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # those that change features by more than a scale
+# Priors are normal for NORMAL_PARAMETERS, lognormal for the others but the mount compliance, which is 0 for bonded
+# skins: its square root is normal.
+NORMAL_PARAMETERS = ("poisson", "contact_offset", "tip_offset", "board_offset", "board_rotation", "gains")
+ROOT_NORMAL = "mount_compliance"
+
+
+class LayerPrior(NamedTuple):
+    """Prior of `LayerParameters`."""
+
+    median: LayerParameters
+    std: LayerParameters  # of the parameter, its logarithm, or the root of its share of the median
+
+
+def layer_prior(channels: int) -> LayerPrior:
+    """Prior that approximates `sample_pad` and the errors of a careful mount.
+
+    Args:
+        channels: Number of channels of the board, three for each chip.
+
+    Returns:
+        Medians and standard deviations.
+    """
+    median = LayerParameters(
+        thickness=jnp.asarray(THICKNESS_M + 0.5e-3),
+        gap=jnp.asarray(CHIP_GAP_M),
+        young=jnp.asarray(YOUNG_PA),
+        poisson=jnp.asarray(POISSON_RATIO),
+        contact_offset=jnp.asarray(0.0),
+        mount_compliance=jnp.asarray(0.3 * MOUNT_COMPLIANCE_M_PER_N),
+        tip_offset=jnp.zeros(2),
+        tip_scale=jnp.asarray(1.0),
+        board_offset=jnp.zeros(2),
+        board_rotation=jnp.zeros(3),
+        gains=jnp.ones(channels),
+        patch_strength=jnp.full(3, MAGNETIZATION_STD),
+        uniform_strength=jnp.asarray(MAGNETIZATION_STD),
+        patch_length=jnp.asarray(3e-3),
+        noise_std=jnp.asarray(2.0),
+    )
+    std = LayerParameters(
+        thickness=jnp.asarray(0.12),
+        gap=jnp.asarray(0.17),
+        young=jnp.asarray(0.15),
+        poisson=jnp.asarray(0.003),
+        contact_offset=jnp.asarray(1e-4),  # m
+        mount_compliance=jnp.asarray(0.6),
+        tip_offset=jnp.full(2, 5e-4),  # m
+        tip_scale=jnp.asarray(0.03),
+        board_offset=jnp.full(2, 3e-4),  # m
+        board_rotation=jnp.asarray([0.015, 0.015, 0.03]),  # rad
+        gains=jnp.full(channels, 0.05),
+        patch_strength=jnp.full(3, 0.7),
+        uniform_strength=jnp.asarray(0.7),
+        patch_length=jnp.asarray(0.2),
+        noise_std=jnp.asarray(1.0),
+    )
+    return LayerPrior(median, std)
+
+
+def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParameters:
+    """Parameters at coordinates of the prior.
+
+    Args:
+        coordinates: Standard deviations from the median; their prior is normal with variance 1.
+        prior: Medians and standard deviations.
+
+    Returns:
+        The parameters in their units.
+    """
+
+    def value(name: str) -> Array:
+        median, std, at = (getattr(part, name) for part in (prior.median, prior.std, coordinates))
+        if name in NORMAL_PARAMETERS:
+            return median + std * at
+        return median * (1 + std * at) ** 2 if name == ROOT_NORMAL else median * jnp.exp(std * at)
+
+    return LayerParameters(**{name: value(name) for name in LayerParameters._fields})
+
+
+@runtime_checkable
+class Tip(Protocol):
+    """Any tip whose surface over the skin is known."""
+
+    def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """Distance of the tip's surface behind its lowest point over each cell.
+
+        Args:
+            position: (2,) m, of the tip's axis on the skin.
+            grid: Cells of the pad.
+
+        Returns:
+            (n, n) m, row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class RoundTip:
+    """A sphere or the flat end of an upright cylinder.
+
+    Attributes:
+        shape: Which of them.
+        radius: In metres.
+    """
+
+    shape: Literal["sphere", "cylinder"]
+    radius: float
+
+    def height(self, position: Float[Array, "2"] | Float[np.ndarray, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """Distance of the tip's surface behind its lowest point over each cell.
+
+        Args:
+            position: Of the tip's axis on the skin (m).
+            grid: Cells of the pad.
+
+        Returns:
+            Heights (m), row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
+        """
+        y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+        square = (x - position[0]) ** 2 + (y - position[1]) ** 2
+        under = square < self.radius**2
+        if self.shape == "cylinder":
+            return jnp.where(under, 0.0, MAX_HEIGHT_M)
+        return jnp.where(under, self.radius - jnp.sqrt(jnp.where(under, self.radius**2 - square, 1.0)), MAX_HEIGHT_M)
+
+
+def parse_tip(text: str) -> RoundTip:
+    """A tip from its name, as `python -m i2t.convert presses --indenter` writes it.
+
+    Args:
+        text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm.
+
+    Returns:
+        The tip.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    try:
+        shape, millimetres = round_tip(text, MAX_RADIUS_MM)
+    except ValueError as error:
+        forms = f"--tip sphere:RADIUS or cylinder:RADIUS takes one in mm, up to {MAX_RADIUS_MM:g}"
+        raise ValueError(f'"{text}" is no tip that a pad can be fitted to ({forms}): {error}') from None
+    return RoundTip("sphere" if shape == "sphere" else "cylinder", 1e-3 * millimetres)
+
+
+def make_pad(layer: LayerParameters, board: Board, magnetization: Float[Array, "cells cells 3"] | None = None) -> Pad:
+    """A pad of a layer over a board.
+
+    Args:
+        layer: Parameters of the layer.
+        board: The sensor board, any number of chips, all in one plane.
+        magnetization: Map (A/m); by default none.
+
+    Returns:
+        The pad.
+    """
+    turned = so3_exp(jnp.asarray(layer.board_rotation))
+    chips = jnp.matmul(jnp.asarray(board.chips).at[:, 2].set(0.0), turned.T, precision="highest")
+    shift = jnp.concatenate([layer.board_offset, -(layer.thickness + layer.gap)[None]])
+    empty = jnp.zeros((MAP_CELLS, MAP_CELLS, 3)) if magnetization is None else magnetization
+    return Pad(
+        thickness=jnp.asarray(layer.thickness),
+        young=jnp.asarray(layer.young),
+        poisson=jnp.asarray(layer.poisson),
+        magnetization=empty,
+        gains=jnp.asarray(layer.gains),
+        board=Board(chips + shift, jnp.matmul(turned, jnp.asarray(board.rotations), precision="highest")),
+        friction=jnp.asarray(FRICTION_COEFFICIENT),
+        mount_compliance=jnp.asarray(layer.mount_compliance),
+    )
+
+
+def cosine_basis() -> Float[np.ndarray, "cells m"]:
+    """Orthonormal cosines on the map's cells along an edge (the discrete cosine transform's), the slowest first.
+
+    Returns:
+        A column for each cosine.
+    """
+    k, i = np.arange(MODES), np.arange(MAP_CELLS)
+    waves = np.cos(np.pi * (i[:, None] + 0.5) * k / MAP_CELLS) * np.sqrt(2 / MAP_CELLS)
+    return np.where(k == 0, waves / np.sqrt(2), waves).astype(np.float32)
+
+
+def cosine_prior_factor(patch_length: Float[Array, ""], window: float) -> Float[Array, "m m"]:
+    """Cholesky factor of the covariance of an edge's cosines: that of `smooth_random`, in their basis.
+
+    Args:
+        patch_length: Length of the patches (m).
+        window: Edge of the pad (m).
+
+    Returns:
+        The lower factor.
+    """
+    at = (np.arange(MAP_CELLS) + 0.5) / MAP_CELLS * window
+    scaled = (at[:, None] - at[None, :]) / patch_length
+    waves = jnp.asarray(cosine_basis())
+    covariance = waves.T @ (0.999 * jnp.exp(-0.5 * scaled**2) + 0.001 * jnp.eye(MAP_CELLS)) @ waves
+    return jnp.linalg.cholesky(covariance + 1e-5 * jnp.eye(MODES))
+
+
+def design_matrix(
+    layer: LayerParameters,
+    board: Board,
+    tip: Tip,
+    position: Float[Array, "2"],
+    load: Float[Array, ""],
+    *,
+    by_force: bool,
+    grid: Grid = GRID,
+) -> Float[Array, "c 3 m m"]:
+    """Reading of one press for each cosine of each component of the magnetization.
+
+    Args:
+        layer: Parameters of the layer.
+        board: The sensor board.
+        tip: What presses.
+        position: Where, as believed (m).
+        load: Force (N) or depth (m).
+        by_force: Whether the load is a force.
+        grid: Cells of the pad.
+
+    Returns:
+        Readings (uT) of 1 A/m: channels, components, cosines along y and along x.
+    """
+    pad = make_pad(layer, board)
+    if isinstance(tip, RoundTip):
+        tip = replace(tip, radius=tip.radius * layer.tip_scale)
+    height = tip.height(position + layer.tip_offset, grid)
+    if by_force:
+        contact = solve_force(pad, height, jnp.maximum(load, MIN_FORCE_N), grid)
+    else:
+        contact = solve(pad, height, load - layer.contact_offset, grid)
+    return pressure_design(pad, contact.pressure, grid)
+
+
+def pressure_design(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "c 3 m m"]:
+    """Reading under a pressure for each cosine of each component of the magnetization.
+
+    Args:
+        pad: A skin; its own magnetization is not asked for.
+        pressure: Pa, on its cells.
+        grid: Cells of the pad.
+
+    Returns:
+        Readings (uT) of 1 A/m: channels, components, cosines along y and along x.
+    """
+    loaded = elastic.load(pad, pressure, grid=grid)
+    # Moments of magnetization 1 along one cosine in y and one in x are a product: the sheets' of each edge.
+    share, depths = _edge_moments(grid), sheets(pad, grid)[0]
+    thick = pad.thickness * np.polynomial.legendre.leggauss(CELL_NODES)[1] / 2
+    y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+
+    def sheet(at: tuple[Array, Array]) -> Array:
+        depth, size = at
+        displacement, rotation = elastic.interior(pad, loaded, depth, grid)
+        rest = jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.broadcast_to(-depth, x.shape)])
+        turned = jax.vmap(lambda one: turn(rotation, jnp.broadcast_to(one[:, None, None], rest.shape)))(jnp.eye(3))
+
+        def chip(point: Array) -> Array:
+            before, after = _dipole_tensor(point, rest), _dipole_tensor(point, rest + displacement)
+            change = jnp.einsum("oqij,cqij->ocij", after, turned, precision="highest") - before
+            return jnp.einsum("ocij,ia,jb->ocab", change, share, share, precision="highest")
+
+        return size * jnp.stack([chip(point) for point in pad.board.chips])
+
+    field = MICROTESLA * jnp.sum(jax.lax.map(sheet, (depths, thick)), axis=0)  # (chips, 3, 3, modes, modes), tool axes
+    own = jnp.einsum("kqo,kqcab->kocab", pad.board.rotations, field, precision="highest")
+    return own.reshape(3 * len(own), 3, *field.shape[-2:])
+
+
+@partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
+def design_matrices(
+    layer: LayerParameters,
+    board: Board,
+    tip: Tip,
+    position: Float[Array, "n 2"],
+    load: Float[Array, " n"],
+    *,
+    by_force: bool,
+    grid: Grid = GRID,
+) -> Float[Array, "n c 3 m m"]:
+    """`design_matrix` of many presses.
+
+    Args:
+        layer: Parameters of the layer.
+        board: The sensor board.
+        tip: What presses; hashable.
+        position: Positions (m), as believed.
+        load: Forces (N) or depths (m).
+        by_force: Whether the loads are forces.
+        grid: Cells of the pad.
+
+    Returns:
+        Readings (uT) of 1 A/m for each press.
+    """
+
+    def one(press: tuple[Array, Array]) -> Array:
+        return design_matrix(layer, board, tip, *press, by_force=by_force, grid=grid)
+
+    return map_batches(one, (position, load), batch_size=DESIGN_BATCH)
+
+
+def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], window: float) -> Float[Array, "n c k"]:
+    """Readings of weights of prior variance 1.
+
+    Args:
+        layer: Strengths and length of the magnetization's patches.
+        designs: Design matrices.
+        window: Edge of the pad (m).
+
+    Returns:
+        Readings (uT) of each weight: those of the patches, then three of the uniform part.
+    """
+    r = cosine_prior_factor(layer.patch_length, window)
+    patches = jnp.einsum("nocab,ax,by,c->nocxy", designs, r, r, layer.patch_strength, precision="highest")
+    level = designs[:, :, :, 0, 0] * (MAP_CELLS * layer.uniform_strength)  # the first cosines are 1 / sqrt(MAP)
+    return jnp.concatenate([patches.reshape(*designs.shape[:2], -1), level], axis=-1)
+
+
+def _edge_moments(grid: Grid) -> Float[np.ndarray, "n m"]:
+    """Weights of the map's cosines in each cell of the grid along an edge, times the cell's width (`sheets`)."""
+    cell = (2 * np.arange(grid.cells) + 1) * MAP_CELLS // (2 * grid.cells)
+    return (cell_means(grid.cells).T @ cosine_basis()[cell] * grid.spacing).astype(np.float32)
+
+
+def _dipole_tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3 n n"]:
+    """Field (T) at a point per moment (A m2) at each position."""
+    d = point[:, None, None] - at
+    inverse = jax.lax.rsqrt(jnp.sum(d**2, axis=0))
+    along = d * inverse[None]
+    return MU0_OVER_4PI * (3 * along[:, None] * along[None] - jnp.eye(3)[..., None, None]) * inverse[None, None] ** 3
+
+
+def magnetization_map(
+    layer: LayerParameters, weights: Float[Any, " k"], window: float
+) -> Float[Array, "cells cells 3"]:
+    """Magnetization (A/m) of weights of prior variance 1.
+
+    Args:
+        layer: Strengths and length of the magnetization's patches.
+        weights: As for `weight_features`.
+        window: Edge of the pad (m).
+
+    Returns:
+        The map.
+    """
+    weights = jnp.float32(weights)
+    patches, level = weights[:-3].reshape(3, MODES, MODES), weights[-3:]
+    edge = jnp.matmul(cosine_basis(), cosine_prior_factor(layer.patch_length, window), precision="highest")
+    patches = jnp.einsum("ia,jb,cab,c->ijc", edge, edge, patches, layer.patch_strength, precision="highest")
+    return patches + layer.uniform_strength * level[None, None]
