@@ -8,15 +8,31 @@ import numpy as np
 from experiments.calibrate.arguments import CalibrateArgs
 from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import explained
+from experiments.train.sources import MIN_PAD_R2
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.recordings.diagnose import repeated_rows
-from i2t.skin_models.magnetization import MagnetizationModel, TipReadings, parse_tip
+from i2t.skin_models.layer_fit import LayerPosterior
+from i2t.skin_models.magnetic_layer import parse_tip
+from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
 from i2t.types import Board
 
 MAX_PAD_PRESSES = 300  # at random: a map is known by then, and every press costs
+UNITS = {  # of the layer's parameters as they are shown, and by how much to multiply
+    "thickness": ("mm", 1e3),
+    "gap": ("mm", 1e3),
+    "young": ("kPa", 1e-3),
+    "poisson": ("", 1.0),
+    "contact_offset": ("mm", 1e3),
+    "mount_compliance": ("mm/N", 1e3),
+    "tip_offset": ("mm", 1e3),
+    "tip_scale": ("", 1.0),
+    "board_offset": ("mm", 1e3),
+    "board_rotation": ("deg", float(np.degrees(1.0))),
+    "noise_std": ("uT", 1.0),
+}
+AXES = ("x", "y", "z")
 MIN_PAD_PRESSES = 5  # fewer tell almost nothing of a map
-POOR_R2 = 0.5  # below it the layer that is fitted is not what was pressed
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
@@ -38,24 +54,44 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     position, load_of_press = jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows])
     model = MagnetizationModel(parse_tip(tip), recording.by_force)
     fitted = model.fit(None, TipReadings(position, load_of_press, jnp.float32(readings), board))
-    square = fitted.left_out**2
-    r2, error_std = explained(readings, square.sum(1)), float(np.sqrt(np.mean(square)))
+    square = fitted.left_out_places**2
+    r2, r2_places = (explained(readings, (error**2).sum(1)) for error in (fitted.left_out, fitted.left_out_places))
+    error_std = float(np.sqrt(np.mean(square)))
+    layer = _ranges(fitted.posterior)
     about = {
         "pad": args.pad_name or dataset.pads[int(touches.pad[0])],
         "source": dataset.source,
         "presses": len(rows),
         "error_std_uT": error_std,
         "r2": r2,
+        "r2_places": r2_places,
+        "layer": layer,
+        "converged": bool(fitted.posterior.converged),
     }
     fitted.save(args.save_pad, about)
     print(
-        f'pad of "{about["pad"]}" fitted to {len(rows)} {dataset.source} presses of {tip} by {load}: R2 {r2:.3f}, '
-        f"{error_std:.1f} uT, each press left out"
+        f'pad of "{about["pad"]}" fitted to {len(rows)} {dataset.source} presses of {tip} by {load}: R2 '
+        f"{r2_places:.3f} ({error_std:.1f} uT) at places left out, {r2:.3f} for presses left out"
     )
-    if r2 < POOR_R2:
-        print("warning: this pad explains its own presses poorly; it may be no even layer over this board")
+    for name, (value, low, high) in layer.items():
+        print(f"  {name:<28} {value:.4g} [{low:.4g}, {high:.4g}]")
+    if not r2_places >= MIN_PAD_R2:
+        print(
+            "warning: this pad explains its own skin poorly; it may be no even layer over this board, and "
+            "experiments.train --pad refuses it"
+        )
     print(f"it is in {args.save_pad}")
     return {**about, "tip": tip}
+
+
+def _ranges(posterior: LayerPosterior) -> dict[str, tuple[float, ...]]:
+    """Value and 95 % range of each parameter but gains and strengths, by its name and unit."""
+    rows = {}
+    for name, (unit, factor) in UNITS.items():
+        ends = factor * np.stack([np.ravel(getattr(part, name)) for part in posterior[:3]], axis=1)
+        for axis, row in zip(AXES if len(ends) > 1 else ("",), ends, strict=False):
+            rows[" ".join(word for word in (name, axis, f"({unit})" if unit else "") if word)] = tuple(map(float, row))
+    return rows
 
 
 def tip_of(dataset: Dataset) -> str | None:

@@ -24,7 +24,7 @@ from experiments.calibrate import lattice
 from i2t.runtime.batching import map_batches
 from i2t.skin import boards
 from i2t.skin.pad import press, sample_pad
-from i2t.skin_models.magnetization import RoundTip
+from i2t.skin_models.magnetic_layer import RoundTip
 from i2t.types import Pad
 
 BALL_TIP = RoundTip("sphere", 4e-3)

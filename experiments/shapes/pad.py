@@ -23,8 +23,9 @@ from i2t.patches.dimensions import PAD_WINDOW
 from i2t.runtime.batching import map_batches
 from i2t.skin.contact import MAX_HEIGHT_M
 from i2t.skin.elasticity import GRID, Grid
-from i2t.skin_models import magnetization as physics
-from i2t.skin_models.magnetization import LayerParameters, LinearRegression
+from i2t.skin_models import magnetic_layer as physics
+from i2t.skin_models.magnetic_layer import LayerParameters
+from i2t.skin_models.magnetization import LinearRegression, bayesian_linear_regression
 from i2t.types import Board
 
 # Thickness (m) and mount compliance (m/N).
@@ -65,14 +66,14 @@ class FittedSkin(NamedTuple):
     """A fitted skin."""
 
     layer: int  # in `LAYERS`
-    weights: Float[Array, " k"]
+    weights: Float[np.ndarray, " k"]
     covariance: Float[np.ndarray, "c c"]  # uT^2, of what is left of a reading
     residuals: Float[np.ndarray, "n c"]  # uT, of the presses it was fitted to, each as predicted from all others
 
 
-def layer_of(thickness: float, mount_compliance: float) -> LayerParameters:
-    """The prior's median with a given thickness (m) and mount compliance (m/N)."""
-    median = physics.layer_prior().median
+def layer_of(thickness: float, mount_compliance: float, channels: int) -> LayerParameters:
+    """The prior's median with a given thickness (m) and mount compliance (m/N), for a board of some channels."""
+    median = physics.layer_prior(channels).median
     layer = median._replace(thickness=jnp.float32(thickness), mount_compliance=jnp.float32(mount_compliance))
     return jax.tree.map(jnp.float32, layer)
 
@@ -131,7 +132,7 @@ class StampFeatures:
         return self._hypotheses[layer]
 
     def _features(self, layer: int, which: np.ndarray, poses: StampPoses) -> np.ndarray:
-        parameters, parts = layer_of(*LAYERS[layer]), []
+        parameters, parts = layer_of(*LAYERS[layer], self.board.num_readings), []
         for start in range(0, len(which), CHUNK_PRESSES):  # of one size, and so compiled once
             rows = np.minimum(np.arange(start, start + CHUNK_PRESSES), len(which) - 1)
             some = StampPoses(*(jnp.float32(leaf[rows]) for leaf in poses))
@@ -150,7 +151,7 @@ class StampFeatures:
         best = int(np.argmax(scores))
         features = self.hypotheses(best)[rows, self.shape[rows]]
         solved, _ = _best_regression(features, readings)
-        left = np.asarray(readings - solved.leave_one_out, np.float64)
+        left = np.asarray(readings - solved.left_out, np.float64)
         # Shrunk towards its diagonal as by as many presses as there are values.
         raw, channels = left.T @ left, readings.shape[1]
         covariance = (raw + channels * np.diag(np.diag(raw)) / len(left)) / (len(left) + channels)
@@ -159,13 +160,12 @@ class StampFeatures:
 
 def _best_regression(features: np.ndarray, readings: np.ndarray) -> tuple[LinearRegression, float]:
     """The regression of the noise level under which presses are most probable as predicted from all others."""
-    tried = [_regression(jnp.asarray(features), jnp.float32(readings), jnp.float32(noise)) for noise in NOISE_LEVELS_UT]
+    tried = [bayesian_linear_regression(features, readings, noise) for noise in NOISE_LEVELS_UT]
     densities = [float(np.mean(one.log_density)) for one in tried]
     best = int(np.argmax(densities))
     return tried[best], densities[best]
 
 
-_regression = jax.jit(physics.bayesian_linear_regression)
 _PRIORITY = np.random.default_rng(0).permutation(100_003)
 
 

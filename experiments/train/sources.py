@@ -25,6 +25,8 @@ from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.skin_models.pad_model import KnownPad, with_press_errors
 from i2t.types import Pad
 
+MIN_PAD_R2 = 0.5  # at places left out: below it the fitted layer is not what was pressed
+
 
 class ObjectsKnown(NamedTuple):
     """What is known of the objects that were touched."""
@@ -46,7 +48,14 @@ class SimulatedSource:
         """The pad and its description."""
         if isinstance(self.pad, int):
             return numbered_pad(self.pad), PadAbout(f"simulated pad {self.pad}", "", 0.0)
-        return load_pad(self.pad), load_pad_about(self.pad)
+        about = load_pad_about(self.pad)
+        if about.r2_places is not None and not about.r2_places >= MIN_PAD_R2:
+            raise ValueError(
+                f"{self.pad} explains {about.r2_places:.2f} of the variance of its own skin's readings at places left "
+                f"out, less than {MIN_PAD_R2:g}, so that what is trained on it says nothing about that skin; train on "
+                "recorded touches (--dataset)"
+            )
+        return load_pad(self.pad), about
 
     def objects_known(self) -> ObjectsKnown:
         """Objects of the catalogue, as far off as the simulation puts them."""

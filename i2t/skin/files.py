@@ -29,7 +29,8 @@ class PadAbout(NamedTuple):
 
     name: str  # of the skin, as data sets call it
     made_from: str  # a phrase such as ", fitted to 100 real presses"; empty where nothing is known
-    error_std: float  # uT, root mean square of what it leaves of presses that it was not fitted to; 0 where unknown
+    error_std: float  # uT, root mean square error on presses that it was not fitted to; 0 where unknown
+    r2_places: float | None = None  # R2 at places left out; None where unknown
 
 
 def save_pad(path: Path | str, pad: Pad, *, about: dict[str, Any] | None = None) -> None:
@@ -99,4 +100,6 @@ def load_pad_about(path: Path | str) -> PadAbout:
     with serialization.fitting(path):
         presses = f", fitted to {about['presses']} {about.get('source', '')} presses" if "presses" in about else ""
         error_std = float(about.get("error_std_uT") or 0.0)
-        return PadAbout(str(about.get("pad") or f"simulated, {Path(path).stem}"), presses, error_std)
+        r2 = about.get("r2_places", about.get("r2"))  # files of earlier versions have that of presses left out
+        name = str(about.get("pad") or f"simulated, {Path(path).stem}")
+        return PadAbout(name, presses, error_std, None if r2 is None else float(r2))

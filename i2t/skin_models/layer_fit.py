@@ -39,6 +39,7 @@ INNER_STEPS = 300  # of L-BFGS in each
 SMALL_GAIN = 0.1  # in log density: a step that promises less, under half a posterior standard deviation, is the last
 MIN_GAIN_RATIO = 0.1  # of a step that is taken
 FIRST_RADIUS, MAX_RADIUS = 1.0, 3.0  # of the trust region, in standard deviations of the prior
+STDS_WITHIN_95 = 1.96
 DIFFERENCE_STEP = 1e-3  # prior standard deviations, of second derivatives
 IMPLAUSIBLE_STDS = 3.0  # prior standard deviations from the median beyond which a parameter is reported
 
@@ -90,7 +91,7 @@ def fit_layer(
     def linear_model(x: np.ndarray, rows: np.ndarray) -> tuple[_LinearModel, np.ndarray]:
         value, changes = (np.asarray(part) for part in linearize(coordinates(x)))
         rows = _finite_rows(rows, np.isfinite(value).all((1, 2)) & np.isfinite(changes).all((0, 2, 3)))
-        features = UnitFeatures(*(np.float64(part) for part in (value[rows], changes[:, rows])))
+        features = UnitFeatures(value[rows].astype(np.float64), changes[:, rows].astype(np.float64))
         return _LinearModel(x, features, readings[rows], prior), rows
 
     def exact_value(x: np.ndarray, rows: np.ndarray) -> float:
@@ -121,12 +122,29 @@ def fit_layer(
     if not converged:
         warnings.warn(f"the fit of the layer did not converge in {MAX_STEPS} steps", stacklevel=3)
     _report_implausible(coordinates(x))
-    std = np.sqrt(np.diag(np.linalg.inv(model.curvature(x))))
-    layer, *ends = (parameters_at(coordinates(x + step * std), prior) for step in (0.0, -1.96, 1.96))
+    std = _posterior_stds(model.curvature(x))
+    return LayerPosterior(parameters_at(coordinates(x), prior), *ranges(x, std, prior), converged)
+
+
+def ranges(
+    x: Float[np.ndarray, " d"], std: Float[np.ndarray, " d"], prior: LayerPrior
+) -> tuple[LayerParameters, LayerParameters]:
+    """Ends of the 95 % ranges of parameters.
+
+    Args:
+        x: Mean of the coordinates.
+        std: Their standard deviations.
+        prior: Of the parameters.
+
+    Returns:
+        The lower and the upper ends; a mount compliance whose root may be zero has a range from zero on.
+    """
+    unravel = ravel_pytree(prior.median)[1]
+    below, above = (unravel(jnp.float32(x + step * std)) for step in (-STDS_WITHIN_95, STDS_WITHIN_95))
+    ends = parameters_at(below, prior), parameters_at(above, prior)
     low, high = (jax.tree.map(choose, *ends) for choose in (jnp.minimum, jnp.maximum))
-    root = 1 + prior.std.mount_compliance * coordinates(x - 1.96 * std).mount_compliance
-    low = low._replace(mount_compliance=jnp.where(root < 0, 0.0, low.mount_compliance))
-    return LayerPosterior(layer, low, high, converged)
+    may_be_zero = 1 + prior.std.mount_compliance * below.mount_compliance < 0
+    return low._replace(mount_compliance=jnp.where(may_be_zero, 0.0, low.mount_compliance)), high
 
 
 @dataclass(frozen=True)
@@ -225,6 +243,12 @@ class _LinearModel:
         change = [self.value_and_gradient(x + way)[1] - self.value_and_gradient(x - way)[1] for way in ways]
         curvature = np.stack(change) / (2 * DIFFERENCE_STEP)
         return 0.5 * (curvature + curvature.T)
+
+
+def _posterior_stds(curvature: np.ndarray) -> np.ndarray:
+    """Standard deviations (d,) of coordinates; no direction is less certain than by the prior alone."""
+    values, vectors = np.linalg.eigh(curvature)
+    return np.sqrt((vectors**2 / np.maximum(values, 1.0)).sum(1))
 
 
 def _cholesky(matrix: np.ndarray) -> np.ndarray | None:

@@ -174,7 +174,7 @@ class RoundTip:
     """
 
     shape: Literal["sphere", "cylinder"]
-    radius: float
+    radius: float | Float[Array, ""]
 
     def height(self, position: Float[Array, "2"] | Float[np.ndarray, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
         """Distance of the tip's surface behind its lowest point over each cell.
@@ -235,7 +235,7 @@ def make_pad(layer: LayerParameters, board: Board, magnetization: Float[Array, "
         poisson=jnp.asarray(layer.poisson),
         magnetization=empty,
         gains=jnp.asarray(layer.gains),
-        board=Board(chips + shift, jnp.matmul(turned, jnp.asarray(board.rotations), precision="highest")),
+        board=Board(chips + shift[None], jnp.matmul(turned, jnp.asarray(board.rotations), precision="highest")),
         friction=jnp.asarray(FRICTION_COEFFICIENT),
         mount_compliance=jnp.asarray(layer.mount_compliance),
     )

@@ -38,7 +38,7 @@ from i2t.skin.elasticity import CELL_GRID, GRID, Grid
 from i2t.skin.files import KIND as FILE_KIND
 from i2t.skin.files import load_pad
 from i2t.skin_models.base import load_fitted
-from i2t.skin_models.layer_fit import NO_PAD, LayerPosterior, fit_layer
+from i2t.skin_models.layer_fit import NO_PAD, LayerPosterior, fit_layer, ranges
 from i2t.skin_models.magnetic_layer import (
     DESIGN_BATCH,
     DESIGN_PARAMETERS,
@@ -254,10 +254,9 @@ class MagnetizationModel:
         """
         prior, first = layer_prior(data.reading.shape[1]), min(self.max_layer_presses, len(data.load))
         if not first:
-            return LayerPosterior(prior.median, *(parameters_at(ends, prior) for ends in _prior_ends(prior)), True)
-        some = data._replace(
-            **{name: getattr(data, name)[:first] for name in ("position", "load", "reading")},
-        )
+            zero = np.zeros(len(ravel_pytree(prior.median)[0]))
+            return LayerPosterior(prior.median, *ranges(zero, np.ones(len(zero)), prior), converged=True)
+        some = TipReadings(data.position[:first], data.load[:first], data.reading[:first], data.board)
         options = {"tip": self.tip, "by_force": self.by_force, "grid": self.grid}
         return fit_layer(
             partial(_unit_features, prior=prior, pressed=some, **options),
@@ -265,11 +264,6 @@ class MagnetizationModel:
             np.asarray(some.reading),
             prior,
         )
-
-
-def _prior_ends(prior: LayerPrior) -> tuple[LayerParameters, LayerParameters]:
-    """Coordinates of the ends of the prior's 95 % ranges."""
-    return tuple(jax.tree.map(lambda at, end=end: jnp.full_like(at, end), prior.median) for end in (-1.96, 1.96))
 
 
 def _check_finite(pressed: TipReadings) -> None:

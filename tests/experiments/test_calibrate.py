@@ -26,7 +26,9 @@ from i2t.skin import boards
 from i2t.skin.files import load_pad, load_pad_about
 from i2t.skin.pad import sample_pad
 from i2t.skin_models import load_calibration
-from i2t.skin_models.magnetization import PadFit, RoundTip, layer_prior
+from i2t.skin_models.layer_fit import LayerPosterior
+from i2t.skin_models.magnetic_layer import RoundTip, layer_prior
+from i2t.skin_models.magnetization import PadFit
 from i2t.skin_models.tip_gp.prior import PRIOR_KIND, KernelPrior, load_prior
 
 
@@ -254,7 +256,10 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
     def fitting(model, _, pressed):
         given.update(model=model, load=np.asarray(pressed.load), readings=np.asarray(pressed.reading))
         given.update(board=pressed.board)
-        return PadFit(fitted, layer_prior().median, np.full((60, len(fitted.gains)), 3.0))
+        left_out = np.full((60, len(fitted.gains)), 2.0)
+        return PadFit(
+            fitted, LayerPosterior(*3 * [layer_prior(len(fitted.gains)).median], True), left_out, 1.5 * left_out
+        )
 
     monkeypatch.setattr(pad.MagnetizationModel, "fit", fitting)
     words = ["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(tmp_path / "pad.npz")]
@@ -267,7 +272,10 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
     np.testing.assert_allclose(given["board"].chips, boards.eflesh_board().chips, atol=1e-7)
     about = load_pad_about(tmp_path / "pad.npz")
     assert (about.name, about.made_from) == ("skin 0", ", fitted to 60 simulated presses")
-    assert about.error_std == pytest.approx(3.0, rel=1e-3)
+    assert about.error_std == pytest.approx(3.0, rel=1e-3)  # at places left out
+    spread = np.var(made.touches.reading, axis=0).sum()
+    assert about.r2_places == pytest.approx(1 - 9 * len(fitted.gains) / spread, abs=1e-3)
+    assert "thickness (mm)               2.5 [2.5, 2.5]" in capsys.readouterr().out
     np.testing.assert_array_equal(load_pad(tmp_path / "pad.npz").magnetization, fitted.magnetization)
     assert command.main(words) == 2
     assert "pass --overwrite" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from i2t.skin import contact
 from i2t.skin.dipoles import response
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press, sample_pad
-from i2t.skin_models.magnetization import RoundTip
+from i2t.skin_models.magnetic_layer import RoundTip
 
 SMALL = Grid(20, 32)
 Y, X = np.meshgrid(SMALL.centres, SMALL.centres, indexing="ij")

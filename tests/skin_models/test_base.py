@@ -22,7 +22,8 @@ from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import nominal_pad, press
 from i2t.skin_models.base import FittedSkinModel
 from i2t.skin_models.calibration import TipModel, TipPresses
-from i2t.skin_models.magnetization import MagnetizationModel, RoundTip, TipReadings
+from i2t.skin_models.magnetic_layer import RoundTip
+from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
 from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.skin_models.pressure_gp import PressureModel, PressureTouches
 from i2t.types import Pad
@@ -88,7 +89,7 @@ def pressure_case(pressed: Pressed) -> tuple[Any, Any]:
 
 
 def pad_case(pressed: Pressed) -> tuple[Any, Any]:
-    model = MagnetizationModel(TIP, by_force=False, grid=CELL_GRID, max_layer_presses=8, linearizations=0)
+    model = MagnetizationModel(TIP, by_force=False, grid=CELL_GRID, max_layer_presses=0)
     return model, TipReadings(*some(pressed.presses, KNOWN), jnp.float32(pressed.readings[KNOWN]), BOARD)
 
 

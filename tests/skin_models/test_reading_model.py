@@ -9,7 +9,7 @@ from i2t.contact.pressure import ContactPressure
 from i2t.skin.boards import reskin_board
 from i2t.skin.dipoles import response
 from i2t.skin.elasticity import CELL_GRID
-from i2t.skin_models import magnetization as physics
+from i2t.skin_models import magnetic_layer as physics
 from i2t.skin_models import pressure_gp as gp
 from i2t.skin_models import reading_model
 from i2t.skin_models.layer import NOMINAL_LAYER, Layer
@@ -127,8 +127,8 @@ def test_the_mixture_knows_that_its_models_disagree(touches, maps, r, together):
 
 
 def test_magnetization_maps_are_the_readings_of_a_pad_of_that_magnetization():
-    layer = physics.layer_prior().median
     board = reskin_board()
+    layer = physics.layer_prior(board.num_readings).median
     upright = jnp.zeros((physics.MAP_CELLS, physics.MAP_CELLS, 3)).at[..., 2].set(layer.uniform_strength)
     pad = physics.make_pad(layer._replace(mount_compliance=jnp.asarray(0.0)), board, upright)
     newtons = spots(7, np.array([0.03])).pressure[0]
