@@ -25,7 +25,7 @@ TIP_RADIUS_MM, PRESSES, NOISE_UT = 4.0, 100, 1.0
 
 def bar(bends: list[tuple[float, float, float]]) -> Manifold:
     """A bent round bar of 8 mm: balls, each joined to the next by the hull of the two (mm)."""
-    balls = [ball(4.0, bend) for bend in bends]
+    balls = [ball(4.0).translate(bend) for bend in bends]
     return Manifold.batch_boolean([Manifold.batch_hull(pair) for pair in pairwise(balls)], OpType.Add)
 
 
