@@ -41,6 +41,7 @@ class CalibrateArgs(RunOptions):
     dataset: Path | None = None  # a data set of one tip on one skin
     skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one that is meant
     simulated: bool = False  # compare methods on simulated skins of several kinds
+    recovery: bool = False  # fit pads to presses of simulated pads, and count how often their ranges hold the truth
     prior: bool = False  # make the prior over kernels, prior.npz, from simulated skins
     save_pad: Path | None = None  # do not compare methods: fit a pad to the presses and write it, a file for --pad
     targets: tuple[str, ...] = ()  # heads of position, depth, force, shear (docs/fidelity.md)
@@ -70,9 +71,12 @@ class CalibrateArgs(RunOptions):
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        sources = {"--dataset": self.dataset is not None, "--simulated": self.simulated, "--prior": self.prior}
+        sources = {"--dataset": self.dataset is not None, "--simulated": self.simulated}
+        sources |= {"--recovery": self.recovery, "--prior": self.prior}
         if sum(sources.values()) != 1:
-            raise ValueError("pass one of --dataset DIR with presses of one tip on one skin, --simulated and --prior")
+            raise ValueError(
+                "pass one of --dataset DIR with presses of one tip on one skin, --simulated, --recovery and --prior"
+            )
         for flag, given in (("--save-pad", self.save_pad is not None), ("--targets", bool(self.targets))):
             require_with(flag, given, "--dataset", self.dataset is not None)
         require_with("--tip", self.tip is not None, "--save-pad", self.save_pad is not None)

@@ -5,6 +5,7 @@
     python -m experiments.calibrate --dataset DIR --preset debug   2 draws of up to 20 presses, too few to mean much
     python -m experiments.calibrate --dataset DIR --presses 1000 --draws 5  one column of the table
     python -m experiments.calibrate --simulated                    the same methods on simulated skins of several kinds
+    python -m experiments.calibrate --recovery                     do the ranges of a fitted pad hold the truth?
     python -m experiments.calibrate --prior                        the prior over kernels that the package holds
     python -m experiments.calibrate --dataset DIR --save-pad FILE           a pad fitted to the presses, for --pad FILE
     python -m experiments.calibrate --dataset DIR --targets position force  heads: these from readings
@@ -30,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.calibrate import pad, prior_search, report, simulated, targets
+from experiments.calibrate import pad, prior_search, recovery, report, simulated, targets
 from experiments.calibrate.arguments import CalibrateArgs, Preset, preset_of
 from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import gains, learning_curves, over_blocks, summarise
@@ -47,7 +48,8 @@ from i2t.skin_models import calibrate
 def run(args: CalibrateArgs) -> dict[str, Any]:
     """Run what the options ask for: methods compared, the prior, heads, or a pad."""
     others = {
-        simulated.run: args.simulated, prior_search.run: args.prior, pad.run: args.save_pad, targets.run: args.targets,
+        simulated.run: args.simulated, recovery.run: args.recovery, prior_search.run: args.prior,
+        pad.run: args.save_pad, targets.run: args.targets,
     }  # fmt: skip
     return next((each for each, asked in others.items() if asked), compare)(args)
 

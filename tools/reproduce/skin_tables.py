@@ -85,6 +85,20 @@ def kinds_of_skin(measured: Measured) -> str:
     return markdown([measured["source"], *counts, "in its 90 % range"], rows)
 
 
+def ranges_of_pads(measured: Measured) -> str:
+    """How often the ranges of a fitted pad hold the truth, by parameter, and R² of what is left out."""
+    by_load = measured["by_load"]
+    names = dict.fromkeys(name for part in by_load.values() for name in part["inside"])
+    rows = [
+        [title, *(" of ".join(map(str, counts[name])) if name in counts else "-" for counts in inside)]
+        for inside in [[part["inside"] | {"all": part["inside_all"]} for part in by_load.values()]]
+        for name, title in [*((name, name.replace("_", " ")) for name in names), ("all", "all")]
+    ]
+    for key, title in (("r2", "R² of presses left out, mean"), ("r2_places", "R² of places left out, mean")):
+        rows.append([title, *(cell(sum(part[key]) / len(part[key])) for part in by_load.values())])
+    return markdown([measured["source"], *(f"presses by {load}" for load in by_load)], rows)
+
+
 def _shown(curve: Mapping[str, Any]) -> list[str]:
     """Numbers of presses that a table shows."""
     return [count for count in SHOWN_COUNTS if count in curve]
@@ -172,5 +186,6 @@ TABLES: dict[str, dict[str, Table]] = {
         "whole blocks": press_counts("blocks of 6 mm", "presses in whole blocks"),
     },
     "calibrate_simulated": {"kinds of skin": kinds_of_skin},
+    "calibrate_recovery": {"ranges": ranges_of_pads},
     "fidelity": {"sessions": eflesh_sessions, "heads": eflesh_heads},
 }

@@ -68,6 +68,7 @@ STEPS = (
     Step("tsne", "-m experiments.tsne", again=OVERWRITE),
     Step("calibrate_prior", "-m experiments.calibrate --prior", minutes=2, again=OVERWRITE),
     Step("calibrate_simulated", "-m experiments.calibrate --simulated --preset short", minutes=2, again=OVERWRITE),
+    Step("calibrate_recovery", "-m experiments.calibrate --recovery", minutes=25, again=OVERWRITE),
     Step(
         "calibrate",
         "-m experiments.calibrate --dataset data/eflesh --preset short --draws 5",
