@@ -68,9 +68,10 @@ class LayerParameters(NamedTuple):
 DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
                      "tip_scale", "board_offset", "board_rotation")  # fmt: skip
 SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # those that change features by more than a scale
-# Priors are normal for NORMAL_PARAMETERS, lognormal for the others but the mount compliance, which is 0 for bonded
-# skins: its square root is normal.
-NORMAL_PARAMETERS = ("poisson", "contact_offset", "tip_offset", "board_offset", "board_rotation", "gains")
+# Priors are normal for NORMAL_PARAMETERS and lognormal for the others, with two exceptions: the distance of Poisson's
+# ratio from INCOMPRESSIBLE is lognormal, and the root of the mount compliance, which is 0 for bonded skins, is normal.
+INCOMPRESSIBLE = 0.5  # Poisson's ratio
+NORMAL_PARAMETERS = ("contact_offset", "tip_offset", "board_offset", "board_rotation", "gains")
 ROOT_NORMAL = "mount_compliance"
 
 
@@ -81,11 +82,12 @@ class LayerPrior(NamedTuple):
     std: LayerParameters  # of the parameter, its logarithm, or the root of its share of the median
 
 
-def layer_prior(channels: int) -> LayerPrior:
+def layer_prior(channels: int, *, width: float = 1.0) -> LayerPrior:
     """Prior that approximates `sample_pad` and the errors of a careful mount.
 
     Args:
         channels: Number of channels of the board, three for each chip.
+        width: Factor of all standard deviations, for a skin or a mount of another kind.
 
     Returns:
         Medians and standard deviations.
@@ -124,7 +126,7 @@ def layer_prior(channels: int) -> LayerPrior:
         patch_length=jnp.asarray(0.2),
         noise_std=jnp.asarray(1.0),
     )
-    return LayerPrior(median, std)
+    return LayerPrior(median, jax.tree.map(lambda leaf: width * leaf, std))
 
 
 def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParameters:
@@ -142,6 +144,8 @@ def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParam
         median, std, at = (getattr(part, name) for part in (prior.median, prior.std, coordinates))
         if name in NORMAL_PARAMETERS:
             return median + std * at
+        if name == "poisson":
+            return INCOMPRESSIBLE - (INCOMPRESSIBLE - median) * jnp.exp(-std * at / (INCOMPRESSIBLE - median))
         return median * (1 + std * at) ** 2 if name == ROOT_NORMAL else median * jnp.exp(std * at)
 
     return LayerParameters(**{name: value(name) for name in LayerParameters._fields})
