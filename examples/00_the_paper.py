@@ -54,9 +54,9 @@ def main(touches: int = 468, epochs: int = 60, episodes: int = 24, count: int = 
     scorers = reading_scorers({"Imagine2touch": predictor}, surfaces, dataset.touches.reading[~held_out].std(0))
     scorers["proprioception"] = lambda touch: contact_distances(surfaces, touch)  # where was the contact, alone
     right = {}
-    for method, score in scorers.items():
-        robot = begin_episodes(keys[3], world, params, truth)
-        made = run_loop(keys[4], score, robot, pools, np.zeros(episodes, int))
+    for method, score in scorers.items():  # on the same objects, with the same draws
+        robot = begin_episodes(jax.random.clone(keys[3]), world, params, truth)
+        made = run_loop(jax.random.clone(keys[4]), score, robot, pools, np.zeros(episodes, int))
         right[method] = float(hits(loop.beliefs(made.distance, "votes"), truth)[:, -1].mean())
         chance = f"chance {1 / len(UNSEEN):.0%}; simulated"
         print(f"{method} recognised {right[method]:.0%} of {episodes} after {count} touches ({chance})")
