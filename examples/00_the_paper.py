@@ -25,20 +25,20 @@ TRAINING, TOOL, UNSEEN = ("hexagon", "parallelogram"), "cutter", ("star", "squar
 
 def main(touches: int = 468, epochs: int = 60, episodes: int = 24, count: int = loop.TOUCHES) -> dict[str, float]:
     """Run the paper's experiment; return the share of episodes in which each method recognises the object."""
-    keys, pad = jax.random.split(jax.random.key(0), 5), i2t.nominal_pad()
-    errors, limits = i2t.SimulationErrors(), i2t.PressLimits()
+    key_touch, key_fit, key_pool, key_begin, key_loop = jax.random.split(jax.random.key(0), 5)
+    pad, errors, limits = i2t.nominal_pad(), i2t.SimulationErrors(), i2t.PressLimits()
 
     # Touch two objects to learn from, and a tool to choose the best epoch by, at random places in sessions of 36.
     names = (*TRAINING, TOOL)
     surfaces = prepare_surfaces([i2t.make_object(name).mesh for name in names])
-    touched = i2t.simulate_touches(keys[0], surfaces, pad, errors, touches, touches_per_session=36, limits=limits)
+    touched = i2t.simulate_touches(key_touch, surfaces, pad, errors, touches, touches_per_session=36, limits=limits)
     dataset = i2t.Dataset.simulated(touched, names, pad)
     held_out = holdout_names(dataset, "object", [TOOL])
     split = i2t.Split(~held_out, held_out, np.zeros(len(held_out), bool), dataset.touches.session, "object")
 
     # Learn tau~ = f(patch): 48 x 48 -> 200 -> 5 -> 500 -> 15, with the decoded patch as a second task.
     predictor = PaperDepth().fit(
-        keys[1], TrainingTouches(dataset, training=TrainConfig(epochs=epochs, batch_size=32)), split
+        key_fit, TrainingTouches(dataset, training=TrainConfig(epochs=epochs, batch_size=32)), split
     )
     tau = dataset.touches.reading[held_out]
     imagined = predictor.predict(dataset.touches.patch[held_out]).mean
@@ -47,7 +47,7 @@ def main(touches: int = 468, epochs: int = 60, episodes: int = 24, count: int = 
 
     # Recognise objects never touched before: sample a hypothesis, touch where it tells most, let the touch vote.
     surfaces = prepare_surfaces([i2t.make_object(name).mesh for name in UNSEEN])
-    pools = sample_pools(keys[2], surfaces, UNSEEN, pools=1, each=24, limits=RECOGNITION_LIMITS)
+    pools = sample_pools(key_pool, surfaces, UNSEEN, pools=1, each=24, limits=RECOGNITION_LIMITS)
     truth = np.arange(episodes) % len(UNSEEN)
     world = TouchEnvironment(config := EnvironmentConfig(errors, limits, count))
     params = environment_params(surfaces, [pad], pools.joined(), config)
@@ -55,8 +55,8 @@ def main(touches: int = 468, epochs: int = 60, episodes: int = 24, count: int = 
     scorers["proprioception"] = lambda touch: contact_distances(surfaces, touch)  # where was the contact, alone
     right = {}
     for method, score in scorers.items():  # on the same objects, with the same draws
-        robot = begin_episodes(jax.random.clone(keys[3]), world, params, truth)
-        made = run_loop(jax.random.clone(keys[4]), score, robot, pools, np.zeros(episodes, int))
+        robot = begin_episodes(jax.random.clone(key_begin), world, params, truth)
+        made = run_loop(jax.random.clone(key_loop), score, robot, pools, np.zeros(episodes, int))
         right[method] = float(hits(loop.beliefs(made.distance, "votes"), truth)[:, -1].mean())
         chance = f"chance {1 / len(UNSEEN):.0%}; simulated"
         print(f"{method} recognised {right[method]:.0%} of {episodes} after {count} touches ({chance})")

@@ -46,7 +46,6 @@ class CalibrateArgs(RunOptions):
     save_pad: Path | None = None  # do not compare methods: fit a pad to the presses and write it, a file for --pad
     targets: tuple[str, ...] = ()  # heads of position, depth, force, shear (docs/fidelity.md)
     tip: str | None = None  # with --save-pad: sphere:RADIUS or cylinder:RADIUS in mm; by default what the data set says
-    prior_width: Annotated[float, Limits(0.1, 10)] | None = None  # with --save-pad: factor of the prior's deviations
     pad_name: str | None = None  # with --save-pad: of the skin; by default what the data set says
     out: Path = Path("runs/calibrate")  # folder for everything that is made
     preset: Literal["paper", "short", "debug"] = "paper"
@@ -81,7 +80,6 @@ class CalibrateArgs(RunOptions):
         for flag, given in (("--save-pad", self.save_pad is not None), ("--targets", bool(self.targets))):
             require_with(flag, given, "--dataset", self.dataset is not None)
         require_with("--tip", self.tip is not None, "--save-pad", self.save_pad is not None)
-        require_with("--prior-width", self.prior_width is not None, "--save-pad", self.save_pad is not None)
         require_with("--pad-name", self.pad_name is not None, "--save-pad", self.save_pad is not None)
         require_with("--skin-name", self.skin_name is not None, "--dataset", self.dataset is not None)
         if self.save_pad and self.targets:

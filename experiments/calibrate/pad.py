@@ -52,7 +52,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     tip = args.tip or tip_of(dataset) or dataset.objects[int(touches.object[0])]
     readings, board = recording.readings[rows], Board(*(jnp.float32(part) for part in dataset.board))
     position, load_of_press = jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows])
-    model = MagnetizationModel(parse_tip(tip), recording.by_force, prior_width=args.prior_width or 1.0)
+    model = MagnetizationModel(parse_tip(tip), recording.by_force)
     fitted = model.fit(None, TipReadings(position, load_of_press, jnp.float32(readings), board))
     square = fitted.left_out_places**2
     r2, r2_places = (explained(readings, (error**2).sum(1)) for error in (fitted.left_out, fitted.left_out_places))

@@ -82,12 +82,11 @@ class LayerPrior(NamedTuple):
     std: LayerParameters  # of the parameter, its logarithm, or the root of its share of the median
 
 
-def layer_prior(channels: int, *, width: float = 1.0) -> LayerPrior:
+def layer_prior(channels: int) -> LayerPrior:
     """Prior that approximates `sample_pad` and the errors of a careful mount.
 
     Args:
         channels: Number of channels of the board, three for each chip.
-        width: Factor of all standard deviations, for a skin or a mount of another kind.
 
     Returns:
         Medians and standard deviations.
@@ -126,7 +125,7 @@ def layer_prior(channels: int, *, width: float = 1.0) -> LayerPrior:
         patch_length=jnp.asarray(0.2),
         noise_std=jnp.asarray(1.0),
     )
-    return LayerPrior(median, jax.tree.map(lambda leaf: width * leaf, std))
+    return LayerPrior(median, std)
 
 
 def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParameters:

@@ -198,7 +198,6 @@ class MagnetizationModel:
         tip: What pressed; hashable.
         by_force: Whether the loads are forces.
         grid: Cells of the pad.
-        prior_width: Factor of the standard deviations of the parameters' prior, which is that of ReSkin's kind.
         max_layer_presses: The layer's parameters are fitted to at most so many presses, the first ones; with 0 the
             layer stays at the median of its prior.
     """
@@ -206,7 +205,6 @@ class MagnetizationModel:
     tip: RoundTip
     by_force: bool
     grid: Grid = GRID
-    prior_width: float = 1.0
     max_layer_presses: int = MAX_LAYER_PRESSES
 
     def fit(self, key: Key[Array, ""] | None, data: TipReadings) -> PadFit:
@@ -255,7 +253,7 @@ class MagnetizationModel:
             ValueError: The search cannot begin.
         """
         prior, first = (
-            layer_prior(data.reading.shape[1], width=self.prior_width),
+            layer_prior(data.reading.shape[1]),
             min(self.max_layer_presses, len(data.load)),
         )
         if not first:
