@@ -105,22 +105,24 @@ def fit_layer(
         raise ValueError(NO_PAD)
     for _ in range(MAX_STEPS):
         proposal, promised = model.minimize(radius)
-        converged = value - promised < SMALL_GAIN
-        if converged:
-            x = proposal
+        length = model.shape_step(proposal)
+        at_bound = length > 0.99 * radius
+        if value - promised < SMALL_GAIN:
+            converged = not at_bound  # a region that shrank to nothing promises nothing either
+            x = proposal if converged else x
             break
         reached = exact_value(proposal, rows)
-        gain, length = (value - reached) / (value - promised), model.shape_step(proposal)
+        gain = (value - reached) / (value - promised)
         if gain < 0.25 or not np.isfinite(gain):
             radius = 0.25 * length
-        elif gain > 0.75 and length > 0.99 * radius:
+        elif gain > 0.75 and at_bound:
             radius = min(2 * radius, MAX_RADIUS)
         if gain > MIN_GAIN_RATIO:
             x = proposal
             model, rows = linear_model(x, rows)
             value = model.value_and_gradient(x)[0]
     if not converged:
-        warnings.warn(f"the fit of the layer did not converge in {MAX_STEPS} steps", stacklevel=3)
+        warnings.warn("the fit of the layer did not converge", stacklevel=3)
     _report_implausible(coordinates(x))
     std = _posterior_stds(model.curvature(x))
     return LayerPosterior(parameters_at(coordinates(x), prior), *ranges(x, std, prior), converged)

@@ -87,8 +87,18 @@ def test_a_parameter_far_from_its_prior_and_a_search_that_does_not_end_are_said(
     with pytest.warns(UserWarning, match="the fitted .*gap.* standard deviations from the prior's median"):
         World(3, gap=6.0).fit()
     monkeypatch.setattr(layer_fit, "MAX_STEPS", 1)
-    with pytest.warns(UserWarning, match="did not converge in 1 steps"):
+    with pytest.warns(UserWarning, match="did not converge"):
         assert not World(4).fit().converged
+
+
+def test_a_search_whose_steps_all_fail_has_not_converged():
+    world = World(4)
+
+    def broken(at):
+        return jnp.where(jnp.abs(ravel_pytree(at)[0]).max() > 0, jnp.nan, 1.0) * world.linearized(at)[0]
+
+    with pytest.warns(UserWarning, match="did not converge"):
+        assert not fit_layer(broken, world.linearized, world.readings, PRIOR).converged
 
 
 def test_presses_that_are_not_finite_are_left_out_with_a_warning():
