@@ -32,25 +32,24 @@ class Noise:
     common: float = 0.26  # part of that variance that is the slow ambient field
     step_xy: float = 0.150  # of the converter
     step_z: float = 0.242
-    drift: float = 4.0  # median over channels of a real board's drift in a session; not added to readings
     ambient_samples: int = 10  # averaged before contact, as in the paper
     contact_samples: int = 10  # and in contact
 
     @classmethod
     def none(cls) -> "Noise":
         """An ideal sensor."""
-        return cls(xy=0.0, z=0.0, common=0.0, step_xy=0.0, step_z=0.0, drift=0.0)
+        return cls(xy=0.0, z=0.0, common=0.0, step_xy=0.0, step_z=0.0)
 
     def scaled(self, factor: float) -> "Noise":
-        """The same sensor with more or less noise and drift; its steps stay.
+        """The same sensor with more or less noise; its steps stay.
 
         Args:
-            factor: Of noise and drift.
+            factor: Of the noise.
 
         Returns:
             The new noise.
         """
-        return replace(self, xy=factor * self.xy, z=factor * self.z, drift=factor * self.drift)
+        return replace(self, xy=factor * self.xy, z=factor * self.z)
 
     def sigma(self, chips: int) -> Float[Any, " c"]:
         """Standard deviation of one sample at rest.

@@ -144,7 +144,7 @@ def eflesh_sessions(measured: Measured) -> str:
     quantities: list[tuple[str, Measured, Cell, Callable[[Any], str]]] = [
         ("noise in x and y, z (µT)", at_rest, noise, lambda x: noise(x["simulator"])),
         ("drift: median channel, largest (µT)", drift, lambda x: f"{x['median_uT']:.1f}, {x['largest_uT']:.1f}",
-         lambda x: f"{x['simulator_uT']:.1f}, -"),
+         lambda _: "-"),
         ("hysteresis of a stroke, left after it", strokes, stroke, lambda _: "0, 0"),
         ("creep per tenfold time", creep, growth, lambda x: cell(x["simulator"])),
         ("kept of the press before", chips, lambda x: cell(max(map(abs, x["by_chip"]))),
