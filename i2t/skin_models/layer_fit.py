@@ -108,8 +108,8 @@ def fit_layer(
         length = model.shape_step(proposal)
         at_bound = length > 0.99 * radius
         if value - promised < SMALL_GAIN:
-            # A region that shrank promises little, too. That is the end where steps were taken before: contacts on cells
-            # make the objective rough, by about 0.1, over a few hundredths of the prior's standard deviations.
+            # A region that shrank promises little, too. Where steps were taken before, that is the end: contacts on
+            # cells make the objective rough, by about 0.1, over a few hundredths of the prior's standard deviations.
             converged = not at_bound or bool(x.any())
             x = proposal
             break
