@@ -8,10 +8,10 @@ all others. Errors within a block or place are not independent, so intervals are
 from typing import NamedTuple
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 
 from experiments.calibrate.arguments import Preset
-from i2t.dataset import square_blocks
+from i2t.dataset import same_places, square_blocks
+from i2t.dataset.splits import PLACE_M
 from i2t.prediction.metrics import MIN_CLUSTERS
 from i2t.recordings.presses import MM_PER_M, LoadedPresses
 
@@ -21,7 +21,6 @@ PLACE = "place"
 MIN_PRESSES = 8  # fewest presses of which each is predicted from the others
 ADVISED_PRESSES = 20  # as docs/tutorial_own_skin.md advises
 MIN_SHARED_PRESSES = 60  # fewest presses of which a share is held out
-SAME_PLACE_MM = 0.2  # largest distance between presses at one place
 LARGEST_CLUSTER_SHARE = 0.5  # largest share of the presses that may be left out together
 
 
@@ -110,14 +109,14 @@ def _clusters_of(position_mm: np.ndarray, block_mm: float) -> Clusters:
     blocks = square_blocks(position_mm, block_mm)
     if np.bincount(blocks).max() <= most:
         return Clusters(f"block of {block_mm:g} mm", blocks)
-    places = fcluster(linkage(position_mm, "complete"), SAME_PLACE_MM, "distance") - 1
+    places = same_places(position_mm / MM_PER_M)
     return Clusters(PLACE, places if np.bincount(places).max() <= most else np.zeros_like(places))
 
 
 def _about_one_place(position_mm: np.ndarray, load_kind: str) -> str:
     """What presses at positions (n, 2) cannot show where more than half of them lie at one place."""
     n = len(position_mm)
-    close = np.linalg.norm(position_mm - np.median(position_mm, axis=0), axis=1) <= SAME_PLACE_MM
+    close = np.linalg.norm(position_mm - np.median(position_mm, axis=0), axis=1) <= MM_PER_M * PLACE_M
     share = f"all {n} presses" if close.all() else f"more than half of the {n} presses"
     return (
         f"{share} lie at one place, so leaving places out is impossible: the figures say how well other {load_kind}s "

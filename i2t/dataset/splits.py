@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 
 from i2t.dataset.sets import Dataset
 from i2t.errors import DataError
@@ -86,6 +85,8 @@ def same_places(position: np.ndarray) -> np.ndarray:
     Returns:
         Number of the place (n,) of each position, counted from 0.
     """
+    from scipy.cluster.hierarchy import fcluster, linkage  # which reading a data set does not need
+
     if len(position) < 2:
         return np.zeros(len(position), np.int64)
     return fcluster(linkage(position, "complete"), PLACE_M, "distance").astype(np.int64) - 1

@@ -173,19 +173,19 @@ class _LinearModel:
         return np.concatenate([getattr(self._index, name).ravel() for name in SHAPE_PARAMETERS])
 
     @cached_property
-    def _scales(self) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, float]]:
-        index, prior = self._index, jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), self.prior)
-        patches = (self.features.value.shape[-1] - 3) // 3
+    def _host_prior(self) -> LayerPrior:
+        """The prior in double precision."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), self.prior)
 
-        def scales(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-            """Gains (c, 1), strengths (k,) and noise at coordinates."""
-            gains = prior.median.gains + prior.std.gains * x[index.gains]
-            strength = prior.median.patch_strength * np.exp(prior.std.patch_strength * x[index.patch_strength])
-            level = prior.median.uniform_strength * np.exp(prior.std.uniform_strength * x[index.uniform_strength])
-            noise = prior.median.noise_std * np.exp(prior.std.noise_std * x[index.noise_std])
-            return gains[:, None], np.append(np.repeat(strength, patches), np.full(3, level)), float(noise)
-
-        return scales
+    def _scales(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Gains (c, 1), strengths (k,) and noise at coordinates."""
+        index, (median, std) = self._index, self._host_prior
+        gains = median.gains + std.gains * x[index.gains]
+        strength = median.patch_strength * np.exp(std.patch_strength * x[index.patch_strength])
+        level = median.uniform_strength * np.exp(std.uniform_strength * x[index.uniform_strength])
+        noise = median.noise_std * np.exp(std.noise_std * x[index.noise_std])
+        strengths = np.append(np.repeat(strength, (self.features.value.shape[-1] - 3) // 3), np.full(3, level))
+        return gains[:, None], strengths, float(noise)
 
     def value_and_gradient(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Negative log posterior density at coordinates, up to a constant, and its gradient; infinite where the

@@ -252,10 +252,8 @@ class MagnetizationModel:
         Raises:
             ValueError: The search cannot begin.
         """
-        prior, first = (
-            layer_prior(data.reading.shape[1]),
-            min(self.max_layer_presses, len(data.load)),
-        )
+        prior = layer_prior(data.reading.shape[1])
+        first = min(self.max_layer_presses, len(data.load))
         if not first:
             zero = np.zeros(len(ravel_pytree(prior.median)[0]))
             return LayerPosterior(prior.median, *ranges(zero, np.ones(len(zero)), prior), converged=True)
@@ -309,8 +307,7 @@ def _linearize(
 
 
 def _of_unit_strength(layer: LayerParameters) -> LayerParameters:
-    one = jnp.asarray(1.0)
-    return layer._replace(patch_strength=jnp.ones(3), uniform_strength=one)
+    return layer._replace(patch_strength=jnp.ones(3), uniform_strength=jnp.asarray(1.0))
 
 
 def _design_coordinates(coordinates: LayerParameters) -> tuple[Array, ...]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,25 @@ class ParsedMesh(NamedTuple):
     vertices: NDArray[np.float64]  # (n, 3), in the file's unit; all finite, and all used
     faces: NDArray[np.int64]  # (m, 3)
     left_out: tuple[str, ...]  # what is no face, with its number
+
+
+class MeshReader(Protocol):
+    """Reader of one format."""
+
+    def __call__(self, path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
+        """Read a file.
+
+        Args:
+            path: The file, named in errors.
+            data: Its bytes.
+
+        Returns:
+            `(n, 3)` vertices in the file's unit, `(m, 3)` triangles, and what was left out, as texts that may be empty.
+
+        Raises:
+            DataError: The file is cut off or does not follow its format.
+        """
+        ...
 
 
 def triangulated(

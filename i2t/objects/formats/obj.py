@@ -16,18 +16,7 @@ OBJ_CURVES = {b"l": "lines", b"p": "points", b"curv": "curves"}
 
 
 def read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
-    """Read Wavefront OBJ.
-
-    Args:
-        path: The file, named in errors.
-        data: Its bytes.
-
-    Returns:
-        `(n, 3)` vertices in the file's unit, `(m, 3)` triangles, and what was left out, as texts that may be empty.
-
-    Raises:
-        DataError: The file is cut off or does not follow its format.
-    """
+    """Read Wavefront OBJ, as in `i2t.objects.formats.faces.MeshReader`."""
     text = plain_text(path, data)
     lines = text.split(b"\n")
     if re.search(rb"\\ *\n", text):

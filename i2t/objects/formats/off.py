@@ -12,18 +12,7 @@ from i2t.objects.formats.text import cut_off, in_utf8, number_rows, plain_text, 
 
 
 def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
-    """Read OFF.
-
-    Args:
-        path: The file, named in errors.
-        data: Its bytes.
-
-    Returns:
-        `(n, 3)` vertices in the file's unit, `(m, 3)` triangles, and what was left out, as texts that may be empty.
-
-    Raises:
-        DataError: The file is cut off or does not follow its format.
-    """
+    """Read OFF, as in `i2t.objects.formats.faces.MeshReader`."""
     data = in_utf8(data)
     head = re.match(rb"\s*(?:#[^\n]*\s*)*((?:ST|st)?[Cc]?N?4?n?(?:OFF|off|Off))?", data)
     kind = (head[1] or b"") if head else b""

@@ -5,14 +5,13 @@ with what is there; polygons are cut into triangles (`i2t.objects.polygons`); wh
 left out and said. A file whose contents are of another kind than its ending is refused by the name of that kind.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from i2t.errors import DataError
-from i2t.objects.formats.faces import ParsedMesh
+from i2t.objects.formats.faces import MeshReader, ParsedMesh
 from i2t.objects.formats.gltf import read_scene
 from i2t.objects.formats.kinds import check_kind
 from i2t.objects.formats.obj import read_obj
@@ -65,7 +64,7 @@ def _used(path: Path, vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArr
     return vertices, (faces if used.all() else (np.cumsum(used) - 1)[faces])
 
 
-_READERS: dict[str, Callable[[Path, bytes], tuple[NDArray, NDArray, tuple[str, ...]]]] = {
+_READERS: dict[str, MeshReader] = {
     ".stl": read_stl,
     ".obj": read_obj,
     ".ply": read_ply,

@@ -32,18 +32,7 @@ class _Element(NamedTuple):
 
 
 def read_ply(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
-    """Read PLY, binary or text.
-
-    Args:
-        path: The file, named in errors.
-        data: Its bytes.
-
-    Returns:
-        `(n, 3)` vertices in the file's unit, `(m, 3)` triangles, and what was left out, as texts that may be empty.
-
-    Raises:
-        DataError: The file is cut off or does not follow its format.
-    """
+    """Read PLY, binary or text, as in `i2t.objects.formats.faces.MeshReader`."""
     form, schema, body = _ply_header(path, data)
     elements = _ply_text(path, schema, body) if form == "ascii" else _ply_binary(path, schema, body)
     if "vertex" not in elements or not {"x", "y", "z"} <= set(elements["vertex"].columns):
