@@ -15,6 +15,8 @@ from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import explained, learning_curves, over_blocks
 from experiments.calibrate.held_out import EACH_PRESS, RANDOM, HeldOut, hold_out, share_masks
 from experiments.train.configs import PRESETS as TRAINING
+from experiments.train.configs import Simulation
+from experiments.train.sources import SimulatedSource
 from experiments.train.splitting import split_dataset
 from i2t import dataset as data
 from i2t import skin_models as calibration
@@ -23,7 +25,7 @@ from i2t.errors import DataError
 from i2t.files import serialization
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin import boards
-from i2t.skin.files import load_pad, load_pad_about
+from i2t.skin.files import load_pad, load_pad_about, save_pad
 from i2t.skin.pad import sample_pad
 from i2t.skin_models import load_calibration
 from i2t.skin_models.layer_fit import LayerPosterior
@@ -281,6 +283,17 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
     assert "pass --overwrite" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("r2", "refused"), [(0.49, True), (float("nan"), True), (0.51, False)])
+def test_a_pad_that_does_not_explain_its_skin_is_refused_where_it_would_be_simulated(tmp_path, r2, refused):
+    save_pad(tmp_path / "pad.npz", sample_pad(jax.random.key(0)), about={"presses": 60, "r2_places": r2})
+    source = SimulatedSource(str(tmp_path / "pad.npz"), Simulation())
+    if refused:
+        with pytest.raises(ValueError, match=f"explains {r2:.2f} of the variance .* less than 0.5"):
+            source.read_pad()
+    else:
+        assert source.read_pad()[1].r2_places == r2
+
+
 def test_the_prior_of_the_package_is_what_the_search_makes_of_its_constants():
     _, about = serialization.load(Path(calibration.__file__).parent / "tip_gp" / "prior.npz", PRIOR_KIND, KernelPrior)
     cfg = prior_search.PRESETS["paper"]
@@ -293,12 +306,17 @@ def test_the_prior_of_the_package_is_what_the_search_makes_of_its_constants():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("what", ["prior", "simulated"])
+@pytest.mark.filterwarnings("ignore:the fitted board_offset is more than 3")  # the drawn board is that far off
+@pytest.mark.parametrize("what", ["prior", "simulated", "recovery"])
 def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
     assert command.main([f"--{what}", "--preset", "debug", "--out", str(tmp_path)]) == 0
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     if what == "prior":
         assert (tmp_path / "prior.npz").stat().st_size < 100_000
+    elif what == "recovery":
+        # Board pose 5, tip 3, layer 4, gains 15, and stiffness or first contact.
+        assert [part["inside_all"][1] for part in metrics["by_load"].values()] == [28, 28]
+        assert all(part["inside_all"][0] > 14 for part in metrics["by_load"].values())
     else:
         assert set(metrics["cases"]["lattice, depth"]["r2"]) == {*methods.BASELINES, methods.CALIBRATED}
 

@@ -85,14 +85,17 @@ def kinds_of_skin(measured: Measured) -> str:
     return markdown([measured["source"], *counts, "in its 90 % range"], rows)
 
 
+PARAMETERS = {"young": "Young's modulus", "poisson": "Poisson's ratio", "tip_scale": "tip radius"}
+
+
 def ranges_of_pads(measured: Measured) -> str:
     """How often the ranges of a fitted pad hold the truth, by parameter, and R² of what is left out."""
     by_load = measured["by_load"]
-    names = dict.fromkeys(name for part in by_load.values() for name in part["inside"])
+    counts = [part["inside"] | {"all": part["inside_all"]} for part in by_load.values()]
+    names = [name for name in dict.fromkeys(name for part in counts for name in part) if name != "all"]
     rows = [
-        [title, *(" of ".join(map(str, counts[name])) if name in counts else "-" for counts in inside)]
-        for inside in [[part["inside"] | {"all": part["inside_all"]} for part in by_load.values()]]
-        for name, title in [*((name, name.replace("_", " ")) for name in names), ("all", "all")]
+        [PARAMETERS.get(name, name.replace("_", " ")), *(" of ".join(map(str, part.get(name, "-"))) for part in counts)]
+        for name in (*names, "all")
     ]
     for key, title in (("r2", "R² of presses left out, mean"), ("r2_places", "R² of places left out, mean")):
         rows.append([title, *(cell(sum(part[key]) / len(part[key])) for part in by_load.values())])
