@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int, Key, PyTree, UInt32
+from jaxtyping import Array, Float, Int, Key, PyTree
 
 from i2t.runtime.batching import spread_rows
 from i2t.types import in_one_line
@@ -83,7 +83,7 @@ class TrainState(NamedTuple):
 
     params: PyTree
     opt_state: PyTree
-    key: UInt32[Array, "m 2"]  # bits of each member's key
+    key: Key[Array, " m"]
     epoch: Int[Array, " m"]  # epochs done
     best_params: PyTree  # as params
     best_loss: Float[Array, " m"]  # on validation touches; +inf before the first epoch
@@ -176,7 +176,7 @@ def init(key: Key[Array, ""], learner: Learner, cfg: TrainConfig, touches: int) 
         return TrainState(
             params=params,
             opt_state=cfg.optimizer(touches).init(params),
-            key=jax.random.key_data(key_epochs),
+            key=key_epochs,
             epoch=zero,
             best_params=jax.tree.map(jnp.zeros_like, params),
             best_loss=jnp.full((), jnp.inf, jnp.float32),
@@ -224,7 +224,13 @@ def compiled(
     """
     one = partial(epoch, learner, cfg)
     one = jax.custom_batching.sequential_vmap(one) if jax.default_backend() == "cpu" else one
-    program = jax.jit(jax.vmap(one, in_axes=(0, None, None)))
+
+    def members(state: TrainState, train: Batch, validation: Batch | None) -> tuple[TrainState, EpochInfo]:
+        given = state._replace(key=jax.random.clone(state.key))  # epochs fold their number in, and may be repeated
+        after, info = jax.vmap(one, in_axes=(0, None, None))(given, train, validation)
+        return after._replace(key=jax.random.clone(state.key)), info
+
+    program = jax.jit(members)
     return program if jax.device_count() == 1 else partial(_spread, program)
 
 
@@ -249,7 +255,7 @@ def epoch(
         The state after the epoch, and its losses.
     """
     touches = len(train.target)
-    rows, weights = minibatches(jax.random.wrap_key_data(state.key), state.epoch, touches, cfg.batch_size)
+    rows, weights = minibatches(state.key, state.epoch, touches, cfg.batch_size)
     step = partial(_step, learner, cfg.optimizer(touches), train)
     (params, opt_state), (parts, sums) = jax.lax.scan(step, (state.params, state.opt_state), (rows, weights))
     trained = jax.tree.map(lambda part: part @ sums / touches, parts)

@@ -19,9 +19,8 @@ from experiments.common.runs import begin, write_json
 from experiments.common.tables import cell, markdown
 from experiments.recognize import figures
 from i2t import viz
-from i2t.prediction.metrics import Estimate
+from i2t.intervals import Estimate, rate_interval
 from i2t.recognition.environment import EnvironmentConfig, EnvironmentParams, TouchEnvironment
-from i2t.recognition.intervals import rate_interval
 from i2t.recognition.known_pads import with_beliefs
 from i2t.recognition.rollout import POLICIES, rollout
 from i2t.recognition.touch_table import make_environment, tabulate

@@ -61,7 +61,7 @@ class TorchTraining:
         import torch
 
         self.torch, self.setup, self.epoch = torch, setup, 0
-        self.key = jax.random.wrap_key_data(state.key[0])
+        self.key = state.key[0]
         on_gpu = jax.default_backend() == "gpu" and torch.cuda.is_available()
         self.device = "cuda" if on_gpu else "cpu"
         torch.set_float32_matmul_precision("high" if on_gpu else "highest")  # TF32 on a GPU, as XLA takes it

@@ -8,8 +8,8 @@ import numpy as np
 
 from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import BASELINES, CALIBRATED, calibrated
+from i2t.intervals import grouped_interval, student_interval
 from i2t.leave_one_out import STDS_WITHIN_90
-from i2t.prediction.metrics import grouped_interval, student_interval
 from i2t.recordings.presses import LoadedPresses
 from i2t.runtime.progress import progress
 

@@ -12,7 +12,7 @@ import numpy as np
 from experiments.calibrate.arguments import Preset
 from i2t.dataset import same_places, square_blocks
 from i2t.dataset.splits import PLACE_M
-from i2t.prediction.metrics import MIN_CLUSTERS
+from i2t.intervals import MIN_CLUSTERS
 from i2t.recordings.presses import MM_PER_M, LoadedPresses
 
 RANDOM = "random presses"

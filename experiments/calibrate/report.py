@@ -10,7 +10,7 @@ from experiments.calibrate.evaluate import INTERVAL
 from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN
 from experiments.common.runs import write_json
 from experiments.common.tables import cell, text_table
-from i2t.prediction.metrics import MIN_CLUSTERS
+from i2t.intervals import MIN_CLUSTERS
 from i2t.recordings.diagnose import Finding
 from i2t.recordings.diagnose.changes import CHANGED_SKIN, REPEATED_ROWS
 from i2t.viz import style

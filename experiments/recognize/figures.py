@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from i2t.prediction.metrics import Estimate
+from i2t.intervals import Estimate
 from i2t.viz.style import COLOURS, titled
 
 METHOD_MARKERS = "osD^vPX"

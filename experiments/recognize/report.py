@@ -14,13 +14,12 @@ from experiments.recognize import figures
 from i2t import viz
 from i2t.dataset import holds_simulated
 from i2t.errors import printable
+from i2t.intervals import MIN_CLUSTERS, Estimate, cluster_interval, estimate_at, rate_interval, rows_of
 from i2t.objects.solids import Mesh
-from i2t.prediction.metrics import MIN_CLUSTERS, Estimate
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.calibrated import TEMPERATURE_SCALING, TemperatureScaling
 from i2t.recognition.episodes import EVIDENCE, Episodes
-from i2t.recognition.intervals import cluster_interval, estimate_at, rate_interval, rows_of
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 from i2t.types import Board

@@ -28,8 +28,8 @@ from experiments.reconstruct.arguments import PATCH_PRESETS, PatchArgs
 from experiments.reconstruct.patch_scores import LEVELS, choose_thresholds, report_of, score_table, score_touch
 from experiments.reconstruct.patch_world import MetSurface, Trial, list_names, make_parts, press_parts
 from i2t import viz
+from i2t.intervals import rows_of
 from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
-from i2t.recognition.intervals import rows_of
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel, infer_patch
 from i2t.rendering.ops import element
 from i2t.simulation.press_curves import PressCurve

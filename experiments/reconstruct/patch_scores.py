@@ -10,8 +10,8 @@ import numpy as np
 
 from experiments.common.tables import text_table
 from experiments.reconstruct.patch_world import MetSurface
+from i2t.intervals import bootstrap_clusters, cluster_interval
 from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW
-from i2t.recognition.intervals import bootstrap_clusters, cluster_interval
 from i2t.reconstruction.local_shape import PatchLibrary, summarize
 from i2t.types import Array
 

@@ -9,9 +9,8 @@ import numpy as np
 from experiments.reconstruct.arguments import CONDITIONS, ORACLE, PATCH, POSE, RANDOM, READING
 from experiments.reconstruct.episodes import SCORES, START, Episode
 from i2t import viz
+from i2t.intervals import Estimate, bootstrap_clusters, mean_interval
 from i2t.objects.solids import Mesh
-from i2t.prediction.metrics import Estimate
-from i2t.recognition.intervals import bootstrap_clusters, mean_interval
 from i2t.reconstruction.evidence import SurfaceEvidence, Sweep
 from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import SurfaceEstimate

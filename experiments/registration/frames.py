@@ -28,9 +28,9 @@ from experiments.registration.arguments import FramesArgs
 from i2t.depth.camera import Camera, Encoding, read_depth
 from i2t.depth.patches import DepthPatch, patch_from_depth
 from i2t.geometry import contact_frame
+from i2t.intervals import grouped_interval
 from i2t.objects import Mesh, read_mesh
 from i2t.patches.dimensions import PATCH_WINDOW, REACH, STANDOFF
-from i2t.prediction.metrics import grouped_interval
 from i2t.rendering.render import prepare_surface, render_patch
 from i2t.types import Patch, Surface
 

@@ -40,8 +40,8 @@ from experiments.shapes.methods import PAPER, Methods, classify
 from experiments.shapes.strokes import StrokeKernel, StrokeSettings
 from i2t import viz
 from i2t.errors import DataError
+from i2t.intervals import mean_interval, rate_interval
 from i2t.recognition.calibrated import TemperatureScaling, calibrated_beliefs, fit_temperature
-from i2t.recognition.intervals import mean_interval, rate_interval
 from i2t.recognition.metrics import calibration_error, confidence, confusion, hits, log_loss, to_json
 from i2t.viz.style import BLUE, Picture
 

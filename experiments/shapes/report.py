@@ -9,8 +9,7 @@ from experiments.common.tables import cell
 from experiments.shapes.methods import METHODS
 from i2t import viz
 from i2t.dataset import holds_simulated, source_words
-from i2t.prediction.metrics import student_interval
-from i2t.recognition.intervals import rate_interval
+from i2t.intervals import rate_interval, student_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
 

@@ -17,10 +17,10 @@ import numpy as np
 from experiments.common.runs import Part
 from experiments.studies.lab import StudyLab
 from experiments.studies.report import clusters_of, make_table
+from i2t.intervals import estimate_at, rate_interval, rows_of
 from i2t.objects import Mesh, catalogue
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import posteriors
-from i2t.recognition.intervals import estimate_at, rate_interval, rows_of
 from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.types import Surface

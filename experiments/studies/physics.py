@@ -20,10 +20,10 @@ from experiments.studies.lab import SETS, StudyLab, StudyWorld
 from experiments.studies.mismatch import faulty
 from experiments.studies.report import Column, clusters_of, make_table, pool_parts
 from experiments.studies.winkler import winkler_press
+from i2t.intervals import mean_interval
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.calibrated import TemperatureScaling
 from i2t.recognition.episodes import run_belief
-from i2t.recognition.intervals import mean_interval
 from i2t.skin_models.pad_fit import fit_oracle_pad_model
 from i2t.skin_models.pad_model import PadModel, inflated
 from i2t.types import Board

@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.common.runs import Part
-from i2t.prediction.metrics import MIN_CLUSTERS
+from i2t.intervals import MIN_CLUSTERS, estimate_at
 from i2t.recognition import metrics
 from i2t.recognition.calibrated import calibrated_beliefs
-from i2t.recognition.intervals import estimate_at
 from i2t.recognition.metrics import to_json
 
 

@@ -18,9 +18,9 @@ from experiments.recognize.report import REQUESTED_ERRORS
 from experiments.studies.lab import SETS, StudyLab, StudyWorld
 from experiments.studies.mismatch import placed
 from experiments.studies.report import Column, clusters_of, make_table, pool_parts
+from i2t.intervals import estimate_at
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import run_belief
-from i2t.recognition.intervals import estimate_at
 from i2t.recognition.metrics import to_json
 
 LARGEST = "twice as far"

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.train.prepare import Prepared
+from i2t.intervals import grouped_interval
 from i2t.prediction.baselines import MIN_SPREAD_UT
 from i2t.prediction.methods import Method
-from i2t.prediction.metrics import grouped_interval, score
+from i2t.prediction.metrics import score
 from i2t.prediction.predictor import Predictor, coverage, std_scale
 from i2t.prediction.touch_model import Reading
 

@@ -17,7 +17,8 @@ from i2t import viz
 from i2t.dataset import Dataset, Split, holds_simulated, source_words
 from i2t.errors import printable
 from i2t.files.writing import slug
-from i2t.prediction.metrics import MIN_CLUSTERS, Score, grouped_interval, score, student_interval
+from i2t.intervals import MIN_CLUSTERS, grouped_interval, student_interval
+from i2t.prediction.metrics import Score, score
 from i2t.prediction.predictor import Predictor, coverage, save
 from i2t.prediction.touch_model import Reading
 from i2t.recognition.recorded import to_json

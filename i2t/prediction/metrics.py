@@ -2,28 +2,14 @@
 
 NumPy, because nothing here is differentiated.
 R2 is pooled over channels against the mean of the touches it is computed on: 1 - sum (y - f)^2 / sum (y - mean y)^2.
-Intervals come from resampling whole groups (runs or spatial blocks) where one data set is judged, and from Student's t
-over seeds where several are.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
-RESAMPLES = 1000
-COVERAGE = 0.95  # of every interval
-MIN_CLUSTERS = 3  # fewer say nothing about others: there is no interval over them
 EQUALLY_NEAR = 1e-12  # of the squared lengths of features: what rounding makes of one distance
-
-
-class Estimate(NamedTuple):
-    """Means with their intervals: floats, or arrays of one shape."""
-
-    mean: Any
-    low: Any
-    high: Any
 
 
 class Score(NamedTuple):
@@ -79,49 +65,6 @@ def _median_explained(error: np.ndarray, spread: np.ndarray) -> float:
 def _three(values: Iterable[float]) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z
-
-
-def grouped_interval(
-    statistic: Callable[[np.ndarray], float], groups: np.ndarray, seed: int = 0
-) -> tuple[float, float]:
-    """Percentile bootstrap over whole groups (Davison and Hinkley 1997, section 3.8).
-
-    Args:
-        statistic: Function of the resampled row numbers.
-        groups: (n,) run or spatial block of each row; rows of one group are not independent.
-        seed: Of the resampling.
-
-    Returns:
-        Both ends of the interval; NaN where there are fewer than three groups. Resamples of which the statistic is NaN
-        are left out.
-    """
-    rng = np.random.default_rng(seed)
-    members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
-    if len(members) < MIN_CLUSTERS:
-        return float("nan"), float("nan")
-    draws = [
-        statistic(np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))]))
-        for _ in range(RESAMPLES)
-    ]
-    low, high = np.nanquantile(draws, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    return float(low), float(high)
-
-
-def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
-    """Mean and Student's t interval of independent values, such as seeds or episodes.
-
-    Args:
-        values: (n, ...), independent along axis 0.
-
-    Returns:
-        Mean and both ends, floats for values (n,); a single value has no interval (NaN).
-    """
-    sample = np.asarray(values, np.float64)
-    n, mean = len(sample), sample.mean(0)
-    if n < 2:
-        return Estimate(mean, mean * np.nan, mean * np.nan)
-    half = stats.t.ppf((1 + COVERAGE) / 2, n - 1) * sample.std(0, ddof=1) / np.sqrt(n)
-    return Estimate(mean, mean - half, mean + half)
 
 
 def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int | float) -> np.ndarray:

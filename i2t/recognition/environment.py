@@ -177,7 +177,7 @@ class EpisodeState(NamedTuple):
     pad: Int[Array, "*e"]
     placement: Int[Array, "*e"]  # row of the table
     session: SessionErrors  # what stays wrong during the episode
-    sensor_key: UInt32[Array, "*e 2"]  # data of the key of the sensor's errors: they depend on the touches before
+    sensor_key: UInt32[Array, "*e 2"]  # of the sensor's errors; bits, as episodes are selected and kept on the host
     site: Int[Array, "*e t"]
     made: TouchOutcome  # (*e, t)
     num_made: Int[Array, "*e"]  # touches made

@@ -3,7 +3,7 @@
 An array of beliefs p (episodes, touches, classes) holds the probabilities of the classes after each touch, `truth`
 (episodes,) the class that was there. Where an object may be unknown, the unknown class is the last one. The touches of
 an episode are not independent, and neither are episodes that share a pad, a pool of sites or an object: `clusters`
-names these factors, and intervals (95 %) are over them (`i2t.recognition.intervals`). How beliefs are calibrated is in
+names these factors, and intervals (95 %) are over them (`i2t.intervals`). How beliefs are calibrated is in
 `i2t.recognition.calibrated`.
 """
 
@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from i2t.prediction.metrics import COVERAGE, RESAMPLES, Estimate
-from i2t.recognition.intervals import (
+from i2t.intervals import (
+    COVERAGE,
+    RESAMPLES,
     Clusters,
+    Estimate,
     bootstrap_clusters,
     mean_interval,
     rate_interval,

@@ -14,14 +14,15 @@ there are as many as the board has, 3 for each chip.
 
 Rasmussen and Williams, "Gaussian Processes for Machine Learning", algorithm 2.1; the hyperparameters minimise the error
 on held-out groups of touches (section 5.3, cross-validation), never the evidence, because the prior is known to be
-wrong in detail.
+wrong in detail. Fits run in double precision: the condition number of the covariance of n touches is up to n / noise.
+Predictions are in single precision.
 """
 
 import warnings
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +40,7 @@ from i2t.types import in_one_line
 
 LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, of the maps g_c: from below a skin's thickness to beyond its edge
 FILE_KIND = "i2t pressure model"
-JITTER = 1e-5  # of the mean variance: float32 factors of a few thousand touches stay real
+Tree = TypeVar("Tree")
 
 
 @in_one_line
@@ -126,12 +127,12 @@ class PressureModel:
         Raises:
             ValueError: The hyperparameters cannot be chosen (see `choose_hyperparameters`).
         """
-        touches, groups, readings = data.pressure, data.groups, jax.device_put(data.reading)
+        touches, groups, readings = data.pressure, data.groups, jnp.asarray(data.reading)
         seed = int(jax.random.key_data(key)[-1])  # of `jax.random.key(seed)`, the seed
         hyper, _ = choose_hyperparameters(
             touches, readings, groups, steps=self.steps, folds=self.folds, limit=self.limit, seed=seed
         )
-        return jax.jit(fit)(hyper, touches, readings)
+        return fit(hyper, touches, readings)
 
 
 def load_pressure_gp(path: Path | str) -> GP:
@@ -154,7 +155,7 @@ def _checked(path: Path | str, gp: GP, about: dict[str, Any]) -> GP:
     jax.eval_shape(predict, gp, gp.touches)  # which it could not where shapes do not fit
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gp)):
         raise ValueError("values that are not finite")
-    return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), gp)
+    return _single(gp)
 
 
 def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
@@ -236,7 +237,7 @@ def inner_products(a: Float[Array, "lengths a mm"], b: Float[Array, "lengths b m
 
 
 def fit(hyper: GPHyperparameters, touches: ContactPressure, readings: Float[Array, "n c"]) -> GP:
-    """Condition on touches, with given hyperparameters.
+    """Condition on touches, with given hyperparameters, in double precision.
 
     Args:
         hyper: Hyperparameters.
@@ -244,13 +245,19 @@ def fit(hyper: GPHyperparameters, touches: ContactPressure, readings: Float[Arra
         readings: uT, measured at them.
 
     Returns:
-        The fitted GP.
+        The fitted GP, in float32.
     """
+    with jax.enable_x64(True):
+        return _single(_condition(*_double((hyper, touches, readings))))
+
+
+@jit_quickly
+def _condition(hyper: GPHyperparameters, touches: ContactPressure, readings: Float[Array, "n c"]) -> GP:
     linear = inner_products(f := features(touches), f)
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
     scale = jnp.sqrt(jnp.mean(readings**2, axis=0) / (1 + hyper.noise)) + 1e-6
     K = gram(hyper, unit, linear, touches.load, touches.load)
-    cholesky = jnp.linalg.cholesky(K + (hyper.noise + JITTER) * jnp.eye(len(K)))
+    cholesky = jnp.linalg.cholesky(K + hyper.noise * jnp.eye(len(K)))
     weights = jax.scipy.linalg.cho_solve((cholesky, True), readings / scale[None])
     return GP(hyper=hyper, touches=touches, unit=unit, cholesky=cholesky, weights=weights, scale=scale)
 
@@ -315,7 +322,8 @@ def choose_hyperparameters(
             or no pressure at all).
     """
     touches, readings, ends = _by_fold(touches, readings, groups, folds=folds, limit=limit, seed=seed)
-    path, errors = jax.device_get(_descend(touches, readings, ends=ends, steps=steps))
+    with jax.enable_x64(True):
+        path, errors = jax.device_get(_single(_descend(*_double((touches, readings)), ends=ends, steps=steps)))
     finite = np.isfinite(errors)
     if not finite.any():
         raise ValueError(
@@ -369,7 +377,7 @@ def _descend(
     def unexplained(free: dict[str, Array]) -> Float[Array, ""]:
         now = _hyperparameters(free)
         K = gram(now, unit, linear, load, load)
-        precision = _inverse(K + (now.noise + JITTER) * jnp.eye(len(K)))
+        precision = _inverse(K + now.noise * jnp.eye(len(K)))
         weights = jnp.matmul(precision, standard, precision="highest")
         left_out = [leave_out_blocks(precision[block, block], weights[block]) for block in blocks]
         return sum(jnp.sum(fold.error**2) for fold in left_out) / jnp.sum(standard**2)
@@ -391,6 +399,16 @@ def _descend(
         "noise": jnp.full((), -2.0),
     }
     return jax.lax.scan(step, (start, optimizer.init(start)), None, steps)[1]
+
+
+def _double(tree: Tree) -> Tree:
+    """A tree of arrays in float64, where that is enabled."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), tree)
+
+
+def _single(tree: Tree) -> Tree:
+    """A tree of arrays in float32."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), tree)
 
 
 def _hyperparameters(free: dict[str, Array]) -> GPHyperparameters:

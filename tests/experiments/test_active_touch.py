@@ -7,7 +7,7 @@ import pytest
 from experiments.active_touch import run
 from experiments.active_touch.__main__ import main
 from experiments.active_touch.run import table
-from i2t.prediction.metrics import Estimate
+from i2t.intervals import Estimate
 from i2t.recognition.rollout import POLICIES
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.common.intervals import clusters_needed
 from experiments.common.tables import cell
-from i2t.prediction.metrics import student_interval
+from i2t.intervals import student_interval
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from experiments.studies import mismatch, open_set, physics, report, stopping
 from experiments.studies.lab import StudySize
 from experiments.studies.run import STUDIES
 from experiments.studies.tables import study_table
-from i2t.prediction.metrics import Estimate
+from i2t.intervals import Estimate
 from tools.reproduce.recognition_tables import STUDY_TABLES, TABLES
 
 EPISODES = 50

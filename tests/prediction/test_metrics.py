@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from i2t.prediction import metrics
 from i2t.prediction.baselines import tuned
-from i2t.prediction.metrics import grouped_interval, nearest_neighbours, score, student_interval
+from i2t.prediction.metrics import nearest_neighbours, score
 
 
 def test_scores_by_hand():
@@ -39,37 +37,6 @@ def test_the_mean_explains_nothing_the_truth_everything_and_what_does_not_vary_h
     seen = score(still, still)
     assert seen.r2 == seen.r2_median == 1
     assert np.isnan(seen.r2_axis[1])
-
-
-def test_seed_interval_covers_as_often_as_it_says():
-    draws = np.random.default_rng(1).normal(3, 2, (4000, 5))
-    _, low, high = np.array([student_interval(list(row)) for row in draws]).T
-    # Student's interval is exact for normal values: a binomial proportion, 4.5 deviations.
-    assert abs(np.mean((low < 3) & (high > 3)) - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 4000)
-    mean, low, high = student_interval([7.0])
-    assert mean == 7
-    assert np.isnan([low, high]).all()
-    assert np.isnan(student_interval([1.0])[1:]).all()
-
-
-def test_grouped_interval_covers_where_rows_of_a_group_agree(monkeypatch):
-    monkeypatch.setattr(metrics, "RESAMPLES", 100)
-    rng, groups, repeats = np.random.default_rng(2), 30, 200
-    members = np.repeat(np.arange(groups), 5)
-    covered = {True: 0, False: 0}
-    for seed in range(repeats):
-        values = rng.normal(size=groups)[members] + 0.1 * rng.normal(size=len(members))
-        for torn, names in enumerate((members, np.arange(len(members)))):
-            low, high = grouped_interval(lambda rows, values=values: values[rows].mean(), names, seed)
-            covered[bool(torn)] += low < 0 < high
-    assert np.isnan(grouped_interval(lambda rows: rows.mean(), np.arange(6) % 2)).all()  # two groups have none
-    # The bootstrap of a mean is a normal interval of the biased deviation, whose true coverage is Student's; its ends
-    # are quantiles of 100 draws, which costs about two more in a hundred.
-    expected = 1 - 2 * stats.t.sf(1.96 * np.sqrt((groups - 1) / groups), groups - 1)
-    assert abs(covered[False] / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
-    # Five rows that say the same are one: taken apart, the interval is sqrt(5) too short.
-    expected = 1 - 2 * stats.norm.sf(1.96 / np.sqrt(5))
-    assert abs(covered[True] / repeats - expected) < 4.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.02
 
 
 def test_neighbours_by_hand():

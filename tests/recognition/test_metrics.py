@@ -6,7 +6,7 @@ from helpers.forecasters import calibrated_forecaster
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from i2t.recognition import intervals
+from i2t import intervals
 from i2t.recognition import metrics as scores
 
 

@@ -1,9 +1,10 @@
-"""Intervals of scores over episodes, whose errors come in clusters: episodes share a pad, a pool of touch sites and the
-object that was there.
+"""95 % intervals of scores whose errors come in clusters: touches share a pad, a session or a place on the skin;
+episodes share a pad, a pool of touch sites and an object.
 
-`cluster_interval` resamples whole clusters. Its variance over several crossed factors is put together as Cameron,
-Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), each part by a bootstrap of clusters;
-few clusters are allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
+`student_interval` is for independent values, such as one for each seed. `cluster_interval` of a mean, and
+`bootstrap_clusters` of any statistic, resample whole clusters. The variance over several crossed factors is put
+together as Cameron, Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011); few clusters are
+allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
 `rate_interval` is Jeffreys' (Brown, Cai and DasGupta, Statistical Science 16, 2001) for as many independent trials as
 would have that variance (Korn and Graubard, Survey Methodology 24, 1998). Near 0 and 1 few episodes show how alike
 those of a cluster are, so that the variance over clusters says too little; the number of trials is bounded there by the
@@ -13,20 +14,31 @@ NumPy, because nothing here is differentiated.
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy import stats
 
-from i2t.prediction.metrics import COVERAGE, MIN_CLUSTERS, RESAMPLES, Estimate, student_interval
 from i2t.types import Array
 
+RESAMPLES = 1000
+COVERAGE = 0.95  # of every interval
+MIN_CLUSTERS = 3  # fewer say nothing about others: there is no interval over them
 ALIKE = 1e-12  # variance of episodes that differ by rounding only
 
 Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, for each factor
 Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # of the episodes' weights
 # The same in each of some draws, from how often each cluster was drawn (draws, groups) and the episodes' labels.
 Resampled = Callable[[Float[np.ndarray, "draws groups"], Int[np.ndarray, " n"]], Float[np.ndarray, "draws k"]]
+
+
+class Estimate(NamedTuple):
+    """Means with their intervals: floats, or arrays of one shape."""
+
+    mean: Any
+    low: Any
+    high: Any
 
 
 def estimate_at(estimates: Estimate, index: int) -> Estimate:
@@ -40,6 +52,23 @@ def estimate_at(estimates: Estimate, index: int) -> Estimate:
         That one.
     """
     return Estimate(estimates.mean[index], estimates.low[index], estimates.high[index])
+
+
+def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
+    """Mean and Student's t interval of independent values, such as seeds or episodes.
+
+    Args:
+        values: (n, ...), independent along axis 0.
+
+    Returns:
+        Mean and both ends, floats for values (n,); a single value has no interval (NaN).
+    """
+    sample = np.asarray(values, np.float64)
+    n, mean = len(sample), sample.mean(0)
+    if n < 2:
+        return Estimate(mean, mean * np.nan, mean * np.nan)
+    half = stats.t.ppf((1 + COVERAGE) / 2, n - 1) * sample.std(0, ddof=1) / np.sqrt(n)
+    return Estimate(mean, mean - half, mean + half)
 
 
 def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
@@ -199,6 +228,27 @@ def bootstrap_clusters(
     variance, freedom = _spread(resampled, _factors(clusters, count), draws, seed)
     half = (_t(freedom) * np.sqrt(variance)).reshape(seen.shape)
     return Estimate(seen, seen - half, seen + half)
+
+
+def grouped_interval(
+    statistic: Callable[[np.ndarray], float], groups: Shaped[Array, " n"], seed: int = 0
+) -> tuple[float, float]:
+    """`bootstrap_clusters` of a statistic of rows, such as a median or an R2, over one factor.
+
+    Args:
+        statistic: Function of row numbers, those of a cluster that was drawn twice twice among them. Draws of which it
+            is NaN are left out.
+        groups: (n,) run or spatial block of each row; rows of one group are not independent.
+        seed: Of the draws.
+
+    Returns:
+        Both ends of the interval; NaN where there are fewer than three groups.
+    """
+    rows = np.arange(len(groups))
+    found = bootstrap_clusters(
+        lambda weights: np.float64(statistic(np.repeat(rows, weights.astype(int)))), [groups], len(rows), seed=seed
+    )
+    return float(found.low), float(found.high)
 
 
 def _spread(

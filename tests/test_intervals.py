@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from i2t.recognition.intervals import (
+from i2t.intervals import (
     bootstrap_clusters,
     cluster_interval,
+    grouped_interval,
     mean_interval,
     rate_interval,
+    student_interval,
 )
 
 
@@ -39,6 +41,47 @@ def test_crossed_factors_give_the_t_interval_of_the_variances_of_their_clusters_
     found = cluster_interval(table.ravel(), [label.ravel() for label in np.indices(sizes)[:factors]], draws=5000)
     assert found.mean == pytest.approx(table.mean())
     assert (found.mean - found.low, found.high - found.mean) == pytest.approx((half, half), rel=0.02)
+
+
+def test_seed_interval_covers_as_often_as_it_says():
+    draws = np.random.default_rng(1).normal(3, 2, (4000, 5))
+    _, low, high = np.array([student_interval(list(row)) for row in draws]).T
+    # Student's interval is exact for normal values: a binomial proportion, 4.5 deviations.
+    assert abs(np.mean((low < 3) & (high > 3)) - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / 4000)
+    mean, low, high = student_interval([7.0])
+    assert mean == 7
+    assert np.isnan([low, high]).all()
+    assert np.isnan(student_interval([1.0])[1:]).all()
+
+
+@pytest.mark.parametrize("groups", [4, 8, 30])
+def test_grouped_interval_covers_where_rows_of_a_group_agree(groups):
+    """Of a mean of normal groups it is Student's, exact but for the draws, whose variance is off by a few in
+    a hundred. Five rows that say the same are one: taken apart, the interval is sqrt(5) too short.
+    """
+    rng, repeats = np.random.default_rng(2), 200
+    members = np.repeat(np.arange(groups), 5)
+    covered = {True: 0, False: 0}
+    for seed in range(repeats):
+        values = rng.normal(size=groups)[members] + 0.1 * rng.normal(size=len(members))
+        for torn, names in enumerate((members, np.arange(len(members)))):
+            low, high = grouped_interval(lambda rows, values=values: values[rows].mean(), names, seed)
+            covered[bool(torn)] += low < 0 < high
+    torn = 1 - 2 * stats.t.sf(stats.t.ppf(0.975, 5 * groups - 1) * np.sqrt((groups - 1) / (5 * groups - 1)), groups - 1)
+    for how, expected in ((False, 0.95), (True, torn)):
+        assert abs(covered[how] / repeats - expected) < 3.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.01, how
+
+
+def test_grouped_interval_needs_three_groups_and_leaves_out_draws_without_a_value():
+    assert np.isnan(grouped_interval(lambda rows: rows.mean(), np.arange(6) % 2)).all()
+    values = np.random.default_rng(0).normal(size=40)
+    group = np.repeat(np.arange(8), 5)
+
+    def mean(rows):  # NaN of draws without the first group
+        return values[rows].mean() if 0 in rows else np.nan
+
+    low, high = grouped_interval(mean, group)
+    assert low < values.mean() < high
 
 
 def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():
