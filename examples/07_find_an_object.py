@@ -8,7 +8,7 @@ import numpy as np
 
 import i2t
 from i2t.geometry import exp
-from i2t.registration.touch import contact_poses
+from i2t.registration import contact_poses
 from i2t.simulation.touches import SimulationErrors
 
 

@@ -24,7 +24,7 @@ from i2t.objects.solids import Mesh, place_on_table
 from i2t.patches.dimensions import STANDOFF
 from i2t.reconstruction.evidence import contact_evidence
 from i2t.reconstruction.surface import SurfaceModel, estimate_surface, init, surface_model, update
-from i2t.registration.touch import contact_poses
+from i2t.registration import contact_poses
 from i2t.types import ReturnCode
 
 MIN_CONTACTS = 3  # fewer say almost nothing of a shape

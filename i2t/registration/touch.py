@@ -3,24 +3,20 @@
 The object is believed at `T_w_o` and stands at `T_w_o from_twist(x)`, where x (6,) is a twist in its own frame
 (`i2t.geometry.from_twist`): three translations (m), then three rotations times `TWIST_LEVER_M`, all in metres.
 
-At first contact the skin's flat square face just meets the surface: the gap to the lowest surface point inside the
-square (`i2t.contact.approach.nearest_in_square`) is zero up to noise. On a steep facet a sideways error changes the gap
-more than itself, so a residual is the gap over the length of its derivative by translations, the distance along the
-normal (Sampson, "Fitting conic sections to very scattered data", 1982). With x normal before and residuals distributed
-as Student's t (Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989), the most
-probable x is sought by Levenberg-Marquardt steps on the reweighted squares, while the noise shrinks from the size of
-the prior's own errors to what it is (deterministic annealing; Rose, "Deterministic annealing for clustering,
-compression, classification, regression, and related optimization problems", 1998). The contact of edges and corners is
-not smooth, so the search starts from several draws of the prior and keeps the most probable end. Nor are posteriors
-normal there: from the mode and the inverse of the Gauss-Newton matrix (Laplace's method) on, mean and covariance are
-corrected by rounds of importance sampling (`importance_covariance`). What no touch tells keeps the prior's.
+Each contact measures the distance of the skin's face from the surface along its normal, with noise of Student's t
+(`i2t.registration.contacts`). With x normal before, the most probable x is sought by Levenberg-Marquardt steps on the
+reweighted squares, while the noise shrinks from the size of the prior's own errors to what it is (deterministic
+annealing; Rose, "Deterministic annealing for clustering, compression, classification, regression, and related
+optimization problems", 1998). The contact of edges and corners is not smooth, so the search starts from several draws
+of the prior and keeps the most probable end. Nor are posteriors normal there: from the mode and the inverse of the
+Gauss-Newton matrix (Laplace's method) on, mean and covariance are corrected by rounds of importance sampling
+(`importance_covariance`). What no touch tells keeps the prior's.
 
 Inside, the unknown is z = x over the prior's standard deviations, so that its prior is standard normal.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,22 +24,29 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from i2t import validation
-from i2t.contact.approach import double_areas, first_smallest, lowest_in_square, nearest_in_square
-from i2t.geometry import from_twist, full_precision, inverse
-from i2t.patches.dimensions import PAD_WINDOW, STANDOFF, TWIST_LEVER_M
+from i2t.geometry import from_twist, full_precision
+from i2t.patches.dimensions import PAD_WINDOW
+from i2t.registration.contacts import (
+    Contacts,
+    LinearisedContacts,
+    check_contacts,
+    contacts_of,
+    linearise,
+    t_weights,
+)
+from i2t.registration.contacts import cost as contact_cost
+from i2t.registration.contacts import normal_equations as contact_normal_equations
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
 from i2t.runtime.batching import map_batches
 from i2t.runtime.compiling import jit_quickly, traced_floats
-from i2t.types import ReturnCode, Surface, Touches
+from i2t.types import Surface
 
-STUDENT_T_DOF = 4.0  # of the residuals: the usual compromise of Lange et al.
 UNSEEN_CONTACT_RESIDUAL_M = 1e3  # of a motion that was not looked at yet: worse than any
 PROPOSAL_DOF = 5  # of what is drawn: heavier tails than any posterior's
 MIN_PROPOSAL_STD = 1e-3  # of draws, in standard deviations of the prior, for float32's sake
 MIN_VARIANCE_FACTOR = 0.1  # by which one round of draws may shrink the variance along any direction
 DRAWS_AT_A_TIME = 16  # whose densities are found together
-CANDIDATE_STDS = 3.0  # of the prior: how far the object may move before other faces come nearest
 
 
 @traced_floats
@@ -58,39 +61,6 @@ class TouchRegistrationConfig:
     rounds: int = 4  # of drawing; 0 leaves mode and curvature
     half_edge: float = PAD_WINDOW / 2  # m, of the skin's face
     candidate_faces: int = 128  # of the surface at each touch: those that could come nearest
-
-
-class _Contacts(NamedTuple):
-    """The data of a registration."""
-
-    prior_std: Float[Array, "6"]  # m, of the twist
-    weight: Float[Array, " n"]
-    T_t_o: Float[Array, "n 4 4"]  # of the believed object at each contact
-    corners: Float[Array, "n 3 3 k"]  # m, coordinates of the corners of each contact's candidates, faces last
-
-
-class _Linearised(NamedTuple):
-    """Residuals after a motion, with derivatives by z."""
-
-    residual: Float[Array, " n"]  # m, along the surface's normal
-    jacobian: Float[Array, "n 6"]  # m
-    stretch: Float[Array, " n"]  # of the gap along tool z against the residual
-
-
-def contact_poses(touches: Touches) -> tuple[Float[np.ndarray, "n 4 4"], Bool[np.ndarray, " n"]]:
-    """Poses of first contact of recorded touches: the pose at the end of each press, taken back along tool z by the
-    measured travel past contact.
-
-    Args:
-        touches: Recorded touches.
-
-    Returns:
-        The tool's poses T_w_t at first contact, and which touches met the object.
-    """
-    T_w_t, depth = np.array(touches.T_w_t), np.asarray(touches.depth)
-    met = np.isfinite(depth) & np.isin(touches.code, (ReturnCode.SKIN, ReturnCode.WRENCH))
-    T_w_t[:, :3, 3] -= np.where(met, depth, 0)[:, None] * T_w_t[:, :3, 2]
-    return T_w_t, met
 
 
 @full_precision
@@ -141,7 +111,7 @@ def register_by_touch(
         validation.number(name, std, "a standard deviation, 0 where it is known", least=0)
     validation.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
-    _check_contacts(T_w_o, T_w_contact, weight)
+    check_contacts(T_w_o, T_w_contact, weight)
     stds = (jnp.asarray(std, jnp.float32) for std in (translation_std, rotation_std, contact_std))
     register = _register_often if often else _register_once
     return register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
@@ -161,9 +131,10 @@ def _register(
     config: TouchRegistrationConfig,
 ) -> PoseEstimate:
     """`register_by_touch` of what was checked."""
-    contacts = _contacts(
-        surface, T_w_o, T_w_contact, weight, translation_std=translation_std, rotation_std=rotation_std, config=config
-    )
+    contacts = contacts_of(
+        surface, T_w_o, T_w_contact, weight, translation_std=translation_std, rotation_std=rotation_std,
+        half_edge=config.half_edge, candidate_faces=config.candidate_faces,
+    )  # fmt: skip
     problem = _touch_problem(contacts, config.half_edge)
     key_starts, key_draws = jax.random.split(key)
     mode, linearised, cost = _most_probable(key_starts, problem, contacts.prior_std, noise, config)
@@ -172,7 +143,7 @@ def _register(
         T_w_o=T_w_o @ from_twist(contacts.prior_std * z),
         covariance=contacts.prior_std[:, None] * covariance * contacts.prior_std[None],
         residual=linearised.residual,
-        weight=_t_weights(linearised.residual, weight, noise),
+        weight=t_weights(linearised.residual, weight, noise),
         cost=cost,
     )
 
@@ -181,61 +152,19 @@ _register_once = jit_quickly(_register)
 _register_often = jax.jit(_register)
 
 
-def _check_contacts(T_w_o: Array, T_w_contact: Array, weight: Array) -> None:
-    """Check for a list of rigid poses with a weight for each; traced ones pass."""
-    n = len(T_w_contact) if T_w_contact.ndim else 0
-    if n == 0 or T_w_contact.shape != (n, 4, 4) or weight.shape != (n,):
-        raise ValueError(
-            f"T_w_contact has the shape {T_w_contact.shape} and weight {weight.shape}; give n poses (n, 4, 4) and as "
-            "many weights (n,), of one touch or more"
-        )
-    if validation.is_traced(T_w_o, T_w_contact, weight):
-        return
-    if not np.isfinite(T_w_o).all():
-        raise ValueError("T_w_o has numbers that are not finite; give the pose where the object is believed to be")
-    wrong = ~np.isfinite(weight) | ((weight > 0) & ~np.isfinite(T_w_contact).all((1, 2)))
-    if wrong.any():
-        raise ValueError(
-            f"{wrong.sum()} touches have a pose or a weight that is not finite, the first in row {np.argmax(wrong)}; "
-            "give them the weight 0"
-        )
-    validation.pose("T_w_o", T_w_o)
-    for number in np.flatnonzero(np.asarray(weight) > 0):
-        validation.pose(f"T_w_contact[{number}]", T_w_contact[number])
-
-
-def _contacts(
-    surface: Surface,
-    T_w_o: Float[Array, "4 4"],
-    T_w_contact: Float[Array, "n 4 4"],
-    weight: Float[Array, " n"],
-    *,
-    translation_std: Float[Array, ""],
-    rotation_std: Float[Array, ""],
-    config: TouchRegistrationConfig,
-) -> _Contacts:
-    """The data of a registration: the believed object at each contact, and the faces that may be met there."""
-    std = [translation_std] * 3 + [rotation_std * TWIST_LEVER_M] * 3
-    T_w_t = jnp.where((weight > 0)[:, None, None], T_w_contact, jnp.eye(4)[None])
-    T_t_o = jax.vmap(lambda T: inverse(T) @ T_w_o)(T_w_t)
-    reach = CANDIDATE_STDS * translation_std, CANDIDATE_STDS * rotation_std
-    corners = jax.vmap(lambda T: _candidates(surface, T, config, *reach))(T_t_o)
-    return _Contacts(jnp.stack(std), weight, T_t_o, corners)
-
-
 def _most_probable(
     key: Key[Array, ""],
     problem: LeastSquares,
     prior_std: Float[Array, "6"],
     noise: Float[Array, ""],
     config: TouchRegistrationConfig,
-) -> tuple[Float[Array, "6"], _Linearised, Float[Array, ""]]:
+) -> tuple[Float[Array, "6"], LinearisedContacts, Float[Array, ""]]:
     """The best of several searches, the first from the prior's mean and the others from draws of it: z, its residuals,
     and its cost.
     """
     scales = _annealed(noise, jnp.hypot(prior_std[0], prior_std[3]), config)  # how far the prior may be off at the face
 
-    def search(z: Float[Array, "6"]) -> tuple[Float[Array, "6"], _Linearised, Float[Array, ""]]:
+    def search(z: Float[Array, "6"]) -> tuple[Float[Array, "6"], LinearisedContacts, Float[Array, ""]]:
         found, linearised = levenberg_marquardt(problem, z, scales)
         return found, linearised, problem.cost(found, linearised, noise)
 
@@ -249,7 +178,7 @@ def _moments(
     key: Key[Array, ""],
     problem: LeastSquares,
     mode: Float[Array, "6"],
-    linearised: _Linearised,
+    linearised: LinearisedContacts,
     *,
     noise: Float[Array, ""],
     config: TouchRegistrationConfig,
@@ -262,6 +191,26 @@ def _moments(
     information, _ = problem.normal_equations(mode, linearised, noise)
     draws = jax.random.normal(key, (config.rounds, config.draws, 6 + PROPOSAL_DOF))
     return importance_covariance(negative_log_posterior, mode, jnp.linalg.inv(information), draws)
+
+
+def _touch_problem(contacts: Contacts, half_edge: float | Array) -> LeastSquares:
+    """Problem of the most probable z."""
+    n = len(contacts.weight)
+    return LeastSquares(
+        residual_and_jacobian=lambda z: linearise(z, contacts, half_edge),
+        cost=lambda z, linearised, scale: contact_cost(z, linearised, contacts.weight, scale),
+        normal_equations=lambda z, linearised, scale: contact_normal_equations(z, linearised, contacts.weight, scale),
+        unseen=LinearisedContacts(jnp.full(n, UNSEEN_CONTACT_RESIDUAL_M), jnp.zeros((n, 6)), jnp.ones(n)),
+    )
+
+
+def _annealed(
+    noise: Float[Array, ""], prior_error: Float[Array, ""], config: TouchRegistrationConfig
+) -> Float[Array, " steps"]:
+    """Scales (m) of the residuals, from the prior's errors down to the noise in equal factors."""
+    wide = jnp.maximum(noise, prior_error)
+    fraction = jnp.minimum(jnp.arange(config.annealing_steps + config.steps) / config.annealing_steps, 1.0)
+    return wide ** (1 - fraction) * noise**fraction
 
 
 @full_precision
@@ -307,99 +256,3 @@ def importance_covariance(
         return (mean + factor @ shift, root @ root.T), None
 
     return jax.lax.scan(adapt, (mode, covariance), draws)[0]
-
-
-def _touch_problem(contacts: _Contacts, half_edge: float | Array) -> LeastSquares:
-    """Problem of the most probable z."""
-    n = len(contacts.weight)
-    return LeastSquares(
-        residual_and_jacobian=lambda z: _linearise(z, contacts, half_edge),
-        cost=lambda z, linearised, scale: _cost(z, linearised, contacts.weight, scale),
-        normal_equations=lambda z, linearised, scale: _normal_equations(z, linearised, contacts.weight, scale),
-        unseen=_Linearised(jnp.full(n, UNSEEN_CONTACT_RESIDUAL_M), jnp.zeros((n, 6)), jnp.ones(n)),
-    )
-
-
-def _linearise(z: Float[Array, "6"], contacts: _Contacts, half_edge: float | Array) -> _Linearised:
-    """Residuals of all contacts and their derivatives; those of no weight have no effect."""
-    one = jax.vmap(_linearise_one, (None, 0, 0, None))
-    seen = one(contacts.prior_std * z, contacts.T_t_o, contacts.corners, half_edge)
-    observed = (contacts.weight > 0) & jnp.isfinite(seen.jacobian).all(axis=1)
-    return _Linearised(
-        jnp.where(contacts.weight > 0, seen.residual, 0.0),
-        jnp.where(observed[:, None], seen.jacobian * contacts.prior_std[None], 0.0),
-        jnp.where(observed, seen.stretch, 1.0),
-    )
-
-
-def _linearise_one(
-    twist: Float[Array, "6"], T_t_o: Float[Array, "4 4"], corners: Float[Array, "3 3 k"], half_edge: float | Array
-) -> _Linearised:
-    """One contact's residual and its derivative by the twist."""
-    gaps = _gaps(corners, T_t_o @ from_twist(twist), half_edge)
-    face = corners[:, :, first_smallest(gaps)].T
-    gap, slope = jax.value_and_grad(lambda twist: _gap(face, T_t_o @ from_twist(twist), half_edge))(twist)
-    stretch = jnp.maximum(jnp.linalg.norm(slope[:3]), 1.0)
-    return _Linearised(gap / stretch, slope / stretch, stretch)
-
-
-def _cost(
-    z: Float[Array, "6"], linearised: _Linearised, weight: Float[Array, " n"], scale: Float[Array, ""]
-) -> Float[Array, ""]:
-    """Minus the logarithm of the posterior, up to a constant."""
-    square = (linearised.residual / scale) ** 2
-    surprise = (STUDENT_T_DOF + 1) / 2 * jnp.log1p(square / STUDENT_T_DOF) + jnp.log(linearised.stretch)
-    return 0.5 * z @ z + weight @ surprise
-
-
-def _t_weights(residual: Float[Array, " n"], weight: Float[Array, " n"], scale: Float[Array, ""]) -> Float[Array, " n"]:
-    """Weights of the squares that have the t distribution's slope."""
-    return weight * (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + (residual / scale) ** 2)
-
-
-def _normal_equations(
-    z: Float[Array, "6"], linearised: _Linearised, weight: Float[Array, " n"], scale: Float[Array, ""]
-) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
-    """The Gauss-Newton matrix and the gradient of the posterior."""
-    share = _t_weights(linearised.residual, weight, scale)
-    jacobian = linearised.jacobian
-    matrix = jacobian.T @ (share[:, None] * jacobian) / scale**2 + jnp.eye(6)
-    return matrix, jacobian.T @ (share * linearised.residual) / scale**2 + z
-
-
-def _annealed(
-    noise: Float[Array, ""], prior_error: Float[Array, ""], config: TouchRegistrationConfig
-) -> Float[Array, " steps"]:
-    """Scales (m) of the residuals, from the prior's errors down to the noise in equal factors."""
-    wide = jnp.maximum(noise, prior_error)
-    fraction = jnp.minimum(jnp.arange(config.annealing_steps + config.steps) / config.annealing_steps, 1.0)
-    return wide ** (1 - fraction) * noise**fraction
-
-
-def _gap(triangle: Float[Array, "3 3"], T_t_o: Float[Array, "4 4"], half: float | Array) -> Float[Array, ""]:
-    """Gap (m) between the square face and a triangle, negative where they overlap; one next to the face is far off."""
-    gap = nearest_in_square(Surface(triangle[None]), T_t_o, half)
-    return jnp.where(gap < jnp.inf, gap, STANDOFF)
-
-
-def _gaps(corners: Float[Array, "3 3 k"], T_t_o: Float[Array, "4 4"], half: float | Array) -> Float[Array, " k"]:
-    """Gaps (m) of several triangles."""
-    gaps = lowest_in_square(corners, T_t_o, half)
-    return jnp.where(gaps < jnp.inf, gaps, STANDOFF)
-
-
-def _candidates(
-    surface: Surface,
-    T_t_o: Float[Array, "4 4"],
-    config: TouchRegistrationConfig,
-    distance: float | Array,
-    angle: float | Array,
-) -> Float[Array, "3 3 k"]:
-    """The faces that come nearest when the object moves sideways by up to `distance` (m) and turns by `angle` (rad)."""
-    triangles = jnp.asarray(surface.triangles)
-    arm = jnp.linalg.norm(T_t_o[:3, 3])
-    corners = jnp.moveaxis(triangles, (1, 2), (1, 0))
-    gaps = _gaps(corners, T_t_o, config.half_edge + distance + angle * arm)
-    gaps = jnp.where(double_areas(triangles) > 0, gaps, jnp.inf)
-    minus_gap, nearest = jax.lax.top_k(-gaps, min(config.candidate_faces, len(triangles)))
-    return corners[..., jnp.where(minus_gap > -jnp.inf, nearest, nearest[0])]  # in place of faces without area

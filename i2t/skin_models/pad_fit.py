@@ -1,6 +1,6 @@
 """Pad models: readings of one pad at a contact and the errors of their prediction, fitted to recorded touches.
 
-Each recorded session's object is registered by its own contacts first (`i2t.registration.touch`): the contact is then
+Each recorded session's object is registered by its own contacts first (`i2t.registration`): the contact is then
 known ten times better than from the camera's view. The contact's pressure on the layer that explains the readings best,
 at the measured force, and the reading fit a reading model (`i2t.skin_models.reading_model`); its errors on touches left
 out fit the likelihood of `i2t.recognition.belief`.
@@ -29,8 +29,9 @@ from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_p
 from i2t.dataset import Dataset
 from i2t.geometry import full_precision, inverse
 from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
-from i2t.registration import touch as registration
+from i2t.registration.contacts import contact_poses
 from i2t.registration.estimate import PoseEstimate
+from i2t.registration.touch import register_by_touch
 from i2t.runtime.batching import a_few_at_a_time, select_rows
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.touches import SimulationErrors
@@ -174,7 +175,7 @@ class _SessionContacts(NamedTuple):
 def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
     padded = np.resize(here, max(REGISTERED_TOUCHES, len(here)))
     some = select_rows(touches, padded)
-    T_w_contact, met = registration.contact_poses(some)
+    T_w_contact, met = contact_poses(some)
     return _SessionContacts(some, T_w_contact, met & (np.arange(len(padded)) < len(here)), len(here))
 
 
@@ -244,7 +245,7 @@ def _register_session(
     often: bool,
 ) -> PoseEstimate:
     """The object's pose by the contacts that met it, or by some of them."""
-    return registration.register_by_touch(
+    return register_by_touch(
         key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
         translation_std=errors.placement, rotation_std=errors.placement_angle, often=often,
     )  # fmt: skip

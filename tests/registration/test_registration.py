@@ -22,8 +22,8 @@ from i2t.depth.camera import Camera
 from i2t.geometry import inverse, random_motion, to_twist
 from i2t.objects import make_object, read_mesh
 from i2t.patches.dimensions import PAD_WINDOW, TWIST_LEVER_M
-from i2t.registration import camera_covariance, contact_poses, register_by_depth, register_by_touch, touch
-from i2t.registration.touch import STUDENT_T_DOF
+from i2t.registration import camera_covariance, contact_poses, contacts, register_by_depth, register_by_touch, touch
+from i2t.registration.contacts import STUDENT_T_DOF
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.simulation import sites as touch_sites
 from i2t.types import ReturnCode, Surface, Touches
@@ -172,7 +172,7 @@ def test_faces_that_fill_up_a_surface_are_no_candidates():
     """Rounding may give a face of three equal corners an area, and such a face was met wherever it was put."""
     surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
     assert len(surface.triangles) > 12
-    corners = touch._candidates(surface, jnp.eye(4).at[2, 3].set(0.02), touch.TouchRegistrationConfig(), 3e-3, 0.03)
+    corners = contacts.candidates(surface, jnp.eye(4).at[2, 3].set(0.02), 3e-3, 0.03, half_edge=0.01, count=128)
     assert (double_areas(jnp.moveaxis(corners, -1, 0).swapaxes(1, 2)) > 1e-4).all()
 
 
@@ -195,13 +195,13 @@ def test_steps_follow_the_gradient_of_students_t_log_density():
     at, weight, scale = at * np.geomspace(1e-3, 30, 9), np.abs(weight), 0.7
 
     def linearised(z):
-        return touch._Linearised(jnp.float32(at) + jnp.float32(slope) @ z, jnp.float32(slope), jnp.ones(9))
+        return contacts.LinearisedContacts(jnp.float32(at) + jnp.float32(slope) @ z, jnp.float32(slope), jnp.ones(9))
 
     def cost(z):
-        return touch._cost(z, linearised(z), jnp.float32(weight), jnp.float32(scale))
+        return contacts.cost(z, linearised(z), jnp.float32(weight), jnp.float32(scale))
 
     z = jnp.float32(0.1 * rng.normal(size=6))
-    step = jax.jit(lambda z: touch._normal_equations(z, linearised(z), jnp.float32(weight), jnp.float32(scale))[1])
+    step = jax.jit(lambda z: contacts.normal_equations(z, linearised(z), jnp.float32(weight), jnp.float32(scale))[1])
     value, gradient = jax.jit(jax.value_and_grad(cost))(z)
     np.testing.assert_allclose(step(z), gradient, rtol=1e-4, atol=1e-4)
     density = weight @ stats.t(STUDENT_T_DOF).logpdf((at + slope @ np.asarray(z)) / scale)

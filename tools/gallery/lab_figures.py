@@ -14,7 +14,7 @@ from i2t.geometry import exp, inverse, log
 from i2t.hardware.reskin import monitor as skin_monitor
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.rig import Rig
-from i2t.registration.touch import contact_poses
+from i2t.registration import contact_poses
 from i2t.rendering.render import render_heights
 from i2t.simulation.touches import SimulationErrors
 from i2t.viz.rig_scene import RigScene, plot_rig
