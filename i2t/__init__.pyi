@@ -22,6 +22,9 @@ from .recognition.recognizer import ObjectRecognizer as ObjectRecognizer
 from .recognition.recognizer import RecognizerConfig as RecognizerConfig
 from .registration.depth import register_by_depth as register_by_depth
 from .registration.estimate import PoseEstimate as PoseEstimate
+from .registration.session import SessionEstimate as SessionEstimate
+from .registration.session import SessionRegistrationConfig as SessionRegistrationConfig
+from .registration.session import register_session as register_session
 from .registration.touch import register_by_touch as register_by_touch
 from .rendering.render import prepare_surface as prepare_surface
 from .rendering.render import render_patch as render_patch

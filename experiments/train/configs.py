@@ -51,6 +51,7 @@ class TrainExperiment:
     pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
     seeds: int = 1
     split: str = "auto"  # what is held out of a recording: object, session, block or time
+    registered: bool = False  # whether views are rendered from where each session's own touches put object and tool
     softness: float = 1.0  # of the skin, in units of the nominal one's
     paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
     hidden_tilt: float = 0.4 * math.pi / 180  # rad, that a noisy view leaves open

@@ -70,12 +70,13 @@ def pressure_model_of(
     patches = dataset.touches.patch
     curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
     noisy = float(np.median(np.abs(curvature))) > NOISY_CURVATURE_M
+    tilted = noisy or cfg.registered  # a rendered view has no noise, but does not show the tilt either
     large = dataset.window > LARGE_WINDOW_M
     return PressureModelConfig(
         pitch=dataset.window / patches.shape[1],
         window=round(dataset.window * 500) / 500 if large else PressureModelConfig.window,
         smooth=noisy,
-        tilt=cfg.hidden_tilt if noisy else 0.0,
+        tilt=cfg.hidden_tilt if tilted else 0.0,
         control=load.control,
         softness=softness,
         cell=1e-3 if large else PressureModelConfig.cell,

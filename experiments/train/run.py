@@ -6,6 +6,7 @@
     python -m experiments.train --preset study       six pads, one seed: means and 95 % intervals over pads
     python -m experiments.train --preset study --workers 2        its pads side by side (docs/compiled.md)
     python -m experiments.train --pad FILE           a pad fitted to a real skin in place of a random one
+    python -m experiments.train --registered         views from where each session's own touches put object and camera
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
     python -m experiments.train --methods gp ridge --method my_package.module:Mine    these, and one of your own
     python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network, another loss
@@ -42,6 +43,7 @@ from experiments.train.arguments import TrainArgs
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.evaluation import evaluate, pressure_note
 from experiments.train.prepare import Prepared, prepare
+from experiments.train.registered import camera_row, registered
 from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling
 from experiments.train.sources import RecordedSource, SimulatedSource, TouchSource
@@ -52,6 +54,7 @@ from i2t.recognition.recorded import describe
 from i2t.skin_models.pad_model import KnownPad
 
 CEILING = "ceiling: GP without camera and arm errors"
+ON_CAMERA = "GP on the camera's views, not registered"
 
 
 def run(args: TrainArgs) -> dict[str, Any]:
@@ -78,7 +81,7 @@ def configure(args: TrainArgs) -> TrainExperiment:
     """The preset with what the command line changes of it; refuses methods that there are not."""
     cfg = choose_preset(
         PRESETS, args.preset, methods=args.methods, pads=args.pads, seeds=args.seeds, split=args.split,
-        softness=args.softness, paper=args.paper,
+        softness=args.softness, paper=args.paper, registered=args.registered,
     )  # fmt: skip
     methods = ("mean", *(name for name in (*cfg.methods, *args.method) if name != "mean"))
     find_methods(methods)
@@ -100,7 +103,13 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     objects = source.objects_known()  # before all that takes long
-    prepared = prepare(source.dataset(seed, out), cfg, cfg.split, seed, cfg.softness)
+    dataset, on_camera = source.dataset(seed, out), None
+    if cfg.registered:
+        on_camera = camera_row(prepare(dataset, replace(cfg, registered=False), cfg.split, seed, cfg.softness), seed)
+        dataset, objects, note = registered(dataset, objects)
+    prepared = prepare(dataset, cfg, cfg.split, seed, cfg.softness)
+    if cfg.registered:
+        prepared = prepared._replace(notes=(*prepared.notes, note))
     print(summary_of(prepared))
     touches, split = prepared.touches, prepared.split
     touches = replace(touches, paper=cfg.paper, training=cfg.training)
@@ -116,6 +125,8 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     evaluation = evaluate(prepared, methods, fitted)
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(touches.dataset, touches.pressure_model, split, seed)
+    if on_camera is not None:
+        evaluation.predicted[ON_CAMERA] = on_camera
     notes = [*prepared.notes, *pressure_note(evaluation.choice, source.recording)]
     about = {"seed": seed, "pad": source.pad, "notes": notes}
     pad_model = fit_or_explain(partial(source.pad_model, pad_model_seed, touches.dataset, split.train, objects))

@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.train.configs import Simulation
 from i2t import dataset as data
-from i2t.contact.pressure import PressureModelConfig, predict_pressures
+from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset, Split
 from i2t.objects import catalogue
 from i2t.prediction.gp_method import fit_gp
@@ -56,7 +56,12 @@ def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split,
     assert truth is not None
     exact = replace(pressure_model, smooth=False, tilt=0.0, pitch=dataset.window / dataset.touches.patch.shape[1])
     pressure = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
-    fitted = fit_gp(jax.random.key(seed), pressure, dataset.touches.reading, split)
+    return predicted_by_gp(pressure, dataset.touches.reading, split, seed)
+
+
+def predicted_by_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: int) -> np.ndarray:
+    """Readings (n, 3 chips) uT of the test touches by a Gaussian process on the contact pressures of all touches."""
+    fitted = fit_gp(jax.random.key(seed), pressure, readings, split)
     held_out = split.validation | split.test  # as many as the evaluation predicts, for which it has been compiled
     mean, _ = fitted.predict(select_rows(pressure, np.flatnonzero(held_out)))
     return np.asarray(mean)[split.test[held_out]]

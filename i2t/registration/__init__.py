@@ -1,16 +1,23 @@
-"""Pose of an object or a tool, from touches or from a depth image."""
+"""Pose of an object, of a tool or of the camera, from touches or from a depth image."""
 
 from i2t.registration.contacts import contact_poses
 from i2t.registration.depth import DepthRegistrationConfig, camera_covariance, register_by_depth
 from i2t.registration.estimate import PoseEstimate
+from i2t.registration.session import SessionEstimate, SessionRegistrationConfig, register_session
+from i2t.registration.sets import register_sessions, with_registered_views
 from i2t.registration.touch import TouchRegistrationConfig, register_by_touch
 
 __all__ = [
     "DepthRegistrationConfig",
     "PoseEstimate",
+    "SessionEstimate",
+    "SessionRegistrationConfig",
     "TouchRegistrationConfig",
     "camera_covariance",
     "contact_poses",
     "register_by_depth",
     "register_by_touch",
+    "register_session",
+    "register_sessions",
+    "with_registered_views",
 ]

@@ -1,0 +1,363 @@
+"""Where a known object and the camera really are, from the touches of one session.
+
+Within a session two errors are constant: the object stands at `T_w_o from_twist(x)` instead of `T_w_o`, and the camera
+looks from `from_twist(h)` instead of where the hand-eye calibration puts it. Each touch measures both twists, twelve
+numbers in all:
+
+* at first contact the skin's face meets the surface (`i2t.registration.contacts`), which depends on x alone;
+* the view shows the surface from `T_o_c = (T_w_o from_twist(x))^-1 T_w_t from_twist(h)`.
+
+Views are compared with renderings as in direct image alignment (Lucas and Kanade, "An iterative image registration
+technique with an application to stereo vision", 1981; Kerl, Sturm and Cremers, "Robust odometry estimation for RGB-D
+cameras", 2013). Heights Z(u, v) of a camera that moves by a small translation t and rotation w become
+
+    Z + Z_u d_u + Z_v d_v - d_z,    d = t + w x (u, v, Z),
+
+with Z_u and Z_v the differences of neighbouring pixels. These see silhouettes too, which are all that a flat face shows
+of where it ends. Both images and the derivatives are blurred, widely in the first search and by little more than what
+the camera smears in the last. A residual's variance is that of the camera's noise and of a sideways error of its
+pixels. The arm's repeatability moves each view by a small motion of its own, which is taken off.
+
+Residuals are Student's t, and the most probable twists are sought by Levenberg-Marquardt steps while the scale of the
+residuals shrinks, as in `i2t.registration.touch`. The covariance is that of Laplace's method.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.geometry import from_twist, full_precision, inverse, to_twist
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH, TWIST_LEVER_M
+from i2t.patches.views import SAME_SURFACE_M
+from i2t.registration.contacts import (
+    STUDENT_T_DOF,
+    Contacts,
+    LinearisedContacts,
+    check_contacts,
+    contact_poses,
+    contacts_of,
+)
+from i2t.registration.contacts import cost as contact_cost
+from i2t.registration.contacts import linearise as linearise_contacts
+from i2t.registration.contacts import normal_equations as contact_normal_equations
+from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
+from i2t.rendering.render import render_heights
+from i2t.runtime.batching import select_rows
+from i2t.runtime.compiling import jit_quickly, traced_floats
+from i2t.types import Array as AnyArray
+from i2t.types import Surface, Touches, in_one_line
+
+FIRST_SCALE = 10.0  # of the residuals, in standard deviations: the prior's errors against the noise
+UNSEEN_RESIDUAL = 1e6  # of a motion that was not looked at yet, in standard deviations: worse than any
+TOUCHES_PER_CLASS, MAX_TOUCHES = 36, 144
+MIN_NOISE_M = 1e-6  # of a depth pixel, for divisions
+
+
+@traced_floats
+@dataclass(frozen=True)
+class SessionRegistrationConfig:
+    """What is known of a lab's errors before a session, as standard deviations, and how to search."""
+
+    placement: float = 1e-3  # m, of the object along each axis
+    placement_angle: float = float(np.radians(1.0))  # rad, about each axis
+    hand_eye: float = 1e-3  # m, of the camera in the tool frame along each axis
+    hand_eye_angle: float = float(np.radians(0.5))  # rad, about each axis
+    contact: float = 0.1e-3  # m, of a first contact
+    repeatability: float = 0.05e-3  # m, of the arm along each axis, in each view
+    repeatability_angle: float = float(np.radians(0.03))  # rad, about each axis
+    depth_noise: float = 0.3e-3  # m, of a depth pixel
+    depth_bleed: float = 1.0  # pixels by which a depth is displaced sideways
+    window: float = field(default=PATCH_WINDOW, metadata={"static": True})  # m, edge of a patch
+    reach: float = field(default=REACH, metadata={"static": True})  # m, at which views are clipped
+    blurs: tuple[float, ...] = (8.0, 4.0, 1.5)  # pixels, standard deviation of the blur in each search
+    steps: int = 12  # of each search
+    half_edge: float = PAD_WINDOW / 2  # m, of the skin's face
+    candidate_faces: int = 128  # of the surface at each touch: those that could come nearest
+
+
+@in_one_line
+class SessionEstimate(NamedTuple):
+    """The constant errors of one session, with their uncertainty.
+
+    Example:
+        estimate = i2t.register_session(touches, surface)
+        estimate.T_t_camera[:3, 3]  # m, by which the camera sits aside
+    """
+
+    T_w_o: Float[Array, "4 4"]  # the object's estimated pose in the world
+    T_t_camera: Float[Array, "4 4"]  # where the camera looks from, seen from where the hand-eye calibration puts it
+    covariance: Float[Array, "12 12"]  # m^2, of the twists of the object and of the camera (`i2t.geometry.from_twist`)
+    contact_residual: Float[Array, " n"]  # m, of each touch along the surface's normal
+    view_residual: Float[Array, " n"]  # root mean square of each view's residuals, in standard deviations of the noise
+
+
+class _Views(NamedTuple):
+    """Heights that the camera saw, with the tool's poses."""
+
+    T_w_t: Float[AnyArray, "*n 4 4"]
+    height: Float[AnyArray, "*n w w"]  # m along tool z, clipped; 0 where nothing is known
+    known: Float[AnyArray, "*n w w"]  # 1 where a height is known, else 0
+    nearest: Float[AnyArray, "*n"]  # m, of the patch's nearest surface
+
+
+class _Session(NamedTuple):
+    """The data of a registration."""
+
+    surface: Surface
+    T_w_o: Float[AnyArray, "4 4"]
+    T_w_contact: Float[AnyArray, "n 4 4"]
+    weight: Float[AnyArray, " n"]
+    views: _Views
+
+
+class _LinearisedViews(NamedTuple):
+    """Residuals of views, in standard deviations, with their derivatives by the twelve unknowns."""
+
+    residual: Float[Array, "n k"]
+    jacobian: Float[Array, "n k 12"]
+    motion: Float[Array, " n"]  # half the squared motion of the arm in each view, in standard deviations
+
+
+class _Linearised(NamedTuple):
+    contacts: LinearisedContacts
+    views: _LinearisedViews
+
+
+@full_precision
+def register_session(
+    touches: Touches, surface: Surface, *, config: SessionRegistrationConfig = SessionRegistrationConfig()
+) -> SessionEstimate:
+    """Estimate where the object and the camera really were in one session.
+
+    Args:
+        touches: n touches of one session; of more than `MAX_TOUCHES`, as many evenly spread ones count. Those that met
+            nothing count by their views alone, cropped views by their patches, and touches without a view by their
+            contacts alone.
+        surface: The object, in its own frame.
+        config: What is known before, and how to search.
+
+    Returns:
+        The estimate. What the touches do not tell keeps the prior, and the covariance shows it.
+
+    Raises:
+        ValueError: The touches are of several sessions, none met the object, or a pose is not rigid.
+
+    Example:
+        estimate = i2t.register_session(dataset.touches, i2t.prepare_surface(mesh))
+    """
+    sessions = np.unique(touches.session)
+    if len(sessions) != 1:
+        raise ValueError(f"touches: they are of {len(sessions)} sessions; register one session at a time")
+    if len(touches.session) > MAX_TOUCHES:
+        touches = select_rows(touches, np.linspace(0, len(touches.session) - 1, MAX_TOUCHES).astype(int))
+    T_w_contact, met = contact_poses(touches)
+    if not met.any():
+        raise ValueError("touches: none met the object, so that nothing says where it is; give some that did")
+    check_contacts(*(jnp.asarray(x, jnp.float32) for x in (touches.T_w_o[0], T_w_contact, met)))
+    session = _filled_up(_Session(surface, touches.T_w_o[0], T_w_contact, met, _views_of(touches)))
+    twist, searches = jnp.zeros(12), len(config.blurs)
+    for search, blur in enumerate(config.blurs):
+        done = (search + np.minimum(2 * np.arange(config.steps) / config.steps, 1)) / searches
+        blurring = _blurring(session.views.height.shape[-1], blur, config.blurs[-1])
+        # Samples of a wider blur share their noise: together they tell as much as fewer would.
+        shared = jnp.float32(blur / config.blurs[-1])
+        found = _search(session, twist, blurring, jnp.float32(FIRST_SCALE ** (1 - done)), shared, config)
+        twist = found.twist
+    return SessionEstimate(
+        T_w_o=session.T_w_o @ from_twist(twist[:6]),
+        T_t_camera=from_twist(twist[6:]),
+        covariance=found.covariance,
+        contact_residual=found.linearised.contacts.residual[: len(met)],
+        view_residual=jnp.sqrt(jnp.mean(found.linearised.views.residual**2, axis=1))[: len(met)],
+    )
+
+
+def _filled_up(session: _Session) -> _Session:
+    """The session with repeated touches that do not count, up to a whole number of `TOUCHES_PER_CLASS`: one compilation
+    serves most sessions.
+    """
+    n = len(session.weight)
+    rows = np.resize(np.arange(n), TOUCHES_PER_CLASS * -(-n // TOUCHES_PER_CLASS))
+    counts = np.arange(len(rows)) < n
+    views = select_rows(session.views, rows)
+    filled = session._replace(
+        T_w_contact=session.T_w_contact[rows],
+        weight=session.weight[rows] & counts,
+        views=views._replace(known=views.known * counts[:, None, None]),
+    )
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, leaf.dtype if leaf.dtype == np.uint32 else jnp.float32), filled)
+
+
+def _views_of(touches: Touches) -> _Views:
+    """Heights that the camera saw; of a cropped view those of its patch."""
+    behind, patch = np.array(touches.wide, np.float32), np.asarray(touches.patch, np.float32)
+    margin = (behind.shape[-1] - patch.shape[-1]) // 2
+    middle = behind[:, margin : margin + patch.shape[-1], margin : margin + patch.shape[-1]]
+    middle[...] = np.where(np.isnan(middle), patch, middle)
+    seen = np.isfinite(touches.nearest)
+    nearest = np.where(seen, touches.nearest, 0).astype(np.float32)
+    known = np.isfinite(behind) & seen[:, None, None]
+    height = np.where(known, nearest[:, None, None] + behind, 0)
+    T_w_t = np.where(seen[:, None, None], touches.T_w_t, np.eye(4)).astype(np.float32)
+    return _Views(T_w_t, height, known.astype(np.float32), nearest)
+
+
+def _blurring(pixels: int, blur: float, finest: float) -> Float[np.ndarray, "k pixels"]:
+    """Gaussian weights of the pixels along one axis, for samples two of the finest deviations apart: so far apart they
+    hardly share noise.
+    """
+    stride = max(round(2 * finest), 1)
+    at = np.arange(pixels)[(pixels - 1) % stride // 2 :: stride]
+    weights = np.exp(-((np.arange(pixels) - at[:, None]) ** 2) / (2 * blur**2))
+    return (weights / weights.sum(1, keepdims=True)).astype(np.float32)
+
+
+class _Found(NamedTuple):
+    """The end of a search."""
+
+    twist: Float[Array, "12"]  # m
+    covariance: Float[Array, "12 12"]  # m^2
+    linearised: _Linearised
+
+
+@jit_quickly
+@full_precision
+def _search(
+    session: _Session,
+    start: Float[Array, "12"],
+    blurring: Float[Array, "k pixels"],
+    scales: Float[Array, " steps"],
+    shared: Float[Array, ""],
+    config: SessionRegistrationConfig,
+) -> _Found:
+    """Search the most probable twists from a start (m)."""
+    angles = config.placement_angle * TWIST_LEVER_M, config.hand_eye_angle * TWIST_LEVER_M
+    std = jnp.repeat(jnp.stack([config.placement, angles[0], config.hand_eye, angles[1]]), 3)
+    problem = _problem(session, std, blurring, shared, config)
+    z, linearised = levenberg_marquardt(problem, start / std, scales)
+    information, _ = problem.normal_equations(z, linearised, jnp.float32(1))
+    return _Found(std * z, std[:, None] * jnp.linalg.inv(information) * std[None], linearised)
+
+
+def _problem(
+    session: _Session,
+    std: Float[Array, "12"],
+    blurring: Float[Array, "k pixels"],
+    shared: Float[Array, ""],
+    config: SessionRegistrationConfig,
+) -> LeastSquares:
+    """Problem of the most probable twists, over their prior's standard deviations; scales are factors of the noise."""
+    contacts = contacts_of(
+        session.surface, session.T_w_o, session.T_w_contact, session.weight,
+        translation_std=jnp.float32(config.placement), rotation_std=jnp.float32(config.placement_angle),
+        half_edge=config.half_edge, candidate_faces=config.candidate_faces,
+    )  # fmt: skip
+
+    def look(z: Float[Array, "12"], view: _Views) -> _LinearisedViews:
+        def camera(z: Float[Array, "12"]) -> Float[Array, "4 4"]:
+            return inverse(session.T_w_o @ from_twist(std[:6] * z[:6])) @ view.T_w_t @ from_twist(std[6:] * z[6:])
+
+        T_o_c = camera(z)
+        moved = jax.jacfwd(lambda z: to_twist(inverse(T_o_c) @ camera(z)))(z)  # (6, 12)
+        r, jacobian = _compare(view, T_o_c, session.surface, blurring, shared, config)
+        # The arm moves each view by a motion with a normal prior; the best one is taken off.
+        angle = config.repeatability_angle * TWIST_LEVER_M
+        by_motion = jacobian * jnp.stack([config.repeatability] * 3 + [angle] * 3)
+        both = jnp.concatenate([r[:, None], jacobian @ moved], 1)
+        motion = jnp.linalg.solve(by_motion.T @ by_motion + jnp.eye(6), by_motion.T @ both)
+        left = both - by_motion @ motion
+        return _LinearisedViews(left[:, 0], left[:, 1:], 0.5 * motion[:, 0] @ motion[:, 0])
+
+    def linearised(z: Float[Array, "12"]) -> _Linearised:
+        seen = jax.vmap(look, (None, 0))(z, session.views)
+        return _Linearised(linearise_contacts(z[:6], contacts, config.half_edge), seen)
+
+    return LeastSquares(
+        residual_and_jacobian=linearised,
+        cost=partial(_cost, contacts, config.contact),
+        normal_equations=partial(_normal_equations, contacts, config.contact),
+        unseen=_unseen(len(session.weight), len(blurring) ** 2),
+    )
+
+
+def _cost(
+    contacts: Contacts, contact_std: float | Array, z: Float[Array, "12"], found: _Linearised, scale: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Minus the logarithm of the posterior, up to a constant."""
+    square = (found.views.residual / scale) ** 2
+    seen = (STUDENT_T_DOF + 1) / 2 * jnp.sum(jnp.log1p(square / STUDENT_T_DOF)) + jnp.sum(found.views.motion)
+    return contact_cost(z[:6], found.contacts, contacts.weight, scale * contact_std) + seen + 0.5 * z[6:] @ z[6:]
+
+
+def _normal_equations(
+    contacts: Contacts, contact_std: float | Array, z: Float[Array, "12"], found: _Linearised, scale: Float[Array, ""]
+) -> tuple[Float[Array, "12 12"], Float[Array, "12"]]:
+    """The Gauss-Newton matrix and the gradient of the posterior."""
+    of_contacts, slope = contact_normal_equations(z[:6], found.contacts, contacts.weight, scale * contact_std)
+    residual, jacobian, _ = found.views
+    share = (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + (residual / scale) ** 2) / scale**2
+    matrix = jnp.einsum("nk,nki,nkj->ij", share, jacobian, jacobian)
+    gradient = jnp.einsum("nk,nki,nk->i", share, jacobian, residual)
+    matrix = matrix.at[:6, :6].add(of_contacts).at[6:, 6:].add(jnp.eye(6))
+    return matrix, gradient.at[:6].add(slope).at[6:].add(z[6:])
+
+
+def _unseen(n: int, k: int) -> _Linearised:
+    return _Linearised(
+        LinearisedContacts(jnp.full(n, UNSEEN_RESIDUAL), jnp.zeros((n, 6)), jnp.ones(n)),
+        _LinearisedViews(jnp.full((n, k), UNSEEN_RESIDUAL), jnp.zeros((n, k, 12)), jnp.zeros(n)),
+    )
+
+
+def _compare(
+    view: _Views,
+    T_o_c: Float[Array, "4 4"],
+    surface: Surface,
+    blurring: Float[Array, "k pixels"],
+    shared: Float[Array, ""],
+    config: SessionRegistrationConfig,
+) -> tuple[Float[Array, " kk"], Float[Array, "kk 6"]]:
+    """Blurred differences of a view and the rendering at a camera's pose, in standard deviations of the noise, with
+    their derivatives by the twist of that pose.
+    """
+    pixels, pitch, limit = view.height.shape[-1], config.window / 48, view.nearest + config.reach
+    height = jnp.minimum(render_heights(surface, inverse(T_o_c), pitch * pixels, pixels), limit)
+    by_twist, square_slope = _by_camera_twist(height, limit, pitch)
+    recorded, share = _as_recorded(height, view.nearest, config.depth_noise)
+    images = jnp.concatenate([(jnp.minimum(view.height, limit) - recorded)[None], -share * by_twist]) * view.known
+    blurred = jnp.einsum("ai,cij,bj->cab", blurring, images, blurring).reshape(7, -1)
+    variance = jnp.maximum(config.depth_noise, MIN_NOISE_M) ** 2 + (config.depth_bleed * pitch) ** 2 * square_slope
+    noise = shared * jnp.sqrt(jnp.einsum("ai,ij,bj->ab", blurring**2, variance, blurring**2)).reshape(-1)
+    return blurred[0] / noise, (blurred[1:] / noise).T
+
+
+def _by_camera_twist(
+    height: Float[Array, "w w"], limit: Float[Array, ""], pitch: float
+) -> tuple[Float[Array, "6 w w"], Float[Array, "w w"]]:
+    """Derivatives of clipped heights by the twist of the camera, and their squared slope."""
+    n, padded = height.shape[-1], jnp.pad(height, 1, mode="edge")
+    across = (padded[1:-1, 2:] - padded[1:-1, :-2]) / (2 * pitch)
+    along = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / (2 * pitch)
+    u, v = jnp.meshgrid(*[(jnp.arange(n) - (n - 1) / 2) * pitch] * 2)
+    seen = jnp.where(height < limit, 1.0, 0.0)
+    turned = [-along * height - seen * v, across * height + seen * u, along * u - across * v]
+    return jnp.stack([across, along, -seen, *(part / TWIST_LEVER_M for part in turned)]), across**2 + along**2
+
+
+def _as_recorded(
+    height: Float[Array, "w w"], nearest: Float[Array, ""], noise: float | Array
+) -> tuple[Float[Array, "w w"], Float[Array, "w w"]]:
+    """Mean of what is recorded of noisy heights, and its derivative by the height: what stands out before the nearest
+    surface by less than `SAME_SURFACE_M` is recorded as lying on it (`i2t.patches.views`).
+    """
+    std = jnp.maximum(noise, MIN_NOISE_M)
+    behind = (height - nearest) / std
+    share = jax.scipy.stats.norm.cdf(behind)
+    mean = nearest + std * (jax.scipy.stats.norm.pdf(behind) + behind * share)
+    stands_out = height < nearest - SAME_SURFACE_M
+    return jnp.where(stands_out, height, mean), jnp.where(stands_out, 1.0, share)
