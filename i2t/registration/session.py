@@ -15,14 +15,15 @@ cameras", 2013). Heights Z(u, v) of a camera that moves by a small translation t
 
 with Z_u and Z_v the differences of neighbouring pixels. These see silhouettes too, which are all that a flat face shows
 of where it ends. Both images and the derivatives are blurred, widely in the first search and by little more than what
-the camera smears in the last. A residual's variance is that of the camera's noise and of a sideways error of its
-pixels. The arm's repeatability moves each view by a small motion of its own, which is taken off.
+the camera smears in the last; the first starts from several draws of the prior. A residual's variance is that of the
+camera's noise and of a sideways error of its pixels, which is as large as the blur until the last search. The arm's
+repeatability moves each view by a small motion of its own, which is taken off.
 
 Residuals are Student's t, and the most probable twists are sought by Levenberg-Marquardt steps while the scale of the
 residuals shrinks, as in `i2t.registration.touch`. The covariance is that of Laplace's method.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -54,6 +55,7 @@ from i2t.types import Surface, Touches, in_one_line
 
 FIRST_SCALE = 10.0  # of the residuals, in standard deviations: the prior's errors against the noise
 UNSEEN_RESIDUAL = 1e6  # of a motion that was not looked at yet, in standard deviations: worse than any
+KEPT_STARTS = 2  # with the least cost, that go on to the next search
 TOUCHES_PER_CLASS, MAX_TOUCHES = 36, 144
 MIN_NOISE_M = 1e-6  # of a depth pixel, for divisions
 
@@ -74,10 +76,17 @@ class SessionRegistrationConfig:
     depth_bleed: float = 1.0  # pixels by which a depth is displaced sideways
     window: float = field(default=PATCH_WINDOW, metadata={"static": True})  # m, edge of a patch
     reach: float = field(default=REACH, metadata={"static": True})  # m, at which views are clipped
+    num_starts: int = 8  # of the first search, draws of the prior; the first is its mean
     blurs: tuple[float, ...] = (8.0, 4.0, 1.5)  # pixels, standard deviation of the blur in each search
     steps: int = 12  # of each search
     half_edge: float = PAD_WINDOW / 2  # m, of the skin's face
     candidate_faces: int = 128  # of the surface at each touch: those that could come nearest
+
+    @property
+    def std(self) -> Float[Array, "12"]:
+        """Standard deviations (m) of the twists of the object and of the camera."""
+        turned = self.placement_angle * TWIST_LEVER_M, self.hand_eye_angle * TWIST_LEVER_M
+        return jnp.repeat(jnp.stack([self.placement, turned[0], self.hand_eye, turned[1]]), 3)
 
 
 @in_one_line
@@ -160,20 +169,27 @@ def register_session(
         raise ValueError("touches: none met the object, so that nothing says where it is; give some that did")
     check_contacts(*(jnp.asarray(x, jnp.float32) for x in (touches.T_w_o[0], T_w_contact, met)))
     session = _filled_up(_Session(surface, touches.T_w_o[0], T_w_contact, met, _views_of(touches)))
-    twist, searches = jnp.zeros(12), len(config.blurs)
+    draws = np.random.default_rng(0).normal(size=(config.num_starts, 12)).astype(np.float32)
+    starts, searches = [draw * (number > 0) * config.std for number, draw in enumerate(draws)], len(config.blurs)
     for search, blur in enumerate(config.blurs):
         done = (search + np.minimum(2 * np.arange(config.steps) / config.steps, 1)) / searches
         blurring = _blurring(session.views.height.shape[-1], blur, config.blurs[-1])
         # Samples of a wider blur share their noise: together they tell as much as fewer would.
         shared = jnp.float32(blur / config.blurs[-1])
-        found = _search(session, twist, blurring, jnp.float32(FIRST_SCALE ** (1 - done)), shared, config)
-        twist = found.twist
+        scales = jnp.float32(FIRST_SCALE ** (1 - done))
+        # Until the last search, edges may lie as far aside as the images are blurred.
+        aside = config.depth_bleed if blur == config.blurs[-1] else max(config.depth_bleed, blur)
+        errors = replace(config, depth_bleed=aside)
+        ends = [_search(session, start, blurring, scales, shared, errors) for start in starts]
+        found = sorted(ends, key=lambda end: float(end.cost))
+        starts = [end.twist for end in found[:KEPT_STARTS]]
+    twist, best = starts[0], found[0]
     return SessionEstimate(
         T_w_o=session.T_w_o @ from_twist(twist[:6]),
         T_t_camera=from_twist(twist[6:]),
-        covariance=found.covariance,
-        contact_residual=found.linearised.contacts.residual[: len(met)],
-        view_residual=jnp.sqrt(jnp.mean(found.linearised.views.residual**2, axis=1))[: len(met)],
+        covariance=best.covariance,
+        contact_residual=best.linearised.contacts.residual[: len(met)],
+        view_residual=jnp.sqrt(jnp.mean(best.linearised.views.residual**2, axis=1))[: len(met)],
     )
 
 
@@ -222,6 +238,7 @@ class _Found(NamedTuple):
 
     twist: Float[Array, "12"]  # m
     covariance: Float[Array, "12 12"]  # m^2
+    cost: Float[Array, ""]  # at the last scale
     linearised: _Linearised
 
 
@@ -236,12 +253,12 @@ def _search(
     config: SessionRegistrationConfig,
 ) -> _Found:
     """Search the most probable twists from a start (m)."""
-    angles = config.placement_angle * TWIST_LEVER_M, config.hand_eye_angle * TWIST_LEVER_M
-    std = jnp.repeat(jnp.stack([config.placement, angles[0], config.hand_eye, angles[1]]), 3)
+    std = config.std
     problem = _problem(session, std, blurring, shared, config)
     z, linearised = levenberg_marquardt(problem, start / std, scales)
     information, _ = problem.normal_equations(z, linearised, jnp.float32(1))
-    return _Found(std * z, std[:, None] * jnp.linalg.inv(information) * std[None], linearised)
+    covariance = std[:, None] * jnp.linalg.inv(information) * std[None]
+    return _Found(std * z, covariance, problem.cost(z, linearised, scales[-1]), linearised)
 
 
 def _problem(
@@ -267,7 +284,7 @@ def _problem(
         r, jacobian = _compare(view, T_o_c, session.surface, blurring, shared, config)
         # The arm moves each view by a motion with a normal prior; the best one is taken off.
         angle = config.repeatability_angle * TWIST_LEVER_M
-        by_motion = jacobian * jnp.stack([config.repeatability] * 3 + [angle] * 3)
+        by_motion = jacobian * jnp.stack([config.repeatability] * 3 + [angle] * 3)[None]
         both = jnp.concatenate([r[:, None], jacobian @ moved], 1)
         motion = jnp.linalg.solve(by_motion.T @ by_motion + jnp.eye(6), by_motion.T @ both)
         left = both - by_motion @ motion
@@ -329,11 +346,12 @@ def _compare(
     height = jnp.minimum(render_heights(surface, inverse(T_o_c), pitch * pixels, pixels), limit)
     by_twist, square_slope = _by_camera_twist(height, limit, pitch)
     recorded, share = _as_recorded(height, view.nearest, config.depth_noise)
-    images = jnp.concatenate([(jnp.minimum(view.height, limit) - recorded)[None], -share * by_twist]) * view.known
+    residual = jnp.minimum(view.height, limit) - recorded
+    images = jnp.concatenate([residual[None], -share[None] * by_twist]) * view.known[None]
     blurred = jnp.einsum("ai,cij,bj->cab", blurring, images, blurring).reshape(7, -1)
     variance = jnp.maximum(config.depth_noise, MIN_NOISE_M) ** 2 + (config.depth_bleed * pitch) ** 2 * square_slope
     noise = shared * jnp.sqrt(jnp.einsum("ai,ij,bj->ab", blurring**2, variance, blurring**2)).reshape(-1)
-    return blurred[0] / noise, (blurred[1:] / noise).T
+    return blurred[0] / noise, (blurred[1:] / noise[None]).T
 
 
 def _by_camera_twist(

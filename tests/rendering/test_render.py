@@ -79,11 +79,13 @@ def on_surface(thing, count: int, seed: int) -> np.ndarray:
     return np.array(poses, np.float32)
 
 
-def embree_heights(triangles: np.ndarray, T_w_t: np.ndarray) -> np.ndarray:
+def embree_heights(
+    triangles: np.ndarray, T_w_t: np.ndarray, window: float = PATCH_WINDOW, pixels: int = PATCH_PIXELS
+) -> np.ndarray:
     """Tool z (poses, n, n) of the first hits as Embree finds them."""
     scene = EmbreeScene()
     TriangleMesh(scene, triangles)
-    x, y = centres()
+    x, y = centres(window, pixels)
     start = np.stack([x, y, np.full_like(x, -STANDOFF)], -1)
     origins = np.einsum("pij,nmj->pnmi", T_w_t[:, :3, :3].astype(float), start) + T_w_t[:, None, None, :3, 3]
     along = np.broadcast_to(T_w_t[:, None, None, :3, 2], origins.shape)
