@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.train.prepare import Prepared
-from i2t.intervals import grouped_interval
+from i2t.intervals import grouped_interval, student_interval
 from i2t.prediction.baselines import MIN_SPREAD_UT
 from i2t.prediction.methods import Method
 from i2t.prediction.metrics import score
@@ -102,7 +102,11 @@ def evaluate(prepared: Prepared, methods: Sequence[Method], fitted: Mapping[str,
         validated,
         split.groups[split.validation],
         baselines=[method.title for method in methods if method.baseline],
-        on_pressure=[name for name, each in predictors.items() if each.pressure is not None],
+        on_pressure=[
+            method.title
+            for method in methods
+            if method.title in predictors and not method.baseline and predictors[method.title].pressure is not None
+        ],
     )
     return Evaluation(predicted, std, choice, covered, predictors)
 
@@ -122,7 +126,7 @@ def choose(
         predicted: Readings (n, 3 chips) uT by method.
         groups: (n,) session, spatial block or stretch of time of each touch.
         baselines: Names of the methods that are baselines.
-        on_pressure: Names of the methods on predicted contact pressure.
+        on_pressure: Names of the methods on predicted contact pressure that are no baselines.
 
     Returns:
         The method with the least error of all whose predictions are finite; of equal ones, the first.
@@ -166,6 +170,42 @@ def lead_of(truth: np.ndarray, error: np.ndarray, other: np.ndarray, groups: np.
         return float((other[rows] - error[rows]).sum() / max(spread[rows].sum(), 1e-12))
 
     return Lead(difference(np.arange(len(truth))), *grouped_interval(difference, groups))
+
+
+def choice_over_pads(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The method that is best on validation touches over several pads, and its lead over the best baseline.
+
+    Args:
+        parts: Metrics of each pad and seed, of the same methods.
+
+    Returns:
+        Mean validation R2 by method, both names, and the lead with its 95 % interval over pads (Student's t); and how
+        many touches, sessions and objects validated.
+    """
+    pads = sorted({str(part["pad"]) for part in parts})
+    finite = [name for name in parts[0]["validation_r2"] if all(_is_number(p["validation_r2"][name]) for p in parts)]
+    of_pad = {
+        name: np.array([np.mean([p["validation_r2"][name] for p in parts if str(p["pad"]) == pad]) for pad in pads])
+        for name in finite
+    }
+    mean = {name: float(values.mean()) for name, values in of_pad.items()}
+    best = max(mean, key=lambda name: mean[name])
+    baseline = max((name for name in parts[0]["baselines"] if name in mean), key=lambda name: mean[name])
+    return {
+        "best": best,
+        "best_baseline": baseline,
+        "validation_r2": mean,
+        "over_best_baseline": Lead(*student_interval(of_pad[best] - of_pad[baseline]))._asdict(),
+        "validated_on": {
+            "touches": sum(part["counts"]["validation"] for part in parts),
+            "groups": sum(part["validated_on"]["groups"] for part in parts),
+            "objects": max(part["validated_on"]["objects"] for part in parts),
+        },
+    }
+
+
+def _is_number(value: float | None) -> bool:
+    return value is not None and bool(np.isfinite(value))
 
 
 def pressure_note(choice: Choice, recorded: Path | None) -> list[str]:

@@ -11,15 +11,17 @@
     python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network, another loss
 
 Hexagon and parallelogram train, one tool validates, six other objects test. Every method sees the same touches:
-baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured), the paper's network
-on contact masks or depths (paper-mask, paper-depth), in a study also with the measured force (paper-mask-force,
-paper-depth-force), and two models on predicted contact pressure (pressure-network, gp). The best of all of them on the
-validation touches is kept as the predictor, a baseline too. Where a model on predicted contact pressure loses to a
-baseline, `experiments.fidelity` tests likely causes. A ceiling shows what the same model would reach if the camera and
-the arm made no error. A pad model is fitted to the touches of the training objects, for `experiments.recognize`; of
---dataset it needs the objects' meshes, and --rig tells how far they may be off. Results go to --out: metrics.json,
-config.json, figures, the data (data.h5), checkpoint/, which `i2t.load_predictor` reads, and pad_model.npz, which
-`i2t.load_pad_model` reads (`experiments.train.finished` has the whole list).
+baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured) or predicted contact
+pressures (nearest-pressure, ridge-pressure), the paper's network on contact masks or depths (paper-mask, paper-depth),
+in a study also with the measured force (paper-mask-force, paper-depth-force), and two models on predicted contact
+pressure (pressure-network, gp). The best of all of them on the validation touches is kept as the predictor, a baseline
+too. A study validates on four more objects, and says which method is best there over its pads. Where a model on
+predicted contact pressure loses to a baseline, `experiments.fidelity` tests likely causes. A ceiling shows what the
+same model would reach if the camera and the arm made no error. A pad model is fitted to the touches of the training
+objects, for `experiments.recognize`; of --dataset it needs the objects' meshes, and --rig tells how far they may be
+off. Results go to --out: metrics.json, config.json, figures, the data (data.h5), checkpoint/, which
+`i2t.load_predictor` reads, and pad_model.npz, which `i2t.load_pad_model` reads (`experiments.train.finished` has the
+whole list).
 
 On two quiet cores the default took 101 s the first time, when everything is compiled, and 72 s the second; `--preset
 debug` 30 s and 16 s.
@@ -117,7 +119,8 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(touches.dataset, touches.pressure_model, split, seed)
     notes = [*prepared.notes, *pressure_note(evaluation.choice, source.recording)]
-    about = {"seed": seed, "pad": source.pad, "notes": notes}
+    baselines = [method.title for method in methods if method.baseline]
+    about = {"seed": seed, "pad": source.pad, "notes": notes, "baselines": baselines}
     pad_model = fit_or_explain(partial(source.pad_model, pad_model_seed, touches.dataset, split.train, objects))
     report(out, prepared, evaluation, pad_model, about=about, started=started)
 

@@ -34,7 +34,7 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
     if how == "object":
         names = dataset.objects
         if set(plan.objects) <= set(names):
-            test, validation = plan.test, plan.validation
+            test, validation = plan.test, plan.validation + plan.more_validation
         else:
             order = [names[i] for i in rng.permutation(len(names))]
             third = max(len(names) // 3, 1)

@@ -36,6 +36,8 @@ METHODS: Mapping[str, str] = {  # names of the command line; the first of equal 
     "nearest-measured": "i2t.prediction.baselines:NearestMeasured",
     "ridge": "i2t.prediction.baselines:Ridge",
     "ridge-measured": "i2t.prediction.baselines:RidgeMeasured",
+    "nearest-pressure": "i2t.prediction.baselines:NearestPressure",
+    "ridge-pressure": "i2t.prediction.baselines:RidgePressure",
     "paper-mask": "i2t.prediction.networks:PaperMask",
     "paper-depth": "i2t.prediction.networks:PaperDepth",
     "paper-mask-force": "i2t.prediction.networks:PaperMaskForce",

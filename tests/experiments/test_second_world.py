@@ -9,7 +9,7 @@ from helpers import second_world as world
 
 from experiments.train.loads import Tried, explained
 from i2t.contact.pressure import PressureModelConfig
-from i2t.prediction.baselines import Ridge, patch_components
+from i2t.prediction.baselines import Ridge, image_components
 from i2t.prediction.touch_model import TouchBatch
 
 SKIN = world.make_skin(np.random.default_rng(0))
@@ -53,7 +53,7 @@ def test_predicted_pressure_leads_ridge_regression_where_the_physics_is_another(
     missed = np.zeros_like(reading)
     for group in range(len(made)):
         train, test = groups != group, groups == group
-        components, nothing = patch_components(patch[train]), np.zeros((train.sum(), 0))
+        components, nothing = image_components(patch[train]), np.zeros((train.sum(), 0))
         model = Ridge().model(components, (), patch[train], nothing, reading[train], groups[train])
         nothing = np.full(test.sum(), np.nan)
         asked = TouchBatch(patch[test], patch[test], nothing, nothing, nothing, nothing)

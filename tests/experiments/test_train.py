@@ -274,6 +274,9 @@ def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
             "source": "simulated", "pad": pad, "seed": seed, "best": "one",
             "methods": {"one": {**score, "r2": 0.3 + 0.1 * pad + 0.01 * seed}},
             "by_object": {"star": {"one": 0.1 * pad}, "hammer": {"one": 0.5}},
+            "baselines": ["mean", "ridge"], "counts": {"validation": 99},
+            "validated_on": {"groups": 3, "objects": 2},
+            "validation_r2": {"one": 0.3 + 0.1 * pad, "ridge": 0.1 + 0.02 * seed, "mean": 0.0, "diverged": None},
         }
         for pad in (0, 1, 2)
         for seed in (0, 1)
@@ -287,3 +290,11 @@ def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "3 pads (simulated): mean with 95 % interval over pads" in said
     assert "R² by object" in said
+    # Over pads as well, of which each counts once: 0.29, 0.19 and 0.09 below the best.
+    choice = found["choice"]
+    assert (choice["best"], choice["best_baseline"]) == ("one", "ridge")
+    assert "diverged" not in choice["validation_r2"]
+    lead = choice["over_best_baseline"]
+    assert lead["r2"] == pytest.approx(0.29)
+    assert lead["high"] - lead["r2"] == pytest.approx(4.303 * 0.1 / np.sqrt(3), rel=1e-3)
+    assert "0.290 [0.042, 0.538] above ridge; 594 touches of 2 objects in 18 sessions with 3 pads" in said
