@@ -12,16 +12,16 @@
 
 Hexagon and parallelogram train, one tool validates, six other objects test. Every method sees the same touches:
 baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured) or predicted contact
-pressures (nearest-pressure, ridge-pressure), the paper's network on contact masks or depths (paper-mask, paper-depth),
-in a study also with the measured force (paper-mask-force, paper-depth-force), and two models on predicted contact
-pressure (pressure-network, gp). The best of all of them on the validation touches is kept as the predictor, a baseline
-too. A study validates on four more objects, and says which method is best there over its pads. Where a model on
-predicted contact pressure loses to a baseline, `experiments.fidelity` tests likely causes. A ceiling shows what the
-same model would reach if the camera and the arm made no error. A pad model is fitted to the touches of the training
-objects, for `experiments.recognize`; of --dataset it needs the objects' meshes, and --rig tells how far they may be
-off. Results go to --out: metrics.json, config.json, figures, the data (data.h5), checkpoint/, which
-`i2t.load_predictor` reads, and pad_model.npz, which `i2t.load_pad_model` reads (`experiments.train.finished` has the
-whole list).
+pressures (nearest-pressure, nearest-pressure-measured, ridge-pressure, ridge-pressure-measured), the paper's network on
+contact masks or depths (paper-mask, paper-depth), in a study also with the measured force (paper-mask-force,
+paper-depth-force), and two models on predicted contact pressure (pressure-network, gp). The best of all of them on the
+validation touches is kept as the predictor, a baseline too. A study validates on four more objects, and says which
+method is best there over its pads. Where a model on predicted contact pressure loses to a baseline,
+`experiments.fidelity` tests likely causes. A ceiling shows what the same model would reach if the camera and the arm
+made no error. A pad model is fitted to the touches of the training objects, for `experiments.recognize`; of --dataset
+it needs the objects' meshes, and --rig tells how far they may be off. Results go to --out: metrics.json, config.json,
+figures, the data (data.h5), checkpoint/, which `i2t.load_predictor` reads, and pad_model.npz, which
+`i2t.load_pad_model` reads (`experiments.train.finished` has the whole list).
 
 On two quiet cores the default took 101 s the first time, when everything is compiled, and 72 s the second; `--preset
 debug` 30 s and 16 s.

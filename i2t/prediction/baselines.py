@@ -88,7 +88,8 @@ class OnFeatures(TouchModel):
         pixels = round(len(self.features.image_mean) ** 0.5)
         images = touches.patch if self.pressure is None else np.asarray(touches.pressures(self.pressure).pressure)
         if images.shape[1] != pixels:
-            raise ValueError(f"patch has {images.shape[1]} pixels an edge; this model sees {pixels}")
+            name = "patch" if self.pressure is None else "contact pressure"
+            raise ValueError(f"{name} has {images.shape[1]} pixels an edge; this model sees {pixels}")
         return features_of(self.features, images, touches.conditions(self.conditions))
 
     def _reading(self, mean: np.ndarray, growth: np.ndarray) -> Reading:
@@ -394,11 +395,18 @@ class NearestMeasured(Nearest):
     measured = True
 
 
-class NearestPressure(NearestMeasured):
+class NearestPressure(Nearest):
+    """The nearest predicted contact pressures."""
+
+    title = "k nearest predicted pressures"
+    on_pressure = True
+
+
+class NearestPressureMeasured(NearestPressure):
     """The nearest touches, by predicted contact pressure and measurements."""
 
     title = "k nearest predicted pressures + measured"
-    on_pressure = True
+    measured = True
 
 
 class Ridge(Nearest):
@@ -415,8 +423,15 @@ class RidgeMeasured(Ridge):
     measured = True
 
 
-class RidgePressure(RidgeMeasured):
+class RidgePressure(Ridge):
+    """Ridge regression on predicted contact pressures."""
+
+    title = "ridge on PCA of predicted pressure"
+    on_pressure = True
+
+
+class RidgePressureMeasured(RidgePressure):
     """Ridge regression on predicted contact pressures and measurements."""
 
     title = "ridge on PCA of predicted pressure + measured"
-    on_pressure = True
+    measured = True
