@@ -35,7 +35,7 @@ class Choice(NamedTuple):
     """The method that is kept, and how sure that is."""
 
     best: str
-    r2: dict[str, float]  # on validation touches, of every method; NaN where a prediction is not finite
+    r2: dict[str, float]  # on validation touches, of every row; NaN where a method's prediction is not finite
     best_baseline: str
     over_baseline: Lead  # of the best over the best baseline
     best_on_pressure: str | None
@@ -74,15 +74,33 @@ class Evaluation(NamedTuple):
     predictors: dict[str, Predictor]  # their standard deviations scaled on the validation touches
 
 
-def evaluate(prepared: Prepared, methods: Sequence[Method], fitted: Mapping[str, Predictor]) -> Evaluation:
-    """Scale the standard deviations and choose a predictor on the validation touches; predict the test touches."""
+def evaluate(
+    prepared: Prepared,
+    methods: Sequence[Method],
+    fitted: Mapping[str, Predictor],
+    others: Mapping[str, Reading] | None = None,
+) -> Evaluation:
+    """Scale the standard deviations and choose a predictor on the validation touches; predict the test touches.
+
+    Args:
+        prepared: The touches and their split.
+        methods: All methods.
+        fitted: Predictors by the title of their method.
+        others: Readings of the touches that validate or test by what is no method: judged alike, never kept.
+
+    Returns:
+        Predictions of the test touches, and the choice among the methods.
+
+    Raises:
+        ValueError: A method predicts arrays of other shapes than the readings', or impossible standard deviations.
+    """
     split, readings = prepared.split, prepared.touches.dataset.touches.reading
     held_out = split.validation | split.test
     tuning, truth = split.validation[held_out], readings[split.validation]
     asked = prepared.touches.batch(held_out)
     predicted, std, validated, covered, predictors = {}, {}, {}, {}, {}
-    for name, predictor in fitted.items():
-        reading = predictor.predict_batch(asked)
+    readings_of = {name: predictor.predict_batch(asked) for name, predictor in fitted.items()} | dict(others or {})
+    for name, reading in readings_of.items():
         if {np.shape(reading.mean), np.shape(reading.std)} != {readings[held_out].shape}:
             raise ValueError(
                 f"{name} predicts means and standard deviations of shapes {np.shape(reading.mean)} and "
@@ -96,10 +114,11 @@ def evaluate(prepared: Prepared, methods: Sequence[Method], fitted: Mapping[str,
         validated[name] = seen.mean
         covered[name] = coverage(truth, Reading(seen.mean, scale * seen.std))
         predicted[name], std[name] = reading.mean[~tuning], scale * reading.std[~tuning]
-        predictors[name] = replace(predictor, std_scale=scale)
+        if name in fitted:
+            predictors[name] = replace(fitted[name], std_scale=scale)
     choice = choose(
         truth,
-        validated,
+        {name: validated[name] for name in fitted},
         split.groups[split.validation],
         baselines=[method.title for method in methods if method.baseline],
         on_pressure=[
@@ -108,7 +127,8 @@ def evaluate(prepared: Prepared, methods: Sequence[Method], fitted: Mapping[str,
             if method.title in predictors and not method.baseline and predictors[method.title].pressure is not None
         ],
     )
-    return Evaluation(predicted, std, choice, covered, predictors)
+    r2 = choice.r2 | {name: score(truth, validated[name]).r2 for name in others or ()}
+    return Evaluation(predicted, std, choice._replace(r2=r2), covered, predictors)
 
 
 def choose(
@@ -206,6 +226,25 @@ def choice_over_pads(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _is_number(value: float | None) -> bool:
     return value is not None and bool(np.isfinite(value))
+
+
+def position_note(choice: Choice, by_position: Sequence[str]) -> list[str]:
+    """A sentence where what is given the position of one tip explains more than the method that is kept.
+
+    Args:
+        choice: On validation touches.
+        by_position: Titles of the rows that are given positions.
+
+    Returns:
+        The sentence, if there is one.
+    """
+    best = max(by_position, key=lambda name: choice.r2[name], default=choice.best)
+    if not choice.r2[best] > choice.r2[choice.best]:
+        return []
+    return [
+        f"{best}, which is given the tip's position and knows this tip only, explains more of the validation touches "
+        f"than any method (R2 {choice.r2[best]:.3f}, {choice.best} {choice.r2[choice.best]:.3f})"
+    ]
 
 
 def pressure_note(choice: Choice, recorded: Path | None) -> list[str]:

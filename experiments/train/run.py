@@ -17,11 +17,12 @@ contact masks or depths (paper-mask, paper-depth), in a study also with the meas
 paper-depth-force), and two models on predicted contact pressure (pressure-network, gp). The best of all of them on the
 validation touches is kept as the predictor, a baseline too. A study validates on four more objects, and says which
 method is best there over its pads. Where a model on predicted contact pressure loses to a baseline,
-`experiments.fidelity` tests likely causes. A ceiling shows what the same model would reach if the camera and the arm
-made no error. A pad model is fitted to the touches of the training objects, for `experiments.recognize`; of --dataset
-it needs the objects' meshes, and --rig tells how far they may be off. Results go to --out: metrics.json, config.json,
-figures, the data (data.h5), checkpoint/, which `i2t.load_predictor` reads, and pad_model.npz, which
-`i2t.load_pad_model` reads (`experiments.train.finished` has the whole list).
+`experiments.fidelity` tests likely causes. On a recording of one tip, a plain Gaussian process and `i2t.calibrate`,
+which are given the tip's position, stand next to the methods. A ceiling shows what the same model would reach if the
+camera and the arm made no error. A pad model is fitted to the touches of the training objects, for
+`experiments.recognize`; of --dataset it needs the objects' meshes, and --rig tells how far they may be off. Results go
+to --out: metrics.json, config.json, figures, the data (data.h5), checkpoint/, which `i2t.load_predictor` reads, and
+pad_model.npz, which `i2t.load_pad_model` reads (`experiments.train.finished` has the whole list).
 
 On two quiet cores the default took 101 s the first time, when everything is compiled, and 72 s the second; `--preset
 debug` 30 s and 16 s.
@@ -41,8 +42,9 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS, begin
 from experiments.common.tasks import Task, run_tasks
 from experiments.train.arguments import TrainArgs
+from experiments.train.by_position import position_readings
 from experiments.train.configs import PRESETS, TrainExperiment
-from experiments.train.evaluation import evaluate, pressure_note
+from experiments.train.evaluation import evaluate, position_note, pressure_note
 from experiments.train.prepare import Prepared, prepare
 from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling
@@ -115,10 +117,15 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     if lacking := [method.title for method in methods if method.title not in fitted]:
         prepared = noted(prepared, f"left out, as the touches lack what they need: {', '.join(lacking)}")
 
-    evaluation = evaluate(prepared, methods, fitted)
+    by_position = {} if source.recording is None else position_readings(touches.dataset, split, seed)
+    evaluation = evaluate(prepared, methods, fitted, by_position)
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(touches.dataset, touches.pressure_model, split, seed)
-    notes = [*prepared.notes, *pressure_note(evaluation.choice, source.recording)]
+    notes = [
+        *prepared.notes,
+        *pressure_note(evaluation.choice, source.recording),
+        *position_note(evaluation.choice, list(by_position)),
+    ]
     baselines = [method.title for method in methods if method.baseline]
     about = {"seed": seed, "pad": source.pad, "notes": notes, "baselines": baselines}
     pad_model = fit_or_explain(partial(source.pad_model, pad_model_seed, touches.dataset, split.train, objects))

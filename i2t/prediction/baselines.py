@@ -18,7 +18,7 @@ NumPy, because nothing here is differentiated.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
@@ -129,7 +129,8 @@ class RidgeOnImages(OnFeatures):
 
 
 Components: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # mean image, components, their typical length
-Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray]  # x, y, at, option
+Option = TypeVar("Option")
+Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, Option], np.ndarray]  # x, y, at, option
 
 
 def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
@@ -229,8 +230,8 @@ def ridge(
 
 
 def tuned(
-    method: Regression,
-    options: Sequence[float],
+    method: Regression[Option],
+    options: Sequence[Option],
     x: Float[np.ndarray, "n d"],
     y: Float[np.ndarray, "n c"],
     groups: Int[np.ndarray, " n"],
@@ -250,17 +251,32 @@ def tuned(
     Returns:
         Readings, in the unit of `y`.
     """
-    return method(x, y, at, _best_option(method, options, x, y, fold_of(groups))[0])
+    return method(x, y, at, best_option(method, options, x, y, fold_of(groups))[0])
 
 
-def _best_option(
-    method: Regression, options: Sequence[float], x: np.ndarray, y: np.ndarray, fold: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """The option with the least squared error on held-out parts, and these errors (n, c)."""
+def best_option(
+    method: Regression[Option],
+    options: Sequence[Option],
+    x: Float[np.ndarray, "n d"],
+    y: Float[np.ndarray, "n c"],
+    fold: Int[np.ndarray, " n"],
+) -> tuple[Option, Float[np.ndarray, "n c"]]:
+    """The option with the least squared error on held-out parts of the training touches.
+
+    Args:
+        method: `method(x, y, at, option)` predicts.
+        options: To choose from.
+        x: Features of the training touches.
+        y: Their readings.
+        fold: Their part, as of `fold_of`.
+
+    Returns:
+        The option, and its errors on held-out parts in the unit of `y`.
+    """
     if fold.max() == 0:  # nothing can be held out of a single touch
         return options[0], y - y.mean(0)
 
-    def left_out(option: float) -> np.ndarray:
+    def left_out(option: Option) -> np.ndarray:
         """Errors of each part of cross-validation, predicted from all others."""
         error = np.empty_like(y)
         for known, asked in ((fold != i, fold == i) for i in np.unique(fold)):
@@ -277,7 +293,7 @@ def _fit_nearest(
 ) -> NearestTouches:
     x = np.asarray(points, np.float64)
 
-    k, error = _best_option(nearest_neighbours, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
+    k, error = best_option(nearest_neighbours, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
     spread = _floored(np.sqrt((error**2).mean(0)))
     away = np.empty(len(x))
     for i in np.unique(fold):
@@ -291,7 +307,7 @@ def _fit_ridge(
     features: TouchFeatures, conditions: tuple[str, ...], points: np.ndarray, readings: np.ndarray, fold: np.ndarray
 ) -> RidgeOnImages:
     x = np.asarray(points, np.float64)
-    penalty, error = _best_option(ridge, PENALTIES, x, readings, fold)
+    penalty, error = best_option(ridge, PENALTIES, x, readings, fold)
     centre, mean, inverse = x.mean(0), readings.mean(0), np.linalg.inv(_system(x, penalty))
     weights = inverse @ (x - centre).T @ (readings - mean)
     known = 1 + _leverage(inverse, x - centre)
