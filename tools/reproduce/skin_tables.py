@@ -13,11 +13,16 @@ def r2_of(decimals: int, scores: Mapping[str, Any]) -> str:
     return cell([scores["r2"], *scores["r2_interval"]], decimals)
 
 
+def r2_over(scores: Mapping[str, Any]) -> str:
+    """R² over pads or skins with its interval."""
+    return cell(scores["r2"], 2)
+
+
 ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / sigma", "median cosine")
 ON_UNSEEN = ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES)
 OVER_PADS = ("method", "R² [95 % over pads]", *ERROR_TITLES)
 OVER_PADS_CELLS: tuple[Cell, ...] = (
-    lambda scores: cell(scores["r2"], 2),
+    r2_over,
     *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS),
 )
 
@@ -183,6 +188,9 @@ TABLES: dict[str, dict[str, Table]] = {
     "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
     "study": {
         "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
+    },
+    "second_world": {
+        "predictors": rows_over("methods", ("{source}, another physics", "R² [95 % over skins]"), r2_over),
     },
     "calibrate": {
         "random presses": press_counts("random presses", "random presses"),
