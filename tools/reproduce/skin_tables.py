@@ -34,6 +34,17 @@ def predictors_on_recording(over: str) -> Table:
     return rows_over("methods", head, *cells, kept=True)
 
 
+def choice_on_validation(measured: Measured) -> str:
+    """The method that is best on validation touches over pads, and its lead over the best baseline."""
+    choice = measured["choice"]
+    over, r2 = choice["validated_on"], choice["validation_r2"]
+    of = f"{over['touches']} validation touches of {over['objects']} objects, {measured['source']}"
+    best, baseline = choice["best"], choice["best_baseline"]
+    lead = cell(choice["over_best_baseline"], 2, signed=True)
+    rows = [[f"best: {best}", cell(r2[best], 2)], [f"best baseline: {baseline}", cell(r2[baseline], 2)], ["lead", lead]]
+    return markdown([of, "R² [95 % over pads]"], rows)
+
+
 CALIBRATED, PLAIN, NEIGHBOURS = "i2t.calibrate", "plain Gaussian process", "k nearest presses"
 GAIN = f"{CALIBRATED} - {PLAIN}"
 SHOWN_COUNTS = ("5", "20", "100", "300")  # of presses, where there are so many
@@ -188,6 +199,7 @@ TABLES: dict[str, dict[str, Table]] = {
     "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
     "study": {
         "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
+        "choice": choice_on_validation,
     },
     "second_world": {
         "predictors": rows_over("methods", ("{source}, another physics", "R² [95 % over skins]"), r2_over),
