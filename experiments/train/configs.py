@@ -19,7 +19,7 @@ class Simulation:
     train: tuple[str, ...] = ("hexagon", "parallelogram")  # the paper's
     validation: tuple[str, ...] = ("cutter",)
     test: tuple[str, ...] = ("star", "square", "flower", "cylinder", "screwdriver", "hammer")
-    more_validation: tuple[str, ...] = ()  # objects touched after all others, as often as the first test object
+    judging: tuple[str, ...] = ()  # more objects to choose the method by, touched last, as often as a test object
     touches: int = 1630  # the paper's, over all objects but these
     train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
     touches_per_session: int = 36  # the paper's
@@ -29,13 +29,13 @@ class Simulation:
     @property
     def objects(self) -> tuple[str, ...]:
         """All objects in the order in which they are touched, training objects first."""
-        return self.train + self.validation + self.test + self.more_validation
+        return self.train + self.validation + self.test + self.judging
 
     def counts(self) -> list[int]:
-        """Touches of each object; without those of `more_validation` they sum to `touches`."""
+        """Touches of each object; without those of `judging` they sum to `touches`."""
         trained = round(self.touches * self.train_share)
         others = _shares(self.touches - trained, len(self.validation + self.test))
-        return _shares(trained, len(self.train)) + others + others[:1] * len(self.more_validation)
+        return _shares(trained, len(self.train)) + others + others[:1] * len(self.judging)
 
 
 def _shares(total: int, parts: int) -> list[int]:
@@ -75,7 +75,7 @@ PRESETS: dict[str, TrainExperiment] = {
     ),
     "study": TrainExperiment(
         # 99 touches of one object are too few to choose a method by. Recognition validates on these four objects too.
-        simulation=Simulation(more_validation=("pentagon", "octagon", "marker", "pliers")),
+        simulation=Simulation(judging=("pentagon", "octagon", "marker", "pliers")),
         methods=tuple(METHODS),
         pads=tuple(range(6)),
         # All epochs, as the networks had that played the paper's episodes (docs/recognition.md).

@@ -80,7 +80,8 @@ def evaluate(
     fitted: Mapping[str, Predictor],
     others: Mapping[str, Reading] | None = None,
 ) -> Evaluation:
-    """Scale the standard deviations and choose a predictor on the validation touches; predict the test touches.
+    """Scale the standard deviations on the validation touches, choose a predictor on these and those that only choose;
+    predict the test touches.
 
     Args:
         prepared: The touches and their split.
@@ -95,8 +96,10 @@ def evaluate(
         ValueError: A method predicts arrays of other shapes than the readings', or impossible standard deviations.
     """
     split, readings = prepared.split, prepared.touches.dataset.touches.reading
-    held_out = split.validation | split.test
-    tuning, truth = split.validation[held_out], readings[split.validation]
+    judging = prepared.judging_rows
+    held_out = judging | split.test
+    tuning, testing, judged = split.validation[held_out], split.test[held_out], judging[held_out]
+    truth = readings[split.validation]
     asked = prepared.touches.batch(held_out)
     predicted, std, validated, covered, predictors = {}, {}, {}, {}, {}
     readings_of = {name: predictor.predict_batch(asked) for name, predictor in fitted.items()} | dict(others or {})
@@ -111,15 +114,15 @@ def evaluate(
         reading = Reading(reading.mean, np.maximum(reading.std, MIN_SPREAD_UT))
         seen = Reading(reading.mean[tuning], reading.std[tuning])
         scale = std_scale(truth, seen)
-        validated[name] = seen.mean
+        validated[name] = reading.mean[judged]
         covered[name] = coverage(truth, Reading(seen.mean, scale * seen.std))
-        predicted[name], std[name] = reading.mean[~tuning], scale * reading.std[~tuning]
+        predicted[name], std[name] = reading.mean[testing], scale * reading.std[testing]
         if name in fitted:
             predictors[name] = replace(fitted[name], std_scale=scale)
     choice = choose(
-        truth,
+        readings[judging],
         {name: validated[name] for name in fitted},
-        split.groups[split.validation],
+        split.groups[judging],
         baselines=[method.title for method in methods if method.baseline],
         on_pressure=[
             method.title
@@ -127,7 +130,7 @@ def evaluate(
             if method.title in predictors and not method.baseline and predictors[method.title].pressure is not None
         ],
     )
-    r2 = choice.r2 | {name: score(truth, validated[name]).r2 for name in others or ()}
+    r2 = choice.r2 | {name: score(readings[judging], validated[name]).r2 for name in others or ()}
     return Evaluation(predicted, std, choice._replace(r2=r2), covered, predictors)
 
 
@@ -217,7 +220,7 @@ def choice_over_pads(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "validation_r2": mean,
         "over_best_baseline": Lead(*student_interval(of_pad[best] - of_pad[baseline]))._asdict(),
         "validated_on": {
-            "touches": sum(part["counts"]["validation"] for part in parts),
+            "touches": sum(part["validated_on"]["touches"] for part in parts),
             "groups": sum(part["validated_on"]["groups"] for part in parts),
             "objects": max(part["validated_on"]["objects"] for part in parts),
         },

@@ -52,8 +52,9 @@ def report(
         "validation_r2": choice.r2,
         "choice": choice.to_json(),
         "validated_on": {
-            "groups": len(np.unique(split.groups[split.validation])),
-            "objects": len(np.unique(touches.object[split.validation])),
+            "touches": int(prepared.judging_rows.sum()),
+            "groups": len(np.unique(split.groups[prepared.judging_rows])),
+            "objects": len(np.unique(touches.object[prepared.judging_rows])),
         },
         "methods": {
             name: scored(truth, mean, groups, noise, evaluation.std.get(name))

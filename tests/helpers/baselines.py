@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from i2t.contact.pressure import ContactPressure, PressureModelConfig
@@ -22,7 +23,7 @@ def bare_dataset(
     """Touches of one object, skin and session of which nothing else is known than the columns that are given."""
     n, chips = len(patches), readings.shape[1] // 3
     still, zero, unknown = np.tile(np.eye(4), (n, 1, 1)), np.zeros(n), np.full(n, np.nan)
-    others = {
+    others: dict[str, Any] = {
         "wide": patches, "force": unknown, "nearest": unknown, "depth": unknown, "T_w_t": still, "T_w_o": still,
         "object": zero, "pad": zero, "session": zero, "code": zero,
     }  # fmt: skip
@@ -60,7 +61,11 @@ def fit_baselines(
     dataset = bare_dataset(patches, readings, **dict(zip(names, measured.T, strict=True)))
     given = TrainingTouches(dataset, names)
     if pressure is not None:
-        given = replace(given, pressure_model=PRESSURE, pressure=ContactPressure(pressure, pressure.sum((1, 2))))
+        given = replace(
+            given,
+            pressure_model=PRESSURE,
+            pressure=ContactPressure(jnp.asarray(pressure), jnp.asarray(pressure.sum((1, 2)))),
+        )
     split = Split(every, ~every, ~every, groups, "object")
     methods = {name: method for name in METHODS if (method := find_method(name)).baseline}
     fitted = {name: method.fit(jax.random.key(0), given, split) for name, method in methods.items()}
@@ -76,6 +81,6 @@ def predict(
     force, nearest = (columns.get(name, unknown) for name in MEASURED)
     touches = TouchBatch(patches, patches, 1e-3, force, nearest, unknown)
     if pressure is not None:
-        predicted = ContactPressure(pressure, pressure.sum((1, 2)))
+        predicted = ContactPressure(jnp.asarray(pressure), jnp.asarray(pressure.sum((1, 2))))
         touches = touches._replace(pressure=predicted, pressure_model=PRESSURE)
     return model.predict_batch(touches)
