@@ -41,7 +41,8 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
             "([results](docs/results.md#real-presses-whole-blocks-held-out))",
             f"six unseen objects: {cell(pads[GP]['r2'], 2)}, best baseline {cell(baseline_on_pads, 2)} "
             "([results](docs/results.md#simulated-objects-that-were-never-touched))",
-            f"errors of camera and arm cost half of what could be explained; `{CALIBRATED}` was partly tuned on that skin",
+            "errors of camera and arm cost half of what could be explained; "
+            f"`{CALIBRATED}` was partly tuned on that skin",
         ],
         [
             "know a skin from 20 presses, R²",
