@@ -1,1 +1,1 @@
-"""Tests of i2t, and the faults that `python -m tests.faults` counts."""
+"""Tests of i2t, the faults that `python -m tests.faults` counts, and the world of `python -m tests.second_world`."""

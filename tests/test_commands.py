@@ -15,7 +15,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 def test_every_experiment_is_listed():
     commands = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
-        for pattern in ("experiments/*/__main__.py", "tools/*/__main__.py", "tools/*.py", "tests/faults/__main__.py")
+        for pattern in ("experiments/*/__main__.py", "tools/*/__main__.py", "tools/*.py", "tests/*/__main__.py")
         for path in ROOT.glob(pattern)
         if path.name != "__init__.py"
     }

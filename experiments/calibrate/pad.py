@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.calibrate.arguments import CalibrateArgs
-from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import explained
 from experiments.train.sources import MIN_PAD_R2
 from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.recordings.diagnose import repeated_rows
+from i2t.recordings.loads import loaded_presses
 from i2t.skin_models.layer_fit import LayerPosterior
 from i2t.skin_models.magnetic_layer import parse_tip
 from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
@@ -44,7 +44,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     dataset = data.load_dataset(args.dataset, skin=args.skin_name)
     touches = dataset.touches
     load = args.load if args.load != "auto" else "force" if np.isfinite(touches.force).any() else "depth"
-    recording = read_presses(dataset, load)
+    recording = loaded_presses(dataset, load)
     new = np.flatnonzero(~repeated_rows(recording.readings))
     rows = np.random.default_rng(args.seed).permutation(new)[:MAX_PAD_PRESSES]
     if len(rows) < MIN_PAD_PRESSES:

@@ -33,7 +33,6 @@ import numpy as np
 
 from experiments.calibrate import pad, prior_search, recovery, report, simulated, targets
 from experiments.calibrate.arguments import CalibrateArgs, Preset, preset_of
-from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import gains, learning_curves, over_blocks, summarise
 from experiments.calibrate.held_out import HeldOut, hold_out
 from experiments.common.runs import begin
@@ -41,6 +40,7 @@ from i2t import dataset as data
 from i2t.dataset import Dataset
 from i2t.errors import printable
 from i2t.recordings.diagnose import check_presses, repeated_rows
+from i2t.recordings.loads import loaded_presses
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
 
@@ -59,7 +59,7 @@ def compare(args: CalibrateArgs) -> dict[str, Any]:
     assert args.dataset is not None
     started, cfg = time.perf_counter(), preset_of(args)
     dataset = data.load_dataset(args.dataset, skin=args.skin_name)
-    recording = read_presses(dataset, args.load)
+    recording = loaded_presses(dataset, args.load)
     for note in recording.notes:
         print(printable(f"note: {note}"))
     warnings = check_presses(recording.position, recording.load, recording.readings, by_force=recording.by_force)

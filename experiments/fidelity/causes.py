@@ -24,7 +24,7 @@ from i2t.convert.press_table import sphere, tip_patches
 from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
-from i2t.prediction.baselines import features_of, patch_components, touch_features
+from i2t.prediction.baselines import features_of, image_components, touch_features
 from i2t.recordings.diagnose import Finding
 from i2t.recordings.diagnose.height import HEIGHT_ZERO
 from i2t.recordings.diagnose.lag import LAG, lag_between
@@ -81,7 +81,7 @@ def late_rows(dataset: Dataset) -> Iterator[Finding]:
     patches = touches.patch[which]
     columns = [getattr(touches, name)[which] for name in ("force", "depth")]
     measured = np.column_stack([column for column in columns if np.isfinite(column).all()] or [np.zeros(len(patches))])
-    points = np.asarray(features_of(touch_features(patch_components(patches), measured), patches, measured))
+    points = np.asarray(features_of(touch_features(image_components(patches), measured), patches, measured))
     points = points[:, np.argsort(-points.std(0))[:LAG_FEATURES]]
     found = lag_between(points.astype(np.float64), touches.reading[which].astype(np.float64))
     if found.identifiable:

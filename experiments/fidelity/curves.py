@@ -10,7 +10,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from experiments.calibrate.data import DEPTH_OF_UNKNOWN_M
 from experiments.calibrate.evaluate import ErrorCurves, learning_curves, summarise
 from experiments.calibrate.held_out import PressSplit
 from experiments.calibrate.methods import CALIBRATED
@@ -26,6 +25,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.dataset import square_blocks
+from i2t.recordings.loads import DEPTH_OF_UNKNOWN_M
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import SkinRecording
 from i2t.types import Board

@@ -19,7 +19,8 @@ class Simulation:
     train: tuple[str, ...] = ("hexagon", "parallelogram")  # the paper's
     validation: tuple[str, ...] = ("cutter",)
     test: tuple[str, ...] = ("star", "square", "flower", "cylinder", "screwdriver", "hammer")
-    touches: int = 1630  # the paper's, over all objects
+    judging: tuple[str, ...] = ()  # more objects to choose the method by, touched last, as often as a test object
+    touches: int = 1630  # the paper's, over all objects but these
     train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
     touches_per_session: int = 36  # the paper's
     errors: SimulationErrors = field(default_factory=SimulationErrors)
@@ -27,14 +28,14 @@ class Simulation:
 
     @property
     def objects(self) -> tuple[str, ...]:
-        """All objects, training objects first."""
-        return self.train + self.validation + self.test
+        """All objects in the order in which they are touched, training objects first."""
+        return self.train + self.validation + self.test + self.judging
 
     def counts(self) -> list[int]:
-        """Touches of each object; they sum to `touches`."""
-        others = len(self.objects) - len(self.train)
+        """Touches of each object; without those of `judging` they sum to `touches`."""
         trained = round(self.touches * self.train_share)
-        return _shares(trained, len(self.train)) + _shares(self.touches - trained, others)
+        others = _shares(self.touches - trained, len(self.validation + self.test))
+        return _shares(trained, len(self.train)) + others + others[:1] * len(self.judging)
 
 
 def _shares(total: int, parts: int) -> list[int]:
@@ -74,6 +75,8 @@ PRESETS: dict[str, TrainExperiment] = {
         training=TrainConfig(epochs=12, batch_size=16),
     ),
     "study": TrainExperiment(
+        # 99 touches of one object are too few to choose a method by. Recognition validates on these four objects too.
+        simulation=Simulation(judging=("pentagon", "octagon", "marker", "pliers")),
         methods=tuple(METHODS),
         pads=tuple(range(6)),
         # All epochs, as the networks had that played the paper's episodes (docs/recognition.md).

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.train.prepare import Prepared
-from i2t.intervals import grouped_interval
+from i2t.intervals import grouped_interval, student_interval
 from i2t.prediction.baselines import MIN_SPREAD_UT
 from i2t.prediction.methods import Method
 from i2t.prediction.metrics import score
@@ -35,7 +35,7 @@ class Choice(NamedTuple):
     """The method that is kept, and how sure that is."""
 
     best: str
-    r2: dict[str, float]  # on validation touches, of every method; NaN where a prediction is not finite
+    r2: dict[str, float]  # on validation touches, of every row; NaN where a method's prediction is not finite
     best_baseline: str
     over_baseline: Lead  # of the best over the best baseline
     best_on_pressure: str | None
@@ -74,15 +74,36 @@ class Evaluation(NamedTuple):
     predictors: dict[str, Predictor]  # their standard deviations scaled on the validation touches
 
 
-def evaluate(prepared: Prepared, methods: Sequence[Method], fitted: Mapping[str, Predictor]) -> Evaluation:
-    """Scale the standard deviations and choose a predictor on the validation touches; predict the test touches."""
+def evaluate(
+    prepared: Prepared,
+    methods: Sequence[Method],
+    fitted: Mapping[str, Predictor],
+    others: Mapping[str, Reading] | None = None,
+) -> Evaluation:
+    """Scale the standard deviations on the validation touches, choose a predictor on these and those that only choose;
+    predict the test touches.
+
+    Args:
+        prepared: The touches and their split.
+        methods: All methods.
+        fitted: Predictors by the title of their method.
+        others: Readings of the touches that validate or test by what is no method: judged alike, never kept.
+
+    Returns:
+        Predictions of the test touches, and the choice among the methods.
+
+    Raises:
+        ValueError: A method predicts arrays of other shapes than the readings', or impossible standard deviations.
+    """
     split, readings = prepared.split, prepared.touches.dataset.touches.reading
-    held_out = split.validation | split.test
-    tuning, truth = split.validation[held_out], readings[split.validation]
+    judging = prepared.judging_rows
+    held_out = judging | split.test
+    tuning, testing, judged = split.validation[held_out], split.test[held_out], judging[held_out]
+    truth = readings[split.validation]
     asked = prepared.touches.batch(held_out)
     predicted, std, validated, covered, predictors = {}, {}, {}, {}, {}
-    for name, predictor in fitted.items():
-        reading = predictor.predict_batch(asked)
+    readings_of = {name: predictor.predict_batch(asked) for name, predictor in fitted.items()} | dict(others or {})
+    for name, reading in readings_of.items():
         if {np.shape(reading.mean), np.shape(reading.std)} != {readings[held_out].shape}:
             raise ValueError(
                 f"{name} predicts means and standard deviations of shapes {np.shape(reading.mean)} and "
@@ -93,18 +114,24 @@ def evaluate(prepared: Prepared, methods: Sequence[Method], fitted: Mapping[str,
         reading = Reading(reading.mean, np.maximum(reading.std, MIN_SPREAD_UT))
         seen = Reading(reading.mean[tuning], reading.std[tuning])
         scale = std_scale(truth, seen)
-        validated[name] = seen.mean
+        validated[name] = reading.mean[judged]
         covered[name] = coverage(truth, Reading(seen.mean, scale * seen.std))
-        predicted[name], std[name] = reading.mean[~tuning], scale * reading.std[~tuning]
-        predictors[name] = replace(predictor, std_scale=scale)
+        predicted[name], std[name] = reading.mean[testing], scale * reading.std[testing]
+        if name in fitted:
+            predictors[name] = replace(fitted[name], std_scale=scale)
     choice = choose(
-        truth,
-        validated,
-        split.groups[split.validation],
+        readings[judging],
+        {name: validated[name] for name in fitted},
+        split.groups[judging],
         baselines=[method.title for method in methods if method.baseline],
-        on_pressure=[name for name, each in predictors.items() if each.pressure is not None],
+        on_pressure=[
+            method.title
+            for method in methods
+            if method.title in predictors and not method.baseline and predictors[method.title].pressure is not None
+        ],
     )
-    return Evaluation(predicted, std, choice, covered, predictors)
+    r2 = choice.r2 | {name: score(readings[judging], validated[name]).r2 for name in others or ()}
+    return Evaluation(predicted, std, choice._replace(r2=r2), covered, predictors)
 
 
 def choose(
@@ -122,7 +149,7 @@ def choose(
         predicted: Readings (n, 3 chips) uT by method.
         groups: (n,) session, spatial block or stretch of time of each touch.
         baselines: Names of the methods that are baselines.
-        on_pressure: Names of the methods on predicted contact pressure.
+        on_pressure: Names of the methods on predicted contact pressure that are no baselines.
 
     Returns:
         The method with the least error of all whose predictions are finite; of equal ones, the first.
@@ -166,6 +193,61 @@ def lead_of(truth: np.ndarray, error: np.ndarray, other: np.ndarray, groups: np.
         return float((other[rows] - error[rows]).sum() / max(spread[rows].sum(), 1e-12))
 
     return Lead(difference(np.arange(len(truth))), *grouped_interval(difference, groups))
+
+
+def choice_over_pads(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The method that is best on validation touches over several pads, and its lead over the best baseline.
+
+    Args:
+        parts: Metrics of each pad and seed, of the same methods.
+
+    Returns:
+        Mean validation R2 by method, both names, and the lead with its 95 % interval over pads (Student's t); and how
+        many touches, sessions and objects validated.
+    """
+    pads = sorted({str(part["pad"]) for part in parts})
+    finite = [name for name in parts[0]["validation_r2"] if all(_is_number(p["validation_r2"][name]) for p in parts)]
+    of_pad = {
+        name: np.array([np.mean([p["validation_r2"][name] for p in parts if str(p["pad"]) == pad]) for pad in pads])
+        for name in finite
+    }
+    mean = {name: float(values.mean()) for name, values in of_pad.items()}
+    best = max(mean, key=lambda name: mean[name])
+    baseline = max((name for name in parts[0]["baselines"] if name in mean), key=lambda name: mean[name])
+    return {
+        "best": best,
+        "best_baseline": baseline,
+        "validation_r2": mean,
+        "over_best_baseline": Lead(*student_interval(of_pad[best] - of_pad[baseline]))._asdict(),
+        "validated_on": {
+            "touches": sum(part["validated_on"]["touches"] for part in parts),
+            "groups": sum(part["validated_on"]["groups"] for part in parts),
+            "objects": max(part["validated_on"]["objects"] for part in parts),
+        },
+    }
+
+
+def _is_number(value: float | None) -> bool:
+    return value is not None and bool(np.isfinite(value))
+
+
+def position_note(choice: Choice, by_position: Sequence[str]) -> list[str]:
+    """A sentence where what is given the position of one tip explains more than the method that is kept.
+
+    Args:
+        choice: On validation touches.
+        by_position: Titles of the rows that are given positions.
+
+    Returns:
+        The sentence, if there is one.
+    """
+    best = max(by_position, key=lambda name: choice.r2[name], default=choice.best)
+    if not choice.r2[best] > choice.r2[choice.best]:
+        return []
+    return [
+        f"{best}, which is given the tip's position and knows this tip only, explains more of the validation touches "
+        f"than any method (R2 {choice.r2[best]:.3f}, {choice.best} {choice.r2[choice.best]:.3f})"
+    ]
 
 
 def pressure_note(choice: Choice, recorded: Path | None) -> list[str]:

@@ -12,7 +12,7 @@ from experiments.train.loads import (
     several_skins,
     with_known_load,
 )
-from experiments.train.splitting import conditions_of, split_dataset
+from experiments.train.splitting import conditions_of, judging_touches, split_dataset
 from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset, Split
 from i2t.prediction.methods import ALIKE_FORCE_N, TrainingTouches, views_of
@@ -29,6 +29,12 @@ class Prepared(NamedTuple):
     touches: TrainingTouches
     split: Split
     notes: tuple[str, ...]  # what is odd about the recording, a sentence each
+    judging: np.ndarray | None = None  # (n,) bool, touches that choose the method beside those that validate
+
+    @property
+    def judging_rows(self) -> np.ndarray:
+        """Mask (n,) of all touches that choose the method."""
+        return self.split.validation if self.judging is None else self.split.validation | self.judging
 
 
 def prepare(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int, softness: float = 1.0) -> Prepared:
@@ -53,10 +59,9 @@ def prepare(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int, softnes
     load = press_load(dataset.select(split.train | split.validation | split.test).touches)
     notes = (*corrected, *([left_out] if left_out else []), *several_skins(dataset), *load.notes)
     touches = TrainingTouches(dataset, conditions_of(dataset.touches, split))
+    prepared = Prepared(touches, split, notes, judging_touches(dataset, cfg))
     model = pressure_model_of(dataset, load, cfg, softness)
-    if model is None:
-        return Prepared(touches, split, notes)
-    return with_pressure(Prepared(touches, split, notes), model, load)
+    return prepared if model is None else with_pressure(prepared, model, load)
 
 
 def pressure_model_of(
@@ -92,6 +97,6 @@ def with_pressure(prepared: Prepared, model: PressureModelConfig, load: PressLoa
     total = np.asarray(pressure.pressure)[split.train].sum((1, 2))
     pressed = float(np.mean(total > model.floor / 10))
     if np.isfinite(total).all() and pressed >= LEAST_PRESSED_SHARE:
-        return Prepared(replace(prepared.touches, pressure_model=model, pressure=pressure), split, notes)
+        return prepared._replace(touches=replace(prepared.touches, pressure_model=model, pressure=pressure))
     said = f"{100 * (1 - pressed):.0f} % of the predicted contact pressures are zero or not finite"
     return prepared._replace(notes=(*notes, f"{said}: methods on them are left out"))

@@ -14,6 +14,7 @@ from i2t.dataset import Dataset
 from i2t.objects import catalogue
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.recognition.recorded import named_surfaces
+from i2t.recordings.sets import corrected_dataset
 from i2t.registration import SessionEstimate, register_sessions, with_registered_views
 
 MAX_VIEW_RESIDUAL = 2.0  # of a session, in standard deviations of the camera's noise: beyond it, the mesh is not there
@@ -24,7 +25,7 @@ class Registered(NamedTuple):
 
     dataset: Dataset
     objects: ObjectsKnown  # with errors of what a registration leaves open
-    note: str  # what was found, as a sentence
+    notes: tuple[str, ...]  # what was corrected and found, a sentence each
 
 
 def registered(dataset: Dataset, objects: ObjectsKnown) -> Registered:
@@ -41,6 +42,7 @@ def registered(dataset: Dataset, objects: ObjectsKnown) -> Registered:
         ValueError: No session can be registered.
     """
     print("registering sessions")
+    dataset, corrected = corrected_dataset(dataset)
     names = [name for name in dataset.objects if name in objects.meshes or name in catalogue.NAMES]
     if not names:
         raise ValueError("--registered needs meshes of the objects that were touched; give them (--objects FILE ...)")
@@ -58,7 +60,7 @@ def registered(dataset: Dataset, objects: ObjectsKnown) -> Registered:
     return Registered(
         with_registered_views(dataset, surfaces, trusted),
         objects._replace(errors=errors),
-        _note(dataset, trusted, sessions),
+        (*corrected, _note(dataset, trusted, sessions)),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.common.runs import write_json
 from experiments.common.tables import cell, text_table
-from experiments.train.evaluation import Evaluation
+from experiments.train.evaluation import Evaluation, choice_over_pads
 from experiments.train.finished import CHECKPOINTS, KEPT, ON_PRESSURE, PAD_MODEL, FinishedRun, write_training
 from experiments.train.prepare import Prepared
 from i2t import viz
@@ -52,8 +52,9 @@ def report(
         "validation_r2": choice.r2,
         "choice": choice.to_json(),
         "validated_on": {
-            "groups": len(np.unique(split.groups[split.validation])),
-            "objects": len(np.unique(touches.object[split.validation])),
+            "touches": int(prepared.judging_rows.sum()),
+            "groups": len(np.unique(split.groups[prepared.judging_rows])),
+            "objects": len(np.unique(touches.object[prepared.judging_rows])),
         },
         "methods": {
             name: scored(truth, mean, groups, noise, evaluation.std.get(name))
@@ -175,6 +176,7 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     numbers = [field for field in Score._fields if not field.endswith("_axis")]
     summary: dict[str, Any] = {
         "source": parts[0]["source"],
+        "baselines": parts[0]["baselines"],
         "seeds": sorted({part["seed"] for part in parts}),
         "pads": {pad: _estimates([part["methods"] for part in some], numbers) for pad, some in of_pad.items()},
     }
@@ -186,6 +188,7 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
         ]
         summary["over_pads"] = over = _estimates(means, numbers)
         summary["by_object"] = _estimates([part["by_object"] for part in parts])
+        summary["choice"] = choice_over_pads(parts)
         which, unit = f"{len(pads)} pads", "pads"
     summary["best"] = {pad: [part["best"] for part in some] for pad, some in of_pad.items()}
     write_json(out / "metrics.json", summary)
@@ -217,6 +220,7 @@ def print_table(result: dict[str, Any]) -> None:
             title = f"{len(result['pads'])} pads{kind}: mean with 95 % interval over pads"
             _print_methods(title, result["over_pads"])
             _print_objects({name: {m: x[0] for m, x in row.items()} for name, row in result["by_object"].items()})
+            print(f"\n{_choice_over_pads(result['choice'], len(result['pads']))}")
         return
     enough = result["groups"] >= MIN_CLUSTERS
     over = f"{'95 % interval' if enough else 'too few for an interval'}: {result['groups']} groups"
@@ -231,6 +235,17 @@ def print_table(result: dict[str, Any]) -> None:
     _print_choice(result)
     _print_objects(result["by_object"])
     print(f"{result['seconds']:.0f} s")
+
+
+def _choice_over_pads(choice: dict[str, Any], pads: int) -> str:
+    """Say which method is best on validation touches over pads, and how sure that is."""
+    best, over = choice["best"], choice["validated_on"]
+    said = f"best on validation touches over pads: {best} (R² {cell(choice['validation_r2'][best])})"
+    if best != choice["best_baseline"]:
+        said += f", {cell(choice['over_best_baseline'])} above {choice['best_baseline']}"
+    return (
+        f"{said}; {over['touches']} touches of {over['objects']} objects in {over['groups']} sessions with {pads} pads"
+    )
 
 
 def _print_choice(result: dict[str, Any]) -> None:

@@ -12,15 +12,18 @@
     python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network, another loss
 
 Hexagon and parallelogram train, one tool validates, six other objects test. Every method sees the same touches:
-baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured), the paper's network
-on contact masks or depths (paper-mask, paper-depth), in a study also with the measured force (paper-mask-force,
+baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured) or predicted contact
+pressures (nearest-pressure, nearest-pressure-measured, ridge-pressure, ridge-pressure-measured), the paper's network on
+contact masks or depths (paper-mask, paper-depth), in a study also with the measured force (paper-mask-force,
 paper-depth-force), and two models on predicted contact pressure (pressure-network, gp). The best of all of them on the
-validation touches is kept as the predictor, a baseline too. Where a model on predicted contact pressure loses to a
-baseline, `experiments.fidelity` tests likely causes. A ceiling shows what the same model would reach if the camera and
-the arm made no error. A pad model is fitted to the touches of the training objects, for `experiments.recognize`; of
---dataset it needs the objects' meshes, and --rig tells how far they may be off. Results go to --out: metrics.json,
-config.json, figures, the data (data.h5), checkpoint/, which `i2t.load_predictor` reads, and pad_model.npz, which
-`i2t.load_pad_model` reads (`experiments.train.finished` has the whole list).
+validation touches is kept as the predictor, a baseline too. A study chooses by touches of four more objects, and says
+which method is best there over its pads. Where a model on predicted contact pressure loses to a baseline,
+`experiments.fidelity` tests likely causes. On a recording of one tip, a plain Gaussian process and `i2t.calibrate`,
+which are given the tip's position, stand next to the methods. A ceiling shows what the same model would reach if the
+camera and the arm made no error. A pad model is fitted to the touches of the training objects, for
+`experiments.recognize`; of --dataset it needs the objects' meshes, and --rig tells how far they may be off. Results go
+to --out: metrics.json, config.json, figures, the data (data.h5), checkpoint/, which `i2t.load_predictor` reads, and
+pad_model.npz, which `i2t.load_pad_model` reads (`experiments.train.finished` has the whole list).
 
 On two quiet cores the default took 101 s the first time, when everything is compiled, and 72 s the second; `--preset
 debug` 30 s and 16 s.
@@ -40,8 +43,9 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS, begin
 from experiments.common.tasks import Task, run_tasks
 from experiments.train.arguments import TrainArgs
+from experiments.train.by_position import position_readings
 from experiments.train.configs import PRESETS, TrainExperiment
-from experiments.train.evaluation import evaluate, pressure_note
+from experiments.train.evaluation import evaluate, position_note, pressure_note
 from experiments.train.prepare import Prepared, prepare
 from experiments.train.registered import camera_row, registered
 from experiments.train.reports import print_table, report, summarise
@@ -106,10 +110,10 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     dataset, on_camera = source.dataset(seed, out), None
     if cfg.registered:
         on_camera = camera_row(prepare(dataset, replace(cfg, registered=False), cfg.split, seed, cfg.softness), seed)
-        dataset, objects, note = registered(dataset, objects)
+        dataset, objects, notes = registered(dataset, objects)
     prepared = prepare(dataset, cfg, cfg.split, seed, cfg.softness)
     if cfg.registered:
-        prepared = prepared._replace(notes=(*prepared.notes, note))
+        prepared = prepared._replace(notes=(*notes, *prepared.notes))
     print(summary_of(prepared))
     touches, split = prepared.touches, prepared.split
     touches = replace(touches, paper=cfg.paper, training=cfg.training)
@@ -122,13 +126,19 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     if lacking := [method.title for method in methods if method.title not in fitted]:
         prepared = noted(prepared, f"left out, as the touches lack what they need: {', '.join(lacking)}")
 
-    evaluation = evaluate(prepared, methods, fitted)
+    by_position = {} if source.recording is None else position_readings(touches.dataset, split, seed)
+    evaluation = evaluate(prepared, methods, fitted, by_position)
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(touches.dataset, touches.pressure_model, split, seed)
     if on_camera is not None:
         evaluation.predicted[ON_CAMERA] = on_camera
-    notes = [*prepared.notes, *pressure_note(evaluation.choice, source.recording)]
-    about = {"seed": seed, "pad": source.pad, "notes": notes}
+    notes = [
+        *prepared.notes,
+        *pressure_note(evaluation.choice, source.recording),
+        *position_note(evaluation.choice, list(by_position)),
+    ]
+    baselines = [method.title for method in methods if method.baseline]
+    about = {"seed": seed, "pad": source.pad, "notes": notes, "baselines": baselines}
     pad_model = fit_or_explain(partial(source.pad_model, pad_model_seed, touches.dataset, split.train, objects))
     report(out, prepared, evaluation, pad_model, about=about, started=started)
 

@@ -37,7 +37,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name:
     if path.exists():
         return data.load_dataset(path)
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
-    with progress(total=cfg.touches, desc="simulating touches", unit="touch") as bar:
+    with progress(total=sum(cfg.counts()), desc="simulating touches", unit="touch") as bar:
         touches = simulation.simulate_touches(
             jax.random.key(seed), surfaces, pad, cfg.errors, cfg.counts(),
             limits=cfg.limits, touches_per_session=cfg.touches_per_session, progress=bar.update,

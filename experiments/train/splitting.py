@@ -21,10 +21,10 @@ MORE_TOUCHES = {
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
     """Hold out objects, sessions, blocks of places or the last touches in time; presses that failed or met air are left
-    out. What validates is held out as what tests is.
+    out, as are the objects that only choose the method. What validates is held out as what tests is.
     """
     touches = dataset.touches
-    usable = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
+    usable = _usable(touches) & ~judging_touches(dataset, cfg)
     plan = cfg.simulation
     if how == "auto":
         known = set(plan.objects) <= set(dataset.objects)
@@ -68,6 +68,21 @@ def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -
                 f"{MIN_PART_TOUCHES}; choose another --split, or add {MORE_TOUCHES[how]}"
             )
     return split
+
+
+def judging_touches(dataset: Dataset, cfg: TrainExperiment) -> np.ndarray:
+    """Mask (n,) of the touches that no method is fitted to or tested on, and by which the best is chosen, too: of the
+    preset's objects, in a set that has them all.
+    """
+    plan = cfg.simulation
+    if not set(plan.objects) <= set(dataset.objects):
+        return np.zeros(len(dataset), bool)
+    judging = [dataset.objects.index(name) for name in plan.judging]
+    return np.isin(dataset.touches.object, judging) & _usable(dataset.touches)
+
+
+def _usable(touches: Touches) -> np.ndarray:
+    return ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
 
 
 def block_edge(dataset: Dataset, edge: float) -> float:

@@ -40,6 +40,7 @@ EXPERIMENTS = {
     "experiments.active_touch": "which touch next? policies that learn",
     "experiments.benchmark": "speeds, next to a peer's",
     "tests.faults": "what is lost when something breaks?",
+    "tests.second_world": "do predictors lead where the physics is another?",
     "tools.check_docs": "are the documents true?",
     "tools.reproduce": "the documents' studies and tables again",
 }

@@ -1,11 +1,11 @@
-"""Predictors that every model has to beat, and that are kept where none does: the mean reading, the nearest patches and
-ridge regression, from patches alone or together with measurements at contact.
+"""Predictors that every model has to beat, and that are kept where none does: the mean reading, the nearest touches and
+ridge regression, from an image of a touch alone or together with measurements at contact.
 
-A touch becomes a vector x: principal components of its patch, and what was measured, both scaled to unit mean square
-length over the training touches. With readings y,
+The image is the depth patch or the predicted contact pressure. A touch becomes a vector x: principal components of its
+image, and what was measured, both scaled to unit mean square length over the training touches. With readings y,
 
   mean               y_bar
-  nearest patches    mean of y over the k training touches nearest in x, and those as near as the k-th
+  nearest touches    mean of y over the k training touches nearest in x, and those as near as the k-th
   ridge              y_bar + (x - x_bar) W, W minimising |y - y_bar - (x - x_bar) W|^2 / n + penalty |W|^2
 
 k and the penalty have the least squared error on held-out groups of the training touches. Errors on these held-out
@@ -17,13 +17,14 @@ NumPy, because nothing here is differentiated.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from scipy.optimize import nnls
 
+from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import Split
 from i2t.prediction.methods import Method, TrainingTouches
 from i2t.prediction.metrics import near_rows, nearest_neighbours
@@ -31,7 +32,7 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, stacked
 from i2t.types import in_one_line
 
-COMPONENTS = 30  # of patches, at most
+COMPONENTS = 30  # of images, at most
 BASELINE_NEIGHBOUR_COUNTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 PENALTIES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
 FOLDS = 5
@@ -44,9 +45,9 @@ MIN_SPREAD_UT = 1e-6
 class TouchFeatures(NamedTuple):
     """Map from a touch to a vector."""
 
-    patch_mean: Float[np.ndarray, " pixels"]  # m
+    image_mean: Float[np.ndarray, " pixels"]  # m, or N where images are contact pressures
     basis: Float[np.ndarray, "k pixels"]
-    length: Float[np.ndarray, ""]  # m, root mean square length of the training patches' components
+    length: Float[np.ndarray, ""]  # m or N, root mean square length of the training images' components
     measured_mean: Float[np.ndarray, " m"]  # N or m
     measured_std: Float[np.ndarray, " m"]  # N or m
 
@@ -71,11 +72,12 @@ class MeanReading(TouchModel):
 
 @dataclass(frozen=True)
 class OnFeatures(TouchModel):
-    """Model on a patch and measurements at contact."""
+    """Model on an image and measurements at contact."""
 
     features: TouchFeatures
     spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups, at the least variance
     conditions: tuple[str, ...]  # of force, nearest and depth, those that it is given
+    pressure: PressureModelConfig | None = field(default=None, kw_only=True)  # type: ignore[misc]  # None: on patches
 
     @property
     def channels(self) -> int:
@@ -83,17 +85,19 @@ class OnFeatures(TouchModel):
         return len(self.spread)
 
     def _features(self, touches: TouchBatch) -> np.ndarray:
-        pixels = round(len(self.features.patch_mean) ** 0.5)
-        if touches.patch.shape[1] != pixels:
-            raise ValueError(f"patch has {touches.patch.shape[1]} pixels an edge; this model sees {pixels}")
-        return features_of(self.features, touches.patch, touches.conditions(self.conditions))
+        pixels = round(len(self.features.image_mean) ** 0.5)
+        images = touches.patch if self.pressure is None else np.asarray(touches.pressures(self.pressure).pressure)
+        if images.shape[1] != pixels:
+            name = "patch" if self.pressure is None else "contact pressure"
+            raise ValueError(f"{name} has {images.shape[1]} pixels an edge; this model sees {pixels}")
+        return features_of(self.features, images, touches.conditions(self.conditions))
 
     def _reading(self, mean: np.ndarray, growth: np.ndarray) -> Reading:
         return Reading(_plain(mean), _plain(np.sqrt(growth)[:, None] * self.spread))
 
 
 @dataclass(frozen=True)
-class NearestPatches(OnFeatures):
+class NearestTouches(OnFeatures):
     """The mean reading of the nearest training touches."""
 
     points: Float[np.ndarray, "n d"]
@@ -109,7 +113,7 @@ class NearestPatches(OnFeatures):
 
 
 @dataclass(frozen=True)
-class RidgeOnPatches(OnFeatures):
+class RidgeOnImages(OnFeatures):
     """Linear regression with a squared penalty."""
 
     centre: Float[np.ndarray, " d"]
@@ -124,8 +128,9 @@ class RidgeOnPatches(OnFeatures):
         return self._reading(mean, 1 + _leverage(np.asarray(self.inverse, np.float64), from_centre))
 
 
-Components: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # mean patch, components, their typical length
-Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray]  # x, y, at, option
+Components: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # mean image, components, their typical length
+Option = TypeVar("Option")
+Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, Option], np.ndarray]  # x, y, at, option
 
 
 def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
@@ -141,19 +146,19 @@ def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
     return MeanReading(_plain(plain.mean(0)), _floored(plain.std(0)))
 
 
-def patch_components(patches: Float[np.ndarray, "n h w"]) -> Components:
-    """Principal components of patches, which take seconds and are the same whatever was measured.
+def image_components(images: Float[np.ndarray, "n h w"]) -> Components:
+    """Principal components of images, which take seconds and are the same whatever was measured.
 
     Args:
-        patches: m, of the training touches.
+        images: Patches (m) or contact pressures (N) of the training touches.
 
     Returns:
-        Mean patch, components, and their typical length.
+        Mean image, components, and their typical length.
     """
-    flat = patches.reshape(len(patches), -1).astype(np.float64)
+    flat = images.reshape(len(images), -1).astype(np.float64)
     mean = flat.mean(0)
     basis = np.linalg.svd(flat - mean, full_matrices=False)[2][:COMPONENTS]
-    length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all patches alike
+    length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all images alike
     return _plain(mean), _plain(basis), _plain(np.asarray(length))
 
 
@@ -161,7 +166,7 @@ def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -
     """The map from touches to vectors.
 
     Args:
-        components: Of the training touches' patches (`patch_components`).
+        components: Of the training touches' images (`image_components`).
         measured: What was measured at their contacts.
 
     Returns:
@@ -172,19 +177,19 @@ def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -
 
 
 def features_of(
-    features: TouchFeatures, patches: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]
+    features: TouchFeatures, images: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]
 ) -> Float[np.ndarray, "n d"]:
     """Touches as vectors.
 
     Args:
         features: Of the training touches.
-        patches: m.
+        images: Patches (m) or contact pressures (N), as those of the training touches.
         measured: What was measured at contact.
 
     Returns:
-        Components of the patches and what was measured, which weigh alike.
+        Components of the images and what was measured, which weigh alike.
     """
-    flat = patches.reshape(len(patches), -1).astype(np.float64) - features.patch_mean
+    flat = images.reshape(len(images), -1).astype(np.float64) - features.image_mean
     seen = flat @ features.basis.T.astype(np.float64) / float(features.length)
     standard = (measured - features.measured_mean) / features.measured_std
     return np.c_[seen, standard / np.sqrt(max(standard.shape[1], 1))]
@@ -225,8 +230,8 @@ def ridge(
 
 
 def tuned(
-    method: Regression,
-    options: Sequence[float],
+    method: Regression[Option],
+    options: Sequence[Option],
     x: Float[np.ndarray, "n d"],
     y: Float[np.ndarray, "n c"],
     groups: Int[np.ndarray, " n"],
@@ -246,17 +251,32 @@ def tuned(
     Returns:
         Readings, in the unit of `y`.
     """
-    return method(x, y, at, _best_option(method, options, x, y, fold_of(groups))[0])
+    return method(x, y, at, best_option(method, options, x, y, fold_of(groups))[0])
 
 
-def _best_option(
-    method: Regression, options: Sequence[float], x: np.ndarray, y: np.ndarray, fold: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """The option with the least squared error on held-out parts, and these errors (n, c)."""
+def best_option(
+    method: Regression[Option],
+    options: Sequence[Option],
+    x: Float[np.ndarray, "n d"],
+    y: Float[np.ndarray, "n c"],
+    fold: Int[np.ndarray, " n"],
+) -> tuple[Option, Float[np.ndarray, "n c"]]:
+    """The option with the least squared error on held-out parts of the training touches.
+
+    Args:
+        method: `method(x, y, at, option)` predicts.
+        options: To choose from.
+        x: Features of the training touches.
+        y: Their readings.
+        fold: Their part, as of `fold_of`.
+
+    Returns:
+        The option, and its errors on held-out parts in the unit of `y`.
+    """
     if fold.max() == 0:  # nothing can be held out of a single touch
         return options[0], y - y.mean(0)
 
-    def left_out(option: float) -> np.ndarray:
+    def left_out(option: Option) -> np.ndarray:
         """Errors of each part of cross-validation, predicted from all others."""
         error = np.empty_like(y)
         for known, asked in ((fold != i, fold == i) for i in np.unique(fold)):
@@ -270,30 +290,30 @@ def _best_option(
 
 def _fit_nearest(
     features: TouchFeatures, conditions: tuple[str, ...], points: np.ndarray, readings: np.ndarray, fold: np.ndarray
-) -> NearestPatches:
+) -> NearestTouches:
     x = np.asarray(points, np.float64)
 
-    k, error = _best_option(nearest_neighbours, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
+    k, error = best_option(nearest_neighbours, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
     spread = _floored(np.sqrt((error**2).mean(0)))
     away = np.empty(len(x))
     for i in np.unique(fold):
         known = fold != i if (fold != i).any() else fold == i
         away[fold == i] = _mean_square_distance(x[known], x[fold == i], k)
     growth = nnls(np.c_[np.ones(len(x)), away], ((error / spread) ** 2).mean(1))[0]
-    return NearestPatches(features, spread, conditions, points, _plain(readings), _plain(np.asarray(k)), _plain(growth))
+    return NearestTouches(features, spread, conditions, points, _plain(readings), _plain(np.asarray(k)), _plain(growth))
 
 
 def _fit_ridge(
     features: TouchFeatures, conditions: tuple[str, ...], points: np.ndarray, readings: np.ndarray, fold: np.ndarray
-) -> RidgeOnPatches:
+) -> RidgeOnImages:
     x = np.asarray(points, np.float64)
-    penalty, error = _best_option(ridge, PENALTIES, x, readings, fold)
+    penalty, error = best_option(ridge, PENALTIES, x, readings, fold)
     centre, mean, inverse = x.mean(0), readings.mean(0), np.linalg.inv(_system(x, penalty))
     weights = inverse @ (x - centre).T @ (readings - mean)
     known = 1 + _leverage(inverse, x - centre)
     spread = _floored(np.sqrt((error**2 / known[:, None]).mean(0)))
     centre, weights, mean, inverse = (_plain(value) for value in (centre, weights, mean, inverse))
-    return RidgeOnPatches(features, spread, conditions, centre, weights, mean, inverse)
+    return RidgeOnImages(features, spread, conditions, centre, weights, mean, inverse)
 
 
 def _system(x: np.ndarray, penalty: float) -> np.ndarray:
@@ -339,44 +359,48 @@ class Nearest(Method):
 
     title = "k nearest patches"
     baseline = True
-    measured: ClassVar[bool] = False
+    measured: ClassVar[bool] = False  # whether it is given what was measured at contact
+    on_pressure: ClassVar[bool] = False  # whether its image is the predicted contact pressure
     fit_points: ClassVar[Callable[..., OnFeatures]] = staticmethod(_fit_nearest)
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit, as in `Method.fit`; with measurements, where there are any."""
+        """Fit, as in `Method.fit`; with measurements and predicted pressures, where there are any."""
         conditions = touches.measured if self.measured else ()
-        if self.measured and not conditions:
+        if (self.measured and not conditions) or (self.on_pressure and touches.pressure is None):
             return None
         rows, seen = split.train, touches.dataset.touches
         measured = stacked(seen, conditions)[rows]
-        components = touches.once("patch components", rows, lambda: patch_components(seen.patch[rows]))
-        model = self.model(components, conditions, seen.patch[rows], measured, seen.reading[rows], split.groups[rows])
-        return touches.predictor(model, split)
+        pressure = touches.pressure if self.on_pressure else None
+        images = seen.patch[rows] if pressure is None else np.asarray(pressure.pressure)[rows]
+        name = "pressure components" if self.on_pressure else "patch components"
+        components = touches.once(name, rows, lambda: image_components(images))
+        model = self.model(components, conditions, images, measured, seen.reading[rows], split.groups[rows])
+        return touches.predictor(replace(model, pressure=touches.pressure_model if self.on_pressure else None), split)
 
     def model(
         self,
         components: Components,
         conditions: tuple[str, ...],
-        patches: Float[np.ndarray, "n h w"],
+        images: Float[np.ndarray, "n h w"],
         measured: Float[np.ndarray, "n m"],
         readings: Float[np.ndarray, "n c"],
         groups: Int[np.ndarray, " n"],
-    ) -> TouchModel:
+    ) -> OnFeatures:
         """The model of n training touches.
 
         Args:
-            components: Of the patches.
+            components: Of the images.
             conditions: Names of what was measured.
-            patches: m.
+            images: Patches (m) or contact pressures (N).
             measured: What was measured at contact.
             readings: uT.
             groups: Held out together.
 
         Returns:
-            Fitted.
+            The fitted model, which takes its images for patches.
         """
         features = touch_features(components, measured)
-        points = _plain(features_of(features, patches, measured))
+        points = _plain(features_of(features, images, measured))
         return self.fit_points(features, conditions, points, readings.astype(np.float64), fold_of(groups))
 
 
@@ -384,6 +408,20 @@ class NearestMeasured(Nearest):
     """The nearest touches, by patch and measurements."""
 
     title = "k nearest patches + measured"
+    measured = True
+
+
+class NearestPressure(Nearest):
+    """The nearest predicted contact pressures."""
+
+    title = "k nearest predicted pressures"
+    on_pressure = True
+
+
+class NearestPressureMeasured(NearestPressure):
+    """The nearest touches, by predicted contact pressure and measurements."""
+
+    title = "k nearest predicted pressures + measured"
     measured = True
 
 
@@ -398,4 +436,18 @@ class RidgeMeasured(Ridge):
     """Ridge regression on patches and measurements."""
 
     title = "ridge on PCA + measured"
+    measured = True
+
+
+class RidgePressure(Ridge):
+    """Ridge regression on predicted contact pressures."""
+
+    title = "ridge on PCA of predicted pressure"
+    on_pressure = True
+
+
+class RidgePressureMeasured(RidgePressure):
+    """Ridge regression on predicted contact pressures and measurements."""
+
+    title = "ridge on PCA of predicted pressure + measured"
     measured = True

@@ -11,7 +11,6 @@ from helpers.baselines import placed_dataset
 
 from experiments.calibrate import __main__ as command
 from experiments.calibrate import arguments, methods, pad, prior_search, simulated, skins
-from experiments.calibrate.data import read_presses
 from experiments.calibrate.evaluate import explained, learning_curves, over_blocks
 from experiments.calibrate.held_out import EACH_PRESS, RANDOM, HeldOut, hold_out, share_masks
 from experiments.train.configs import PRESETS as TRAINING
@@ -23,6 +22,8 @@ from i2t import skin_models as calibration
 from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
 from i2t.files import serialization
+from i2t.intervals import grouped_interval
+from i2t.recordings.loads import loaded_presses
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin import boards
 from i2t.skin.files import load_pad, load_pad_about, save_pad
@@ -78,7 +79,7 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
 
 def test_held_out_presses_are_never_in_a_pool():
     cfg = arguments.PRESETS["paper"]
-    presses = read_presses(recording(600), "auto")
+    presses = loaded_presses(recording(600), "auto")
     of_press = square_blocks(1e3 * presses.position, cfg.block_mm)
     held, blocks = share_masks(of_press, cfg, 0)
     assert held.sum() == 150
@@ -208,15 +209,14 @@ def test_intervals_over_blocks_are_those_of_whole_blocks():
     errors = {methods.CALIBRATED: {20: draws}, methods.PLAIN: {20: [2 * error]}}
     found = over_blocks(readings, errors, block)
     assert found["blocks"] == 3
-    # One block in 27 resamples is drawn three times, more than the 2.5 % beyond each end: the ends are those of each
-    # extreme block alone.
-    alone = [explained(readings[block == i], error[block == i]) for i in (2, 0)]
+    # Sums over whole blocks are resampled; the same of the presses themselves.
+    ends = np.array(grouped_interval(lambda rows: explained(readings[rows], error[rows]), block))
     both = found["r2"][20]
-    np.testing.assert_allclose([both["low"], both["high"]], alone, rtol=1e-9)
+    np.testing.assert_allclose([both["low"], both["high"]], ends, rtol=1e-9)
     assert both["mean"] == pytest.approx(explained(readings, error))
     # Twice the error costs what the error itself explains less than all.
     gain = found["differences"][f"{methods.CALIBRATED} - {methods.PLAIN}"][20]
-    np.testing.assert_allclose([gain["low"], gain["high"]], [1 - alone[1], 1 - alone[0]], rtol=1e-9)
+    np.testing.assert_allclose([gain["low"], gain["high"]], 1 - ends[::-1], rtol=1e-9)
 
 
 NO_DEPTH = {"depth": np.full(60, np.nan)}
@@ -231,10 +231,10 @@ NO_DEPTH = {"depth": np.full(60, np.nan)}
     ],
 )
 def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, said):
-    found = read_presses(recording(60, **change), "auto")
+    found = loaded_presses(recording(60, **change), "auto")
     assert said in found.notes[0]
     assert (found.load >= 0).all()
-    assert read_presses(recording(60), "auto").notes == ()
+    assert loaded_presses(recording(60), "auto").notes == ()
 
 
 @pytest.mark.parametrize(
@@ -246,7 +246,7 @@ def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, sai
 )
 def test_loads_that_say_nothing_are_refused_at_once(change, said):
     with pytest.raises(ValueError, match=said):
-        read_presses(recording(60, **change), "auto")
+        loaded_presses(recording(60, **change), "auto")
 
 
 def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, capsys, monkeypatch):

@@ -191,6 +191,31 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
     np.testing.assert_allclose(evaluation.std["validated"], scale)
 
 
+def test_touches_that_only_choose_are_neither_trained_on_nor_tested_nor_scaled_by():
+    """Of objects that a study touches last: they outvote the validation touches, and the scale stays that of these."""
+    readings = np.random.default_rng(0).normal(size=(12, 6))
+    blank = np.zeros((12, 4, 4))
+    part = np.repeat([0, 1, 2, 3], 3)
+    split = Split(part == 0, part == 1, part == 2, part, "object")
+    prepared = Prepared(TrainingTouches(bare_dataset(blank, readings)), split, (), judging=part == 3)
+    error = np.random.default_rng(1).normal(size=(9, 6))
+    wrong = {"tuned": np.repeat([0.1, 1.0, 3.0], 3), "judged": np.repeat([0.5, 1.0, 0.1], 3)}
+    both = {name: foretold(readings[3:] + size[:, None] * error) for name, size in wrong.items()}
+    evaluation = evaluate(prepared, [NamedMethod("tuned", True), NamedMethod("judged", False)], both)
+    assert evaluation.choice.best == "judged"
+    np.testing.assert_array_equal(evaluation.predicted["judged"], both["judged"].model.told.mean[3:6])
+    scale = np.sqrt(np.mean((0.5 * error[:3]) ** 2))
+    assert evaluation.predictors["judged"].std_scale == pytest.approx(scale)
+
+
+def test_a_study_keeps_the_touches_of_the_default():
+    default, study = (PRESETS[name].simulation for name in ("paper", "study"))
+    assert study.objects[: len(default.objects)] == default.objects
+    assert study.counts()[: len(default.objects)] == default.counts()
+    assert not set(study.judging) & set(default.objects)
+    assert sum(default.counts()) == default.touches
+
+
 def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeypatch):
     kept = nominal_pad()._replace(young=jnp.asarray(123e3))
     save_pad(tmp_path / "pad.npz", kept)
@@ -274,6 +299,9 @@ def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
             "source": "simulated", "pad": pad, "seed": seed, "best": "one",
             "methods": {"one": {**score, "r2": 0.3 + 0.1 * pad + 0.01 * seed}},
             "by_object": {"star": {"one": 0.1 * pad}, "hammer": {"one": 0.5}},
+            "baselines": ["mean", "ridge"],
+            "validated_on": {"touches": 99, "groups": 3, "objects": 2},
+            "validation_r2": {"one": 0.3 + 0.1 * pad, "ridge": 0.1 + 0.02 * seed, "mean": 0.0, "diverged": None},
         }
         for pad in (0, 1, 2)
         for seed in (0, 1)
@@ -287,3 +315,11 @@ def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "3 pads (simulated): mean with 95 % interval over pads" in said
     assert "R² by object" in said
+    # Over pads as well, of which each counts once: 0.29, 0.19 and 0.09 below the best.
+    choice = found["choice"]
+    assert (choice["best"], choice["best_baseline"]) == ("one", "ridge")
+    assert "diverged" not in choice["validation_r2"]
+    lead = choice["over_best_baseline"]
+    assert lead["r2"] == pytest.approx(0.29)
+    assert lead["high"] - lead["r2"] == pytest.approx(4.303 * 0.1 / np.sqrt(3), rel=1e-3)
+    assert "0.290 [0.042, 0.538] above ridge; 594 touches of 2 objects in 18 sessions with 3 pads" in said

@@ -6,7 +6,7 @@ from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.prediction.baselines import ridge
 from i2t.prediction.methods import TrainingTouches
 from i2t.prediction.metrics import score
-from tests.helpers.baselines import bare_dataset, fit_baselines, predict
+from tests.helpers.baselines import PRESSURE, bare_dataset, fit_baselines, predict
 
 
 def test_ridge_minimises_its_loss():
@@ -45,6 +45,22 @@ def test_baselines_find_what_they_are_able_to():
     assert r2["ridge"] < 1 / 3 + 0.15
     assert r2["ridge-measured"] > 0.8
     assert r2["nearest-measured"] > r2["nearest"]
+
+
+def test_baselines_on_predicted_pressure_are_those_on_patches_given_another_image():
+    """Pressures in place of the patches, noise in place of the pressures: the same model."""
+    patches, measured, y = touches()
+    noise, groups = np.random.default_rng(1).normal(size=patches.shape), np.arange(240) // 9
+    on_patches = fit_baselines(patches, measured, y, groups)
+    on_pressure = fit_baselines(noise, measured, y, groups, patches)
+    for name in ("nearest", "ridge"):
+        for measured_too in ("", "-measured"):
+            expected = predict(on_patches[name + measured_too], patches[:9], measured[:9])
+            model = on_pressure[f"{name}-pressure{measured_too}"]
+            assert model.pressure == PRESSURE
+            actual = predict(model, noise[:9], measured[:9], patches[:9])
+            np.testing.assert_allclose(actual.mean, expected.mean, rtol=1e-4)
+            np.testing.assert_allclose(actual.std, expected.std, rtol=1e-4)
 
 
 def test_ranges_of_baselines_hold_what_they_say():

@@ -100,7 +100,8 @@ def baseline_predictors():
     """Every baseline, fitted to small patches with a force and a nearest point."""
     rng = np.random.default_rng(3)
     patches, measured = rng.uniform(0, REACH, (30, 8, 8)), rng.uniform(0.5, 1.5, (30, 2))
-    fitted = fit_baselines(patches, measured, rng.normal(size=(30, 6)), np.arange(30) // 3)
+    readings, pressure = rng.normal(size=(30, 6)), rng.uniform(0, 0.1, (30, 20, 20))
+    fitted = fit_baselines(patches, measured, readings, np.arange(30) // 3, pressure)
     return {name: Predictor(each, PATCH_WINDOW, REACH, 1.1, 0.3e-3, 1.4) for name, each in fitted.items()}
 
 
@@ -108,7 +109,7 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
     """Saved, where the one before them was, and loaded, one touch or many, with what was not measured taken as in
     training.
     """
-    assert len(baseline_predictors) == 5
+    assert len(baseline_predictors) == 9
     patches = np.random.default_rng(4).uniform(0, REACH, (7, 8, 8))
     for made in baseline_predictors.values():
         predictor.save(tmp_path / "p", made)

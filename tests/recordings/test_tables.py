@@ -10,9 +10,9 @@ import pytest
 from helpers.recordings import READING_NAMES, converted, refused, write_table
 from helpers.skin_presses import presses_of_a_skin
 
-from experiments.calibrate.data import read_presses
 from i2t.dataset import load_dataset
 from i2t.errors import DataError
+from i2t.recordings.loads import loaded_presses
 from i2t.recordings.read import read_recordings
 from i2t.recordings.tables import read_text_table
 
@@ -234,7 +234,7 @@ def test_presses_that_are_known_by_their_force_alone_are_converted(tmp_path, cap
     assert np.isnan(touches.depth).all()
     np.testing.assert_allclose(touches.T_w_o[:, :2, 3], SKIN.targets["position"], atol=1e-8)
     assert "known by their force" in capsys.readouterr().out
-    presses = read_presses(dataset, "auto")
+    presses = loaded_presses(dataset, "auto")
     assert presses.by_force
     assert len(presses.load) == 40
 

@@ -104,7 +104,7 @@ def predictors(story: Story) -> Figure:
     low, high = np.array([methods[name]["r2_interval"] for name in names], float).T  # none of too few sessions is NaN
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axes = figure.subplots()
-    colours = [BLUE if "predicted contact pressure" in name else GREY for name in names]
+    colours = [BLUE if "pressure" in name else GREY for name in names]
     axes.barh(names, r2, xerr=np.maximum([r2 - low, high - r2], 0), color=colours, capsize=2)
     axes.invert_yaxis()
     axes.axvline(0, color="black", lw=0.8)

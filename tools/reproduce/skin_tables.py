@@ -13,11 +13,16 @@ def r2_of(decimals: int, scores: Mapping[str, Any]) -> str:
     return cell([scores["r2"], *scores["r2_interval"]], decimals)
 
 
+def r2_over(scores: Mapping[str, Any]) -> str:
+    """R² over pads or skins with its interval."""
+    return cell(scores["r2"], 2)
+
+
 ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / sigma", "median cosine")
 ON_UNSEEN = ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES)
 OVER_PADS = ("method", "R² [95 % over pads]", *ERROR_TITLES)
 OVER_PADS_CELLS: tuple[Cell, ...] = (
-    lambda scores: cell(scores["r2"], 2),
+    r2_over,
     *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS),
 )
 
@@ -27,6 +32,17 @@ def predictors_on_recording(over: str) -> Table:
     head = ("on one skin, {source}", f"R² [95 % over {over}]", "median over channels", "in the 90 % range")
     cells: tuple[Cell, ...] = (partial(r2_of, 3), *numbers_of(["r2_median"], 3), *numbers_of(["coverage_90"]))
     return rows_over("methods", head, *cells, kept=True)
+
+
+def choice_on_validation(measured: Measured) -> str:
+    """The method that is best on validation touches over pads, and its lead over the best baseline."""
+    choice = measured["choice"]
+    over, r2 = choice["validated_on"], choice["validation_r2"]
+    of = f"{over['touches']} validation touches of {over['objects']} objects, {measured['source']}"
+    best, baseline = choice["best"], choice["best_baseline"]
+    lead = cell(choice["over_best_baseline"], 2, signed=True)
+    rows = [[f"best: {best}", cell(r2[best], 2)], [f"best baseline: {baseline}", cell(r2[baseline], 2)], ["lead", lead]]
+    return markdown([of, "R² [95 % over pads]"], rows)
 
 
 CALIBRATED, PLAIN, NEIGHBOURS = "i2t.calibrate", "plain Gaussian process", "k nearest presses"
@@ -183,6 +199,10 @@ TABLES: dict[str, dict[str, Table]] = {
     "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
     "study": {
         "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
+        "choice": choice_on_validation,
+    },
+    "second_world": {
+        "predictors": rows_over("methods", ("{source}, another physics", "R² [95 % over skins]"), r2_over),
     },
     "calibrate": {
         "random presses": press_counts("random presses", "random presses"),

@@ -104,5 +104,6 @@ STEPS = (
         "biotac_sp/bts3v2_palm_down.csv.gz biotac_sp/bts3v2_palm_side.csv.gz",
         minutes=3,
     ),
+    Step("second_world", "-m tests.second_world", minutes=8, again=OVERWRITE),
     Step("faults", "-m tests.faults", minutes=120, again=None),
 )

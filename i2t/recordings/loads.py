@@ -1,4 +1,6 @@
-"""Presses of one tip on one skin as arrays."""
+"""Touches of one tip on one skin as presses by position and load."""
+
+from typing import Literal
 
 import numpy as np
 
@@ -12,13 +14,27 @@ DEPTH_OF_UNKNOWN_M = 2e-3  # of every press, where neither depth nor force is kn
 LEAST_LOAD_RANGE = 1e-6  # of the largest load: less is one load
 
 
-def read_presses(dataset: Dataset, load: str) -> LoadedPresses:
-    """Positions of the tool's origin on the skin, and depth or force; presses that failed or met air are left out."""
+def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) -> LoadedPresses:
+    """The touches of one tip on one skin by position and load; presses that failed or met air are left out.
+
+    Args:
+        dataset: Recorded or simulated touches of one object with one skin.
+        load: The column that says how hard was pressed; "auto" is the depth where it was measured at every press or no
+            force was, else the force.
+
+    Returns:
+        The presses whose position and load are known, with their rows in the data set and a note for each oddity.
+
+    Raises:
+        ValueError: No press has a known position and load, none of the forces pushes, or there are several skins or
+            several objects.
+    """
     dataset, corrected = corrected_dataset(dataset)
     touches = dataset.touches
     position = dataset_presses(dataset).position
     good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
-    by_force = load == "force" or (load == "auto" and not np.isfinite(touches.depth[good]).all())
+    forced = np.isfinite(touches.force[good]).any() and not np.isfinite(touches.depth[good]).all()
+    by_force = load == "force" or (load == "auto" and bool(forced))
     amount = (touches.force if by_force else touches.depth).astype(np.float64)
     unknown = load == "auto" and not np.isfinite(amount[good]).any()
     if unknown:  # as where all presses go to one height, whose depth nothing tells
@@ -41,7 +57,10 @@ def read_presses(dataset: Dataset, load: str) -> LoadedPresses:
     good &= pushing
     readings = touches.reading[good].astype(np.float64)
     own = None if name_of_board(dataset.board) else dataset.board
-    return LoadedPresses(position[good], amount[good], readings, kind, notes=(*corrected, *notes), own_board=own)
+    return LoadedPresses(
+        position[good], amount[good], readings, kind,
+        notes=(*corrected, *notes), own_board=own, row=np.flatnonzero(good),
+    )  # fmt: skip
 
 
 def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, tuple[str, ...]]:
