@@ -1,0 +1,75 @@
+"""The prior of pad models, estimated from the touches of some worlds for a pad in another.
+
+A prior is a list of layers and the covariance of what they leave (`i2t.skin_models.reading_model.ReadingPrior`). Each
+world calls for one of the layers and for hyperparameters of that covariance, fitted to exact contacts of a simulated
+pad. A prior holds the layers that its worlds call for and the medians of their hyperparameters.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from i2t.dataset import Dataset
+from i2t.skin_models import pressure_gp
+from i2t.skin_models.pad_fit import press_exactly
+from i2t.skin_models.pressure_gp import GPHyperparameters
+from i2t.skin_models.reading_model import LAYERS, ReadingPrior, choose_layer
+
+CALLING_TOUCHES = 300  # of a world
+
+
+class WorldCall(NamedTuple):
+    """What the touches of one world call for."""
+
+    layer: int  # place in LAYERS
+    discrepancy: GPHyperparameters
+
+
+def call_of(dataset: Dataset) -> WorldCall:
+    """Find the layer and the covariance that simulated touches call for.
+
+    Args:
+        dataset: Touches of one pad with their truth.
+
+    Returns:
+        The layer that explains the touches best, and the hyperparameters that predict sessions left out best on it.
+    """
+    rows = np.sort(np.random.default_rng(0).permutation(len(dataset))[:CALLING_TOUCHES])
+    touches = jax.tree.map(lambda x: x[rows], dataset.touches)
+    pressed = [press_exactly(touches.truth, layer) for layer in LAYERS]
+    layer = choose_layer(pressed, LAYERS, dataset.board)
+    contact, readings = pressed[layer]
+    discrepancy, _ = pressure_gp.choose_hyperparameters(contact, jnp.asarray(readings), np.asarray(touches.session))
+    return WorldCall(layer, discrepancy)
+
+
+def prior_from(calls: Sequence[WorldCall]) -> ReadingPrior:
+    """The prior that some worlds give.
+
+    Args:
+        calls: Of the worlds.
+
+    Returns:
+        The layers that they call for, in the order of LAYERS, and the medians of their hyperparameters, without noise.
+    """
+    layers = tuple(LAYERS[i] for i in sorted({call.layer for call in calls}))
+    fits = [call.discrepancy for call in calls]
+    medians = jax.tree.map(lambda *values: jnp.float32(np.median(values, axis=0)), *fits)
+    weights = medians.weights / jnp.sum(medians.weights)
+    return ReadingPrior(layers, medians._replace(weights=weights, noise=jnp.float32(0)))
+
+
+def prior_without(calls: Mapping[str, WorldCall], world: str) -> ReadingPrior:
+    """The prior for a pad in a world, from all others.
+
+    Args:
+        calls: Of the worlds, by name.
+        world: That is left out.
+
+    Returns:
+        The prior.
+    """
+    return prior_from([call for name, call in calls.items() if name != world])
