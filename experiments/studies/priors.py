@@ -14,6 +14,7 @@ import numpy as np
 
 from i2t.dataset import Dataset
 from i2t.skin_models import pressure_gp
+from i2t.skin_models.layer import NOMINAL_LAYER
 from i2t.skin_models.pad_fit import press_exactly
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.skin_models.reading_model import LAYERS, ReadingPrior, choose_layer
@@ -35,15 +36,15 @@ def call_of(dataset: Dataset) -> WorldCall:
         dataset: Touches of one pad with their truth.
 
     Returns:
-        The layer that explains the touches best, and the hyperparameters that predict sessions left out best on it.
+        The hyperparameters that predict sessions left out best on the nominal layer, and with them the layer that
+        explains the touches best.
     """
     rows = np.sort(np.random.default_rng(0).permutation(len(dataset))[:CALLING_TOUCHES])
     touches = jax.tree.map(lambda x: x[rows], dataset.touches)
     pressed = [press_exactly(touches.truth, layer) for layer in LAYERS]
-    layer = choose_layer(pressed, LAYERS, dataset.board)
-    contact, readings = pressed[layer]
+    contact, readings = pressed[LAYERS.index(NOMINAL_LAYER)]
     discrepancy, _ = pressure_gp.choose_hyperparameters(contact, jnp.asarray(readings), np.asarray(touches.session))
-    return WorldCall(layer, discrepancy)
+    return WorldCall(choose_layer(pressed, LAYERS, dataset.board, discrepancy), discrepancy)
 
 
 def prior_from(calls: Sequence[WorldCall]) -> ReadingPrior:
