@@ -1,8 +1,8 @@
 """The prior of pad models, estimated from the touches of some worlds for a pad in another.
 
 A prior is a list of layers and the covariance of what they leave (`i2t.skin_models.reading_model.ReadingPrior`). Each
-world calls for one of the layers and for hyperparameters of that covariance, fitted to exact contacts of a simulated
-pad. A prior holds the layers that its worlds call for and the medians of their hyperparameters.
+world calls for one of the layers and for hyperparameters of that covariance, fitted to exact contacts and recorded
+readings of a simulated pad. A prior holds the layers that its worlds call for and the medians of their hyperparameters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from i2t.dataset import Dataset
-from i2t.skin_models import pressure_gp
-from i2t.skin_models.layer import NOMINAL_LAYER
+from i2t.skin_models.layer import NOMINAL_LAYER, Layer
 from i2t.skin_models.pad_fit import press_exactly
-from i2t.skin_models.pressure_gp import GPHyperparameters
-from i2t.skin_models.reading_model import LAYERS, ReadingPrior, choose_layer
+from i2t.skin_models.pressure_gp import GPHyperparameters, choose_hyperparameters
+from i2t.skin_models.reading_model import CHOOSING_TOUCHES, LAYERS, PressedTouches, ReadingPrior, choose_layer
 
-CALLING_TOUCHES = 300  # of a world
+CALLING_TOUCHES = 900  # of a world, as those that `DISCREPANCY` was fitted to
 
 
 class WorldCall(NamedTuple):
@@ -39,11 +38,16 @@ def call_of(dataset: Dataset) -> WorldCall:
         The hyperparameters that predict sessions left out best on the nominal layer, and with them the layer that
         explains the touches best.
     """
-    rows = np.sort(np.random.default_rng(0).permutation(len(dataset))[:CALLING_TOUCHES])
-    touches = jax.tree.map(lambda x: x[rows], dataset.touches)
-    pressed = [press_exactly(touches.truth, layer) for layer in LAYERS]
-    contact, readings = pressed[LAYERS.index(NOMINAL_LAYER)]
-    discrepancy, _ = pressure_gp.choose_hyperparameters(contact, jnp.asarray(readings), np.asarray(touches.session))
+    rows = np.random.default_rng(0).permutation(len(dataset))[:CALLING_TOUCHES]
+
+    def press(rows: np.ndarray, layer: Layer) -> PressedTouches:
+        touches = jax.tree.map(lambda x: x[rows], dataset.touches)
+        return press_exactly(touches.truth, layer)._replace(reading=np.asarray(touches.reading))
+
+    contact, readings = press(rows, NOMINAL_LAYER)
+    sessions = np.asarray(dataset.touches.session)[rows]
+    discrepancy, _ = choose_hyperparameters(contact, jnp.asarray(readings), sessions, limit=CALLING_TOUCHES)
+    pressed = [press(rows[:CHOOSING_TOUCHES], layer) for layer in LAYERS]
     return WorldCall(choose_layer(pressed, LAYERS, dataset.board, discrepancy), discrepancy)
 
 
