@@ -12,6 +12,7 @@ because then a block with free sides is softer than the other under every load, 
 scikit-fem, as the tests do. Metres, pascals, newtons; row i along tool y, column j along tool x.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -249,5 +250,10 @@ def _weights(grid: Grid, cells: int) -> np.ndarray:
 
 
 def press_law(pad: Pad) -> FreeSides:
-    """The law of a pad, worked out for its thickness and Poisson's ratio (about a minute)."""
-    return FreeSides(tabulate(float(pad.thickness), float(pad.poisson)))
+    """The law of a pad, worked out once for its thickness and Poisson's ratio (about a minute)."""
+    return _law(float(pad.thickness), float(pad.poisson))
+
+
+@lru_cache(maxsize=1)
+def _law(thickness: float, poisson: float) -> FreeSides:
+    return FreeSides(tabulate(thickness, poisson))

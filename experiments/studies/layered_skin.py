@@ -1,6 +1,7 @@
 """A skin of several layers, whose magnets lie in all of them: what that changes of the bonded layer."""
 
-from collections.abc import Sequence
+from functools import lru_cache
+from typing import TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,17 +14,19 @@ from i2t.skin.elasticity import evaluate, load
 from i2t.skin.layered import Sheet, stack_motion
 from i2t.types import Pad
 
+Layers: TypeAlias = tuple[tuple[float, float], ...]  # part of the thickness and factor of Young's modulus of each
+
 
 class LayeredSkin(LinearSkin):
-    """The law of a press of a skin of several layers, for the thickness and Poisson's ratio of a pad.
+    """The law of a press of a skin of several layers.
 
     Args:
-        pad: The skin; its magnetization, chips and mount are those of the pad that is pressed.
+        thickness: Of the skin (m).
+        poisson: Poisson's ratio of all layers.
         layers: From the surface down, the part of the thickness and the factor of Young's modulus of each.
     """
 
-    def __init__(self, pad: Pad, layers: Sequence[tuple[float, float]]) -> None:
-        thickness, poisson = float(pad.thickness), float(pad.poisson)
+    def __init__(self, thickness: float, poisson: float, layers: Layers) -> None:
         self.sheets = [Sheet(part * thickness, factor, poisson) for part, factor in layers]  # Young's modulus is 1
         self.bonded = [Sheet(thickness, 1.0, poisson)]
         roots, weights = np.polynomial.legendre.leggauss(CELL_NODES)
@@ -53,6 +56,14 @@ class LayeredSkin(LinearSkin):
         slope_x, slope_y, pressed = (part[None] for part in (*waves.slopes, waves.pressure))
         motion = [along * slope_x, along * slope_y, down * pressed, turn * slope_y, -turn * slope_x]
         return evaluate(jnp.stack([*motion, jnp.zeros_like(turn)], axis=1), grid)
+
+
+def press_law(pad: Pad, layers: Layers) -> LayeredSkin:
+    """The law of a pad of some layers, the same object for the same pad, so that it compiles once."""
+    return _law(float(pad.thickness), float(pad.poisson), layers)
+
+
+_law = lru_cache(maxsize=4)(LayeredSkin)
 
 
 def _wavenumbers(grid: Grid) -> np.ndarray:

@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.common.runs import Part
-from experiments.studies import free_sides
+from experiments.studies import free_sides, layered_skin
 from experiments.studies.lab import SETS, StudyLab, StudyWorld
-from experiments.studies.layered_skin import LayeredSkin
 from experiments.studies.mismatch import faulty
 from experiments.studies.priors import WorldCall, call_of, prior_from, prior_without
 from experiments.studies.report import Column, clusters_of, make_table, pool_parts
@@ -39,12 +38,9 @@ INFLATIONS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # of the errors of readings, to ch
 WITHOUT = "position and presence"  # the evidence of a belief without readings
 KINDS = ("fused", "readings")
 MATCHED = "bonded layer"
-# Parts of the thickness from the surface down, and factors of Young's modulus.
-LAYERED = {
-    "soft layer on a stiff one": ((0.5, 0.5), (0.5, 2.0)),
-    "stiff film on a soft layer": ((0.2, 3.0), (0.8, 0.6)),
-}
-DEBUG_WORLDS = (MATCHED, "soft layer on a stiff one")
+TWO_LAYERS = "soft layer on a stiff one"
+SOFT_ON_STIFF = ((0.5, 0.5), (0.5, 2.0))  # from the surface down: part of the thickness, factor of Young's modulus
+DEBUG_WORLDS = (MATCHED, TWO_LAYERS)
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
 ALL = "as many as the run"
 ELSEWHERE = "none"  # of its own touches: the pad model is that of the matched physics
@@ -62,7 +58,7 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
         "free side faces": StudyWorld(law=free_sides.press_law),
         "soft compressible layer": StudyWorld(pad=pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))),
         "softer layer": StudyWorld(pad=pad._replace(young=0.8 * pad.young, poisson=jnp.float32(0.4))),
-        **{name: StudyWorld(law=partial(LayeredSkin, layers=layers)) for name, layers in LAYERED.items()},
+        TWO_LAYERS: StudyWorld(law=partial(layered_skin.press_law, layers=SOFT_ON_STIFF)),
         "worn pad": StudyWorld(pad=worn, errors=faulty(errors, relaxation=0.15)),
         "skin remounted by 0.5 mm": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
     }

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.studies.layered_skin import LayeredSkin
+from experiments.studies.layered_skin import press_law
 from i2t.skin.contact import FINE_GRID, GRID, Grid
 from i2t.skin.pad import nominal_pad, press
 from i2t.types import Pad
@@ -21,7 +21,7 @@ def pressed(law, grid: Grid = GRID, pad: Pad = PAD):
 
 @pytest.mark.parametrize("grid", [GRID, FINE_GRID])
 def test_equal_layers_are_pressed_as_one(grid):
-    ours, bonded = pressed(LayeredSkin(PAD, [(0.3, 1.0), (0.7, 1.0)]), grid), pressed(press, grid)
+    ours, bonded = pressed(press_law(PAD, ((0.3, 1.0), (0.7, 1.0))), grid), pressed(press, grid)
     assert bool(ours.converged)
     np.testing.assert_allclose(ours.force, bonded.force, rtol=1e-3)
     change = np.abs(np.asarray(ours.reading) - np.asarray(bonded.reading)).max()
@@ -30,7 +30,7 @@ def test_equal_layers_are_pressed_as_one(grid):
 
 def test_layers_twice_as_stiff_take_twice_the_force_and_read_the_same():
     """Of a skin that is bonded: a mount does not stiffen with it."""
-    twice = LayeredSkin(PAD, [(0.5, 2.0), (0.5, 2.0)])
+    twice = press_law(PAD, ((0.5, 2.0), (0.5, 2.0)))
     ours, bonded = (pressed(law, pad=PAD._replace(mount_compliance=jnp.float32(0))) for law in (twice, press))
     np.testing.assert_allclose(ours.force, 2 * bonded.force, rtol=1e-3)
     np.testing.assert_allclose(ours.reading, bonded.reading, atol=2e-3 * np.abs(np.asarray(bonded.reading)).max())
@@ -39,7 +39,7 @@ def test_layers_twice_as_stiff_take_twice_the_force_and_read_the_same():
 def test_on_a_rigid_lower_half_the_skin_is_one_of_half_the_thickness():
     """Its magnets lie as far from the chips, and what those of the lower half add at rest does not change."""
     bonded = PAD._replace(mount_compliance=jnp.float32(0))
-    ours = pressed(LayeredSkin(PAD, [(0.5, 1.0), (0.5, 1e6)]), pad=bonded)
+    ours = pressed(press_law(PAD, ((0.5, 1.0), (0.5, 1e6))), pad=bonded)
     thin = pressed(press, pad=bonded._replace(thickness=bonded.thickness / 2))
     np.testing.assert_allclose(ours.force, thin.force, rtol=2e-3)
     np.testing.assert_allclose(ours.reading, thin.reading, atol=0.05 * np.abs(np.asarray(thin.reading)).max())

@@ -142,10 +142,6 @@ def test_a_prior_is_of_the_worlds_that_are_not_left_out():
     assert priors.prior_from([calls["left out"]]).layers == LAYERS[6:]
 
 
-def test_test_worlds_of_two_layers_are_as_thick_as_the_pad():
-    assert all(sum(part for part, _ in layers) == pytest.approx(1) for layers in physics.LAYERED.values())
-
-
 def test_episodes_of_studies_are_alike_by_pad_by_sites_and_by_object():
     part = {"truth": np.zeros(6, int), "pool": np.arange(6) // 2, "there": np.array([0, 1, 5, 0, 1, 6])}
     parts, one = [part] * 3, {"truth": part["truth"]}
