@@ -74,7 +74,8 @@ def evaluate(lab: StudyLab) -> Part:
         for i, (name, world) in enumerate(physics.items())
     }
     calls = {name: call_of(dataset) for name, dataset in touched.items()}
-    matched = lab.refit(key_fit, touched[MATCHED], surfaces, None, prior_from([calls[MATCHED]]))
+    key_elsewhere = jax.random.fold_in(key_fit, len(physics))
+    matched = lab.refit(key_elsewhere, touched[MATCHED], surfaces, None, prior_from([calls[MATCHED]]))
     models = {(MATCHED, ELSEWHERE): matched}
     for i, (name, dataset) in enumerate(touched.items()):
         prior = prior_without(calls, name)
