@@ -12,20 +12,19 @@ because then a block with free sides is softer than the other under every load, 
 scikit-fem, as the tests do. Metres, pascals, newtons; row i along tool y, column j along tool x.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import splu
 
+from experiments.studies.press_laws import LinearSkin
 from i2t.errors import require_extra
 from i2t.patches.dimensions import PAD_WINDOW
-from i2t.skin.contact import CONTACT_TOLERANCE, GRID, MAX_HEIGHT_M, MAX_STEPS, MIN_STRAIN, Grid, descend
-from i2t.skin.dipoles import CELL_NODES, MICROTESLA, dipole_field, rest_field, sheets, turn
-from i2t.skin.elasticity import clamped_shape, compliance, convolve, interior, load
-from i2t.skin.pad import Press
+from i2t.skin.contact import GRID, Grid
+from i2t.skin.dipoles import CELL_NODES
 from i2t.types import Pad
 
 TABLE_CELLS = 20  # of the table along each edge of the pad: 1 mm
@@ -184,8 +183,8 @@ def quadratic(edges: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.nda
 # --- presses ---
 
 
-class FreeSides:
-    """The law of a press (`i2t.contact.press.PressLaw`) of a pad with free sides, from its table."""
+class FreeSides(LinearSkin):
+    """A pad with free sides, from its table."""
 
     def __init__(self, table: SideTable) -> None:
         self.cells = 2 * round(np.sqrt(table.sinking.shape[-1]))
@@ -193,89 +192,22 @@ class FreeSides:
         self.sinking = jnp.asarray(table.sinking, jnp.float32)
         self.motion = jnp.asarray(table.motion, jnp.float32)
 
-    def __call__(
-        self,
-        pad: Pad,
-        height: Float[Array, "n n"],
-        indentation: Float[Array, ""] | float,
-        grid: Grid = GRID,
-        start: Float[Array, "n n"] | None = None,
-    ) -> Press:
-        """A press to an indentation, as `i2t.skin.pad.press`."""
-        pressure, converged = self._contact(pad, height, indentation, grid, start)
-        force = jnp.sum(pressure) * grid.spacing**2
-        return Press(self._reading(pad, pressure, grid), force, jnp.asarray(indentation), pressure, converged)
-
-    def _contact(
-        self, pad: Pad, height: Array, indentation: Array | float, grid: Grid, start: Array | None
-    ) -> tuple[Array, Array]:
-        """Pressure (Pa), as `i2t.skin.contact.solve` with the sides' sinking, in its units."""
-        gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
-        scale = jnp.maximum(jnp.max(-gap), MIN_STRAIN)
-        unit, area = pad.young / pad.thickness, grid.spacing**2
-        kernel, mount = compliance(pad, grid) * unit, pad.mount_compliance * area * unit
-        shape = clamped_shape(grid, gap.dtype)
-
-        def deflect(p: Array) -> Array:
-            bonded = convolve(kernel, p, grid) + mount * jnp.sum(shape * p) * shape
-            return bonded + self.extra_indentation(p, grid) * area / pad.thickness
-
-        spread = 1.5 * grid.cells / self.cells  # at least the largest weight of the cells' interpolation, squared
-        most = jnp.max(kernel) + mount * jnp.sum(shape**2) + spread**2 * self.largest * area / pad.thickness
-        bounds = jnp.min(kernel), most
-        start = -gap / scale / bounds[1] if start is None else start / (pad.young * scale)
-        state = descend(
-            lambda p: deflect(p[..., 0])[..., None], gap[..., None] / scale, lambda p: jnp.maximum(p, 0),
-            level=lambda p, gap: jnp.zeros_like(scale), start=start[..., None], bounds=bounds,
-            tolerance=CONTACT_TOLERANCE, max_steps=MAX_STEPS,
-        )  # fmt: skip
-        return state.point[..., 0] * scale * pad.young, state.residual.squeeze() <= CONTACT_TOLERANCE
-
     def extra_indentation(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Extra sinking of the surface over the bonded layer's.
-
-        Args:
-            force: On each cell of `grid` (N).
-            grid: Cells of the pad.
-
-        Returns:
-            Metres, times Young's modulus.
-        """
+        """Sinking by the free sides, as `LinearSkin.extra_indentation`."""
         weights = _weights(grid, self.cells)
         moved = jnp.einsum("sij,sj->si", self.sinking, self._parities(weights.T @ force @ weights))
         return weights @ self._whole(moved[:, None], np.ones(1), np.ones(1))[0] @ weights.T
 
-    def moved(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "d 6 n n"]:
-        """Extra motion and turning of the magnets over the bonded layer's.
+    def extra_bound(self, grid: Grid) -> float:
+        """Bound by the largest eigenvalue of the table, as `LinearSkin.extra_bound`."""
+        return (1.5 * grid.cells / self.cells) ** 2 * self.largest  # squared, at least the cells' largest weight
 
-        Args:
-            force: On each cell of `grid` (N).
-            grid: Cells of the pad, below each of which a magnet lies.
-
-        Returns:
-            Metres and radians, times Young's modulus, at the magnets' depths.
-        """
+    def extra_motion(self, pad: Pad, pressure: Float[Array, "n n"], grid: Grid) -> Float[Array, "d 6 n n"]:
+        """Motion by the free sides, as `LinearSkin.extra_motion`."""
         weights = _weights(grid, self.cells)
-        parities = self._parities(weights.T @ force @ weights)
+        parities = self._parities(weights.T @ (pressure * grid.spacing**2) @ weights)
         moved = jnp.einsum("sdcij,sj->sdci", self.motion, parities)
-        return jnp.einsum("ni,dcij,mj->dcnm", weights, self._whole(moved, MIRRORED_X, MIRRORED_Y), weights)
-
-    def _reading(self, pad: Pad, pressure: Array, grid: Grid) -> Array:
-        """Reading (uT), as `i2t.skin.dipoles.response` with the sides' motion."""
-        loaded = load(pad, pressure, None, grid)
-        y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
-        chips = jnp.asarray(pad.board.chips)
-
-        def sheet(magnets: tuple[Array, Array, Array]) -> Array:
-            depth, moments, more = magnets
-            displacement, rotation = interior(pad, loaded, depth, grid)
-            rest = jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.broadcast_to(-depth, x.shape)])
-            position, turned = rest + displacement + more[:3], turn(rotation + more[3:], moments)
-            return dipole_field(chips, position.reshape(3, -1).T, turned.reshape(3, -1).T)
-
-        more = self.moved(pressure * grid.spacing**2, grid) / pad.young
-        field = MICROTESLA * jnp.sum(jax.lax.map(sheet, (*sheets(pad, grid), more)), axis=0)
-        return pad.gains * pad.board.to_board(field - rest_field(pad, grid))
+        return jnp.einsum("ni,dcij,mj->dcnm", weights, self._whole(moved, MIRRORED_X, MIRRORED_Y), weights) / pad.young
 
     def _parities(self, values: Array) -> Array:
         """(4, q): the even and odd parts of values on the table's cells, on the quarter x, y > 0."""
@@ -318,5 +250,10 @@ def _weights(grid: Grid, cells: int) -> np.ndarray:
 
 
 def press_law(pad: Pad) -> FreeSides:
-    """The law of a pad, worked out for its thickness and Poisson's ratio (about a minute)."""
-    return FreeSides(tabulate(float(pad.thickness), float(pad.poisson)))
+    """The law of a pad, worked out once for its thickness and Poisson's ratio (about a minute)."""
+    return _law(float(pad.thickness), float(pad.poisson))
+
+
+@lru_cache(maxsize=1)
+def _law(thickness: float, poisson: float) -> FreeSides:
+    return FreeSides(tabulate(thickness, poisson))

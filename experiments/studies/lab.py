@@ -34,7 +34,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
 from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.skin_models.pad_model import PadModel
-from i2t.skin_models.reading_model import LinearReadingModel
+from i2t.skin_models.reading_model import READING_PRIOR, LinearReadingModel, ReadingPrior
 from i2t.types import Pad, Surface
 
 MAX_PARTICLES = 64  # of each object: with 64 to 512 accuracies are the same within 0.01
@@ -143,14 +143,21 @@ class StudyLab:
         )  # fmt: skip
         return Dataset.simulated(made, tuple(surfaces), pad)
 
-    def refit(self, key: Array, dataset: Dataset, surfaces: dict[str, Surface], touches: int | None = None) -> PadModel:
-        """The pad model as the run fitted it, but to other touches: all, or the first so many."""
+    def refit(
+        self,
+        key: Array,
+        dataset: Dataset,
+        surfaces: dict[str, Surface],
+        touches: int | None = None,
+        prior: ReadingPrior = READING_PRIOR,
+    ) -> PadModel:
+        """The pad model as the run fitted it, but to other touches, all or the first so many, and from some prior."""
         each = None if touches is None else touches // len(dataset.objects)
         rows = np.zeros(len(dataset), bool)
         for i in range(len(dataset.objects)):
             rows[np.flatnonzero(dataset.touches.object == i)[:each]] = True
         cfg = self.cfg
-        return ContactModel(cfg.errors, cfg.limits).fit(key, ObjectTouches(dataset, rows, surfaces)).model
+        return ContactModel(cfg.errors, cfg.limits, prior).fit(key, ObjectTouches(dataset, rows, surfaces)).model
 
 
 def prepare_lab(cfg: Recognition, size: StudySize, run: FinishedRun, seed: int) -> StudyLab:

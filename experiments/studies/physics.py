@@ -1,12 +1,14 @@
 """A skin of another physics than the pad model's, to which one is fitted by its own touches.
 
-Every physics is left out once: how far its readings count (an inflation of their errors, and the temperature of the
-belief) is learnt from episodes with validation objects in all others, and judged on test objects in this one. Pad
-models are fitted to a few touches of the training objects made in that physics, or to as many as the run had; what
-errors of pose and reading cost is told by an oracle, fitted to as many touches without any.
+Every physics is left out once. How far its readings count (an inflation of their errors, and the temperature of the
+belief) is fitted to episodes with validation objects in all others, and so is the prior of its pad models
+(`experiments.studies.priors`); test objects in this physics judge them. Pad models are fitted to a few touches of the
+training objects made in that physics, or to as many as the run had; an oracle, fitted to as many touches without errors
+of pose and reading, shows what these cost. "None" is the pad model of the matched physics, with a prior from there.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,9 +17,10 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.common.runs import Part
-from experiments.studies import free_sides
+from experiments.studies import free_sides, layered_skin
 from experiments.studies.lab import SETS, StudyLab, StudyWorld
 from experiments.studies.mismatch import faulty
+from experiments.studies.priors import WorldCall, call_of, prior_from, prior_without
 from experiments.studies.report import Column, clusters_of, make_table, pool_parts
 from experiments.studies.winkler import winkler_press
 from i2t.intervals import mean_interval
@@ -26,6 +29,7 @@ from i2t.recognition.calibrated import TemperatureScaling
 from i2t.recognition.episodes import run_belief
 from i2t.skin_models.pad_fit import fit_oracle_pad_model
 from i2t.skin_models.pad_model import PadModel, inflated
+from i2t.skin_models.reading_model import LAYERS
 from i2t.types import Board
 
 TOUCHES = (20, 200, None)  # of the skin that a pad model is fitted to; None: as many as the run had
@@ -34,6 +38,9 @@ INFLATIONS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # of the errors of readings, to ch
 WITHOUT = "position and presence"  # the evidence of a belief without readings
 KINDS = ("fused", "readings")
 MATCHED = "bonded layer"
+TWO_LAYERS = "soft layer on a stiff one"
+SOFT_ON_STIFF = ((0.5, 0.5), (0.5, 2.0))  # from the surface down: part of the thickness, factor of Young's modulus
+DEBUG_WORLDS = (MATCHED, TWO_LAYERS)
 REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
 ALL = "as many as the run"
 ELSEWHERE = "none"  # of its own touches: the pad model is that of the matched physics
@@ -45,83 +52,101 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
     pad, errors = lab.run.pad, lab.cfg.errors
     chips = jnp.asarray(pad.board.chips) + jnp.asarray(REMOUNTED_M, jnp.float32)[None]
     worn = pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization)
-    found = {
+    physics = {
         MATCHED: StudyWorld(),
         "Winkler foundation": StudyWorld(law=lambda _: winkler_press),
         "free side faces": StudyWorld(law=free_sides.press_law),
         "soft compressible layer": StudyWorld(pad=pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))),
+        "softer layer": StudyWorld(pad=pad._replace(young=0.8 * pad.young, poisson=jnp.float32(0.4))),
+        TWO_LAYERS: StudyWorld(law=partial(layered_skin.press_law, layers=SOFT_ON_STIFF)),
         "worn pad": StudyWorld(pad=worn, errors=faulty(errors, relaxation=0.15)),
         "skin remounted by 0.5 mm": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
     }
-    return dict(list(found.items())[:2]) if lab.size.debug else found
+    return {name: world for name, world in physics.items() if name in DEBUG_WORLDS or not lab.size.debug}
 
 
 def evaluate(lab: StudyLab) -> Part:
     """Beliefs (e, t, objects) by set and "physics; touches; inflation; evidence", and the truth of each set."""
     key_touch, key_fit, *keys = jax.random.split(lab.key, 2 + len(SETS))
-    made, surfaces, models = worlds(lab), lab.trained_surfaces(), {}
-    for i, (name, world) in enumerate(made.items()):
-        touched = lab.touch_known_objects(jax.random.fold_in(key_touch, i), surfaces, world)
+    physics, surfaces = worlds(lab), lab.trained_surfaces()
+    touched = {
+        name: lab.touch_known_objects(jax.random.fold_in(key_touch, i), surfaces, world)
+        for i, (name, world) in enumerate(physics.items())
+    }
+    calls = {name: call_of(dataset) for name, dataset in touched.items()}
+    key_elsewhere = jax.random.fold_in(key_fit, len(physics))
+    matched = lab.refit(key_elsewhere, touched[MATCHED], surfaces, None, prior_from([calls[MATCHED]]))
+    models = {(MATCHED, ELSEWHERE): matched}
+    for i, (name, dataset) in enumerate(touched.items()):
+        prior = prior_without(calls, name)
         for count in DEBUG_TOUCHES if lab.size.debug else TOUCHES:
-            model = lab.refit(jax.random.fold_in(key_fit, i), touched, surfaces, count)
+            model = lab.refit(jax.random.fold_in(key_fit, i), dataset, surfaces, count, prior)
             models[name, ALL if count is None else str(count)] = model
-        models[name, ORACLE] = fit_oracle_pad_model(touched, np.ones(len(touched), bool), model, lab.cfg.limits)
-    found: Part = {"layers": np.array([[float(x) for x in one.reading_model.layer] for one in models.values()])}
+        rows = np.ones(len(dataset), bool)
+        models[name, ORACLE] = fit_oracle_pad_model(dataset, rows, model, lab.cfg.limits, discrepancy=prior.discrepancy)
+    part: Part = {
+        "layers": np.array([[float(x) for x in model.reading_model.layer] for model in models.values()]),
+        "calls": np.stack([_as_row(call) for call in calls.values()]),
+    }
     for name, key, objects in zip(SETS, keys, (lab.cfg.validation, lab.cfg.objects), strict=True):
-        found[name] = _evaluate_set(lab.with_objects(objects), key, made, models, name)
-    return found
+        part[name] = _evaluate_set(lab.with_objects(objects), key, physics, models, name)
+    return part
+
+
+def _as_row(call: WorldCall) -> np.ndarray:
+    """What a world calls for in one row: the layer's Poisson's ratio and modulus, then weights, bend and width."""
+    weights, bend, width, _ = call.discrepancy
+    return np.array([*(float(part) for part in LAYERS[call.layer]), *np.asarray(weights), float(bend), float(width)])
 
 
 def _evaluate_set(
     lab: StudyLab,
     key: Array,
-    made: dict[str, StudyWorld],
+    physics: dict[str, StudyWorld],
     models: dict[tuple[str, str], PadModel],  # by physics and number of own touches
     label: str,
 ) -> Part:
     key_sites, key_episodes = jax.random.split(key)
     truth, particles = lab.truth(), lab.particles()
     plan = lab.plan(key_sites, len(truth))
-    tables = lab.predict(plan.sites, particles, [one.reading_model for one in models.values()], label)
+    tables = lab.predict(plan.sites, particles, [model.reading_model for model in models.values()], label)
     by_model = dict(zip(models, tables, strict=True))
-    found: Part = {"truth": truth, "pool": plan.pool}
-    for name, world in made.items():
+    part: Part = {"truth": truth, "pool": plan.pool}
+    for name, world in physics.items():
         episodes = lab.simulate(jax.random.clone(key_episodes), plan, truth, f"{label}, {name}", world=world)
         for (where, touches), model in models.items():
-            elsewhere = (where, touches) == (MATCHED, ALL) and name != MATCHED
-            if where != name and not elsewhere:
+            if touches != ELSEWHERE and where != name:
                 continue
-            table, case = by_model[where, touches], f"{name}; {ELSEWHERE if elsewhere else touches}"
+            table, case = by_model[where, touches], f"{name}; {touches}"
             without = run_belief(table, episodes, model.likelihood, particles, [WITHOUT])
-            found[f"{case}; 1; {WITHOUT}"] = without[WITHOUT]
+            part[f"{case}; 1; {WITHOUT}"] = without[WITHOUT]
             for factor in INFLATIONS:
                 beliefs = run_belief(table, episodes, inflated(model, factor).likelihood, particles, KINDS)
-                found |= {f"{case}; {factor:g}; {kind}": p for kind, p in beliefs.items()}
-    return found
+                part |= {f"{case}; {factor:g}; {kind}": p for kind, p in beliefs.items()}
+    return part
 
 
 class Judged(NamedTuple):
-    """Beliefs of test episodes in one physics, whose scale and temperature the others taught."""
+    """Beliefs of test episodes in one physics, whose scale and temperature come from the others."""
 
     p: np.ndarray  # (e, t, objects)
     inflation: float
 
 
 def leave_out(parts: Sequence[Part], physics: str, touches: str, kind: str) -> Judged:
-    """Learn inflation and temperature from validation episodes in all other physics; judge test episodes in this. A pad
-    model of another physics is scaled as the same one in its own: it does not know better.
+    """Fit inflation and temperature to validation episodes in all other physics, and judge test episodes in this. The
+    pad model of the matched physics is scaled by episodes there alone: it knows no other.
     """
     validation, test = (pool_parts([part[name] for part in parts]) for name in SETS)
-    taught = ALL if touches == ELSEWHERE else touches
     others = [name for name in names_of(parts) if name != physics] if touches != ELSEWHERE else [MATCHED]
     truth = np.tile(validation["truth"], len(others))
-    found: list[tuple[float, float, TemperatureScaling]] = []
+    candidates: list[tuple[float, float, TemperatureScaling]] = []
     for factor in (1.0,) if kind == WITHOUT else INFLATIONS:
-        p = np.concatenate([validation[f"{name}; {taught}; {factor:g}; {kind}"] for name in others]).astype(np.float64)
+        p = np.concatenate([validation[f"{name}; {touches}; {factor:g}; {kind}"] for name in others]).astype(np.float64)
         temperature = calibrated.fit_temperature(p, truth)
         loss = metrics.log_loss(calibrated.calibrated_beliefs(p, temperature), truth).mean()
-        found.append((float(loss), factor, temperature))
-    _, factor, temperature = min(found, key=lambda one: one[0])
+        candidates.append((float(loss), factor, temperature))
+    _, factor, temperature = min(candidates, key=lambda candidate: candidate[0])
     p = test[f"{physics}; {touches}; {factor:g}; {kind}"].astype(np.float64)
     return Judged(calibrated.calibrated_beliefs(p, temperature), factor)
 
@@ -138,6 +163,7 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     tests = [part["test"] for part in parts]
     clusters, truth = clusters_of(tests, pads), np.concatenate([part["truth"] for part in tests])
     cases = list(dict.fromkeys(tuple(key.split("; ")[:2]) for key in tests[0] if "; " in key))
+    cases.remove((MATCHED, ELSEWHERE))  # fitted to no other physics, and judged in none
     rows, inflations = [], {}
     for kind in KINDS:
         matched = metrics.hits(leave_out(parts, MATCHED, ALL, kind).p, truth)
@@ -159,4 +185,11 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
         Column("log loss minus that without readings", 2, signed=True),
     ]  # fmt: skip
     layers, tables = np.concatenate([part["layers"] for part in parts]), {"methods": make_table(head, rows)}
-    return {"episodes": len(truth), "inflations": inflations, "layers": layers.tolist(), "tables": tables}
+    calls = np.stack([part["calls"] for part in parts], axis=1)  # (physics, parts, values)
+    return {
+        "episodes": len(truth),
+        "inflations": inflations,
+        "layers": layers.tolist(),
+        "calls": dict(zip(names_of(parts), calls.tolist(), strict=True)),
+        "tables": tables,
+    }

@@ -110,10 +110,10 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     dataset, on_camera = source.dataset(seed, out), None
     if cfg.registered:
         on_camera = camera_row(prepare(dataset, replace(cfg, registered=False), cfg.split, seed, cfg.softness), seed)
-        dataset, objects, notes = registered(dataset, objects)
+        dataset, objects, found = registered(dataset, objects)
     prepared = prepare(dataset, cfg, cfg.split, seed, cfg.softness)
     if cfg.registered:
-        prepared = prepared._replace(notes=(*notes, *prepared.notes))
+        prepared = prepared._replace(notes=(*found, *prepared.notes))
     print(summary_of(prepared))
     touches, split = prepared.touches, prepared.split
     touches = replace(touches, paper=cfg.paper, training=cfg.training)

@@ -46,11 +46,14 @@ from i2t.skin_models.likelihood import (
     outlier_range,
 )
 from i2t.skin_models.pad_model import KnownPad, PadModel, PadOrigin
+from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.skin_models.reading_model import (
     CHOOSING_TOUCHES,
-    LAYERS,
+    DISCREPANCY,
+    READING_PRIOR,
     FittedReadings,
     PressedTouches,
+    ReadingPrior,
     choose_layer,
     fit_readings,
 )
@@ -86,10 +89,12 @@ class ContactModel:
     Attributes:
         errors: How far objects may be from where they are believed.
         limits: How the touches were pressed.
+        prior: Of the readings, from other pads.
     """
 
     errors: SimulationErrors
     limits: PressLimits
+    prior: ReadingPrior = READING_PRIOR
 
     def fit(self, key: Key[Array, ""], data: ObjectTouches) -> KnownPad:
         """Fit a pad model to touches of objects whose surfaces are known.
@@ -114,7 +119,7 @@ class ContactModel:
     def _fit(self, key: Key[Array, ""], data: ObjectTouches) -> PadModel:
         errors, limits, touches = self.errors, self.limits, data.dataset.touches
         sessions, often = _registered(key, data, errors)
-        layer = LAYERS[_choose_layer(sessions, touches, data.dataset.board, limits.overtravel)]
+        layer = _choose_layer(sessions, touches, data.dataset.board, self.prior, limits.overtravel)
         used, nominal, pressed = _pressed_touches(sessions, touches, layer, limits.overtravel)
         load = np.asarray(pressed.pressure.load)
         depth = touches.depth[used] - load / limits.stiffness
@@ -128,12 +133,17 @@ class ContactModel:
         folds = a_few_at_a_time(left_out, product(sessions, range(POSITION_FOLDS)))
         positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
         position = _position_errors(positions, softness, limits)
-        fitted = fit_readings(pressed, layer, data.dataset.board, softness=softness)
+        fitted = fit_readings(pressed, layer, data.dataset.board, softness=softness, discrepancy=self.prior.discrepancy)
         return _pad_model(fitted, pressed.reading, position, limits)
 
 
 def fit_oracle_pad_model(
-    dataset: Dataset, rows: Bool[np.ndarray, " n"], pad_model: PadModel, limits: PressLimits
+    dataset: Dataset,
+    rows: Bool[np.ndarray, " n"],
+    pad_model: PadModel,
+    limits: PressLimits,
+    *,
+    discrepancy: GPHyperparameters = DISCREPANCY,
 ) -> PadModel:
     """Fit the pad model that the same simulated touches would give without errors of pose and reading: a bound, not a
     method.
@@ -143,24 +153,34 @@ def fit_oracle_pad_model(
         rows: Which of them are used.
         pad_model: What was fitted to them; gives the mechanics.
         limits: How the touches were pressed.
+        discrepancy: As for `i2t.skin_models.reading_model.fit_readings`.
 
     Returns:
         The pad model; its errors are those of predicting the recorded readings.
     """
-    used = np.flatnonzero(rows)
-    touches = jax.tree.map(lambda x: x[used], dataset.touches)
-    truth: Truth = touches.truth
-    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
+    touches = jax.tree.map(lambda x: x[np.flatnonzero(rows)], dataset.touches)
     own, likelihood = pad_model.reading_model, pad_model.likelihood
-    pad = layer_pad(own.layer)
-    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, pad)
-    fitted = fit_readings(
-        PressedTouches(pressed, np.asarray(truth.reading)), own.layer, dataset.board, softness=float(own.softness)
-    )
+    exact = press_exactly(touches.truth, own.layer)
+    fitted = fit_readings(exact, own.layer, dataset.board, softness=float(own.softness), discrepancy=discrepancy)
     recorded = np.asarray(touches.reading)
-    fitted = fitted._replace(left_out=fitted.left_out + recorded - truth.reading)
+    fitted = fitted._replace(left_out=fitted.left_out + recorded - exact.reading)
     position = ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share))
     return _pad_model(fitted, recorded, position, limits)
+
+
+def press_exactly(truth: Truth, layer: Layer) -> PressedTouches:
+    """Press a layer at the true contacts of simulated touches.
+
+    Args:
+        truth: Of n touches.
+        layer: That is pressed.
+
+    Returns:
+        The contact pressures, with the readings that have no noise.
+    """
+    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
+    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, layer_pad(layer))
+    return PressedTouches(pressed, np.asarray(truth.reading))
 
 
 class _SessionContacts(NamedTuple):
@@ -227,12 +247,15 @@ def _pressed_touches(
     return rows[met], nominal[met], PressedTouches(pressed, touches.reading[rows[met]])
 
 
-def _choose_layer(sessions: Sequence[_Session], touches: Touches, board: Board, overtravel: float) -> int:
+def _choose_layer(
+    sessions: Sequence[_Session], touches: Touches, board: Board, prior: ReadingPrior, overtravel: float
+) -> Layer:
     """Choose the layer on some sessions, as every layer presses their touches."""
     shuffled = [sessions[i] for i in np.random.default_rng(0).permutation(len(sessions))]
     enough = int(np.searchsorted(np.cumsum([len(each.rows) for each in shuffled]), CHOOSING_TOUCHES)) + 1
     some = shuffled[:enough]
-    return choose_layer([_pressed_touches(some, touches, layer, overtravel)[2] for layer in LAYERS], LAYERS, board)
+    pressed = [_pressed_touches(some, touches, layer, overtravel)[2] for layer in prior.layers]
+    return prior.layers[choose_layer(pressed, prior.layers, board, prior.discrepancy)]
 
 
 def _register_session(

@@ -72,6 +72,16 @@ UNIT_N = 0.002  # on one cell, where a reading is still linear in it
 RANK = 160  # of a variance's root, the largest eigenvalues: the rest is below a per mille of it
 
 
+class ReadingPrior(NamedTuple):
+    """Assumptions about a pad that come from other pads and other physics."""
+
+    layers: Sequence[Layer] = LAYERS  # to choose among
+    discrepancy: GPHyperparameters = DISCREPANCY  # its noise does not count
+
+
+READING_PRIOR = ReadingPrior()
+
+
 @in_one_line
 class LinearReadingModel(NamedTuple):
     """A pad's reading model at a few loads, where it is linear in the pressure on a layer."""
@@ -109,6 +119,7 @@ class _Hyperparameters(NamedTuple):
 class _System(NamedTuple):
     """Touches in the coordinates in which the discrepancy's covariance is diagonal."""
 
+    discrepancy: GPHyperparameters
     values: Float[np.ndarray, " n"]  # eigenvalues of k
     vectors: Float[np.ndarray, "n n"]
     features: Float[np.ndarray, "n c k"]  # rotated, in units of the channels' signals
@@ -244,7 +255,14 @@ def read_pressure(
 
 
 @_one_thread_each
-def fit_readings(touches: PressedTouches, layer: Layer, board: Board, *, softness: float) -> FittedReadings:
+def fit_readings(
+    touches: PressedTouches,
+    layer: Layer,
+    board: Board,
+    *,
+    softness: float,
+    discrepancy: GPHyperparameters = DISCREPANCY,
+) -> FittedReadings:
     """Fit the reading model of a pad to its touches.
 
     Args:
@@ -252,13 +270,14 @@ def fit_readings(touches: PressedTouches, layer: Layer, board: Board, *, softnes
         layer: As `choose_layer` found it.
         board: Of the pad.
         softness: Indentation of the pad over that of the layer.
+        discrepancy: Hyperparameters of the discrepancy's covariance.
 
     Returns:
         The model, and its mixture's errors on touches left out.
     """
     maps = magnetization_maps(board, layer)
-    models, shares = _weigh_hyperparameters(_some(touches), maps)
-    system = _system(touches, maps)
+    models, shares = _weigh_hyperparameters(_some(touches), maps, discrepancy)
+    system = _system(touches, maps, discrepancy)
     groups, errors = [], []
     with ThreadPoolExecutor(usable_cores()) as pool:
         for (r, v), some in groupby(models, lambda at: (at.r, at.v)):
@@ -280,20 +299,26 @@ def fit_readings(touches: PressedTouches, layer: Layer, board: Board, *, softnes
 
 
 @_one_thread_each
-def choose_layer(pressed: Sequence[PressedTouches], layers: Sequence[Layer], board: Board) -> int:
+def choose_layer(
+    pressed: Sequence[PressedTouches],
+    layers: Sequence[Layer],
+    board: Board,
+    discrepancy: GPHyperparameters = DISCREPANCY,
+) -> int:
     """Choose the layer under which touches are most probable as predicted from all others.
 
     Args:
         pressed: The same touches, pressed on each layer.
         layers: To choose among.
         board: Of the pad.
+        discrepancy: Hyperparameters of the discrepancy's covariance.
 
     Returns:
         Its place among the layers.
     """
     middle, densities = _Hyperparameters(*MIDDLE), []
     for touches, layer in zip(pressed, layers, strict=True):
-        system = _system(_some(touches), magnetization_maps(board, layer))
+        system = _system(_some(touches), magnetization_maps(board, layer), discrepancy)
         densities += _densities(system, middle.r, middle.v, [middle.a])
     return int(np.argmax(densities))
 
@@ -344,26 +369,30 @@ def _some(touches: PressedTouches) -> PressedTouches:
     return select_rows(touches, rows)
 
 
-def _system(touches: PressedTouches, maps: Float[np.ndarray, "x c k"]) -> _System:
+def _system(
+    touches: PressedTouches, maps: Float[np.ndarray, "x c k"], discrepancy: GPHyperparameters = DISCREPANCY
+) -> _System:
     reading = np.asarray(touches.reading, np.float64)
     square = np.sum(reading**2, axis=0)
     scale = np.sqrt((square + POOLING_TOUCHES * square.mean() / len(reading)) / (len(reading) + POOLING_TOUCHES)) + 1e-6
-    covariance, unit = jax.device_get(_covariance(touches.pressure))
+    covariance, unit = jax.device_get(_covariance(discrepancy, touches.pressure))
     values, vectors = np.linalg.eigh(covariance.astype(np.float64))
     newtons = np.asarray(touches.pressure.pressure, np.float64).reshape(len(reading), -1)
     features = np.tensordot(vectors.T @ newtons, maps, 1) / scale[:, None]
-    return _System(np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, unit)
+    return _System(discrepancy, np.maximum(values, 0.0), vectors, features, vectors.T @ (reading / scale), scale, unit)
 
 
 _stiffening = jit_quickly(gp.stiffening)
 
 
 @jit_quickly
-def _covariance(pressure: ContactPressure) -> tuple[Float[Array, "n n"], Float[Array, " lengths"]]:
+def _covariance(
+    discrepancy: GPHyperparameters, pressure: ContactPressure
+) -> tuple[Float[Array, "n n"], Float[Array, " lengths"]]:
     """Covariance of the discrepancy between touches, and the mean variances it is relative to (N^2)."""
     linear = gp.inner_products(f := gp.features(pressure), f)
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
-    return gp.gram(DISCREPANCY, unit, linear, pressure.load, pressure.load), unit
+    return gp.gram(discrepancy, unit, linear, pressure.load, pressure.load), unit
 
 
 def _weigh(system: _System, r: float, v: float) -> _Weighted:
@@ -400,10 +429,10 @@ def _densities(system: _System, r: float, v: float, amplitudes: Sequence[float])
 
 
 def _weigh_hyperparameters(
-    touches: PressedTouches, maps: Float[np.ndarray, "x c k"]
+    touches: PressedTouches, maps: Float[np.ndarray, "x c k"], discrepancy: GPHyperparameters
 ) -> tuple[list[_Hyperparameters], Float[np.ndarray, " m"]]:
     """The most probable points of the grid, those of one r and v together, and their shares."""
-    system = _system(touches, maps)
+    system = _system(touches, maps, discrepancy)
     grid = [_Hyperparameters(a, r, v) for r, v, a in product(DISCREPANCIES, NOISES, AMPLITUDES)]
     with ThreadPoolExecutor(usable_cores()) as pool:
         densities = pool.map(lambda at: _densities(system, at[0], at[1], AMPLITUDES), product(DISCREPANCIES, NOISES))
@@ -423,7 +452,7 @@ def _linear_maps(
 ) -> tuple[Float[np.ndarray, "l x c"], Float[np.ndarray, "l x x"]]:
     """Mean map and variance at some loads, in units of the channels' signals."""
     channels, k = maps.shape[1:]
-    prior, cross = _cell_covariances(pressure, system.unit)
+    prior, cross = _cell_covariances(pressure, system)
     scaled = maps / system.scale[:, None]
 
     def at_load(factor: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
@@ -442,19 +471,19 @@ def _linear_maps(
         spread = np.einsum("m,mxc,mzc->xz", shares, apart, apart, optimize=True) / channels
         return middle, np.einsum("m,mxz->xz", shares, variance) + spread
 
-    factors = np.asarray(_stiffening(DISCREPANCY, jnp.float32(loads), pressure.load), np.float64)
+    factors = np.asarray(_stiffening(system.discrepancy, jnp.float32(loads), pressure.load), np.float64)
     with ThreadPoolExecutor(usable_cores()) as pool:
         means, variances = zip(*pool.map(at_load, factors), strict=True)
     return np.stack(means), np.stack(variances)
 
 
 def _cell_covariances(
-    pressure: ContactPressure, unit: Float[np.ndarray, " lengths"]
+    pressure: ContactPressure, system: _System
 ) -> tuple[Float[np.ndarray, "x x"], Float[np.ndarray, "x n"]]:
     """Covariance of the discrepancy between newtons on two cells, and between those on a cell and touches, at one
     load.
     """
-    weights = np.asarray(DISCREPANCY.weights / unit, np.float64)
+    weights = np.asarray(system.discrepancy.weights / system.unit, np.float64)
     root = gp.kernel_factor(pressure.pressure.shape[-1]).astype(np.float64)
     axis = np.einsum("lij,ljk->lik", root, root)  # the kernel along one axis, for each length scale
     newtons = np.asarray(pressure.pressure, np.float64)

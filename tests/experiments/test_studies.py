@@ -3,15 +3,18 @@
 import json
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from experiments.recognize.config import PRESETS
-from experiments.studies import mismatch, open_set, physics, report, stopping
+from experiments.studies import mismatch, open_set, physics, priors, report, stopping
 from experiments.studies.lab import StudySize
 from experiments.studies.run import STUDIES
 from experiments.studies.tables import study_table
 from i2t.intervals import Estimate
+from i2t.skin_models.pressure_gp import GPHyperparameters
+from i2t.skin_models.reading_model import LAYERS
 from tools.reproduce.recognition_tables import STUDY_TABLES, TABLES
 
 EPISODES = 50
@@ -51,11 +54,11 @@ def part(study: str) -> dict:
         return dict.fromkeys(physics.SETS, PLAN | some)
     if study == "physics":
         cases = [(name, count) for name in (physics.MATCHED, "other") for count in ("20", physics.ALL)]
-        cases.append(("other", physics.ELSEWHERE))
+        cases += [(name, physics.ELSEWHERE) for name in (physics.MATCHED, "other")]
         factors = [(f"{factor:g}", kind) for factor in physics.INFLATIONS for kind in physics.KINDS]
         factors.append(("1", physics.WITHOUT))
         some = {f"{name}; {count}; {factor}; {kind}": beliefs(10) for name, count in cases for factor, kind in factors}
-        return {"layers": np.zeros((4, 2))} | dict.fromkeys(physics.SETS, PLAN | some)
+        return {"layers": np.zeros((4, 2)), "calls": np.zeros((2, 9))} | dict.fromkeys(physics.SETS, PLAN | some)
     return PLAN | {"fused, first": beliefs(10), "fused, other": beliefs(10), "position and presence": beliefs(10)}
 
 
@@ -117,6 +120,26 @@ def test_a_physics_left_out_is_scaled_by_the_others_alone():
     }
     assert physics.leave_out([part], "left out", "20", "fused").inflation == 2.0
     assert physics.names_of([part]) == list(names)
+
+
+def fit_of(weights: list[float], bend: float) -> GPHyperparameters:
+    return GPHyperparameters(jnp.float32(weights), jnp.float32(bend), jnp.float32(1), jnp.float32(0.2))
+
+
+def test_a_prior_is_of_the_worlds_that_are_not_left_out():
+    """Layers that any of them calls for, once, and medians of which no noise is kept."""
+    calls = {
+        "first": priors.WorldCall(1, fit_of([0.2, 0.8], 0.1)),
+        "second": priors.WorldCall(1, fit_of([0.4, 0.6], 0.3)),
+        "third": priors.WorldCall(0, fit_of([0.5, 0.5], 0.2)),
+        "left out": priors.WorldCall(6, fit_of([1.0, 0.0], 0.9)),
+    }
+    prior = priors.prior_without(calls, "left out")
+    assert prior.layers == LAYERS[:2]
+    np.testing.assert_allclose(prior.discrepancy.weights, [0.4, 0.6], rtol=1e-6)
+    assert float(prior.discrepancy.bend) == pytest.approx(0.2)
+    assert float(prior.discrepancy.noise) == 0
+    assert priors.prior_from([calls["left out"]]).layers == LAYERS[6:]
 
 
 def test_episodes_of_studies_are_alike_by_pad_by_sites_and_by_object():

@@ -15,6 +15,7 @@ from skfem.helpers import ddot, div, sym_grad
 
 from i2t.skin import elasticity
 from i2t.skin.elasticity import FINE_GRID, Grid
+from i2t.skin.layered import Sheet, stack_motion
 from i2t.skin.pad import nominal_pad
 
 PAD = nominal_pad()
@@ -32,10 +33,11 @@ def cap(distance):
     return 4e4 * np.maximum(1 - (distance / RADIUS) ** 2, 0)
 
 
-def displacement(axes, load, around_axis=False):
+def displacement(axes, load, around_axis=False, stiffness=lambda z: 1.0):
     """Displacement (components, nodes of each axis, z first) at the corners, edges and middles of the elements whose
     edges are `axes` (m, x and then z from -THICKNESS to 0), under `load(places) -> components` (Pa) on the top. The end
-    walls let nothing through. `around_axis` takes x as the distance from an axis of symmetry.
+    walls let nothing through. `around_axis` takes x as the distance from an axis of symmetry; `stiffness` is the factor
+    of Young's modulus at a height.
     """
     mesh = skfem.MeshQuad.init_tensor(*axes)
     square = skfem.ElementVector(skfem.ElementQuad2())
@@ -49,7 +51,7 @@ def displacement(axes, load, around_axis=False):
     @skfem.BilinearForm
     def shearing(u, v, w):
         hoop = u[0] * v[0] / w.x[0] ** 2 if around_axis else 0.0
-        return 2 * SHEAR * (ddot(sym_grad(u), sym_grad(v)) + hoop) * measure(w)
+        return 2 * SHEAR * stiffness(w.x[1]) * (ddot(sym_grad(u), sym_grad(v)) + hoop) * measure(w)
 
     @skfem.BilinearForm
     def swelling(u, q, w):
@@ -57,7 +59,7 @@ def displacement(axes, load, around_axis=False):
 
     @skfem.BilinearForm
     def squeezing(p, q, w):
-        return p * q / LAME * measure(w)
+        return p * q / (LAME * stiffness(w.x[1])) * measure(w)
 
     @skfem.LinearForm
     def loading(v, w):
@@ -117,6 +119,29 @@ def test_a_round_press_agrees_with_finite_elements():
     for depth, expected in zip(DEPTHS, exact, strict=True):
         ours = np.asarray(inside(depth))[:, 0, 1:]  # along x from the axis
         assert np.abs(ours[[0, 2]] - expected).max() < ASKED * np.abs(exact).max()
+
+
+def test_a_round_press_of_two_layers_agrees_with_finite_elements():
+    """The surface of a soft layer on a stiff one, and the other way round, and both within."""
+    radial, deep = graded(4e-3, WIDE, 0.25e-3, 1e-3), np.linspace(-THICKNESS, 0, 33)  # stress jumps between layers
+    places = np.arange(0.125e-3, 6e-3, 0.25e-3)
+    middle = FINE_GRID.centres[40]
+    y, x = np.meshgrid(FINE_GRID.centres, FINE_GRID.centres, indexing="ij")
+    pressure = jnp.asarray(cap(np.hypot(x - middle, y - middle)), jnp.float32)
+    load = elasticity.load(PAD, pressure, None, FINE_GRID)
+    k = np.hypot(FINE_GRID.wavenumbers[:, None], FINE_GRID.wavenumbers[None, :])
+    for upper, lower in ((0.5, 2.0), (2.0, 0.5)):
+        fem = displacement(
+            (radial, deep), lambda x: (0, -cap(x[0])), around_axis=True,
+            stiffness=lambda z, a=upper, b=lower: np.where(z > -THICKNESS / 2, a, b),
+        )  # fmt: skip
+        exact = np.einsum("cij,di,rj->dcr", fem, interpolate(deep, -DEPTHS)[0], interpolate(radial, places)[0])
+        sheets = [Sheet(THICKNESS / 2, factor * YOUNG, NU) for factor in (upper, lower)]
+        waves = stack_motion(sheets, k, DEPTHS)
+        for i, expected in enumerate(exact):
+            moved = jnp.stack([waves.along[i] * load.slopes[0], waves.down[i] * load.pressure])
+            ours = np.asarray(elasticity.evaluate(moved, FINE_GRID, np.append(middle, middle + places)))[:, 0, 1:]
+            assert np.abs(ours - expected).max() < ASKED * np.abs(exact).max()
 
 
 def test_a_dragged_strip_agrees_with_finite_elements():

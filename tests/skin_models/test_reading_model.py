@@ -18,6 +18,7 @@ from i2t.skin_models.reading_model import PressedTouches
 CELLS, CHANNELS, WEIGHTS = CELL_GRID.cells, 3, 4
 AT = reading_model._Hyperparameters(a=0.7, r=0.4, v=0.2)
 LOADS = (0.5, 2.0)
+DISCREPANCY = reading_model.DISCREPANCY._replace(weights=jnp.float32([0.1, 0.3, 0.2, 0.3, 0.1]), bend=jnp.float32(0.7))
 
 
 def spots(seed: int, load: np.ndarray) -> ContactPressure:
@@ -55,7 +56,7 @@ def dense(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray, at: Cont
     f = gp.features(both)
     linear = gp.inner_products(f, f)
     unit = jnp.mean(jnp.diagonal(linear[:, :n, :n], axis1=1, axis2=2), axis=1)
-    k = np.asarray(gp.gram(reading_model.DISCREPANCY, unit, linear, both.load, both.load), np.float64)
+    k = np.asarray(gp.gram(DISCREPANCY, unit, linear, both.load, both.load), np.float64)
     phi = np.einsum("nx,xck->nck", np.asarray(both.pressure, np.float64).reshape(n + m, -1), maps) / scale[:, None]
     rows = phi.reshape(-1, maps.shape[-1])
     covariance = AT.a**2 * rows @ rows.T + AT.r * np.kron(k, np.eye(CHANNELS))
@@ -69,7 +70,7 @@ def dense(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray, at: Cont
 
 
 def test_maps_and_left_out_errors_are_those_of_the_dense_gaussian_process(touches, maps):
-    system = reading_model._system(touches, maps)
+    system = reading_model._system(touches, maps, DISCREPANCY)
     weighted = reading_model._weigh(system, AT.r, AT.v)
     posterior = reading_model._posterior(weighted, AT.a)
     models = reading_model._Models(AT.r, weighted.precision, [posterior])
@@ -97,7 +98,7 @@ def _covariance(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray) ->
     linear = gp.inner_products(f, f)
     load = touches.pressure.load
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
-    k = np.asarray(gp.gram(reading_model.DISCREPANCY, unit, linear, load, load), np.float64)
+    k = np.asarray(gp.gram(DISCREPANCY, unit, linear, load, load), np.float64)
     newtons = np.asarray(touches.pressure.pressure, np.float64).reshape(len(load), -1)
     rows = (np.einsum("nx,xck->nck", newtons, maps) / scale[:, None]).reshape(-1, maps.shape[-1])
     noise = AT.v * np.eye(len(rows))
@@ -106,7 +107,7 @@ def _covariance(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray) ->
 
 @pytest.mark.parametrize(("r", "together"), [(0.02, {AT.r: [AT.a], 0.02: [3.0]}), (AT.r, {AT.r: [AT.a, 3.0]})])
 def test_the_mixture_knows_that_its_models_disagree(touches, maps, r, together):
-    system = reading_model._system(touches, maps)
+    system = reading_model._system(touches, maps, DISCREPANCY)
 
     def parts(models: dict[float, list[float]], shares: list[float]) -> tuple[np.ndarray, np.ndarray]:
         """Of models by r: their amplitudes."""

@@ -61,9 +61,10 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
     _, _, others = cell(belief["fused"]["last_other_objects"], 2).partition(" ")
     rows = results["physics"]["tables"]["methods"]["rows"]
     means = {tuple(row[:3]): cell(row[3]["mean"], 2) for row in rows}
-    readings, taught, together = (
+    readings, readings_own, belief_none, belief_own = (
         " / ".join(means[name, evidence, touches] for name in OTHER_PHYSICS)
-        for evidence, touches in (("readings", "none"), ("readings", "200"), ("fused", "200"))
+        for evidence in ("readings", "fused")
+        for touches in ("none", "200")
     )
     matched, both = (means["bonded layer", evidence, "as many as the run"] for evidence in ("readings", "fused"))
     return [
@@ -78,8 +79,9 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "not yet",
             f"{cell(fused, 2)} on six pads; for objects like these {others}; from readings alone "
             f"{cell(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            f"skins with free sides / soft / of springs, over all touches: readings alone {readings} for "
-            f"{matched}, after 200 touches there {taught}; fused then {together} for {both}",
+            f"skins with free sides / soft / of springs, over all touches: readings alone {readings} for {matched} "
+            f"without touches of that skin, {readings_own} with 200; fused {belief_none} for {both} without, "
+            f"{belief_own} with 200",
         ],
     ]
 

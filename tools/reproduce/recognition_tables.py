@@ -104,17 +104,21 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
     return render
 
 
-def physics_by_touches(measured: Measured) -> str:
-    """One row for each physics, one column for each number of own touches: the mean over touches of readings alone,
-    with its difference to the matched physics.
+def physics_by_touches(evidence: str) -> Table:
+    """One row for each physics, one column for each number of own touches: the mean over touches from one kind of
+    evidence, with its difference to the matched physics.
     """
-    cells: dict[str, dict[str, str]] = {}
-    for physics, evidence, touches, mean, lost, *_ in measured["tables"]["methods"]["rows"]:
-        if evidence == "readings":
-            cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {cell(lost, 2, signed=True)}"
-    columns = max(cells.values(), key=len)
-    rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
-    return markdown(["own touches", *columns], rows)
+
+    def render(measured: Measured) -> str:
+        cells: dict[str, dict[str, str]] = {}
+        for physics, kind, touches, mean, lost, *_ in measured["tables"]["methods"]["rows"]:
+            if kind == evidence:
+                cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {cell(lost, 2, signed=True)}"
+        columns = max(cells.values(), key=len)
+        rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
+        return markdown([f"{evidence}, own touches", *columns], rows)
+
+    return render
 
 
 ACTIVE_TOUCHES = (1, 4, 16)  # touches of the table
@@ -172,7 +176,7 @@ STUDY_TABLES = {
 }
 OWN_TABLES: dict[str, dict[str, Table]] = {
     "mismatch": {"settings": settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "chip "))},
-    "physics": {"readings": physics_by_touches},
+    "physics": {evidence: physics_by_touches(evidence) for evidence in ("readings", "fused")},
     "stopping": {"errors": study_table("errors", hidden=("half",))},
 }
 

@@ -54,7 +54,7 @@ STEPS = (
     ),
     Step("open_set", "-m experiments.studies open_set --pads 0 1 2 --episodes 10", uses="study", minutes=30),
     Step("mismatch", "-m experiments.studies mismatch --pads 0 1 2 --episodes 10", uses="study", minutes=30),
-    Step("physics", "-m experiments.studies physics --episodes 10", uses="study", minutes=110),
+    Step("physics", "-m experiments.studies physics --episodes 10", uses="study", minutes=150),
     Step("stopping", "-m experiments.studies stopping --episodes 34", uses="study", minutes=90),
     Step("train_blocks", "-m experiments.train --dataset data/eflesh --split block --epochs 60", minutes=9),
     Step("train_time", "-m experiments.train --dataset data/eflesh --split time --epochs 60", minutes=6),

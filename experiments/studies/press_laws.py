@@ -1,0 +1,136 @@
+"""Presses of skins that move otherwise than the bonded layer of `i2t.skin.elasticity`, yet linearly.
+
+Such a skin adds its own motion to the layer's: to the sinking of the surface in the contact problem, and to the motion
+and rotation of the magnets. Metres, pascals, newtons; row i along tool y, column j along tool x.
+"""
+
+from abc import ABC, abstractmethod
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from i2t.skin.contact import CONTACT_TOLERANCE, GRID, MAX_HEIGHT_M, MAX_STEPS, MIN_STRAIN, Grid, descend
+from i2t.skin.dipoles import MICROTESLA, dipole_field, sheets, turn
+from i2t.skin.elasticity import clamped_shape, compliance, convolve, interior, load
+from i2t.skin.pad import Press
+from i2t.types import Pad
+
+
+class LinearSkin(ABC):
+    """The law of a press (`i2t.contact.press.PressLaw`) of a skin whose motion is linear in the pressure."""
+
+    @abstractmethod
+    def extra_motion(self, pad: Pad, pressure: Float[Array, "n n"], grid: Grid) -> Float[Array, "d 6 n n"]:
+        """Extra motion of the magnets over the bonded layer's.
+
+        Args:
+            pad: The skin.
+            pressure: Pa, on the cells of `grid`.
+            grid: Cells of the pad, below each of which a magnet lies.
+
+        Returns:
+            Displacement (m) and rotation (rad) at the magnets' depths.
+        """
+
+    def magnets(self, pad: Pad, grid: Grid) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
+        """Dipoles at rest, as `i2t.skin.dipoles.sheets`.
+
+        Args:
+            pad: The skin.
+            grid: Cells of the pad, below each of which a magnet lies.
+
+        Returns:
+            Depths (m) and moments (A m2).
+        """
+        return sheets(pad, grid)
+
+    def compliance(self, pad: Pad, grid: Grid) -> Float[Array, "k k"]:
+        """Sinking of the surface in each wave of a pressure, without `extra_indentation`; the bonded layer's here.
+
+        Args:
+            pad: The skin.
+            grid: Of the series.
+
+        Returns:
+            m/Pa.
+        """
+        return compliance(pad, grid)
+
+    def extra_indentation(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
+        """Extra sinking of the surface over that of `compliance`; none here.
+
+        Args:
+            force: On each cell of `grid` (N).
+            grid: Cells of the pad.
+
+        Returns:
+            Metres, times Young's modulus.
+        """
+        return jnp.zeros_like(force)
+
+    def extra_bound(self, grid: Grid) -> float:
+        """Bound on the eigenvalues of `extra_indentation`.
+
+        Args:
+            grid: Cells of the pad.
+
+        Returns:
+            1/m.
+        """
+        return 0.0
+
+    def __call__(
+        self,
+        pad: Pad,
+        height: Float[Array, "n n"],
+        indentation: Float[Array, ""] | float,
+        grid: Grid = GRID,
+        start: Float[Array, "n n"] | None = None,
+    ) -> Press:
+        """A press to an indentation, as `i2t.skin.pad.press`."""
+        pressure, converged = self._contact(pad, height, indentation, grid, start)
+        force = jnp.sum(pressure) * grid.spacing**2
+        return Press(self._reading(pad, pressure, grid), force, jnp.asarray(indentation), pressure, converged)
+
+    def _contact(
+        self, pad: Pad, height: Array, indentation: Array | float, grid: Grid, start: Array | None
+    ) -> tuple[Array, Array]:
+        """Pressure (Pa), as `i2t.skin.contact.solve` with this skin's sinking, in its units."""
+        gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
+        scale = jnp.maximum(jnp.max(-gap), MIN_STRAIN)
+        unit, area = pad.young / pad.thickness, grid.spacing**2
+        kernel, mount = self.compliance(pad, grid) * unit, pad.mount_compliance * area * unit
+        shape = clamped_shape(grid, gap.dtype)
+
+        def deflect(p: Array) -> Array:
+            sinking = convolve(kernel, p, grid) + mount * jnp.sum(shape * p) * shape
+            return sinking + self.extra_indentation(p, grid) * area / pad.thickness
+
+        largest = jnp.max(kernel) + mount * jnp.sum(shape**2) + self.extra_bound(grid) * area / pad.thickness
+        bounds = jnp.min(kernel), largest
+        start = -gap / scale / largest if start is None else start / (pad.young * scale)
+        state = descend(
+            lambda p: deflect(p[..., 0])[..., None], gap[..., None] / scale, lambda p: jnp.maximum(p, 0),
+            level=lambda p, gap: jnp.zeros_like(scale), start=start[..., None], bounds=bounds,
+            tolerance=CONTACT_TOLERANCE, max_steps=MAX_STEPS,
+        )  # fmt: skip
+        return state.point[..., 0] * scale * pad.young, state.residual.squeeze() <= CONTACT_TOLERANCE
+
+    def _reading(self, pad: Pad, pressure: Array, grid: Grid) -> Array:
+        """Reading (uT), as `i2t.skin.dipoles.response` with this skin's motion."""
+        loaded = load(pad, pressure, None, grid)
+        y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
+
+        def field(position: Array, moments: Array) -> Array:
+            return dipole_field(jnp.asarray(pad.board.chips), position.reshape(3, -1).T, moments.reshape(3, -1).T)
+
+        def change(magnets: tuple[Array, Array, Array]) -> Array:
+            depth, moments, more = magnets
+            displacement, rotation = interior(pad, loaded, depth, grid)
+            rest = jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.broadcast_to(-depth, x.shape)])
+            return field(rest + displacement + more[:3], turn(rotation + more[3:], moments)) - field(rest, moments)
+
+        magnets = (*self.magnets(pad, grid), self.extra_motion(pad, pressure, grid))
+        return pad.gains * pad.board.to_board(MICROTESLA * jnp.sum(jax.lax.map(change, magnets), axis=0))
