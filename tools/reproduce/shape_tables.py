@@ -10,6 +10,7 @@ PATCH_SCORES = (
 )  # fmt: skip
 CRPS_GOALS = ("", "0.65", "0.52")  # of the prior, one stop and the press curve
 STOPS = ("prior", "one stop", "press curve")
+BETTER_BY = "time-warped strokes better by"  # a score of every other method on the same strokes
 
 
 def local_shapes(measured: Measured) -> str:
@@ -75,12 +76,15 @@ def strokes(measured: Measured) -> str:
             cell(found["accuracy"], 2),
             cell(found["log_loss"][0], 2),
             f"{cell(found['calibration']['error'])} ({cell(found['calibration']['chance'])})",
+            cell(found[BETTER_BY], 2, signed=True) if BETTER_BY in found else "",
             cell(drawn[name]["accuracy"], 2),
         ]
         for name, found in order.items()
     ]
-    goal = ["goal", "0.95", "", "0.030", ""]
-    head = ["method", "later strokes [95 %]", "log loss", "calibration error (by chance)", "at random [95 %]"]
+    goal = ["goal", "0.95", "", "0.030", "", ""]
+    head = [
+        "method", "later strokes [95 %]", "log loss", "calibration error (by chance)", BETTER_BY, "at random [95 %]",
+    ]  # fmt: skip
     return markdown(head, [*rows, goal])
 
 
