@@ -6,10 +6,11 @@ from experiments.reconstruct.tables import hidden, policies, reconstructions_and
 
 PATCH_SCORES = (
     ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
-    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
+    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_mm", "CRPS, mm"),
+    ("crps_ratio", "CRPS / prior's"),
 )  # fmt: skip
-CRPS_GOALS = ("", "0.65", "0.52")  # of the prior, one stop and the press curve
-STOPS = ("prior", "one stop", "press curve")
+CRPS_GOALS = ("", "0.65", "0.52", "")  # of CRPS / prior's
+STOPS = ("prior", "one stop", "press curve", "press curve, pad fitted to 300 presses")
 BETTER_BY = "time-warped strokes better by"  # a score of every other method on the same strokes
 
 
@@ -22,7 +23,7 @@ def local_shapes(measured: Measured) -> str:
             goal,
             f"{cell(found['edge_degrees_median'][0], 0)}, {cell(found['edge_mm_median'][0], 1)}",
         ]
-        for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=True)
+        for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=False)
     ]
     edges = f"edge, degrees and mm ({measured['edges']} presses)"
     return markdown(["method", *(title for _, title in PATCH_SCORES), "its goal", edges], rows)
@@ -31,7 +32,8 @@ def local_shapes(measured: Measured) -> str:
 def local_shapes_by_source(measured: Measured) -> str:
     """Masks on objects of the catalogue, and on those drawn at random: a row for each source."""
     shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # and the first method
-    head = [f"{title}, {stop}" for _, title, first in shown for stop in STOPS[first:]]
+    stops = STOPS[: len(measured["methods"])]
+    head = [f"{title}, {stop}" for _, title, first in shown for stop in stops[first:]]
     rows = [
         [
             f"{source} ({found['objects']})",
@@ -93,6 +95,8 @@ TABLES: dict[str, dict[str, Table]] = {
     "shapes": {"stamps": stamps},
     "reconstruct": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
     "reconstruct_objects": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
+    "reconstruct_baselines": {"conditions": reconstructions_and_goals, "savings": savings},
+    "reconstruct_fitted": {"conditions": reconstructions_and_goals, "savings": savings},
     "reconstruct_policies": {"policies": policies},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
     "reconstruct_patch_exact": {"methods": local_shapes},
