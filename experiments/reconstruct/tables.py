@@ -15,11 +15,19 @@ def reconstructions(measured: Measured) -> str:
     return "\n\n".join(tables)
 
 
-def reconstructions_and_goals(measured: Measured) -> str:
+def conditions(measured: Measured) -> str:
+    """The main columns of the same."""
+    return _main_columns(*_surfaces(measured))
+
+
+def conditions_and_goals(measured: Measured) -> str:
     """The main columns of the same, with a last row of what was wanted."""
     head, rows = _surfaces(measured)
+    return _main_columns(head, [*rows, ["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]])
+
+
+def _main_columns(head: list[str], rows: list[list[str]]) -> str:
     kept = [place for place, column in enumerate(head) if column not in NOT_ON_THE_PAGE]
-    rows += [["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]]
     return markdown([head[place] for place in kept], [[row[place] for place in kept] for row in rows])
 
 

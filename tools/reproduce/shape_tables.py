@@ -2,7 +2,7 @@
 
 from experiments.common.cells import Measured, Table, span
 from experiments.common.tables import cell, markdown
-from experiments.reconstruct.tables import hidden, policies, reconstructions_and_goals, savings
+from experiments.reconstruct.tables import conditions, conditions_and_goals, hidden, policies, savings
 
 PATCH_SCORES = (
     ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
@@ -16,17 +16,19 @@ BETTER_BY = "time-warped strokes better by"  # a score of every other method on 
 
 def local_shapes(measured: Measured) -> str:
     """Scores of every method over all test objects, what was wanted of CRPS, and medians of edges, which are few."""
+    methods = measured["methods"].values()
+    shown = [(score, title) for score, title in PATCH_SCORES if all(score in found for found in methods)]
     rows = [
         [
             name,
-            *(span(score, 2, found) for score, _ in PATCH_SCORES),
+            *(span(score, 2, found) for score, _ in shown),
             goal,
             f"{cell(found['edge_degrees_median'][0], 0)}, {cell(found['edge_mm_median'][0], 1)}",
         ]
-        for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=False)
+        for name, found, goal in zip(STOPS, methods, CRPS_GOALS, strict=False)
     ]
     edges = f"edge, degrees and mm ({measured['edges']} presses)"
-    return markdown(["method", *(title for _, title in PATCH_SCORES), "its goal", edges], rows)
+    return markdown(["method", *(title for _, title in shown), "its goal", edges], rows)
 
 
 def local_shapes_by_source(measured: Measured) -> str:
@@ -93,10 +95,10 @@ def strokes(measured: Measured) -> str:
 TABLES: dict[str, dict[str, Table]] = {
     "strokes": {"methods": strokes},
     "shapes": {"stamps": stamps},
-    "reconstruct": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
-    "reconstruct_objects": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
-    "reconstruct_baselines": {"conditions": reconstructions_and_goals, "savings": savings},
-    "reconstruct_fitted": {"conditions": reconstructions_and_goals, "savings": savings},
+    "reconstruct": {"conditions": conditions_and_goals, "savings": savings, "hidden": hidden},
+    "reconstruct_objects": {"conditions": conditions_and_goals, "savings": savings, "hidden": hidden},
+    "reconstruct_baselines": {"conditions": conditions, "savings": savings},
+    "reconstruct_fitted": {"conditions": conditions, "savings": savings},
     "reconstruct_policies": {"policies": policies},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
     "reconstruct_patch_exact": {"methods": local_shapes},
