@@ -24,13 +24,16 @@ class ReconstructSizes:
     pads: int = 10  # simulated skins, in turn
     patches: int = 2400  # of the library of local surfaces
     samples: int = 60_000  # points of a surface, by which distances between surfaces are measured
+    fit_presses: int = 300  # of a ball, to which a pad is fitted where its physics is not known
 
 
 MIN_ACROSS_MM, MAX_ACROSS_MM = 10.0, 300.0
 MAX_NAME = 100
 SURFACE_PRESETS = {
     "paper": ReconstructSizes(),
-    "debug": ReconstructSizes(train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=16_000),
+    "debug": ReconstructSizes(
+        train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=16_000, fit_presses=12
+    ),
 }
 
 

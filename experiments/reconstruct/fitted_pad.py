@@ -8,16 +8,15 @@ from i2t.simulation.press_curves import PressCurve, simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.magnetic_layer import RoundTip
-from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
+from i2t.skin_models.magnetization import MAX_LAYER_PRESSES, MagnetizationModel, TipReadings
 from i2t.types import Array, Pad
 
 TIP = RoundTip("sphere", 4e-3)
-FIT_PRESSES = 300
 HALF_EDGE_M = 8e-3  # of the square of the skin that is pressed
 PRESSES_AT_ONCE = 16
 
 
-def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int = FIT_PRESSES) -> Pad:
+def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int) -> Pad:
     """Fit a pad to presses of a ball at random places of the true one.
 
     The presses are simulated by the full physics and end at 100 uT or 8 N. The fit is given their believed positions,
@@ -27,7 +26,7 @@ def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int = FIT_P
         key: Random key of the presses.
         pad: The true pad.
         errors: Of the arm's position, the slant, the force and the sensor.
-        presses: Number of presses.
+        presses: Number of presses; of fewer than `MAX_LAYER_PRESSES` the layer stays at the median of its prior.
 
     Returns:
         The fitted pad.
@@ -37,7 +36,9 @@ def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int = FIT_P
     missed = errors.repeatability * jax.random.normal(key_missed, position.shape)
     curves = press_all(jax.random.split(key_press, presses), pad, jax.vmap(TIP.height)(position + missed), errors)
     ends = TipReadings(position, curves.force[:, -1], curves.reading[:, -1], pad.board)
-    return MagnetizationModel(TIP, by_force=True, grid=CELL_GRID).fit(None, ends).pad
+    layer_presses = MAX_LAYER_PRESSES if presses >= MAX_LAYER_PRESSES else 0
+    model = MagnetizationModel(TIP, by_force=True, grid=CELL_GRID, max_layer_presses=layer_presses)
+    return model.fit(None, ends).pad
 
 
 @jax.jit

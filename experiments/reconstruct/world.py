@@ -143,8 +143,10 @@ def make_reality(seed: int, split: ObjectSplit, sizes: ReconstructSizes) -> Real
 
     def skin(number: int, fitted: bool) -> Skin:
         pad = numbered_pad(number)
-        known = fit_pad(jax.random.fold_in(_key(seed, FIT_KEY), number), pad, ERRORS) if fitted else pad
-        return Skin(pad, imagine_presses(known, library))
+        if not fitted:
+            return Skin(pad, imagine_presses(pad, library))
+        key_fit = jax.random.fold_in(_key(seed, FIT_KEY), number)
+        return Skin(pad, imagine_presses(fit_pad(key_fit, pad, ERRORS, sizes.fit_presses), library))
 
     meshes = [*split.validation.values(), *split.test.values()]
     surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
