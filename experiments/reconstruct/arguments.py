@@ -24,13 +24,16 @@ class ReconstructSizes:
     pads: int = 10  # simulated skins, in turn
     patches: int = 2400  # of the library of local surfaces
     samples: int = 60_000  # points of a surface, by which distances between surfaces are measured
+    fit_presses: int = 300  # of a ball, to which a pad is fitted where its physics is not known
 
 
 MIN_ACROSS_MM, MAX_ACROSS_MM = 10.0, 300.0
 MAX_NAME = 100
 SURFACE_PRESETS = {
     "paper": ReconstructSizes(),
-    "debug": ReconstructSizes(train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=16_000),
+    "debug": ReconstructSizes(
+        train=4, validation=1, test=2, touches=2, pads=1, patches=48, samples=16_000, fit_presses=12
+    ),
 }
 
 
@@ -41,20 +44,32 @@ class ExplorationCondition:
     policy: Literal["random", "uncertainty", "reduction", "oracle"] = "reduction"  # the last knows the true object
     felt: Felt = "reading"
     view: bool = False  # whether a depth camera saw the object from one side before the first touch
+    likeliest: bool = False  # whether the likeliest shapes alone stand for the library
+    fitted: bool = False  # whether the pad is known from presses of a ball only
+    loose: bool = False  # whether the object's middle is known to 3 mm and 5 degrees only
 
 
 READING, POSE, PATCH = "reading", "contact pose only", "perfect patch"
+POSE_LIKELIEST = f"{POSE}, likeliest shapes"
+LOOSE, LOOSE_POSE, LOOSE_LIKELIEST = (
+    f"{name}, 3 mm and 5 degrees" for name in ("reading, fitted pad", POSE, POSE_LIKELIEST)
+)
 RANDOM, ORACLE, VIEW = "random sites", "oracle", "after a view"
 CONDITIONS = {
     READING: ExplorationCondition(),
     POSE: ExplorationCondition(felt="pose"),
+    POSE_LIKELIEST: ExplorationCondition(felt="pose", likeliest=True),
     PATCH: ExplorationCondition(felt="patch"),
+    LOOSE: ExplorationCondition(fitted=True, loose=True),
+    LOOSE_POSE: ExplorationCondition(felt="pose", loose=True),
+    LOOSE_LIKELIEST: ExplorationCondition(felt="pose", likeliest=True, loose=True),
     RANDOM: ExplorationCondition("random"),
     "uncertainty": ExplorationCondition("uncertainty"),
     ORACLE: ExplorationCondition("oracle"),
     VIEW: ExplorationCondition(view=True),
 }
-USUAL = (READING, POSE, PATCH, VIEW)  # the rest compares policies
+USUAL = (READING, POSE, PATCH, VIEW)  # the rest compares baselines, what is known beforehand, and policies
+POSES_BESIDE = {READING: (POSE, POSE_LIKELIEST), PATCH: (POSE, POSE_LIKELIEST), LOOSE: (LOOSE_POSE, LOOSE_LIKELIEST)}
 
 
 @dataclass(frozen=True)
@@ -117,12 +132,13 @@ class PatchSizes:
     test: int = 160  # contacts with test objects, pressed with every pad
     validation: int = 64  # contacts with validation objects, likewise
     pads: int = 3
+    fit_presses: int = 300  # of a ball, to which each pad is fitted
 
 
 PATCH_PRESETS = {
     "paper": PatchSizes(),
     "short": PatchSizes(patches=4000, shapes=150, test=100, validation=40),
-    "debug": PatchSizes(patches=120, shapes=6, test=8, validation=4, pads=1),
+    "debug": PatchSizes(patches=120, shapes=6, test=8, validation=4, pads=1, fit_presses=12),
 }
 
 

@@ -150,6 +150,7 @@ def report_of(
         "centre_mm_90": quantile(scores["centre_mm"], 0.9),
         "edge_degrees_median": quantile(scores["edge"][:, 0]),
         "edge_mm_median": quantile(scores["edge"][:, 1]),
+        "crps_mm": mean(scores["crps_mm"]),
         "crps_ratio": numbers(bootstrap_clusters(ratio, clusters, len(scores["crps_mm"]))),
         **{f"coverage_{100 * level:.0f}": mean(scores["covered"][:, i]) for i, level in enumerate(LEVELS)},
     }

@@ -7,24 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.reconstruct.arguments import PatchSizes
-from i2t.contact.press import PressLimits
+from experiments.reconstruct.fitted_pad import fit_pad, press_all
 from i2t.objects import Mesh, catalogue, primitives
 from i2t.objects.drawing import disk, outline, rectangle
 from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.reconstruction.press_models import imagine_presses
 from i2t.rendering.render import prepare_surface
-from i2t.runtime.batching import map_batches
 from i2t.runtime.progress import progress
-from i2t.simulation.press_curves import PressCurve, simulate_press_curve
+from i2t.simulation.press_curves import PressCurve
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import numbered_pad
-from i2t.types import Array, Pad
+from i2t.types import Array
 
 SMALLEST_SCALE = 0.25  # of the size of a drawn object: from a stamp's to a hand's
 FIRST_SEED = {"train": 0, "validation": 1_000_000, "test": 2_000_000}  # of drawn shapes
+FIT_KEY = 1_000_000  # what the presses' key is folded with, beyond those of parts
 HELD_OUT_PART = 5  # as many drawn shapes to train on as there are to test, and to validate
-PRESSES_AT_ONCE = 16
 
 
 class Part(NamedTuple):
@@ -46,12 +45,18 @@ class Trial(NamedTuple):
     """Presses of one part with one pad, and what that pad reads at the library."""
 
     model: PressModel
+    fitted: PressModel  # of the pad as far as it is known from presses of a ball
     presses: PressCurve
     truth: MetSurface
 
     def with_likelihood(self, likelihood: PatchLikelihood) -> "Trial":
-        """The same with other constants of the pad's model."""
-        return self._replace(model=self.model._replace(likelihood=likelihood))
+        """The same with other constants of the pad's models."""
+        model, fitted = (each._replace(likelihood=likelihood) for each in (self.model, self.fitted))
+        return self._replace(model=model, fitted=fitted)
+
+    def with_fitted_pad(self) -> "Trial":
+        """The same for who knows the fitted pad in place of the true one."""
+        return self._replace(model=self.fitted)
 
 
 def make_parts(key: Array, sizes: PatchSizes) -> dict[str, Part]:
@@ -105,27 +110,21 @@ def draw_shape(seed: int) -> Mesh:
 
 
 def press_parts(
-    key: Array, parts: dict[str, Part], library: PatchLibrary, pads: int, errors: SimulationErrors
+    key: Array, parts: dict[str, Part], library: PatchLibrary, sizes: PatchSizes, errors: SimulationErrors
 ) -> dict[str, list[Trial]]:
-    """Every contact of validation and test, pressed with every pad; and every pad imagined at the library."""
+    """Every contact of validation and test, pressed with every pad; and every pad, true and fitted, imagined at the
+    library.
+    """
     trials: dict[str, list[Trial]] = {"validation": [], "test": []}
-    for number in progress(range(pads), desc="pads"):
+    for number in progress(range(sizes.pads), desc="pads"):
         pad = numbered_pad(number)
-        model = imagine_presses(pad, library)
+        key_fit = jax.random.fold_in(jax.random.fold_in(key, FIT_KEY), number)
+        fitted_pad = fit_pad(key_fit, pad, errors, sizes.fit_presses)
+        model, fitted = (imagine_presses(known, library) for known in (pad, fitted_pad))
         for which, (name, some) in enumerate(trials.items()):
             heights, patch = jnp.asarray(parts[name].heights), np.asarray(parts[name].library.patch, np.float32)
             keys = jax.random.split(jax.random.fold_in(key, 2 * number + which), len(heights))
             presses = jax.device_get(press_all(keys, pad, heights, errors))
             truth = MetSurface(patch, np.asarray(presses.contact[:, -1]), np.asarray(presses.centre[:, -1]))
-            some.append(Trial(model, presses, truth))
+            some.append(Trial(model, fitted, presses, truth))
     return trials
-
-
-@jax.jit
-def press_all(keys: Array, pad: Pad, heights: Array, errors: SimulationErrors) -> PressCurve:
-    """Press a pad onto every surface, with two stops."""
-
-    def one(each: tuple[Array, Array]) -> PressCurve:
-        return simulate_press_curve(each[0], pad, each[1], errors=errors, limits=PressLimits())
-
-    return map_batches(one, (keys, heights), batch_size=PRESSES_AT_ONCE)

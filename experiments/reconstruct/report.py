@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.reconstruct.arguments import CONDITIONS, ORACLE, PATCH, POSE, RANDOM, READING
+from experiments.reconstruct.arguments import CONDITIONS, ORACLE, POSES_BESIDE, RANDOM, READING
 from experiments.reconstruct.episodes import SCORES, START, Episode
 from i2t import viz
 from i2t.intervals import Estimate, bootstrap_clusters, mean_interval
@@ -31,9 +31,9 @@ def summarize(episodes: Episodes, pads: int) -> dict[str, Any]:
         "pads": pads,
         "conditions": {name: _condition(found, pads) for name, found in episodes.items()},
         "less_than_pose": {
-            name: _compared(lambda own, pose, _: 1 - own / pose, (courses[name], courses[POSE], courses[POSE]), pads)
+            name: _compared(lambda own, *poses: 1 - own / min(poses), (courses[name], *poses), pads)
             for name in courses
-            if POSE in courses and name in (READING, PATCH)
+            if (poses := [courses[beside] for beside in POSES_BESIDE.get(name, ()) if beside in courses])
         },
         "share_of_oracles_gap": {
             name: _compared(
@@ -57,9 +57,9 @@ def _course(found: dict[int, Episode]) -> dict[int, dict[int, float]]:
 
 
 def _compared(
-    statistic: Callable[[Array, Array, Array], Array], courses: Sequence[dict[int, dict[int, float]]], pads: int
+    statistic: Callable[..., Array], courses: Sequence[dict[int, dict[int, float]]], pads: int
 ) -> dict[str, list[float]]:
-    """A statistic of the mean distances of three conditions on the same objects, after each number of touches."""
+    """A statistic of the mean distances of some conditions on the same objects, after each number of touches."""
     compared = {}
     for count in sorted(count for count in set.intersection(*map(set, courses)) if count > 0):
         numbers = np.array(sorted(set.intersection(*(set(course[count]) for course in courses))))

@@ -11,8 +11,10 @@ skin: the object is displaced by 1 mm and 1 degree per axis, the arm repeats to 
 readings are noisy; each press stops twice, at 25 and at 100 uT. An object is judged where it was. Before the first
 touch the estimate is the mean of a library of other objects (`i2t.reconstruction.surface`). Compared are touches by
 what they tell: what their reading says, their pose alone, or all of the patch before the pad; touches after one view of
-a depth camera; and policies of where to touch next, with one that knows the true object (`--conditions`). The width of
-the bands is chosen on validation objects, whose touches are read. Everything is simulated.
+a depth camera; and, by `--conditions`, poses with another choice of shapes that stand for the library, a pad that is
+fitted to presses where an object's middle is known to 3 mm and 5 degrees only, and policies of where to touch next,
+with one that knows the true object. The width of the bands is chosen on validation objects, whose touches are read.
+Everything is simulated.
 
 The first object is drawn after less than a minute on two cores, all of them after ten minutes. Expect a third of the
 start's distance to the true surface after 5 touches.
@@ -85,7 +87,7 @@ class Explorer:
     """What all episodes of a run share."""
 
     model: SurfaceModel
-    truth: Callable[[int], TrueShape]  # of the reality's objects, each made when it is first asked for
+    truth: Callable[..., TrueShape]  # of an object by its number, and whether it is placed loosely
     names: list[str]  # of the same objects
     reality: Reality
     sizes: ReconstructSizes
@@ -107,11 +109,14 @@ class Explorer:
         return False
 
     def explore(self, number: int, condition: ExplorationCondition) -> Episode:
-        """Touch one object, whose errors of the lab depend on object and seed only: conditions share them."""
-        model, truth, touches = self.model, self.truth(number), self.sizes.touches
-        session = Session(self.reality, number, self.seed)
+        """Touch one object, whose errors of the lab depend on object and seed only: conditions share them, but for
+        their size.
+        """
+        model, touches = self.model_of(condition), self.sizes.touches
+        truth = self.truth(number, condition.loose)
+        session = Session(self.reality, number, self.seed, condition.loose, condition.fitted)
         episode = Episode(init(model)[0])
-        episode.judge(START, self.estimate(episode), truth)
+        episode.judge(START, self.estimate(model, episode), truth)
         if condition.view:
             episode.state, _ = update(model, episode.state, session.view())
         for done in range(touches + 1):
@@ -120,16 +125,20 @@ class Explorer:
             # Of one that stopped, what is known then counts for all touches to come.
             for count in {each for each in REPORTED if each < touches} | {touches}:
                 if count == done or (episode.stopped and count > done):
-                    episode.judge(count, self.estimate(episode), truth)
+                    episode.judge(count, self.estimate(model, episode), truth)
             if site is None:
                 break
             episode.state, _ = update(model, episode.state, session.touch(site, condition.felt))
         return episode
 
-    def estimate(self, episode: Episode) -> SurfaceEstimate:
+    def model_of(self, condition: ExplorationCondition) -> SurfaceModel:
+        """The model with the shapes that stand for the library in a condition."""
+        return self.model._replace(config=replace(self.model.config, likeliest=condition.likeliest))
+
+    def estimate(self, model: SurfaceModel, episode: Episode) -> SurfaceEstimate:
         """What is known, with the chosen bands; where to touch is chosen without them."""
-        config = replace(self.model.config, band_scale=self.band.scale, band_floor=self.band.floor)
-        return estimate_surface(self.model._replace(config=config), episode.state)
+        config = replace(model.config, band_scale=self.band.scale, band_floor=self.band.floor)
+        return estimate_surface(model._replace(config=config), episode.state)
 
     def choose(
         self, number: int, done: int, condition: ExplorationCondition, session: Session, episode: Episode
@@ -162,8 +171,8 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     reality = make_reality(args.seed, split, sizes)
 
     @cache
-    def truth(number: int) -> TrueShape:
-        return true_shape(Session(reality, number, args.seed), known.grid, sizes.samples)
+    def truth(number: int, loose: bool = False) -> TrueShape:
+        return true_shape(Session(reality, number, args.seed, loose), known.grid, sizes.samples)
 
     names, seen = [*split.validation, *split.test], len(split.validation)
     explorer = Explorer(known, truth, names, reality, sizes, args.seed)

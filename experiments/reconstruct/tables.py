@@ -15,17 +15,27 @@ def reconstructions(measured: Measured) -> str:
     return "\n\n".join(tables)
 
 
-def reconstructions_and_goals(measured: Measured) -> str:
+def conditions(measured: Measured) -> str:
+    """The main columns of the same."""
+    return _main_columns(*_surfaces(measured))
+
+
+def conditions_and_goals(measured: Measured) -> str:
     """The main columns of the same, with a last row of what was wanted."""
     head, rows = _surfaces(measured)
+    return _main_columns(head, [*rows, ["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]])
+
+
+def _main_columns(head: list[str], rows: list[list[str]]) -> str:
     kept = [place for place, column in enumerate(head) if column not in NOT_ON_THE_PAGE]
-    rows += [["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]]
     return markdown([head[place] for place in kept], [[row[place] for place in kept] for row in rows])
 
 
 def savings(measured: Measured) -> str:
-    """By how much touches that tell more are nearer to the surface than those of the same objects by pose alone."""
-    return _by_touches("nearer than by pose alone, by", measured["less_than_pose"])
+    """By how much touches that tell more are nearer to the surface than those of the same objects by pose alone, by
+    the better of the two choices of shapes.
+    """
+    return _by_touches("nearer than by the better poses alone, by", measured["less_than_pose"])
 
 
 def policies(measured: Measured) -> str:
@@ -43,6 +53,11 @@ def hidden(measured: Measured) -> str:
             for name, found in viewed.items()
         },
     )
+
+
+def _left(scores: Measured) -> str:
+    """Share of the start's distance that is left, and that distance."""
+    return f"{cell(scores['ratio'], 2)}, {cell(scores['chamfer_mm'][0], 2)} mm"
 
 
 def _by_touches(title: str, found: Measured) -> str:
@@ -67,7 +82,7 @@ def _surfaces(measured: Measured) -> tuple[list[str], list[list[str]]]:
     for name, found in conditions.items():
         after = found["after"]
         begun = cell(after["0"]["chamfer_mm"][0] / after["0"]["ratio"][0], 2)
-        course = [cell(after[str(count)]["ratio"], 2) if str(count) in after else "" for count in counts]
+        course = [_left(after[str(count)]) if str(count) in after else "" for count in counts]
         last = after[max(after, key=int)]
         rows.append([name, begun, *course, *(cell(last[score][0], decimals) for score, decimals in _ENDS)])
     return ["condition", "start, mm", *map(_touches, counts), "IoU", "F-score", "in the 90 % band", "band, mm"], rows

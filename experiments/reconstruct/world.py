@@ -1,7 +1,8 @@
 """Objects that are touched, and the simulated arm, skin and camera that meet them."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import islice
 from typing import NamedTuple
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.reconstruct.arguments import Felt, ReconstructArgs, ReconstructSizes
+from experiments.reconstruct.fitted_pad import fit_pad
 from i2t.contact.approach import first_contact
 from i2t.contact.press import PressLimits
 from i2t.depth.camera import Camera
@@ -48,13 +50,14 @@ PATCHES_OF_A_SHAPE = 30  # of the library of local surfaces
 LATTICE = 8  # heights of a perfect patch along each edge
 PERFECT_STD_M = 0.3e-3
 ERRORS = SimulationErrors()
+LOOSE_ERRORS = replace(ERRORS, placement=3e-3, placement_angle=math.radians(5.0))
 CAMERA = Camera(160, 120, 200.0, 200.0, 79.5, 59.5)
 CAMERA_M, CAMERA_DIRECTION = 0.22, np.array([0.7, 0.0, 0.7])  # where it is, seen from the object
 T_W_CAMERA = contact_frame(CAMERA_M * CAMERA_DIRECTION, CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION), 0.0)
 WALL_M = 1.0  # from the camera, behind the object
 VISIBLE_M = 2e-3  # behind what was seen there, a point is hidden
 MM_PER_M = 1e3
-LIBRARY_KEY, SESSIONS_KEY = range(2)  # what the seed is folded with
+LIBRARY_KEY, SESSIONS_KEY, FIT_KEY = range(3)  # what the seed is folded with
 
 
 class ObjectSplit(NamedTuple):
@@ -79,6 +82,7 @@ class Reality(NamedTuple):
     surfaces: Surface  # stacked
     library: PatchLibrary
     skins: list[Callable[[], Skin]]  # each made when it is first asked for
+    fitted_skins: list[Callable[[], Skin]]  # the same, as far as they are known from presses of a ball
 
 
 class Met(NamedTuple):
@@ -137,13 +141,20 @@ def make_reality(seed: int, split: ObjectSplit, sizes: ReconstructSizes) -> Real
     key = _key(seed, LIBRARY_KEY)
     library = jax.device_put(build_library(key, shapes, sizes.patches, tilt=PATCH_TILT_RAD, limits=None))
 
-    def skin(number: int) -> Skin:
+    def skin(number: int, fitted: bool) -> Skin:
         pad = numbered_pad(number)
-        return Skin(pad, imagine_presses(pad, library))
+        if not fitted:
+            return Skin(pad, imagine_presses(pad, library))
+        key_fit = jax.random.fold_in(_key(seed, FIT_KEY), number)
+        return Skin(pad, imagine_presses(fit_pad(key_fit, pad, ERRORS, sizes.fit_presses), library))
 
     meshes = [*split.validation.values(), *split.test.values()]
     surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
-    return Reality(meshes, surfaces, library, [cache(partial(skin, number)) for number in range(sizes.pads)])
+
+    def skins(fitted: bool) -> list[Callable[[], Skin]]:
+        return [cache(partial(skin, number, fitted)) for number in range(sizes.pads)]
+
+    return Reality(meshes, surfaces, library, skins(fitted=False), skins(fitted=True))
 
 
 @jax.jit
@@ -172,6 +183,8 @@ class Session:
     reality: Reality
     number: int  # of the object
     seed: int
+    loose: bool = False  # whether it is placed with larger errors
+    fitted: bool = False  # whether the pad is known from presses of a ball only
     touches: int = 0  # so far
 
     def __post_init__(self) -> None:
@@ -179,7 +192,8 @@ class Session:
             jax.random.fold_in(_key(self.seed, SESSIONS_KEY), self.number), 3
         )
         self.surface = element(self.reality.surfaces, self.number)
-        self.T_w_o, self.camera_error = sample_session_errors(key_session, ERRORS)  # believed at the world's origin
+        errors = LOOSE_ERRORS if self.loose else ERRORS
+        self.T_w_o, self.camera_error = sample_session_errors(key_session, errors)  # believed at the world's origin
         self.view_seed = int(jax.random.bits(key_view))
 
     @cached_property
@@ -198,7 +212,8 @@ class Session:
             return contact_evidence(T_w_t, hit=bool(met.hit), swept=APPROACH_M)
         if felt == "patch":
             return perfect_evidence(T_w_t, met)
-        skin = self.reality.skins[(self.number + self.seed) % len(self.reality.skins)]()
+        skins = self.reality.fitted_skins if self.fitted else self.reality.skins
+        skin = skins[(self.number + self.seed) % len(skins)]()
         press = _press(key_press, skin.pad, met.heights)
         found = _infer(press.reading, press.force, press.travel, model=skin.model, library=self.reality.library)
         return reading_evidence(T_w_t, jax.device_get(found), swept=APPROACH_M)

@@ -1,10 +1,11 @@
 """The compared classifiers of stamps, and the splits by which presses are held out.
 
   paper's classifier             15 readings into 500, 10 and 5 units (`i2t.paper.classifier`)
+  classifier with pose           the same kind of network, also given position, rotation and force, of tuned size
   imagined touch                 which stamp, pressed where the arm says with the force it measured, would have read so
                                  on the skin fitted to the presses at hand (`experiments.shapes.pad`)?
 
-The first answers from readings alone, the second from what each hypothesis would feel like. Minibatches are drawn with
+The first answers from readings alone, the others know as much of the press as each other. Minibatches are drawn with
 replacement, so that trainings on different numbers of presses share one compiled program.
 """
 
@@ -34,8 +35,8 @@ from i2t.paper.classifier import Classifier, Layers
 from i2t.skin.elasticity import GRID, Grid
 from i2t.types import Board, ReturnCode
 
-PAPER, IMAGINED = "paper's classifier", "imagined touch"
-METHODS = (PAPER, IMAGINED)
+PAPER, POSED, IMAGINED = "paper's classifier", "classifier with pose", "imagined touch"
+METHODS = (PAPER, POSED, IMAGINED)
 CAPACITY_ROWS = 2048  # of a training set; capacities are multiples of it
 SPLITS = ("random", "location", "depth", "angle")
 FOLDS = 5
@@ -47,8 +48,14 @@ class Methods:
     """Sizes of the methods."""
 
     paper: Classifier = field(default_factory=Classifier)
+    # Chosen among eight sizes, lengths and decays on random fifths, squares and 20 presses of pad 3, which is no test.
+    posed: Classifier = field(default_factory=lambda: Classifier((256, 256, 256), decay=3.0))
     layers: int = len(LAYERS)  # how many of `LAYERS` a skin may have
     grid: Grid = GRID  # of the fitted skin
+
+    def network(self, method: str) -> Classifier:
+        """The network of a classifier."""
+        return self.paper if method == PAPER else self.posed
 
 
 class StampPresses(NamedTuple):
@@ -72,6 +79,15 @@ class StampPresses(NamedTuple):
     def located(self) -> bool:
         """Tell whether the arm knew all that a press is imagined from."""
         return all(bool(np.isfinite(leaf).all()) for leaf in self.poses)
+
+    def inputs(self, method: str) -> Float[np.ndarray, "n d"]:
+        """Inputs of a classifier: readings (uT), and for `POSED` also position (m), the rotation's cosine and sine, and
+        force (N).
+        """
+        if method == PAPER:
+            return self.reading
+        turn = np.stack([np.cos(self.rotation), np.sin(self.rotation)], -1)
+        return np.concatenate([self.reading, self.position, turn, self.force[:, None]], -1)
 
 
 def presses_on(dataset: Dataset, pad: int) -> StampPresses:
@@ -161,15 +177,15 @@ class StampClassificationBenchmark:
 
     def methods(self) -> tuple[str, ...]:
         """Names of the methods that these presses allow."""
-        return METHODS if self.features else (PAPER,)
+        networks = (PAPER, POSED) if self.presses.located else (PAPER,)
+        return METHODS if self.features else networks
 
     def log_probability(self, method: str, train: np.ndarray, test: np.ndarray, seed: int) -> np.ndarray:
         """Log probability (up to a constant) of each shape at the presses `test`, from those of `train`."""
         p, classes = self.presses, len(self.names)
-        if method == PAPER:
-            return classify(
-                self.cfg.paper, p.reading[train], p.shape[train], p.reading[test], classes=classes, seed=seed
-            )
+        if method in (PAPER, POSED):
+            x = p.inputs(method)
+            return classify(self.cfg.network(method), x[train], p.shape[train], x[test], classes=classes, seed=seed)
         assert self.features is not None
         skin, readings = self.fitted(train)
         return log_likelihood(skin, self.features.hypotheses(skin.layer)[test], readings[test])

@@ -6,6 +6,9 @@ the training rows: a block is judged by what came before it.
 
 Where the rows of a label were made in one go, the ambient field of that hour tells the label as well as the touch does.
 So strokes are compared without it (`experiments.shapes.strokes`), and what it tells alone is a row of the table.
+
+Two controls are given only samples at rest. Less the stroke's median they should be at chance if the median were the
+field around the skin and nothing else; less the mean of other samples at rest, if that field stood still for a stroke.
 """
 
 import time
@@ -51,7 +54,9 @@ MIN_ROWS = 10  # of a label
 TREES = 500
 PANELS = 5  # of a line of the figure of paths
 AMBIENT, RECORDED, CHANGES = "median over time alone", "as recorded", "less ambient"
+CONTROLS = AT_REST, REST_PAIRS = "control: at rest, less the median", "control: at rest, less others at rest"
 WARPED, PATH = "time-warped strokes", "time-warped paths in a plane"
+BETTER_BY = f"{WARPED} better by"
 SATURATIONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 PENALTIES = (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 
@@ -143,7 +148,7 @@ def make_part(data: StrokeTable, taught: np.ndarray, cfg: Methods, seed: int) ->
         for name, each in told.items():
             if name != WARPED:
                 gain = mean_interval(ours - right(each.p, truth), [truth])
-                scores[name][f"{WARPED} better by"] = list(to_json(gain).values())
+                scores[name][BETTER_BY] = list(to_json(gain).values())
     return {"methods": scores, **part}
 
 
@@ -151,8 +156,10 @@ def make_part(data: StrokeTable, taught: np.ndarray, cfg: Methods, seed: int) ->
 
 
 def baselines(data: StrokeTable, cfg: Methods, seed: int) -> dict[str, Fit]:
-    """Classifiers of the readings as they were recorded, of their changes and of the ambient field alone."""
-    at_rest = strokes.ambient(data.reading)
+    """Classifiers of the readings as they were recorded, of their changes, and of what should tell nothing: the ambient
+    field alone, and samples at rest without it.
+    """
+    around = strokes.ambient(data.reading)
     models: dict[str, Callable[[], Any]] = {
         "nearest neighbour": lambda: make_pipeline(StandardScaler(), KNeighborsClassifier(1)),
         "logistic regression": lambda: make_pipeline(StandardScaler(), LogisticRegression(C=0.01, max_iter=2000)),
@@ -171,7 +178,11 @@ def baselines(data: StrokeTable, cfg: Methods, seed: int) -> dict[str, Fit]:
     found: dict[str, Fit] = {}
     if data.reading.shape[1] > 1:
         inputs[CHANGES] = strokes.less_ambient(data.reading)
-        found[AMBIENT] = of_model(models["extra trees"], at_rest)
+        found[AMBIENT] = of_model(models["extra trees"], around)
+        quiet = strokes.quietest(data.reading)
+        controls = quiet - around[:, None], quiet[:, ::2] - quiet[:, 1::2].mean(1, keepdims=True)
+        for name, x in zip(CONTROLS, controls, strict=True):
+            found[name] = of_model(models["extra trees"], x.reshape(len(x), -1))
     for kind, x in inputs.items():
         flat = x.reshape(len(x), -1)
         found |= {f"{name}, {kind}": of_model(model, flat) for name, model in models.items()}
@@ -268,10 +279,11 @@ def report(result: Mapping[str, Any]) -> None:
                 cell(each["accuracy"], ends=2),
                 cell(each["log_loss"], ends=2),
                 f"{each['calibration']['error']:.3f} ({each['calibration']['chance']:.3f} by chance)",
+                cell(each.get(BETTER_BY), 2, signed=True),
             ]
             for name, each in part["methods"].items()
         ]
-        print(text_table(["method", "accuracy", "log loss", "calibration error"], rows))
+        print(text_table(["method", "accuracy", "log loss", "calibration error", BETTER_BY], rows))
         for name, each in part["methods"].items():
             if each["settings"]:
                 print(f"{name}: chosen " + ", ".join(f"{key} {value:g}" for key, value in each["settings"].items()))

@@ -29,6 +29,7 @@ from experiments.shapes import report
 from experiments.shapes.arguments import ShapesArgs
 from experiments.shapes.methods import (
     PAPER,
+    POSED,
     SPLITS,
     Methods,
     StampClassificationBenchmark,
@@ -70,7 +71,7 @@ PRESETS: dict[str, ShapeExperiment] = {
         pads=(0, 1),
         presses=50,
         pressing=StampPressConfig(grid=_COARSE, friction=False, touches_per_session=25),
-        methods=Methods(Classifier((16, 10), 40), layers=1, grid=_COARSE),
+        methods=Methods(Classifier((16, 10), 40), Classifier((16, 10), 40), layers=1, grid=_COARSE),
         presses_per_shape=(2,),
         draws=1,
     ),
@@ -156,9 +157,11 @@ def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) 
     }
     new: dict[str, Any] = {}  # by how many presses of each shape are known of the skin
     if others:
-        x, y = np.concatenate([o.reading for o in others]), np.concatenate([o.shape for o in others])
-        guess = classify(cfg.methods.paper, x, y, own.reading, classes=classes, seed=seed).argmax(1)
-        new["0"] = {f"{PAPER}, other skins": [float(np.mean(guess == own.shape))]}
+        y, new["0"] = np.concatenate([o.shape for o in others]), {}
+        for method in (each for each in (PAPER, POSED) if each in benchmark.methods()):
+            x, network = np.concatenate([o.inputs(method) for o in others]), cfg.methods.network(method)
+            guess = classify(network, x, y, own.inputs(method), classes=classes, seed=seed).argmax(1)
+            new["0"][f"{method}, other skins"] = [float(np.mean(guess == own.shape))]
     for each in cfg.presses_per_shape:
         new[str(each)] = {method: [] for method in benchmark.methods()}
         for draw in range(cfg.draws):

@@ -25,6 +25,7 @@ MAX_LANDMARKS = 300
 GAINS = (0.6, 1.6)  # of training strokes made weaker and stronger
 CUT = 0.2  # share of a window by which training strokes are moved out of it
 PATH_POINTS = 24  # of a resampled path
+QUIET_SHARE = 0.2  # of a stroke's samples, the quietest: a stroke rests for half of its window
 PLANE = 2
 MIN_EIGENVALUE = 1e-6  # of the landmarks' kernel: less is rounding
 MIN_NORM = 1e-9  # of readings that never change
@@ -59,6 +60,21 @@ def ambient(strokes: Float[np.ndarray, "n t d"]) -> Float[np.ndarray, "n d"]:
         The median over time.
     """
     return np.median(strokes, axis=1)
+
+
+def quietest(strokes: Float[np.ndarray, "n t d"]) -> Float[np.ndarray, "n q d"]:
+    """Samples of each stroke in which nothing is felt, or next to nothing.
+
+    Args:
+        strokes: Readings over time.
+
+    Returns:
+        The q samples nearest to the stroke's `ambient`, at least two, in order of time.
+    """
+    count = max(round(QUIET_SHARE * strokes.shape[1]), 2)
+    size = np.linalg.norm(less_ambient(strokes), axis=-1)
+    rows = np.sort(np.argsort(size, axis=1, kind="stable")[:, :count], axis=1)
+    return np.take_along_axis(strokes, rows[:, :, None], axis=1)
 
 
 def saturated(

@@ -47,6 +47,7 @@ class SurfaceConfig:
     margin: float = 6e-3  # m, of the grid around the shapes
     on_table: bool = True  # whether objects stand on z = 0, or their box is about the origin
     shapes: int = 128  # that stand for the whole library, by weight
+    likeliest: bool = False  # whether the likeliest shapes stand for it, in place of shapes drawn by weight
     temperature: float = 2.0  # by which log likelihoods of shapes are divided
     misfit: float = 1.5e-3  # m, by which a known shape may miss an unknown object and still be like it
     dof: float = 4.0  # of the Student's t of that misfit
@@ -251,7 +252,9 @@ def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
         middle = np.array([0.0, 0.0, 0.5 * (model.points[0, 2] + model.points[-1, 2])])
         ball = np.linalg.norm(model.points - middle, axis=-1) - model.config.radius
         return SurfacePrior(ball.astype(np.float32), np.zeros((len(ball), 0), np.float32))
-    shapes, weights = few_of_many(np.exp(log_w - logsumexp(log_w)), count)
+    weight = np.exp(log_w - logsumexp(log_w))
+    pick = likeliest if model.config.likeliest and state.evidence else few_of_many
+    shapes, weights = pick(weight, count)
     deviations = model.library.fields(shapes)
     mean = deviations @ weights
     deviations -= mean[:, None]
@@ -281,6 +284,20 @@ def few_of_many(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.nda
     drawn = np.searchsorted(total, (np.arange(places) + 0.5) / max(places, 1) * total[-1]) - 1
     weights = np.append(ranked[:kept], np.full(places, total[-1] / max(places, 1)))
     return np.append(order[:kept], rest[drawn]), weights.astype(np.float32)
+
+
+def likeliest(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """The shapes of most weight alone, as `few_of_many` without the others.
+
+    Args:
+        weight: Of all; sums to 1.
+        count: How many stand for them.
+
+    Returns:
+        Their indices, and weights that sum to 1.
+    """
+    shapes = np.argpartition(-weight, count - 1)[:count]
+    return shapes, (weight[shapes] / weight[shapes].sum()).astype(np.float32)
 
 
 def condition_on(

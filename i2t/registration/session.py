@@ -63,7 +63,12 @@ MIN_NOISE_M = 1e-6  # of a depth pixel, for divisions
 @traced_floats
 @dataclass(frozen=True)
 class SessionRegistrationConfig:
-    """What is known of a lab's errors before a session, as standard deviations, and how to search."""
+    """What is known of a lab's errors before a session, as standard deviations, and how to search.
+
+    Example:
+        config = i2t.SessionRegistrationConfig(hand_eye=3e-3, depth_noise=0.5e-3)  # a camera that was mounted by eye
+        estimate = i2t.register_session(touches, surface, config=config)
+    """
 
     placement: float = 1e-3  # m, of the object along each axis
     placement_angle: float = float(np.radians(1.0))  # rad, about each axis

@@ -49,6 +49,19 @@ def test_a_stroke_is_blind_to_the_ambient_field_and_hardly_feels_its_force():
     np.testing.assert_allclose(cosine, 1)
 
 
+def test_the_quietest_samples_are_those_at_rest():
+    rng = np.random.default_rng(0)
+    stroke = 100 + rng.normal(size=(3, 20, 4))
+    stroke[:, 5:12] += 30
+    rest = np.delete(np.arange(20), np.s_[5:12])
+    quiet = strokes.quietest(stroke)
+    assert quiet.shape == (3, 4, 4)
+    for own, of in zip(quiet, stroke, strict=True):
+        rows = [int(np.flatnonzero((of == sample).all(1))[0]) for sample in own]
+        assert set(rows) <= set(rest)
+        assert rows == sorted(rows)
+
+
 def test_a_moved_stroke_loses_only_what_leaves_its_window():
     change = np.arange(1.0, 11)[None, :, None]
     late, early = strokes.varied(change)[-2:, 0, :, 0]
@@ -120,6 +133,8 @@ def test_strokes_are_told_by_their_path_and_not_by_the_field_around_them(table, 
         rate = {name: each["accuracy"][0] for name, each in part["methods"].items()}
         assert min(rate[readings.WARPED], rate[readings.PATH]) > 0.9
         assert rate[readings.AMBIENT] < 0.7
+        assert rate[readings.REST_PAIRS] < 0.7
+        assert len(part["methods"][readings.AT_REST][readings.BETTER_BY]) == 3
         assert np.shape(part["mean_paths"]) == (3, strokes.PATH_POINTS, 2)
         assert np.sum(part["methods"][readings.WARPED]["confusion"]) == 15
     assert {path.name for path in (tmp_path / "run").glob("*.png")} == {"rates.png", "confusion.png", "paths.png"}

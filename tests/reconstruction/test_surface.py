@@ -32,6 +32,7 @@ from i2t.reconstruction.surface import (
     estimate_surface,
     few_of_many,
     init,
+    likeliest,
     posterior_covariance,
     predict,
     regress,
@@ -248,6 +249,12 @@ def test_few_shapes_stand_for_many_by_their_weight():
         assert weights[below[shapes]].sum() == pytest.approx(weight[below].sum(), abs=0.02)
     shapes, weights = few_of_many(np.array([0.2, 0.5, 0.3]), 3)
     np.testing.assert_allclose(weights[np.argsort(shapes)], [0.2, 0.5, 0.3], rtol=1e-6)
+
+
+def test_the_likeliest_shapes_share_all_weight():
+    shapes, weights = likeliest(np.array([0.1, 0.4, 0.2, 0.3]), 2)
+    np.testing.assert_allclose(weights[np.argsort(shapes)], [4 / 7, 3 / 7], rtol=1e-6)
+    assert sorted(shapes) == [1, 3]
 
 
 def test_a_view_shows_a_surface_and_carves_what_it_looked_through():

@@ -2,35 +2,40 @@
 
 from experiments.common.cells import Measured, Table, span
 from experiments.common.tables import cell, markdown
-from experiments.reconstruct.tables import hidden, policies, reconstructions_and_goals, savings
+from experiments.reconstruct.tables import conditions, conditions_and_goals, hidden, policies, savings
 
 PATCH_SCORES = (
     ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
-    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_ratio", "CRPS / prior's"),
+    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_mm", "CRPS, mm"),
+    ("crps_ratio", "CRPS / prior's"),
 )  # fmt: skip
-CRPS_GOALS = ("", "0.65", "0.52")  # of the prior, one stop and the press curve
-STOPS = ("prior", "one stop", "press curve")
+CRPS_GOALS = ("", "0.65", "0.52", "")  # of CRPS / prior's
+STOPS = ("prior", "one stop", "press curve", "press curve, pad fitted to 300 presses")
+BETTER_BY = "time-warped strokes better by"  # a score of every other method on the same strokes
 
 
 def local_shapes(measured: Measured) -> str:
     """Scores of every method over all test objects, what was wanted of CRPS, and medians of edges, which are few."""
+    methods = measured["methods"].values()
+    shown = [(score, title) for score, title in PATCH_SCORES if all(score in found for found in methods)]
     rows = [
         [
             name,
-            *(span(score, 2, found) for score, _ in PATCH_SCORES),
+            *(span(score, 2, found) for score, _ in shown),
             goal,
             f"{cell(found['edge_degrees_median'][0], 0)}, {cell(found['edge_mm_median'][0], 1)}",
         ]
-        for name, found, goal in zip(STOPS, measured["methods"].values(), CRPS_GOALS, strict=True)
+        for name, found, goal in zip(STOPS, methods, CRPS_GOALS, strict=False)
     ]
     edges = f"edge, degrees and mm ({measured['edges']} presses)"
-    return markdown(["method", *(title for _, title in PATCH_SCORES), "its goal", edges], rows)
+    return markdown(["method", *(title for _, title in shown), "its goal", edges], rows)
 
 
 def local_shapes_by_source(measured: Measured) -> str:
     """Masks on objects of the catalogue, and on those drawn at random: a row for each source."""
     shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # and the first method
-    head = [f"{title}, {stop}" for _, title, first in shown for stop in STOPS[first:]]
+    stops = STOPS[: len(measured["methods"])]
+    head = [f"{title}, {stop}" for _, title, first in shown for stop in stops[first:]]
     rows = [
         [
             f"{source} ({found['objects']})",
@@ -75,20 +80,25 @@ def strokes(measured: Measured) -> str:
             cell(found["accuracy"], 2),
             cell(found["log_loss"][0], 2),
             f"{cell(found['calibration']['error'])} ({cell(found['calibration']['chance'])})",
+            cell(found[BETTER_BY], 2, signed=True) if BETTER_BY in found else "",
             cell(drawn[name]["accuracy"], 2),
         ]
         for name, found in order.items()
     ]
-    goal = ["goal", "0.95", "", "0.030", ""]
-    head = ["method", "later strokes [95 %]", "log loss", "calibration error (by chance)", "at random [95 %]"]
+    goal = ["goal", "0.95", "", "0.030", "", ""]
+    head = [
+        "method", "later strokes [95 %]", "log loss", "calibration error (by chance)", BETTER_BY, "at random [95 %]",
+    ]  # fmt: skip
     return markdown(head, [*rows, goal])
 
 
 TABLES: dict[str, dict[str, Table]] = {
     "strokes": {"methods": strokes},
     "shapes": {"stamps": stamps},
-    "reconstruct": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
-    "reconstruct_objects": {"conditions": reconstructions_and_goals, "savings": savings, "hidden": hidden},
+    "reconstruct": {"conditions": conditions_and_goals, "savings": savings, "hidden": hidden},
+    "reconstruct_objects": {"conditions": conditions_and_goals, "savings": savings, "hidden": hidden},
+    "reconstruct_baselines": {"conditions": conditions, "savings": savings},
+    "reconstruct_fitted": {"conditions": conditions, "savings": savings},
     "reconstruct_policies": {"policies": policies},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
     "reconstruct_patch_exact": {"methods": local_shapes},

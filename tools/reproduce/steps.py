@@ -91,6 +91,20 @@ STEPS = (
         again=OVERWRITE,
     ),
     Step(
+        "reconstruct_baselines",
+        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 54 "
+        '--touches 5 --conditions reading "contact pose only" "contact pose only, likeliest shapes"',
+        minutes=8,
+        again=OVERWRITE,
+    ),
+    Step(
+        "reconstruct_fitted",
+        "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 54 "
+        '--touches 5 --conditions "reading, fitted pad, 3 mm and 5 degrees" "contact pose only, 3 mm and 5 degrees" '
+        '"contact pose only, likeliest shapes, 3 mm and 5 degrees"',
+        again=OVERWRITE,
+    ),
+    Step(
         "reconstruct_policies",
         '-m experiments.reconstruct --test 280 --touches 5 --conditions "random sites" uncertainty reading oracle',
         minutes=50,
