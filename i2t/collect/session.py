@@ -22,6 +22,7 @@ from i2t.collect.dry_run import dry_run
 from i2t.collect.notes import board_notes, device_notes, keep_same, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
+from i2t.collect.registration_check import where_all_stood
 from i2t.collect.site_plan import SiteSampler, extract_patch
 from i2t.collect.touch import ChooseSite, Site, SiteOutcome
 from i2t.dataset import SKIN_NAME, load_dataset
@@ -175,6 +176,12 @@ class _Session:
                 collected = load_dataset(out, missing_chips=True, skin=skin)
                 write_card(out, collected, board_name=name_of_board(collected.board))
             print(self.summary())
+        if len(self.done) >= self.args.touches:
+            skin = procedure.rig.skin if len(procedure.skins) > 1 else None
+            collected = load_dataset(out, missing_chips=True, skin=skin)
+            said = where_all_stood(collected, self.sampler.mesh, int(collected.touches.session[-1]), procedure.rig)
+            if said is not None:
+                print(said)
 
     def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
         """The next sampled site that can be reached, until there are enough touches."""

@@ -5,7 +5,8 @@ looks from `from_twist(h)` instead of where the hand-eye calibration puts it. Ea
 numbers in all:
 
 * at first contact the skin's face meets the surface (`i2t.registration.contacts`), which depends on x alone;
-* the view shows the surface from `T_o_c = (T_w_o from_twist(x))^-1 T_w_t from_twist(h)`.
+* the view shows the surface from `T_o_c = (T_w_o from_twist(x))^-1 T_w_t B from_twist(h) B^-1`, where B moves the tool
+  back to where it was when the camera looked.
 
 Views are compared with renderings as in direct image alignment (Lucas and Kanade, "An iterative image registration
 technique with an application to stereo vision", 1981; Kerl, Sturm and Cremers, "Robust odometry estimation for RGB-D
@@ -77,6 +78,8 @@ class SessionRegistrationConfig:
     contact: float = 0.1e-3  # m, of a first contact
     repeatability: float = 0.05e-3  # m, of the arm along each axis, in each view
     repeatability_angle: float = float(np.radians(0.03))  # rad, about each axis
+    # m, where the tool was when the camera looked, in its axes at the end of the press: hand-eye errors act there
+    looked_from: tuple[float, float, float] = (0.0, 0.0, 0.0)
     depth_noise: float = 0.3e-3  # m, of a depth pixel
     depth_bleed: float = 1.0  # pixels by which a depth is displaced sideways
     window: float = field(default=PATCH_WINDOW, metadata={"static": True})  # m, edge of a patch
@@ -104,7 +107,7 @@ class SessionEstimate(NamedTuple):
     """
 
     T_w_o: Float[Array, "4 4"]  # the object's estimated pose in the world
-    T_t_camera: Float[Array, "4 4"]  # where the camera looks from, seen from where the hand-eye calibration puts it
+    T_t_camera: Float[Array, "4 4"]  # of the camera in tool axes, seen from where the hand-eye calibration puts it
     covariance: Float[Array, "12 12"]  # m^2, of the twists of the object and of the camera (`i2t.geometry.from_twist`)
     contact_residual: Float[Array, " n"]  # m, of each touch along the surface's normal
     view_residual: Float[Array, " n"]  # root mean square of each view's residuals, in standard deviations of the noise
@@ -188,13 +191,17 @@ def register_session(
         ends = [_search(session, start, blurring, scales, shared, errors) for start in starts]
         found = sorted(ends, key=lambda end: float(end.cost))
         starts = [end.twist for end in found[:KEPT_STARTS]]
-    twist, best = starts[0], found[0]
+    residual = np.sqrt(np.mean(np.square(found[0].linearised.views.residual), axis=1))[: len(met)]
+    # Noise that is larger than stated, or shared by neighbouring pixels, makes views tell less (McCullagh and Nelder,
+    # "Generalized linear models", 1989, section 4.5).
+    spread = jnp.float32(max(1.0, np.median(residual)))
+    best = _search(session, starts[0], blurring, jnp.ones(config.steps), spread, config)
     return SessionEstimate(
-        T_w_o=session.T_w_o @ from_twist(twist[:6]),
-        T_t_camera=from_twist(twist[6:]),
+        T_w_o=session.T_w_o @ from_twist(best.twist[:6]),
+        T_t_camera=from_twist(best.twist[6:]),
         covariance=best.covariance,
         contact_residual=best.linearised.contacts.residual[: len(met)],
-        view_residual=jnp.sqrt(jnp.mean(best.linearised.views.residual**2, axis=1))[: len(met)],
+        view_residual=jnp.asarray(residual),
     )
 
 
@@ -280,9 +287,12 @@ def _problem(
         half_edge=config.half_edge, candidate_faces=config.candidate_faces,
     )  # fmt: skip
 
+    back = jnp.eye(4).at[:3, 3].set(jnp.array(config.looked_from))
+
     def look(z: Float[Array, "12"], view: _Views) -> _LinearisedViews:
         def camera(z: Float[Array, "12"]) -> Float[Array, "4 4"]:
-            return inverse(session.T_w_o @ from_twist(std[:6] * z[:6])) @ view.T_w_t @ from_twist(std[6:] * z[6:])
+            offset = back @ from_twist(std[6:] * z[6:]) @ inverse(back)
+            return inverse(session.T_w_o @ from_twist(std[:6] * z[:6])) @ view.T_w_t @ offset
 
         T_o_c = camera(z)
         moved = jax.jacfwd(lambda z: to_twist(inverse(T_o_c) @ camera(z)))(z)  # (6, 12)

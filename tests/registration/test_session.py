@@ -2,14 +2,20 @@
 what cannot be registered.
 """
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from rendering.test_render import embree_heights
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 import i2t
+from i2t.collect.arguments import LabArgs
+from i2t.collect.beginning import read_rig
+from i2t.collect.registration_check import where_all_stood
 from i2t.contact.approach import first_contact
 from i2t.dataset import Dataset
 from i2t.geometry import from_twist, inverse, to_twist
@@ -156,3 +162,24 @@ def test_views_of_registered_sessions_are_rendered_from_where_the_tool_was():
         np.testing.assert_allclose(after.patch[row], expected.patch.depth, atol=1e-6)
         assert after.nearest[row] == pytest.approx(float(expected.patch.nearest), abs=1e-6)
         np.testing.assert_array_equal(after.T_w_o[row], found.T_w_o)
+
+
+@pytest.mark.full
+def test_a_collection_says_where_object_and_camera_are():
+    """The camera is off in tool axes at the pose from which it looks, so that what it turns by moves its views too."""
+    rig, hammer = read_rig(LabArgs(), real=False), MESHES[1]
+    placed, camera = (np.asarray(from_twist(jnp.float32(twist)), float) for twist in APART)
+    back = np.eye(4)
+    back[:3, 3] = -(rig.looking_distance * rig.T_tool_camera[:3, 2] + rig.T_tool_camera[:3, 3])
+    touches = embree_touches(hammer, SURFACES["hammer"], placed, back @ camera @ np.linalg.inv(back))
+    dataset = Dataset.simulated(touches, ("hammer",), i2t.nominal_pad())
+    said = where_all_stood(dataset, hammer, 0, rig)
+    numbers = [float(part) for pair in re.findall(r"([\d.]+) mm and ([\d.]+) degrees \(", said) for part in pair]
+    expected = [
+        value
+        for motion in (placed, camera)
+        for value in (1e3 * np.linalg.norm(motion[:3, 3]), np.degrees(Rotation.from_matrix(motion[:3, :3]).magnitude()))
+    ]
+    np.testing.assert_allclose(numbers, expected, atol=0.2)
+    assert said.endswith("calibrate the rig again (docs/hardware.md)")
+    assert where_all_stood(dataset.select(slice(11)), hammer, 0, rig) is None

@@ -1,0 +1,91 @@
+"""Sentence on where the object and the camera were in a collection that is complete, by its own touches: a rig that is
+wrong by a millimetre is told before the next object is touched.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from i2t.dataset import Dataset
+from i2t.geometry import so3_log
+from i2t.hardware.rig import Rig
+from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import TWIST_LEVER_M
+from i2t.registration.contacts import contact_poses
+from i2t.registration.session import SessionEstimate, SessionRegistrationConfig
+from i2t.registration.sets import depth_noise, register_sessions
+from i2t.rendering.render import prepare_surface
+
+MIN_TOUCHES = 12  # that met the object, of one session: fewer hardly tell the camera from the object
+MAX_VIEW_RESIDUAL = 3.0  # median over views, in standard deviations of the noise; beyond it nothing was found
+CERTAIN = 3.0  # standard deviations by which an offset is more than chance
+
+
+class Offset(NamedTuple):
+    """How far something is from where it is believed to be."""
+
+    distance: float  # m
+    distance_std: float  # m
+    angle: float  # rad
+    angle_std: float  # rad
+
+    @property
+    def certain(self) -> bool:
+        """Tell whether it is more than chance."""
+        return self.distance > CERTAIN * self.distance_std or self.angle > CERTAIN * self.angle_std
+
+    def __str__(self) -> str:
+        std = f"standard deviations {1e3 * self.distance_std:.2f} mm and {np.degrees(self.angle_std):.2f}"
+        return f"{1e3 * self.distance:.1f} mm and {np.degrees(self.angle):.1f} degrees ({std})"
+
+
+def where_all_stood(dataset: Dataset, mesh: Mesh, session: int, rig: Rig) -> str | None:
+    """Say where the object and the camera were in a session.
+
+    Args:
+        dataset: The touches that were collected.
+        mesh: Of the object.
+        session: Number of the session.
+        rig: Where everything is believed to be.
+
+    Returns:
+        A sentence without its full stop, or None where too few touches met the object.
+    """
+    here = dataset.select(dataset.touches.session == session)
+    if contact_poses(here.touches)[1].sum() < MIN_TOUCHES:
+        return None
+    names = {dataset.objects[i] for i in here.touches.object}
+    T_t_c = rig.T_tool_camera
+    looked_from = -(rig.looking_distance * T_t_c[:3, 2] + T_t_c[:3, 3])
+    config = SessionRegistrationConfig(
+        looked_from=tuple(looked_from.tolist()), depth_noise=depth_noise(here.touches.patch)
+    )
+    estimate = register_sessions(here, dict.fromkeys(names, prepare_surface(mesh)), config=config)[session]
+    if not np.median(estimate.view_residual) <= MAX_VIEW_RESIDUAL:
+        return "the views fit the mesh at no pose near the believed one: look for a wrong mesh, unit, pose or hand-eye"
+    placed, camera = offsets(estimate, here.touches.T_w_o[0])
+    advice = "; calibrate the rig again (docs/hardware.md)" if placed.certain or camera.certain else ""
+    return f"by these touches the object stands {placed} from where the rig has it, and the camera {camera}{advice}"
+
+
+def offsets(estimate: SessionEstimate, T_w_o: np.ndarray) -> tuple[Offset, Offset]:
+    """How far the object and the camera are from where they are believed to be.
+
+    Args:
+        estimate: Of a session.
+        T_w_o: Where the object is believed to be.
+
+    Returns:
+        Of the object and of the camera.
+    """
+    variance = np.diag(np.asarray(estimate.covariance, np.float64)).reshape(4, 3).sum(1)
+    moved = np.linalg.inv(T_w_o.astype(np.float64)) @ np.asarray(estimate.T_w_o, np.float64)
+    return (
+        _offset(moved, variance[0], variance[1]),
+        _offset(np.asarray(estimate.T_t_camera, np.float64), variance[2], variance[3]),
+    )
+
+
+def _offset(motion: np.ndarray, along: float, about: float) -> Offset:
+    angle = float(np.linalg.norm(so3_log(motion[:3, :3])))
+    return Offset(float(np.linalg.norm(motion[:3, 3])), along**0.5, angle, about**0.5 / TWIST_LEVER_M)
