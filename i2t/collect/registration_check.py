@@ -39,7 +39,7 @@ class Offset(NamedTuple):
         return f"{1e3 * self.distance:.1f} mm and {np.degrees(self.angle):.1f} degrees ({std})"
 
 
-def where_all_stood(dataset: Dataset, mesh: Mesh, session: int, rig: Rig) -> str | None:
+def where_all_stood(dataset: Dataset, mesh: Mesh, session: int, rig: Rig) -> str:
     """Say where the object and the camera were in a session.
 
     Args:
@@ -49,11 +49,11 @@ def where_all_stood(dataset: Dataset, mesh: Mesh, session: int, rig: Rig) -> str
         rig: Where everything is believed to be.
 
     Returns:
-        A sentence without its full stop, or None where too few touches met the object.
+        A sentence without its full stop.
     """
     here = dataset.select(dataset.touches.session == session)
-    if contact_poses(here.touches)[1].sum() < MIN_TOUCHES:
-        return None
+    if (met := int(contact_poses(here.touches)[1].sum())) < MIN_TOUCHES:
+        return f"{met} touches that met the object do not tell where it and the camera were; {MIN_TOUCHES} would"
     names = {dataset.objects[i] for i in here.touches.object}
     T_t_c = rig.T_tool_camera
     looked_from = -(rig.looking_distance * T_t_c[:3, 2] + T_t_c[:3, 3])

@@ -177,11 +177,17 @@ class _Session:
                 write_card(out, collected, board_name=name_of_board(collected.board))
             print(self.summary())
         if len(self.done) >= self.args.touches:
+            print(self.where_all_stood())
+
+    def where_all_stood(self) -> str:
+        """Where the object and the camera were, by all touches of this session; they are safe whatever comes of it."""
+        procedure = self.procedure
+        try:
             skin = procedure.rig.skin if len(procedure.skins) > 1 else None
-            collected = load_dataset(out, missing_chips=True, skin=skin)
-            said = where_all_stood(collected, self.sampler.mesh, int(collected.touches.session[-1]), procedure.rig)
-            if said is not None:
-                print(said)
+            collected = load_dataset(self.args.out, missing_chips=True, skin=skin)
+            return where_all_stood(collected, self.sampler.mesh, int(collected.touches.session[-1]), procedure.rig)
+        except ValueError as error:
+            return printable(f"note: where object and camera were is not known: {error}")
 
     def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
         """The next sampled site that can be reached, until there are enough touches."""
