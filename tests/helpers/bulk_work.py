@@ -57,7 +57,7 @@ def _trained(rng: np.random.Generator) -> training.TrainState:
     epoch = training.compiled(learner(NETWORK), cfg)
     for _ in range(cfg.epochs):
         state, _ = epoch(state, ready, ready)
-    return state
+    return state._replace(key=jax.random.key_data(state.key))  # which NumPy can hold
 
 
 if __name__ == "__main__":
