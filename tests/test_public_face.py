@@ -75,6 +75,7 @@ DATA = {
     "press": ("pad", "height", "indentation"),
     "register_by_depth": ("mesh", "T_w_o", "depth", "camera", "T_w_c"),
     "register_by_touch": ("key", "surface", "T_w_o", "T_w_contact", "weight"),
+    "register_session": ("touches", "surface"),
     "render_patch": ("surface", "T_o_t"),
     "reskin_board": ("depth",),
     "sample_pad": ("key",),
@@ -183,6 +184,7 @@ CALLS = [
     ("translation_std", "i2t.register_by_depth(mesh, eye, image, camera, eye, translation_std=-1.0)"),
     ("contact_std", "i2t.register_by_touch(key, surface, eye, eye[None], np.ones(1), translation_std=1e-3, "
      "rotation_std=0.1, contact_std=0.0)"),
+    ("touches", "i2t.register_session([eye], surface)"),
     ("readings", "i2t.calibrate(place, depth, 'readings', load_kind='depth')"),
     ("positions", "i2t.load_calibration('eflesh').predict('here', 1e-3)"),
     ("meshes", "i2t.ObjectRecognizer(key, i2t.load_pad_model('nominal').model, [mesh, mesh])"),

@@ -163,10 +163,15 @@ def register_session(
 
     Raises:
         ValueError: The touches are of several sessions, none met the object, or a pose is not rigid.
+        TypeError: The touches or the surface are something else.
 
     Example:
         estimate = i2t.register_session(dataset.touches, i2t.prepare_surface(mesh))
     """
+    if not isinstance(touches, Touches):
+        raise TypeError(f"touches: a {type(touches).__name__} is none; give `i2t.Touches` of one session")
+    if not isinstance(surface, Surface):
+        raise TypeError(f"surface: a {type(surface).__name__} is none; make it with i2t.prepare_surface")
     sessions = np.unique(touches.session)
     if len(sessions) != 1:
         raise ValueError(f"touches: they are of {len(sessions)} sessions; register one session at a time")

@@ -193,6 +193,16 @@ def eflesh_heads(measured: Measured) -> str:
     return markdown(["real", *splits], rows)
 
 
+def predictors_by_object(measured: Measured) -> str:
+    """R2 of every predictor over pads, with its interval, and on each test object."""
+    objects = measured["by_object"]
+    rows = [
+        [name, r2_over(scores), *(cell(each[name][0], 2) for each in objects.values())]
+        for name, scores in measured["over_pads"].items()
+    ]
+    return markdown(["simulated", "R² [95 % over pads]", *objects], rows)
+
+
 TABLES: dict[str, dict[str, Table]] = {
     "train": {"predictors": rows_over("methods", ON_UNSEEN, partial(r2_of, 2), *numbers_of(ERRORS))},
     "train_blocks": {"predictors": predictors_on_recording("blocks")},
@@ -201,6 +211,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
         "choice": choice_on_validation,
     },
+    "train_registered": {"predictors": predictors_by_object},
     "second_world": {
         "predictors": rows_over("methods", ("{source}, another physics", "R² [95 % over skins]"), r2_over),
     },

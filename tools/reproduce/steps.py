@@ -41,6 +41,11 @@ STEPS = (
     Step("train", "-m experiments.train", minutes=4),
     Step("study", "-m experiments.train --preset study", minutes=30),
     Step(
+        "train_registered",
+        "-m experiments.train --registered --pads 0 1 2 3 4 5 --methods gp ridge-pressure nearest-pressure",
+        minutes=35,
+    ),
+    Step(
         "paper",
         "-m experiments.recognize simulate --preset paper --method paper --paper-episodes 100",
         uses="study",
