@@ -54,12 +54,12 @@ def test_seed_interval_covers_as_often_as_it_says():
     assert np.isnan(student_interval([1.0])[1:]).all()
 
 
-@pytest.mark.parametrize("groups", [4, 8, 30])
+@pytest.mark.parametrize("groups", [4, 30])
 def test_grouped_interval_covers_where_rows_of_a_group_agree(groups):
     """Of a mean of normal groups it is Student's, exact but for the draws, whose variance is off by a few in
     a hundred. Five rows that say the same are one: taken apart, the interval is sqrt(5) too short.
     """
-    rng, repeats = np.random.default_rng(2), 200
+    rng, repeats = np.random.default_rng(2), 120
     members = np.repeat(np.arange(groups), 5)
     covered = {True: 0, False: 0}
     for seed in range(repeats):
