@@ -251,6 +251,39 @@ def grouped_interval(
     return float(found.low), float(found.high)
 
 
+def p_values(estimates: Estimate, freedom: int | Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Two-sided p values of means that are zero in truth, by Student's t, from their intervals.
+
+    Args:
+        estimates: Means with intervals that are Student's t.
+        freedom: Degrees of freedom of these, or the least that they may have: p values are then too large rather than
+            too small.
+
+    Returns:
+        The p values; NaN where there is no interval.
+    """
+    mean, low, high = (np.asarray(part, np.float64) for part in estimates)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return 2 * stats.t.sf(np.abs(mean) / ((high - low) / 2) * _t(np.asarray(freedom)), freedom)
+
+
+def holm(p: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """P values adjusted for their number, so that one below 0.05 among true null hypotheses has a chance of 5 %.
+
+    Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979.
+
+    Args:
+        p: P values.
+
+    Returns:
+        The adjusted ones, in the same order.
+    """
+    order = np.argsort(p)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(np.maximum.accumulate((len(p) - np.arange(len(p))) * np.asarray(p)[order]), 1)
+    return adjusted
+
+
 def _spread(
     resampled: Resampled, factors: Sequence[Int[np.ndarray, " n"]], draws: int = RESAMPLES, seed: int = 0
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:

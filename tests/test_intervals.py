@@ -10,7 +10,9 @@ from i2t.intervals import (
     bootstrap_clusters,
     cluster_interval,
     grouped_interval,
+    holm,
     mean_interval,
+    p_values,
     rate_interval,
     student_interval,
 )
@@ -82,6 +84,14 @@ def test_grouped_interval_needs_three_groups_and_leaves_out_draws_without_a_valu
 
     low, high = grouped_interval(mean, group)
     assert low < values.mean() < high
+
+
+def test_p_values_of_intervals_are_those_of_the_t_test_and_holm_adjusts_them_step_by_step():
+    samples = np.random.default_rng(3).normal(0.8, 1, (6, 5))
+    np.testing.assert_allclose(p_values(student_interval(samples), 5), stats.ttest_1samp(samples, 0).pvalue)
+    # 4 x .01, 3 x .02, 2 x .03, .04, none below the one before.
+    np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03, 0.02])), [0.06, 0.04, 0.06, 0.06])
+    np.testing.assert_allclose(holm(np.array([0.9, 0.6])), [1, 1])
 
 
 def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():

@@ -5,9 +5,12 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from experiments.common.cells import Cell, Measured, Table, at, percent, rows_over, shown
 from experiments.common.tables import cell, markdown
 from experiments.studies.tables import study_table
+from i2t.intervals import COVERAGE, Estimate, holm, p_values
 
 
 def last(scores: Mapping[str, Any]) -> str:
@@ -20,6 +23,7 @@ def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
     return cell(sum(scores[key]) / len(scores[key]), decimals)
 
 
+STANDS = " †"  # after Holm's correction
 METHOD_HEAD = (
     "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "for objects like these", "mean of 1 to 10 [95 %]",
     "ECE", "log loss",
@@ -60,20 +64,37 @@ def paper_methods(measured: Measured) -> str:
     return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
 
 
+def stand_together(
+    differences: Sequence[Mapping[str, float]], measured: Measured, primary: int | None = None
+) -> list[str]:
+    """Cells of differences, marked where they stand after Holm's correction over all but the primary one; degrees of
+    freedom are those of the pads, the least that an interval has.
+    """
+    estimates = np.array([[each["mean"], each["low"], each["high"]] for each in differences]).T
+    p = p_values(Estimate(*estimates), len(measured["pads"]) - 1)
+    others = np.flatnonzero(np.isfinite(p) & (np.arange(len(p)) != primary))
+    stands = np.zeros(len(p), bool)
+    stands[others] = holm(p[others]) < 1 - COVERAGE
+    return [cell(each, 2, signed=True) + STANDS * bool(mark) for each, mark in zip(differences, stands, strict=True)]
+
+
 def paper_differences(measured: Measured, hidden: Sequence[str] = ()) -> str:
     """Paired differences on the paper's two sets with how many pads would tell them within 3 points, and of the means
     over all objects; none of a pair whose name has a hidden word.
     """
     sets, means = measured["sets"], measured["differences of these means"]
-    rows = []
-    for pair in (each for each in next(iter(sets.values()))["paired"] if shown(each, *hidden)):
-        found = (each["paired"][pair] for each in sets.values())
-        cells = (f"{cell(each['last'], 2, signed=True)}; {each['pads_needed']}" for each in found)
+    rows, pairs = [], [pair for pair in next(iter(sets.values()))["paired"] if shown(pair, *hidden)]
+    found = [[*(each["paired"][pair]["last"] for each in sets.values()), means[pair]] for pair in pairs]
+    stand = stand_together([each for row in found for each in row], measured, primary=len(sets))
+    for number, pair in enumerate(pairs):
+        *parts, mean = stand[number * (len(sets) + 1) : (number + 1) * (len(sets) + 1)]
+        needed = [each["paired"][pair]["pads_needed"] for each in sets.values()]
+        cells = [f"{part}; {pads}" for part, pads in zip(parts, needed, strict=True)]
         _, _, rule = pair.rpartition(", ")
         brief = re.sub(r"Imagine2touch \(paper's network, (.*?)\)", r"\1", pair)
         brief = re.sub(r"paper's network and measured force, (\w+)", r"\1 and force", brief)
         brief = re.sub(f"same rules, |, {rule}", "", brief)
-        rows.append([f"{brief} ({rule})", *cells, cell(means[pair], 2, signed=True)])
+        rows.append([f"{brief} ({rule})", *cells, mean])
     return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five"], rows)
 
 
@@ -111,9 +132,11 @@ def physics_by_touches(evidence: str) -> Table:
 
     def render(measured: Measured) -> str:
         cells: dict[str, dict[str, str]] = {}
-        for physics, kind, touches, mean, lost, *_ in measured["tables"]["methods"]["rows"]:
-            if kind == evidence:
-                cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {cell(lost, 2, signed=True)}"
+        rows_of = [row for row in measured["tables"]["methods"]["rows"] if row[1] == evidence]
+        for (physics, _, touches, mean, *_), lost in zip(
+            rows_of, stand_together([row[4] for row in rows_of], measured), strict=True
+        ):
+            cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {lost}"
         columns = max(cells.values(), key=len)
         rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
         return markdown([f"{evidence}, own touches", *columns], rows)
