@@ -8,9 +8,9 @@ Readings are linear in the weights of the magnetization map and nonlinear in the
     M = I + Phi' Phi / s^2,   m = M^-1 Phi' y / s^2,
 
 of which the derivative by Phi is (Phi M^-1 - (y - Phi m) m') / s^2. Together with the parameters' prior it is maximised
-as Gauss-Newton does, by taking Phi as linear, in a trust region whose size follows the gain ratio: what the step gains
-over what the linear model promised (Nocedal and Wright, "Numerical Optimization", algorithm 4.1). The curvature at the
-maximum gives the ranges of the parameters (Laplace).
+as Gauss-Newton does, by taking Phi as linear, with slopes by central differences, in a trust region whose size follows
+the gain ratio: what the step gains over what the linear model promised (Nocedal and Wright, "Numerical Optimization",
+algorithm 4.1). The curvature at the maximum gives the ranges of the parameters (Laplace).
 
 The search runs in the coordinates of the prior: standard deviations from its median. Linear algebra is in double
 precision. `n` is the number of presses, `c` of channels, `N = n c` of readings, `k` of weights, `d` of coordinates, of
@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy import linalg, optimize
 
 from i2t.skin_models.magnetic_layer import SHAPE_PARAMETERS, LayerParameters, LayerPrior, parameters_at
@@ -40,6 +40,9 @@ SMALL_GAIN = 0.1  # in log density: a step that promises less, under half a post
 MIN_GAIN_RATIO = 0.1  # of a step that is taken
 FIRST_RADIUS, MAX_RADIUS = 1.0, 3.0  # of the trust region, in standard deviations of the prior
 STDS_WITHIN_95 = 1.96
+# Prior standard deviations, of slopes. Contacts on cells make features rough over some hundredths, so that derivatives
+# at one place would promise too much of tip and board, which move readings at the skin's edges only.
+SLOPE_STEP = 0.25
 DIFFERENCE_STEP = 1e-3  # prior standard deviations, of second derivatives
 IMPLAUSIBLE_STDS = 3.0  # prior standard deviations from the median beyond which a parameter is reported
 
@@ -63,7 +66,6 @@ class UnitFeatures(NamedTuple):
 
 def fit_layer(
     unit_features: Callable[[LayerParameters], Float[Array, "n c k"]],
-    linearize: Callable[[LayerParameters], tuple[Float[Array, "n c k"], Float[Array, "e n c k"]]],
     readings: Float[np.ndarray, "n c"],
     prior: LayerPrior,
 ) -> LayerPosterior:
@@ -72,7 +74,6 @@ def fit_layer(
     Args:
         unit_features: Readings (uT) of weights at coordinates of the prior, on a layer whose gains and map strengths
             are 1; first those of the map's patches, in three equal parts, then three of the uniform part.
-        linearize: The same, and their derivatives along each coordinate of SHAPE_PARAMETERS.
         readings: Of the n presses (uT).
         prior: Of the parameters.
 
@@ -88,14 +89,19 @@ def fit_layer(
     def coordinates(x: np.ndarray) -> LayerParameters:
         return unravel(jnp.asarray(x, jnp.float32))
 
+    moves = SLOPE_STEP * np.eye(len(start))[shape_coordinates(prior)]
+
+    def features(x: np.ndarray) -> np.ndarray:
+        return np.asarray(unit_features(coordinates(x)), np.float64)
+
     def linear_model(x: np.ndarray, rows: np.ndarray) -> tuple[_LinearModel, np.ndarray]:
-        value, changes = (np.asarray(part) for part in linearize(coordinates(x)))
+        value = features(x)
+        changes = np.stack([features(x + move) - features(x - move) for move in moves]) / (2 * SLOPE_STEP)
         rows = _finite_rows(rows, np.isfinite(value).all((1, 2)) & np.isfinite(changes).all((0, 2, 3)))
-        features = UnitFeatures(value[rows].astype(np.float64), changes[:, rows].astype(np.float64))
-        return _LinearModel(x, features, readings[rows], prior), rows
+        return _LinearModel(x, UnitFeatures(value[rows], changes[:, rows]), readings[rows], prior), rows
 
     def exact_value(x: np.ndarray, rows: np.ndarray) -> float:
-        value = np.asarray(unit_features(coordinates(x)), np.float64)[rows]
+        value = features(x)[rows]
         return _LinearModel(x, UnitFeatures(value, value[:0, None]), readings[rows], prior).value_and_gradient(x)[0]
 
     x, radius, converged = np.asarray(start, np.float64), FIRST_RADIUS, False
@@ -128,6 +134,27 @@ def fit_layer(
     _report_implausible(coordinates(x))
     std = _posterior_stds(model.curvature(x))
     return LayerPosterior(parameters_at(coordinates(x), prior), *ranges(x, std, prior), converged)
+
+
+def shape_coordinates(prior: LayerPrior) -> Int[np.ndarray, " e"]:
+    """Find the coordinates that features change with by more than a scale.
+
+    Args:
+        prior: Of the parameters.
+
+    Returns:
+        Their numbers, in the order of SHAPE_PARAMETERS.
+    """
+    numbers = _numbers(prior)
+    return np.concatenate([getattr(numbers, name).ravel() for name in SHAPE_PARAMETERS])
+
+
+def _numbers(prior: LayerPrior) -> LayerParameters:
+    """Numbers of the coordinates of each parameter."""
+    start, unravel = ravel_pytree(prior.median)
+    return jax.tree.map(
+        lambda number: np.asarray(np.rint(number), int), unravel(jnp.arange(len(start), dtype=jnp.float32))
+    )
 
 
 def ranges(
@@ -163,14 +190,12 @@ class _LinearModel:
     @cached_property
     def _index(self) -> LayerParameters:
         """Numbers of the coordinates of each parameter."""
-        unravel = ravel_pytree(self.prior.median)[1]
-        numbers = unravel(jnp.arange(len(self.at), dtype=jnp.float32))
-        return jax.tree.map(lambda number: np.asarray(np.rint(number), int), numbers)
+        return _numbers(self.prior)
 
     @cached_property
     def _shape(self) -> np.ndarray:
         """(e,) numbers of the coordinates that features change with."""
-        return np.concatenate([getattr(self._index, name).ravel() for name in SHAPE_PARAMETERS])
+        return shape_coordinates(self.prior)
 
     @cached_property
     def _host_prior(self) -> LayerPrior:

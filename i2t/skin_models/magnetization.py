@@ -41,12 +41,10 @@ from i2t.skin_models.base import load_fitted
 from i2t.skin_models.layer_fit import NO_PAD, LayerPosterior, fit_layer, ranges
 from i2t.skin_models.magnetic_layer import (
     DESIGN_BATCH,
-    DESIGN_PARAMETERS,
     LayerParameters,
     LayerPrior,
     RoundTip,
     design_matrices,
-    design_matrix,
     layer_prior,
     magnetization_map,
     make_pad,
@@ -261,7 +259,6 @@ class MagnetizationModel:
         options = {"tip": self.tip, "by_force": self.by_force, "grid": self.grid}
         return fit_layer(
             partial(_unit_features, prior=prior, pressed=some, **options),
-            partial(_linearize, prior=prior, pressed=some, **options),
             np.asarray(some.reading),
             prior,
         )
@@ -289,48 +286,5 @@ def _unit_features(
     return weight_features(layer, designs, grid.window)
 
 
-@partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
-def _linearize(
-    coordinates: LayerParameters, *, prior: LayerPrior, pressed: TipReadings, tip: RoundTip, by_force: bool, grid: Grid
-) -> tuple[Float[Array, "n c k"], Float[Array, "e n c k"]]:
-    """`_unit_features`, and their derivatives along each coordinate of SHAPE_PARAMETERS."""
-    designs, changes = _design_changes(coordinates, prior, pressed, tip=tip, by_force=by_force, grid=grid)
-
-    def features(designs: Array, patch_length: Array) -> Array:
-        layer = _of_unit_strength(parameters_at(coordinates._replace(patch_length=patch_length), prior))
-        return weight_features(layer, designs, grid.window)
-
-    length = coordinates.patch_length
-    value, by_length = jax.jvp(partial(features, designs), (length,), (jnp.ones_like(length),))
-    by_design = jax.vmap(lambda change: features(change, length))(changes)
-    return value, jnp.concatenate([by_design, by_length[None]])
-
-
 def _of_unit_strength(layer: LayerParameters) -> LayerParameters:
     return layer._replace(patch_strength=jnp.ones(3), uniform_strength=jnp.asarray(1.0))
-
-
-def _design_coordinates(coordinates: LayerParameters) -> tuple[Array, ...]:
-    return tuple(getattr(coordinates, name) for name in DESIGN_PARAMETERS)
-
-
-@partial(jax.jit, static_argnames=("tip", "by_force", "grid"))
-def _design_changes(
-    coordinates: LayerParameters, prior: LayerPrior, pressed: TipReadings, *, tip: RoundTip, by_force: bool, grid: Grid
-) -> tuple[Float[Array, "n c 3 m m"], Float[Array, "e n c 3 m m"]]:
-    """Design matrices of all presses, and their change along each coordinate of DESIGN_PARAMETERS."""
-    start, unravel = ravel_pytree(_design_coordinates(coordinates))
-
-    def one(press: tuple[Array, Array]) -> tuple[Array, Array]:
-        def at(vector: Array) -> Array:
-            moved = coordinates._replace(**dict(zip(DESIGN_PARAMETERS, unravel(vector), strict=True)))
-            layer = parameters_at(moved, prior)
-            return design_matrix(layer, pressed.board, tip, *press, by_force=by_force, grid=grid)
-
-        def along(direction: Array) -> Array:
-            return jax.jvp(at, (start,), (direction,))[1]
-
-        return at(start), jax.lax.map(along, jnp.eye(len(start)))
-
-    value, changes = jax.lax.map(one, (pressed.position, pressed.load))
-    return value, jnp.swapaxes(changes, 0, 1)

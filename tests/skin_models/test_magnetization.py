@@ -1,20 +1,17 @@
 """A pad fitted by physics: its design against the simulator, and simulated pads found again."""
 
-from dataclasses import replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.flatten_util import ravel_pytree
 from scipy import stats
 
-from i2t.skin import boards, contact
+from i2t.skin import boards
 from i2t.skin.elasticity import Grid
 from i2t.skin.pad import press, press_force, sample_pad
 from i2t.skin_models import magnetic_layer as physics
-from i2t.skin_models import magnetization
 from i2t.skin_models.magnetic_layer import RoundTip, parse_tip
 from i2t.skin_models.magnetization import MagnetizationModel, TipReadings, bayesian_linear_regression
 
@@ -102,47 +99,6 @@ def test_a_pad_is_found_again_from_presses_by_force_at_symmetric_places():
         assert low < float(getattr(pad, name)) < high < 1.3 * low
     errors = [np.sum(pad_fit.left_out**2) for pad_fit in (fitted, start)]
     assert errors[0] < 0.5 * errors[1]
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("by_force", [True, False])
-@pytest.mark.parametrize("board", [BOARD, boards.grid_board(2, 2)], ids=["reskin", "grid"])
-def test_derivatives_of_designs_against_differences_in_double_precision(board, by_force):
-    """Of the reading of every cosine, by every parameter of the layer, at symmetric places and others."""
-    prior, step = physics.layer_prior(board.num_readings), 1e-5
-    zero = jax.tree.map(jnp.zeros_like, prior.median)
-    loads = (0.2, 0.7) if by_force else (0.25e-3, 0.5e-3)
-    pairs = [(at, load) for at in ((0, 0), (1e-3, 1e-3), (0.3e-3, -2.1e-3)) for load in loads]
-    position, load = (jnp.float32(part) for part in zip(*pairs, strict=True))
-    pressed = TipReadings(position, load, jnp.zeros((len(pairs), 3 * len(board.chips))), board)
-    for tip in (RoundTip("sphere", 1.35e-3), RoundTip("sphere", 3.6e-3)):
-        _, changes = magnetization._design_changes(zero, prior, pressed, tip=tip, by_force=by_force, grid=COARSE)
-        with jax.enable_x64(True):
-            design, coordinates = exact_design(board, tip, by_force)
-            for row, (at, load) in enumerate(pairs):
-                run = partial(design, position=jnp.asarray(at, float), load=jnp.asarray(load))
-                for derivative, way in zip(changes[:, row], np.eye(coordinates), strict=True):
-                    difference = (np.asarray(run(step * way)) - run(-step * way)) / (2 * step)
-                    assert np.abs(derivative - difference).max() <= 2e-3 * np.abs(difference).max() + 1e-12
-
-
-def exact_design(board, tip, by_force):
-    """Design matrix of a press at coordinates of the layer, in double precision, and the number of these."""
-    prior = physics.layer_prior(board.num_readings)
-    prior, board = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, float)), (prior, board))
-    zero = jax.tree.map(jnp.zeros_like, prior.median)
-    flat, unravel = ravel_pytree(magnetization._design_coordinates(zero))
-    solver = {"grid": COARSE, "tolerance": 1e-12, "max_steps": 4000}
-
-    def design(vector, position, load):
-        moved = dict(zip(physics.DESIGN_PARAMETERS, unravel(vector), strict=True))
-        layer = physics.parameters_at(zero._replace(**moved), prior)
-        pad = physics.make_pad(layer, board)
-        height = replace(tip, radius=tip.radius * layer.tip_scale).height(position + layer.tip_offset, COARSE)
-        solve, load = (contact.solve_force, load) if by_force else (contact.solve, load - layer.contact_offset)
-        return physics.pressure_design(pad, solve(pad, height, load, **solver).pressure, COARSE)
-
-    return jax.jit(design), len(flat)
 
 
 def test_presses_that_are_not_finite_are_refused():
