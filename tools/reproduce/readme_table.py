@@ -29,7 +29,7 @@ def summary(results: Mapping[str, Measured]) -> str:
 
 def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
     blocks, study, calibrate = results["train_blocks"], results["study"], results["calibrate"]
-    real, pads = blocks["methods"], study["over_pads"]
+    real, pads, registered = blocks["methods"], study["over_pads"], results["train_registered"]["over_pads"]
     by_position = next(scores for name, scores in real.items() if name.startswith(CALIBRATED))
     baseline = max((real[name] for name in (*blocks["baselines"], PLAIN_OF_TIP)), key=lambda scores: scores["r2"])
     baseline_on_pads = max((pads[name]["r2"] for name in study["baselines"]), key=lambda r2: r2[0])
@@ -41,7 +41,9 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
             f"one eFlesh skin and tip, blocks held out: `{CALIBRATED}`, given the tip's position, "
             f"{r2_of(2, by_position)}; from an image {r2_of(2, real[GP])}; best baseline {r2_of(2, baseline)} "
             "([results](docs/results.md#real-presses-whole-blocks-held-out))",
-            f"six unseen objects: {cell(pads[GP]['r2'], 2)}, best baseline {cell(baseline_on_pads, 2)} "
+            f"six unseen objects: {cell(pads[GP]['r2'], 2)}, best baseline {cell(baseline_on_pads, 2)}; "
+            "[registered](docs/registration.md#object-and-camera-from-one-session) with known meshes "
+            f"{cell(registered[GP]['r2'], 2)} "
             "([results](docs/results.md#simulated-objects-that-were-never-touched))",
             "errors of camera and arm cost half of what could be explained; "
             f"`{CALIBRATED}` was partly tuned on that skin",

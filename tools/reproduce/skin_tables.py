@@ -211,7 +211,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
         "choice": choice_on_validation,
     },
-    "train_registered": {"predictors": predictors_by_object},
+    "train_registered": {"predictors": predictors_by_object, "choice": choice_on_validation},
     "second_world": {
         "predictors": rows_over("methods", ("{source}, another physics", "R² [95 % over skins]"), r2_over),
     },
