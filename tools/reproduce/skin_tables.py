@@ -38,7 +38,8 @@ def choice_on_validation(measured: Measured) -> str:
     """The method that is best on validation touches over pads, and its lead over the best baseline."""
     choice = measured["choice"]
     over, r2 = choice["validated_on"], choice["validation_r2"]
-    of = f"{over['touches']} validation touches of {over['objects']} objects, {measured['source']}"
+    objects = "1 object" if over["objects"] == 1 else f"{over['objects']} objects"
+    of = f"{over['touches']} validation touches of {objects}, {measured['source']}"
     best, baseline = choice["best"], choice["best_baseline"]
     lead = cell(choice["over_best_baseline"], 2, signed=True)
     rows = [[f"best: {best}", cell(r2[best], 2)], [f"best baseline: {baseline}", cell(r2[baseline], 2)], ["lead", lead]]
