@@ -135,7 +135,8 @@ def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_
     pairs = [f"{one} - {other}" for one, other in COMPARED if ", " in one and ", " in other]
     paired = {pair: {"last": last, "pads_needed": 3} for pair in pairs}
     sets = {name: {"paired": paired} for name in report.PAPER_SETS}
-    table = paper_differences({"sets": sets, "differences of these means": dict.fromkeys(pairs, last)})
+    measured = {"pads": list("012345"), "sets": sets, "differences of these means": dict.fromkeys(pairs, last)}
+    table = paper_differences(measured)
     names = [line.split(" | ")[0].strip("| ") for line in table.splitlines()[2:]]
     assert len(set(names)) == len(names) == len(pairs)
     network_with, gp_without = "mask and force - mask", "Gaussian process at the median force - depth"
@@ -144,3 +145,9 @@ def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_
         found = {name.removesuffix(f" ({rule})") for name in names if name.endswith(f"({rule})")}
         assert found >= {network_with, gp_without, *gp_with}
     assert len([pair for pair in FAIR if pair[0] == RULES_GP]) == 3
+    # A p value of 0.05 alone stands with no other beside it. Clear differences do, and the primary one bears no mark.
+    assert "†" not in table
+    clear = {"mean": 0.1, "low": 0.09, "high": 0.11}
+    measured["differences of these means"] = dict.fromkeys(pairs, clear)
+    marked = [line.count("†") for line in paper_differences(measured).splitlines()[2:]]
+    assert marked == [0] + [1] * (len(pairs) - 1)
