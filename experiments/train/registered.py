@@ -2,7 +2,6 @@
 of the camera and of placement cost a predictor, and what knowing them is worth.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +10,7 @@ from experiments.train.prepare import Prepared
 from experiments.train.simulate import predicted_by_gp
 from experiments.train.sources import ObjectsKnown
 from i2t.dataset import Dataset
-from i2t.objects import catalogue
-from i2t.patches.dimensions import TWIST_LEVER_M
-from i2t.recognition.recorded import named_surfaces
+from i2t.recognition.recorded import known_surfaces, with_placement
 from i2t.recordings.sets import corrected_dataset
 from i2t.registration import SessionEstimate, register_sessions, with_registered_views
 
@@ -43,10 +40,9 @@ def registered(dataset: Dataset, objects: ObjectsKnown) -> Registered:
     """
     print("registering sessions")
     dataset, corrected = corrected_dataset(dataset)
-    names = [name for name in dataset.objects if name in objects.meshes or name in catalogue.NAMES]
-    if not names:
+    surfaces = known_surfaces(dataset.objects, objects.meshes)
+    if not surfaces:
         raise ValueError("--registered needs meshes of the objects that were touched; give them (--objects FILE ...)")
-    surfaces = named_surfaces({name: objects.meshes.get(name) or catalogue.make_object(name).mesh for name in names})
     estimates = register_sessions(dataset, surfaces)
     trusted = {i: each for i, each in estimates.items() if np.median(each.view_residual) <= MAX_VIEW_RESIDUAL}
     if not trusted:
@@ -55,11 +51,10 @@ def registered(dataset: Dataset, objects: ObjectsKnown) -> Registered:
             "for a wrong mesh, unit or pose of the object"
         )
     sessions = len(np.unique(dataset.touches.session))
-    placement, angle = _left_open(trusted)
-    errors = replace(objects.errors, placement=placement, placement_angle=angle)
+    left_open = np.mean([each.covariance[:6, :6] for each in trusted.values()], axis=0)
     return Registered(
         with_registered_views(dataset, surfaces, trusted),
-        objects._replace(errors=errors),
+        objects._replace(errors=with_placement(objects.errors, left_open)),
         (*corrected, _note(dataset, trusted, sessions)),
     )
 
@@ -72,13 +67,6 @@ def camera_row(prepared: Prepared, seed: int) -> np.ndarray | None:
     if touches.pressure is None:
         return None
     return predicted_by_gp(touches.pressure, touches.dataset.touches.reading, prepared.split, seed)
-
-
-def _left_open(estimates: dict[int, SessionEstimate]) -> tuple[float, float]:
-    """Errors of placement (m and rad) that registrations leave open, the root mean square over sessions and axes."""
-    variance = np.mean([np.diag(each.covariance)[:6] for each in estimates.values()], axis=0)
-    place, turn = np.sqrt(variance[:3].mean()), np.sqrt(variance[3:].mean())
-    return float(place), float(turn / TWIST_LEVER_M)
 
 
 def _note(dataset: Dataset, estimates: dict[int, SessionEstimate], sessions: int) -> str:

@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
 from i2t.collect.registration_check import where_all_stood
 from i2t.collect.site_plan import SiteSampler, extract_patch
 from i2t.collect.touch import ChooseSite, Site, SiteOutcome
-from i2t.dataset import SKIN_NAME, load_dataset
+from i2t.dataset import SKIN_NAME, Dataset, load_dataset
 from i2t.dataset.card import write_card
 from i2t.errors import DataError, DeviceError, printable
 from i2t.hardware.protocols import View
@@ -87,7 +88,10 @@ def collect(
         if not args.skip_first_touch:
             require_checks(touch_checks(sampler), procedure)
         write_notes(args.out, notes)
-        _Session(args, procedure, sampler, recorder, set(done)).run(choose, on_outcome)
+        session = _Session(args, procedure, sampler, recorder, set(done))
+        session.run(choose, on_outcome)
+    if session.is_complete:  # said when all devices are let go, as it takes half a minute
+        print(session.where_all_stood())
     return 0
 
 
@@ -172,20 +176,25 @@ class _Session:
                     on_outcome(outcome)
         finally:
             with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so themselves
-                skin = procedure.rig.skin if len(procedure.skins) > 1 else None
-                collected = load_dataset(out, missing_chips=True, skin=skin)
-                write_card(out, collected, board_name=name_of_board(collected.board))
+                write_card(out, self.collected, board_name=name_of_board(self.collected.board))
             print(self.summary())
-        if len(self.done) >= self.args.touches:
-            print(self.where_all_stood())
+
+    @cached_property
+    def collected(self) -> Dataset:
+        """All touches of the folder, of one skin, once none is added any more."""
+        skin = self.procedure.rig.skin if len(self.procedure.skins) > 1 else None
+        return load_dataset(self.args.out, missing_chips=True, skin=skin)
+
+    @property
+    def is_complete(self) -> bool:
+        """Tell whether there are as many touches as were asked for."""
+        return len(self.done) >= self.args.touches
 
     def where_all_stood(self) -> str:
         """Where the object and the camera were, by all touches of this session; they are safe whatever comes of it."""
-        procedure = self.procedure
         try:
-            skin = procedure.rig.skin if len(procedure.skins) > 1 else None
-            collected = load_dataset(self.args.out, missing_chips=True, skin=skin)
-            return where_all_stood(collected, self.sampler.mesh, int(collected.touches.session[-1]), procedure.rig)
+            last = int(self.collected.touches.session[-1])
+            return where_all_stood(self.collected, self.sampler.mesh, last, self.procedure.rig)
         except ValueError as error:
             return printable(f"note: where object and camera were is not known: {error}")
 

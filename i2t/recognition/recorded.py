@@ -6,7 +6,7 @@
 Metres, newtons, microtesla.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -55,7 +55,7 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
     measured &= np.isfinite(touches.T_w_t).all((1, 2)) & np.isfinite(touches.T_w_o).all((1, 2))
     if not measured.any():
         raise DataError("no press among the training touches has a measured force, depth and pose")
-    with_mesh = [name in meshes or name in catalogue.NAMES for name in dataset.objects]
+    with_mesh = [_is_known(name, meshes) for name in dataset.objects]
     usable = measured & np.asarray(with_mesh)[touches.object]
     if not usable.any():
         names = sorted({dataset.objects[i] for i in touches.object[measured]})
@@ -72,8 +72,7 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
         )
     chosen = _seen_from_object(dataset.select(usable))
     names = [chosen.objects[i] for i in np.unique(chosen.touches.object)]
-    own = {name: meshes.get(name) or catalogue.make_object(name).mesh for name in names}
-    return ObjectTouches(chosen, np.ones(len(chosen), bool), named_surfaces(own), made_from)
+    return ObjectTouches(chosen, np.ones(len(chosen), bool), known_surfaces(names, meshes), made_from)
 
 
 def named_surfaces(meshes: Mapping[str, Mesh]) -> dict[str, Surface]:
@@ -86,6 +85,24 @@ def named_surfaces(meshes: Mapping[str, Mesh]) -> dict[str, Surface]:
         Their surfaces by name.
     """
     return dict(zip(meshes, prepare_surfaces(list(meshes.values())), strict=True))
+
+
+def known_surfaces(names: Iterable[str], meshes: Mapping[str, Mesh]) -> dict[str, Surface]:
+    """Surfaces of the objects whose mesh is known, as of `named_surfaces`.
+
+    Args:
+        names: Of objects.
+        meshes: Of objects that the catalogue does not have, or has otherwise.
+
+    Returns:
+        The surfaces by name; none of an object that neither has.
+    """
+    known = {name: meshes.get(name) or catalogue.make_object(name).mesh for name in names if _is_known(name, meshes)}
+    return named_surfaces(known) if known else {}
+
+
+def _is_known(name: str, meshes: Mapping[str, Mesh]) -> bool:
+    return name in meshes or name in catalogue.NAMES
 
 
 def describe(known: KnownPad) -> str:

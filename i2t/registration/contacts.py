@@ -173,23 +173,31 @@ def cost(
     Returns:
         The cost.
     """
-    square = (linearised.residual / scale) ** 2
-    surprise = (STUDENT_T_DOF + 1) / 2 * jnp.log1p(square / STUDENT_T_DOF) + jnp.log(linearised.stretch)
-    return 0.5 * z @ z + weight @ surprise
+    return 0.5 * z @ z + weight @ (t_cost(linearised.residual / scale) + jnp.log(linearised.stretch))
 
 
-def t_weights(residual: Float[Array, " n"], weight: Float[Array, " n"], scale: Float[Array, ""]) -> Float[Array, " n"]:
-    """Weights of the squares that have the t distribution's slope.
+def t_cost(residual: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Minus the logarithm of Student's t density, up to a constant.
 
     Args:
-        residual: m.
-        weight: Of each touch.
-        scale: m, standard deviation of a residual.
+        residual: In standard deviations.
 
     Returns:
-        The weights.
+        The cost of each residual.
     """
-    return weight * (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + (residual / scale) ** 2)
+    return (STUDENT_T_DOF + 1) / 2 * jnp.log1p(residual**2 / STUDENT_T_DOF)
+
+
+def t_weights(residual: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Weights of the squared residuals that have the slope of `t_cost` (iteratively reweighted least squares).
+
+    Args:
+        residual: In standard deviations.
+
+    Returns:
+        The weight of each residual.
+    """
+    return (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + residual**2)
 
 
 def normal_equations(
@@ -206,7 +214,7 @@ def normal_equations(
     Returns:
         Both, of z.
     """
-    share = t_weights(linearised.residual, weight, scale)
+    share = weight * t_weights(linearised.residual / scale)
     jacobian = linearised.jacobian
     matrix = jacobian.T @ (share[:, None] * jacobian) / scale**2 + jnp.eye(6)
     return matrix, jacobian.T @ (share * linearised.residual) / scale**2 + z

@@ -31,18 +31,19 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from i2t.geometry import from_twist, full_precision, inverse, to_twist
-from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH, TWIST_LEVER_M
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M
 from i2t.patches.views import SAME_SURFACE_M
 from i2t.registration.contacts import (
-    STUDENT_T_DOF,
     Contacts,
     LinearisedContacts,
     check_contacts,
     contact_poses,
     contacts_of,
+    t_cost,
+    t_weights,
 )
 from i2t.registration.contacts import cost as contact_cost
 from i2t.registration.contacts import linearise as linearise_contacts
@@ -57,7 +58,8 @@ from i2t.types import Surface, Touches, in_one_line
 FIRST_SCALE = 10.0  # of the residuals, in standard deviations: the prior's errors against the noise
 UNSEEN_RESIDUAL = 1e6  # of a motion that was not looked at yet, in standard deviations: worse than any
 KEPT_STARTS = 2  # with the least cost, that go on to the next search
-TOUCHES_PER_CLASS, MAX_TOUCHES = 36, 144
+TOUCHES_PER_CLASS = 36  # sessions are filled up to a multiple of it
+MAX_TOUCHES = 144  # of a session that are looked at
 MIN_NOISE_M = 1e-6  # of a depth pixel, for divisions
 
 
@@ -126,9 +128,8 @@ class _Session(NamedTuple):
     """The data of a registration."""
 
     surface: Surface
-    T_w_o: Float[AnyArray, "4 4"]
-    T_w_contact: Float[AnyArray, "n 4 4"]
-    weight: Float[AnyArray, " n"]
+    T_w_o: Float[Array, "4 4"]
+    contacts: Contacts
     views: _Views
 
 
@@ -181,7 +182,7 @@ def register_session(
     if not met.any():
         raise ValueError("touches: none met the object, so that nothing says where it is; give some that did")
     check_contacts(*(jnp.asarray(x, jnp.float32) for x in (touches.T_w_o[0], T_w_contact, met)))
-    session = _filled_up(_Session(surface, touches.T_w_o[0], T_w_contact, met, _views_of(touches)))
+    session = _session(surface, touches.T_w_o[0], *_filled_up(T_w_contact, met, _views_of(touches)), config)
     draws = np.random.default_rng(0).normal(size=(config.num_starts, 12)).astype(np.float32)
     starts, searches = [draw * (number > 0) * config.std for number, draw in enumerate(draws)], len(config.blurs)
     for search, blur in enumerate(config.blurs):
@@ -210,20 +211,31 @@ def register_session(
     )
 
 
-def _filled_up(session: _Session) -> _Session:
-    """The session with repeated touches that do not count, up to a whole number of `TOUCHES_PER_CLASS`: one compilation
-    serves most sessions.
+def _filled_up(
+    T_w_contact: Float[np.ndarray, "n 4 4"], met: Bool[np.ndarray, " n"], views: _Views
+) -> tuple[Float[np.ndarray, "m 4 4"], Bool[np.ndarray, " m"], _Views]:
+    """Contacts and views with repeated ones that do not count, up to a whole number of `TOUCHES_PER_CLASS`: one
+    compilation serves most sessions.
     """
-    n = len(session.weight)
+    n = len(met)
     rows = np.resize(np.arange(n), TOUCHES_PER_CLASS * -(-n // TOUCHES_PER_CLASS))
     counts = np.arange(len(rows)) < n
-    views = select_rows(session.views, rows)
-    filled = session._replace(
-        T_w_contact=session.T_w_contact[rows],
-        weight=session.weight[rows] & counts,
-        views=views._replace(known=views.known * counts[:, None, None]),
-    )
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, leaf.dtype if leaf.dtype == np.uint32 else jnp.float32), filled)
+    views = select_rows(views, rows)
+    return T_w_contact[rows], met[rows] & counts, views._replace(known=views.known * counts[:, None, None])
+
+
+@jit_quickly
+@full_precision
+def _session(
+    surface: Surface, T_w_o: Array, T_w_contact: Array, met: Array, views: _Views, config: SessionRegistrationConfig
+) -> _Session:
+    T_w_o, T_w_contact, weight = (jnp.asarray(part, jnp.float32) for part in (T_w_o, T_w_contact, met))
+    contacts = contacts_of(
+        surface, T_w_o, T_w_contact, weight,
+        translation_std=jnp.float32(config.placement), rotation_std=jnp.float32(config.placement_angle),
+        half_edge=config.half_edge, candidate_faces=config.candidate_faces,
+    )  # fmt: skip
+    return _Session(surface, T_w_o, contacts, views)
 
 
 def _views_of(touches: Touches) -> _Views:
@@ -286,12 +298,7 @@ def _problem(
     config: SessionRegistrationConfig,
 ) -> LeastSquares:
     """Problem of the most probable twists, over their prior's standard deviations; scales are factors of the noise."""
-    contacts = contacts_of(
-        session.surface, session.T_w_o, session.T_w_contact, session.weight,
-        translation_std=jnp.float32(config.placement), rotation_std=jnp.float32(config.placement_angle),
-        half_edge=config.half_edge, candidate_faces=config.candidate_faces,
-    )  # fmt: skip
-
+    contacts = session.contacts
     back = jnp.eye(4).at[:3, 3].set(jnp.array(config.looked_from))
 
     def look(z: Float[Array, "12"], view: _Views) -> _LinearisedViews:
@@ -318,7 +325,7 @@ def _problem(
         residual_and_jacobian=linearised,
         cost=partial(_cost, contacts, config.contact),
         normal_equations=partial(_normal_equations, contacts, config.contact),
-        unseen=_unseen(len(session.weight), len(blurring) ** 2),
+        unseen=_unseen(len(contacts.weight), len(blurring) ** 2),
     )
 
 
@@ -326,8 +333,7 @@ def _cost(
     contacts: Contacts, contact_std: float | Array, z: Float[Array, "12"], found: _Linearised, scale: Float[Array, ""]
 ) -> Float[Array, ""]:
     """Minus the logarithm of the posterior, up to a constant."""
-    square = (found.views.residual / scale) ** 2
-    seen = (STUDENT_T_DOF + 1) / 2 * jnp.sum(jnp.log1p(square / STUDENT_T_DOF)) + jnp.sum(found.views.motion)
+    seen = jnp.sum(t_cost(found.views.residual / scale)) + jnp.sum(found.views.motion)
     return contact_cost(z[:6], found.contacts, contacts.weight, scale * contact_std) + seen + 0.5 * z[6:] @ z[6:]
 
 
@@ -337,7 +343,7 @@ def _normal_equations(
     """The Gauss-Newton matrix and the gradient of the posterior."""
     of_contacts, slope = contact_normal_equations(z[:6], found.contacts, contacts.weight, scale * contact_std)
     residual, jacobian, _ = found.views
-    share = (STUDENT_T_DOF + 1) / (STUDENT_T_DOF + (residual / scale) ** 2) / scale**2
+    share = t_weights(residual / scale) / scale**2
     matrix = jnp.einsum("nk,nki,nkj->ij", share, jacobian, jacobian)
     gradient = jnp.einsum("nk,nki,nk->i", share, jacobian, residual)
     matrix = matrix.at[:6, :6].add(of_contacts).at[6:, 6:].add(jnp.eye(6))
@@ -362,7 +368,7 @@ def _compare(
     """Blurred differences of a view and the rendering at a camera's pose, in standard deviations of the noise, with
     their derivatives by the twist of that pose.
     """
-    pixels, pitch, limit = view.height.shape[-1], config.window / 48, view.nearest + config.reach
+    pixels, pitch, limit = view.height.shape[-1], config.window / PATCH_PIXELS, view.nearest + config.reach
     height = jnp.minimum(render_heights(surface, inverse(T_o_c), pitch * pixels, pixels), limit)
     by_twist, square_slope = _by_camera_twist(height, limit, pitch)
     recorded, share = _as_recorded(height, view.nearest, config.depth_noise)

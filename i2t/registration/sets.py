@@ -22,7 +22,7 @@ from i2t.patches.views import WideView
 from i2t.registration.contacts import contact_poses
 from i2t.registration.session import SessionEstimate, SessionRegistrationConfig, register_session
 from i2t.rendering.render import render_view
-from i2t.runtime.batching import a_few_at_a_time, select_rows
+from i2t.runtime.batching import a_few_at_a_time, filled_batches, select_rows
 from i2t.types import Surface
 
 VIEWS_AT_ONCE = 36  # that are rendered by one program
@@ -97,11 +97,11 @@ def with_registered_views(
         rows = np.flatnonzero(touches.session == session)
         surface = surfaces[dataset.objects[int(touches.object[rows[0]])]]
         T_o_t = np.linalg.inv(np.asarray(estimate.T_w_o, np.float64)) @ touches.T_w_t[rows]
-        padded = np.resize(np.arange(len(rows)), -(-len(rows) // VIEWS_AT_ONCE) * VIEWS_AT_ONCE)
-        view = jax.device_get(_render(surface, jnp.float32(T_o_t[padded]), dataset.window, dataset.reach))
-        view = select_rows(view, slice(len(rows)))
-        fields["patch"][rows], fields["nearest"][rows] = view.patch.depth, view.patch.nearest
-        fields["wide"][rows], fields["T_w_o"][rows] = view.wide, np.asarray(estimate.T_w_o)
+        fields["T_w_o"][rows] = estimate.T_w_o
+        for some in filled_batches(np.arange(len(rows)), VIEWS_AT_ONCE):
+            view = jax.device_get(_render(surface, jnp.float32(T_o_t[some]), dataset.window, dataset.reach))
+            fields["patch"][rows[some]], fields["nearest"][rows[some]] = view.patch.depth, view.patch.nearest
+            fields["wide"][rows[some]] = view.wide
     return replace(dataset, touches=touches._replace(**fields))
 
 

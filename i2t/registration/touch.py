@@ -143,7 +143,7 @@ def _register(
         T_w_o=T_w_o @ from_twist(contacts.prior_std * z),
         covariance=contacts.prior_std[:, None] * covariance * contacts.prior_std[None],
         residual=linearised.residual,
-        weight=t_weights(linearised.residual, weight, noise),
+        weight=weight * t_weights(linearised.residual / noise),
         cost=cost,
     )
 
