@@ -9,6 +9,8 @@ from experiments.common.options import ResumableOptions, UnitName
 from i2t.cli.options import Count, Limits, Seed, require_path, require_with
 from i2t.paper.config import PaperOptions
 
+Registration = Literal["sessions", "camera"]
+
 
 @dataclass(frozen=True)
 class TrainArgs(ResumableOptions):
@@ -21,7 +23,9 @@ class TrainArgs(ResumableOptions):
     objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for the pad model
     unit: UnitName | None = None  # of those files
     rig: Path | None = None  # with --dataset: of the lab; its object_covariance says how far poses may be off
-    registered: bool = False  # find where objects and camera were by each session's own touches (needs meshes)
+    # Of objects with meshes, touches tell where each session's object and camera were, or where the one camera of all
+    # sessions was, for objects without a mesh.
+    registered: Registration | None = None
     pad_model_of: Literal["train", "all"] = "train"  # touches of --dataset that the pad model is fitted to
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
     pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with

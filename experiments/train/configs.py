@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
+from experiments.train.arguments import Registration
 from i2t.paper.config import PaperOptions
 from i2t.prediction.methods import METHODS
 from i2t.simulation.touches import PressLimits, SimulationErrors
@@ -23,6 +24,7 @@ class Simulation:
     touches: int = 1630  # the paper's, over all objects but these
     train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
     touches_per_session: int = 36  # the paper's
+    same_camera: bool = False  # whether the camera was calibrated once for all sessions, and not in each
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE_GRID))
 
@@ -52,7 +54,7 @@ class TrainExperiment:
     pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
     seeds: int = 1
     split: str = "auto"  # what is held out of a recording: object, session, block or time
-    registered: bool = False  # whether views are rendered from where each session's own touches put object and tool
+    registered: Registration | None = None  # what touches of known objects correct before anything is learnt
     softness: float = 1.0  # of the skin, in units of the nominal one's
     paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
     hidden_tilt: float = 0.4 * math.pi / 180  # rad, that a noisy view leaves open

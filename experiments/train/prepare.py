@@ -75,7 +75,7 @@ def pressure_model_of(
     patches = dataset.touches.patch
     curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
     noisy = float(np.median(np.abs(curvature))) > NOISY_CURVATURE_M
-    tilted = noisy or cfg.registered  # a rendered view has no noise, but does not show the tilt either
+    tilted = noisy or cfg.registered is not None  # a rendered view has no noise, but does not show the tilt either
     large = dataset.window > LARGE_WINDOW_M
     return PressureModelConfig(
         pitch=dataset.window / patches.shape[1],

@@ -6,7 +6,8 @@
     python -m experiments.train --preset study       six pads, one seed: means and 95 % intervals over pads
     python -m experiments.train --preset study --workers 2        its pads side by side (docs/compiled.md)
     python -m experiments.train --pad FILE           a pad fitted to a real skin in place of a random one
-    python -m experiments.train --registered         views from where each session's own touches put object and camera
+    python -m experiments.train --registered sessions    views from where each session's touches put object and camera
+    python -m experiments.train --registered camera  views of a camera whose offset the training objects' sessions show
     python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
     python -m experiments.train --methods gp ridge --method my_package.module:Mine    these, and one of your own
     python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network, another loss
@@ -38,6 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS, begin
@@ -47,11 +49,11 @@ from experiments.train.by_position import position_readings
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.evaluation import evaluate, position_note, pressure_note
 from experiments.train.prepare import Prepared, prepare
-from experiments.train.registered import camera_row, registered
+from experiments.train.registered import by_camera, by_sessions, reading_row, register_known
 from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling
-from experiments.train.sources import RecordedSource, SimulatedSource, TouchSource
-from i2t.dataset import source_words
+from experiments.train.sources import ObjectsKnown, RecordedSource, SimulatedSource, TouchSource
+from i2t.dataset import Dataset, source_words
 from i2t.errors import printable
 from i2t.prediction.methods import find_methods
 from i2t.recognition.recorded import describe
@@ -59,6 +61,7 @@ from i2t.skin_models.pad_model import KnownPad
 
 CEILING = "ceiling: GP without camera and arm errors"
 ON_CAMERA = "GP on the camera's views, not registered"
+BY_SESSIONS = "GP on views of registered sessions, all meshes known"
 
 
 def run(args: TrainArgs) -> dict[str, Any]:
@@ -90,6 +93,8 @@ def configure(args: TrainArgs) -> TrainExperiment:
     methods = ("mean", *(name for name in (*cfg.methods, *args.method) if name != "mean"))
     find_methods(methods)
     epochs = cfg.training.epochs if args.epochs is None else args.epochs
+    if args.registered == "camera":
+        cfg = replace(cfg, simulation=replace(cfg.simulation, same_camera=True))
     return replace(cfg, methods=methods, training=replace(cfg.training, epochs=epochs))
 
 
@@ -107,13 +112,12 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     objects = source.objects_known()  # before all that takes long
-    dataset, on_camera = source.dataset(seed, out), None
-    if cfg.registered:
-        on_camera = camera_row(prepare(dataset, replace(cfg, registered=False), cfg.split, seed, cfg.softness), seed)
-        dataset, objects, found = registered(dataset, objects)
-    prepared = prepare(dataset, cfg, cfg.split, seed, cfg.softness)
-    if cfg.registered:
-        prepared = prepared._replace(notes=(*found, *prepared.notes))
+    dataset = source.dataset(seed, out)
+    beside: dict[str, np.ndarray] = {}  # rows of predictions by other views
+    if cfg.registered is None:
+        prepared = prepare(dataset, cfg, cfg.split, seed, cfg.softness)
+    else:
+        prepared, objects, beside = prepare_registered(dataset, objects, cfg, seed)
     print(summary_of(prepared))
     touches, split = prepared.touches, prepared.split
     touches = replace(touches, paper=cfg.paper, training=cfg.training)
@@ -130,8 +134,7 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     evaluation = evaluate(prepared, methods, fitted, by_position)
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
         evaluation.predicted[CEILING] = ceiling(touches.dataset, touches.pressure_model, split, seed)
-    if on_camera is not None:
-        evaluation.predicted[ON_CAMERA] = on_camera
+    evaluation.predicted.update(beside)
     notes = [
         *prepared.notes,
         *pressure_note(evaluation.choice, source.recording),
@@ -141,6 +144,29 @@ def run_one(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     about = {"seed": seed, "pad": source.pad, "notes": notes, "baselines": baselines}
     pad_model = fit_or_explain(partial(source.pad_model, pad_model_seed, touches.dataset, split.train, objects))
     report(out, prepared, evaluation, pad_model, about=about, started=started)
+
+
+def prepare_registered(
+    dataset: Dataset, objects: ObjectsKnown, cfg: TrainExperiment, seed: int
+) -> tuple[Prepared, ObjectsKnown, dict[str, np.ndarray]]:
+    """Touches with corrected views, what is known of their objects then, and rows of predictions by other views."""
+    as_prepared = partial(prepare, how=cfg.split, seed=seed, softness=cfg.softness)
+    as_seen = as_prepared(dataset, replace(cfg, registered=None))
+    found = register_known(dataset, objects)
+    others = {ON_CAMERA: as_seen}
+    if cfg.registered == "camera":
+        corrected = by_camera(found, as_seen.touches.dataset.touches.session[as_seen.split.train])
+        if found.all_known:
+            others[BY_SESSIONS] = as_prepared(by_sessions(found).dataset, cfg)
+    else:
+        corrected = by_sessions(found)
+    prepared = as_prepared(corrected.dataset, cfg)
+    rows = {name: reading_row(each, seed) for name, each in others.items()}
+    return (
+        prepared._replace(notes=(*corrected.notes, *prepared.notes)),
+        corrected.objects,
+        {name: row for name, row in rows.items() if row is not None},
+    )
 
 
 def fit_or_explain(fit: Callable[[], KnownPad]) -> KnownPad | str:

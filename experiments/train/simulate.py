@@ -20,8 +20,10 @@ from i2t.runtime.progress import progress
 from i2t.simulation import touches as simulation
 from i2t.types import Pad
 
+OF_CAMERA = 1_000_000  # folded into the seed for the one camera of all sessions: their numbers are smaller
 
-def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name: str) -> Dataset:
+
+def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name: str, camera: int = 0) -> Dataset:
     """The data set in `path`, simulated first where there is none, so that a resumed run finds the same touches.
 
     Args:
@@ -30,6 +32,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name:
         path: HDF5 file to keep it in.
         seed: Of sites and errors.
         name: Of the pad in the data set.
+        camera: Number of the camera that all sessions have, where the configuration says that they have one.
 
     Returns:
         The data set, which says that it is simulated.
@@ -37,10 +40,14 @@ def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name:
     if path.exists():
         return data.load_dataset(path)
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
+    key, T_t_camera = jax.random.key(seed), None
+    if cfg.same_camera:
+        key_camera = jax.random.fold_in(key, OF_CAMERA + camera)
+        T_t_camera = simulation.sample_session_errors(key_camera, cfg.errors).T_t_camera
     with progress(total=sum(cfg.counts()), desc="simulating touches", unit="touch") as bar:
         touches = simulation.simulate_touches(
-            jax.random.key(seed), surfaces, pad, cfg.errors, cfg.counts(),
-            limits=cfg.limits, touches_per_session=cfg.touches_per_session, progress=bar.update,
+            jax.random.clone(key), surfaces, pad, cfg.errors, cfg.counts(), limits=cfg.limits,
+            touches_per_session=cfg.touches_per_session, T_t_camera=T_t_camera, progress=bar.update,
         )  # fmt: skip
     meta = {"made by": f"experiments.train, seed {seed}"}
     dataset = Dataset.simulated(touches, cfg.objects, pad, pad_name=name, session="run", meta=meta)

@@ -64,7 +64,8 @@ class SimulatedSource:
     def dataset(self, seed: int, out: Path) -> Dataset:
         """The touches, which are kept in the run's folder with their pad."""
         pad, about = self.read_pad()
-        dataset = simulated_dataset(self.plan, pad, out / TOUCHES, seed=seed, name=about.name)
+        camera = self.pad if isinstance(self.pad, int) else 0
+        dataset = simulated_dataset(self.plan, pad, out / TOUCHES, seed=seed, name=about.name, camera=camera)
         save_pad(out / PAD, pad, about={"pad": about.name})
         return dataset
 

@@ -45,6 +45,7 @@ from i2t.skin.faults import Faults
 from i2t.skin.noise import Noise, add_sensor_noise
 from i2t.skin.pad import friction_response
 from i2t.skin.pad import press as press_pad
+from i2t.types import Array as AnyArray
 from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 
 POSE_ERRORS = 7  # the first of `SimulationErrors`
@@ -360,6 +361,7 @@ def _simulate_session(
     limits: PressLimits,
     sites: touch_sites.SiteLimits,
     response: PadResponse,
+    T_t_camera: Float[Array, "4 4"] | None,
     *,
     n: int,
     law: PressLaw = press_pad,
@@ -376,6 +378,7 @@ def _simulate_session(
         limits: when a press ends.
         sites: which sites are safe.
         response: the pad's `pad_response`.
+        T_t_camera: where the camera looks from, seen from where the lab believes it; drawn where it is none.
         n: touches.
         law: what a press of the pad gives.
 
@@ -385,6 +388,8 @@ def _simulate_session(
     key_session, key_sites, key_touches, key_skin = jax.random.split(key, 4)
     chosen = touch_sites.sample_sites(key_sites, surface, n, sites)
     session = sample_session_errors(key_session, errors)
+    if T_t_camera is not None:
+        session = session._replace(T_t_camera=T_t_camera)
 
     def touch(key: Key[Array, ""], T_o_site: Float[Array, "4 4"]) -> Touches:
         T_w_site = T_w_o @ T_o_site
@@ -413,6 +418,7 @@ def simulate_touches(
     limits: PressLimits | None = None,
     sites: touch_sites.SiteLimits | None = None,
     touches_per_session: int = 36,
+    T_t_camera: Float[AnyArray, "4 4"] | None = None,
     law: PressLaw = press_pad,
     progress: Callable[[int], None] = lambda touches: None,
 ) -> Touches:
@@ -429,6 +435,8 @@ def simulate_touches(
         limits: when a press ends.
         sites: which sites are safe.
         touches_per_session: touches after which the object is placed anew.
+        T_t_camera: where the camera looks from in all sessions, seen from where the lab believes it; left out, each
+            session has a camera that was calibrated anew.
         law: what a press of the pad gives; another one makes a world whose physics is another.
         progress: called with the number of touches just made.
 
@@ -447,6 +455,7 @@ def simulate_touches(
         touches = simulate_touches(jax.random.key(0), [surface], sample_pad(jax.random.key(1)), SimulationErrors(), 36)
     """
     validation.random_key("key", key)
+    camera = None if T_t_camera is None else np.asarray(validation.pose("T_t_camera", T_t_camera), np.float32)
     limits, sites = limits or PressLimits(), sites or touch_sites.SiteLimits()
     touches_per_session = validation.count("touches_per_session", touches_per_session)
     counts = _counts(objects, n)
@@ -466,7 +475,8 @@ def simulate_touches(
 
     made = spread(
         _simulate(len(sessions)),
-        calls(), shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final)),
+        calls(),
+        shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final), camera),
         n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []

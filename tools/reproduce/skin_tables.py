@@ -213,6 +213,7 @@ TABLES: dict[str, dict[str, Table]] = {
         "choice": choice_on_validation,
     },
     "train_registered": {"predictors": predictors_by_object, "choice": choice_on_validation},
+    "train_camera": {"predictors": predictors_by_object},
     "second_world": {
         "predictors": rows_over("methods", ("{source}, another physics", "R² [95 % over skins]"), r2_over),
     },

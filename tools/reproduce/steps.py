@@ -42,7 +42,12 @@ STEPS = (
     Step("study", "-m experiments.train --preset study", minutes=30),
     Step(
         "train_registered",
-        "-m experiments.train --registered --pads 0 1 2 3 4 5 --methods gp ridge-pressure nearest-pressure",
+        "-m experiments.train --registered sessions --pads 0 1 2 3 4 5 --methods gp ridge-pressure nearest-pressure",
+        minutes=35,
+    ),
+    Step(
+        "train_camera",
+        "-m experiments.train --registered camera --pads 0 1 2 3 4 5 --methods gp ridge-pressure nearest-pressure",
         minutes=35,
     ),
     Step(
