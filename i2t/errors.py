@@ -1,7 +1,6 @@
-"""Errors that i2t raises for users to catch. Each message is one sentence that names what is wrong and the remedy.
+"""Exceptions that i2t raises, for users to catch. Each message is one sentence that names the fault and the remedy.
 
-A command asks before it works whether the packages of extras that it needs are there (`require_extra`), so that nobody
-waits for an answer that was known.
+Before a command starts work it checks with `require_extra` that the optional packages it needs are installed.
 """
 
 import difflib
@@ -11,78 +10,78 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
-MIN_LIKENESS = 0.7  # smallest ratio of `difflib` at which one name is taken for a misspelling of another
-# Controls, ends of lines and paragraphs, marks that turn the direction of writing, and halves of characters.
+MIN_SIMILARITY = 0.7  # ratio of `difflib` from which a name counts as a misspelling of another
+# Control characters, line and paragraph separators, marks that reverse the direction of writing, and lone surrogates.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def printable(text: object) -> str:
-    """A text in one line, with its control characters escaped; letters of every script stay.
+    """Put a text on one line and escape its control characters; letters of every script stay.
 
     Args:
         text: A name, a path or a message.
 
     Returns:
-        The text, with `\\x1b` for an escape and `\\n` for the end of a line.
+        The text, with `\\x1b` for an escape character and `\\n` for the end of a line.
     """
-    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
+    return _CONTROLS.sub(lambda match: match[0].encode("unicode_escape").decode(), str(text))
 
 
 class I2TError(Exception):
-    """An error that the reader of its message can mend."""
+    """An error that the user can correct. All exceptions of i2t derive from it."""
 
 
 class DataError(I2TError, ValueError):
-    """A file or a data set that cannot be used; the message is one line that names it, what is wrong and the remedy.
+    """A file or data set cannot be used. The message is one line that names it, the fault and the remedy.
 
     Args:
-        message: What happened; line breaks become spaces, and control characters are escaped.
+        message: What happened. Line breaks become spaces, and control characters are escaped.
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(" ".join(message.splitlines())))  # what a library reported may have several lines
+        super().__init__(printable(" ".join(message.splitlines())))  # messages of libraries may have several lines
 
 
 class SerializationError(I2TError, ValueError):
-    """A file of arrays that is damaged, or of another kind than asked for."""
+    """A file of arrays is damaged, or is of another kind than requested."""
 
 
 class FullDiskError(DataError, SerializationError):
-    """A file could not be kept, for no fault of its name: the disk is full, or failed."""
+    """A file could not be written because the disk is full or failed."""
 
 
 class MissingExtraError(I2TError, ModuleNotFoundError, ValueError):
-    """A package that only some of i2t needs is not installed; the message names the extra that brings it."""
+    """An optional package is not installed. The message names the extra that installs it."""
 
 
 class CheckpointError(I2TError, ValueError):
-    """A checkpoint that cannot be read back."""
+    """A checkpoint cannot be read."""
 
 
 class DeviceError(I2TError, RuntimeError):
-    """A device failed, in one sentence."""
+    """A device failed."""
 
 
 class NotConnectedError(DeviceError):
-    """The device was used before `connect` or after `close`."""
+    """A device was used before `connect` or after `close`."""
 
 
 class DeviceTimeoutError(DeviceError):
-    """Nothing new came in time. The device may speak again by itself."""
+    """A device sent nothing new in time. It may recover by itself."""
 
 
 class MotionStoppedError(DeviceError):
-    """A motion ended because somebody called `stop`."""
+    """A motion ended because `stop` was called."""
 
 
 class Extra(NamedTuple):
-    """A package by its own name, and the extra that brings it."""
+    """The name of a package, and the extra of i2t that installs it."""
 
     package: str
     extra: str
 
 
-EXTRAS = {  # by the name under which each is imported
+EXTRAS = {  # keyed by the name to import
     "ContactMechanics": Extra("ContactMechanics", "bench"),
     "embreex": Extra("embreex", "bench"),
     "gymnasium": Extra("Gymnasium", "environments"),
@@ -101,14 +100,14 @@ EXTRAS = {  # by the name under which each is imported
 
 
 def why_missing(module: str, need: str) -> str:
-    """Message for a package that is not installed; it is looked for and not imported.
+    """Explain which extra installs a missing package. The package is not imported.
 
     Args:
-        module: One of `EXTRAS`.
-        need: What needs it, the subject of a sentence, such as "a Rerun recording".
+        module: Name of the module, one of `EXTRAS`.
+        need: What needs the package, as the subject of a sentence, such as "a Rerun recording".
 
     Returns:
-        One sentence with the remedy; "" where the package is there.
+        One sentence with the remedy, or "" if the package is installed.
     """
     if find_spec(module) is not None:
         return ""
@@ -117,29 +116,29 @@ def why_missing(module: str, need: str) -> str:
 
 
 def require_extra(module: str, need: str) -> None:
-    """Raise an error for a package that is not installed.
+    """Raise an error if an optional package is not installed.
 
     Args:
-        module: One of `EXTRAS`.
-        need: What needs it, as for `why_missing`.
+        module: Name of the module, one of `EXTRAS`.
+        need: What needs the package, as for `why_missing`.
 
     Raises:
-        MissingExtraError: It is missing.
+        MissingExtraError: The package is not installed.
     """
-    if why := why_missing(module, need):
-        raise MissingExtraError(why)
+    if message := why_missing(module, need):
+        raise MissingExtraError(message)
 
 
 def did_you_mean(name: str, names: Iterable[str], otherwise: str | None = None) -> str:
-    """Suggest what to do about an unknown name.
+    """Suggest a remedy for an unknown name.
 
     Args:
         name: The unknown name.
-        names: The names that exist.
-        otherwise: The remedy where no name is like it; by default, to choose one of all names.
+        names: All names that exist.
+        otherwise: The remedy if no name is similar; by default, a list of all names to choose from.
 
     Returns:
-        Half a sentence, such as "did you mean hammer?" where a name is like it.
+        Half a sentence, such as "did you mean hammer?" if a name is similar.
     """
     names = list(names)
     if close := closest(name, names):
@@ -152,11 +151,11 @@ def closest(name: str, names: Iterable[str]) -> str | None:
 
     Args:
         name: The misspelt name.
-        names: The names that exist.
+        names: All names that exist.
 
     Returns:
-        The name that is most like it, ignoring capitals; None where no name is like it.
+        The most similar name, ignoring case, or None if no name is similar.
     """
     spelled = {candidate.lower(): candidate for candidate in names}
-    close = difflib.get_close_matches(name.lower(), spelled, 1, MIN_LIKENESS)
+    close = difflib.get_close_matches(name.lower(), spelled, 1, MIN_SIMILARITY)
     return spelled[close[0]] if close else None

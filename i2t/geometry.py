@@ -1,15 +1,16 @@
 """Rigid motions as 4 x 4 matrices: exponential, logarithm, inverse, composition and the frames of contact.
 
 `T_a_b` maps points in b to a (frames as in `i2t.types`). Rotation vectors follow Rodrigues' formula, with series
-near zero, so that values and derivatives stay finite there (Grassia, "Practical parameterization of rotations using the
-exponential map", 1998); logarithms go through the largest component of the quaternion (Shepperd, "Quaternion from
-rotation matrix", 1978). `exp` and `log` are those of SE(3) (Murray, Li and Sastry, "A mathematical introduction to
-robotic manipulation", 1994); what an optimiser moves by is a *twist* as in `from_twist`, whose translation and rotation
-do not mix and which is in metres throughout.
+near zero that keep values and derivatives finite (Grassia, "Practical parameterization of rotations using the
+exponential map", 1998). Logarithms go through the largest component of the quaternion (Shepperd, "Quaternion from rotation matrix",
+1978). `exp` and `log` are those of SE(3) (Murray, Li and Sastry, "A mathematical introduction to robotic manipulation",
+1994). Optimisers move poses by a *twist* (`from_twist`), whose translation and rotation are independent and both in
+metres.
 
-All but `random_motion` and `nearest_rigid` take NumPy or JAX arrays and give back the same kind: on the host in the
-precision given, on a device `full_precision`, because an accelerator may otherwise round the factors of a product to 10
-bits, half a millimetre at arm's length. JAX is not imported here, so that drivers can use the same formulas.
+All functions except `random_motion` and `nearest_rigid` take NumPy or JAX arrays and return the same kind. On the host
+they compute in the precision of their arguments, on a device in `full_precision`: an accelerator may otherwise round
+the factors of a product to 10 bits, half a millimetre at arm's length. This module does not import JAX, so that drivers
+can use the same formulas.
 """
 
 import functools
@@ -23,14 +24,14 @@ from jaxtyping import Bool, Float, Key
 from i2t.patches.dimensions import LAST_ROW_TOLERANCE, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 from i2t.types import Array
 
-SMALL_ANGLE_SQUARE = 1e-8  # rad^2, below which a series of two terms takes the place of a quotient
-SMALL_SERIES_SQUARE = 1e-4  # rad^2, below which one of three terms does
+TWO_TERM_SERIES_SQUARE = 1e-8  # rad^2; a series of two terms replaces quotients of angles whose square is smaller
+THREE_TERM_SERIES_SQUARE = 1e-4  # rad^2; the same for a series of three terms
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def full_precision(function: Function) -> Function:
-    """Decorate a function that multiplies poses: JAX computes its products in full precision.
+    """Decorate a function that multiplies poses, so that JAX computes its products in full precision.
 
     Args:
         function: Any function of arrays.
@@ -41,7 +42,7 @@ def full_precision(function: Function) -> Function:
 
     @functools.wraps(function)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
-        jax = sys.modules.get("jax")  # where nobody has imported it, arrays are NumPy's
+        jax = sys.modules.get("jax")  # arrays are NumPy's as long as JAX has not been imported
         if jax is None:
             return function(*args, **kwargs)
         with jax.default_matmul_precision("highest"):
@@ -51,14 +52,14 @@ def full_precision(function: Function) -> Function:
 
 
 def transform(rotation: Float[Array, "3 3"], translation: Float[Array, "3"]) -> Float[Array, "4 4"]:
-    """Build T_a_b.
+    """Build a rigid motion T_a_b from its parts.
 
     Args:
-        rotation: R_a_b.
+        rotation: The rotation matrix R_a_b.
         translation: The position (m) of b's origin in a.
 
     Returns:
-        The rigid motion as one matrix.
+        `(4, 4)` matrix T_a_b.
     """
     xp = _namespace(rotation, translation)
     if xp is np:
@@ -73,10 +74,10 @@ def inverse(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 4 4"]:
     """Invert rigid motions.
 
     Args:
-        T_a_b: Rigid motions.
+        T_a_b: Rigid motions that map points in b to a.
 
     Returns:
-        T_b_a.
+        `(*n, 4, 4)` rigid motions T_b_a that map points in a to b.
     """
     R_b_a = T_a_b[..., :3, :3].swapaxes(-1, -2)
     if T_a_b.ndim == 2:
@@ -86,41 +87,41 @@ def inverse(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 4 4"]:
 
 @full_precision
 def compose(T_a_b: Float[Array, "*#n 4 4"], T_b_c: Float[Array, "*#n 4 4"]) -> Float[Array, "*n 4 4"]:
-    """Chain two motions.
+    """Compose rigid motions.
 
     Args:
-        T_a_b: Rigid motions.
-        T_b_c: Rigid motions.
+        T_a_b: Rigid motions that map points in b to a.
+        T_b_c: Rigid motions that map points in c to b.
 
     Returns:
-        T_a_c.
+        `(*n, 4, 4)` rigid motions T_a_c that map points in c to a.
     """
     return T_a_b @ T_b_c
 
 
 @full_precision
 def apply(T_a_b: Float[Array, "4 4"], points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """Move points.
+    """Transform points by a rigid motion.
 
     Args:
-        T_a_b: A rigid motion.
+        T_a_b: A rigid motion that maps points in b to a.
         points: Points (m) in b.
 
     Returns:
-        The same points (m) in a.
+        `(*n, 3)` coordinates (m) of the same points in a.
     """
     xp = _namespace(T_a_b, points)
     return points @ T_a_b[:3, :3].T + xp.broadcast_to(T_a_b[:3, 3], points.shape)
 
 
 def nearest_rigid(matrix: Float[Array, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """Nearest rigid motion in float64 to one that single precision or a person rounded.
+    """Restore a rigid motion that was rounded, by single precision or by hand.
 
     Args:
-        matrix: Nearly a rigid motion, a NumPy array or one that can be read as such.
+        matrix: A nearly rigid motion, as a NumPy array or anything that converts to one.
 
     Returns:
-        The same translation (m), and the rotation that is nearest in the sum of squares.
+        `(4, 4)` float64 rigid motion with the same translation (m) and the nearest rotation in the sum of squares.
     """
     exact = np.asarray(matrix, np.float64)
     u, _, vt = np.linalg.svd(exact[:3, :3])
@@ -128,14 +129,14 @@ def nearest_rigid(matrix: Float[Array, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
-    """Tell a rigid motion from any other matrix, traced ones too; `i2t.validation.pose` says what is wrong.
+    """Test whether a matrix is a rigid motion. It may be traced by JAX; `i2t.validation.pose` explains what is wrong.
 
     Args:
         T_a_b: Any matrix.
 
     Returns:
-        Whether it is a rotation (within `ORTHOGONALITY_TOLERANCE` of `i2t.patches.dimensions`) and a translation, all
-        finite.
+        True if the matrix is a rotation (within `ORTHOGONALITY_TOLERANCE` of `i2t.patches.dimensions`) and a
+        translation, all finite.
     """
     xp = _namespace(T_a_b)
     x, y, z = T_a_b[:3, :3].T
@@ -146,17 +147,17 @@ def is_rigid(T_a_b: Float[Array, "4 4"]) -> Bool[Array, ""]:
 
 @full_precision
 def so3_exp(rotvec: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """Rotation matrices of rotation vectors (Rodrigues' formula).
+    """Convert rotation vectors to rotation matrices (Rodrigues' formula).
 
     Args:
         rotvec: Axis times angle (rad).
 
     Returns:
-        The rotation matrices.
+        `(*n, 3, 3)` rotation matrices.
     """
     xp = _namespace(rotvec)
     square = rotvec @ rotvec if rotvec.ndim == 1 else xp.sum(rotvec * rotvec, -1)
-    small = square < SMALL_ANGLE_SQUARE
+    small = square < TWO_TERM_SERIES_SQUARE
     angle = xp.sqrt(xp.where(small, 1.0, square))
     sine = xp.where(small, 1 - square / 6, xp.sin(angle) / angle)
     cosine = xp.where(small, 0.5 - square / 24, (1 - xp.cos(angle)) / xp.where(small, 1.0, square))
@@ -165,17 +166,17 @@ def so3_exp(rotvec: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
 
 
 def so3_log(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """Rotation vectors of rotation matrices, the inverse of `so3_exp` for angles up to pi.
+    """Convert rotation matrices to rotation vectors, the inverse of `so3_exp` for angles up to pi.
 
     Args:
         rotation: Rotation matrices.
 
     Returns:
-        Axis times angle (rad), the angle from 0 to pi.
+        `(*n, 3)` axes times angles (rad), with angles from 0 to pi.
     """
     xp = _namespace(rotation)
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = ([rotation[..., row, column] for column in range(3)] for row in range(3))
-    products = [  # 4 q q', q = (w, x, y, z): the row with the largest diagonal is the one that is best known
+    products = [  # 4 q q' with q = (w, x, y, z); the row with the largest diagonal suffers least from rounding
         [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
         [zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx],
         [xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy],
@@ -188,7 +189,7 @@ def so3_log(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
     row = xp.where(row[..., :1] < 0, -row, row)
     w, v = row[..., 0], row[..., 1:]
     square = xp.sum(v * v, -1)
-    small = square < SMALL_ANGLE_SQUARE
+    small = square < TWO_TERM_SERIES_SQUARE
     sine = xp.sqrt(xp.where(small, 1.0, square))
     near_one = xp.where(small, w, 1.0)
     scale = xp.where(small, 2 / near_one * (1 - square / (3 * near_one**2)), 2 * xp.arctan2(sine, w) / sine)
@@ -197,13 +198,13 @@ def so3_log(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
 
 @full_precision
 def exp(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
-    """The exponential of SE(3): the motion of a constant velocity over one unit of time.
+    """Compute the exponential of SE(3), the motion at constant velocity over one unit of time; the inverse of `log`.
 
     Args:
-        twist: Velocity (m) of the moving frame along its own axes, then its rotation vector (rad).
+        twist: Velocity (m) of the moving frame along its own axes, followed by its rotation vector (rad).
 
     Returns:
-        Rigid motions; `log` is the inverse.
+        `(*n, 4, 4)` rigid motions.
     """
     rotation = so3_exp(twist[..., 3:])
     translation = _left_jacobian(twist[..., 3:]) @ twist[..., :3, None]
@@ -212,16 +213,16 @@ def exp(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
 
 @full_precision
 def log(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
-    """The logarithm of SE(3), the inverse of `exp` for angles below pi.
+    """Compute the logarithm of SE(3), the inverse of `exp` for angles below pi.
 
-    Motions that leave a plane, ball or cylinder unchanged have logarithms without any part in the directions that can
-    be seen on it.
+    The logarithm of a motion that maps a plane, ball or cylinder onto itself has no component in the directions in
+    which that shape constrains a pose.
 
     Args:
         T_a_b: Rigid motions.
 
     Returns:
-        Velocity (m), then rotation vector (rad).
+        `(*n, 6)` velocities (m), followed by rotation vectors (rad).
     """
     xp = _namespace(T_a_b)
     rotvec = so3_log(T_a_b[..., :3, :3])
@@ -230,26 +231,27 @@ def log(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
 
 
 def from_twist(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
-    """The rigid motion of a twist: first its rotation, then its translation, which do not mix.
+    """Convert a twist to a rigid motion, whose translation and rotation are independent; the inverse of `to_twist`.
 
     Args:
-        twist: Three translations (m), then a rotation vector times `TWIST_LEVER_M` of `i2t.patches.dimensions`: how far
-            it moves the rim of a patch, so that all six are in metres.
+        twist: Three translations (m), followed by a rotation vector times `TWIST_LEVER_M` of `i2t.patches.dimensions`.
+            The product is the distance by which the rotation moves the rim of a patch, so that all six are in metres.
 
     Returns:
-        The motion; `to_twist` is the inverse.
+        `(4, 4)` rigid motion.
     """
     return transform(so3_exp(twist[3:] / TWIST_LEVER_M), twist[:3])
 
 
 def to_twist(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
-    """The twists of rigid motions, as in `from_twist`.
+    """Convert rigid motions to twists, the inverse of `from_twist`.
 
     Args:
         T_a_b: Rigid motions.
 
     Returns:
-        Three translations (m), then the rotation vector times `i2t.patches.dimensions.TWIST_LEVER_M` (m).
+        `(*n, 6)` twists (m): three translations, followed by the rotation vector times `TWIST_LEVER_M` of
+        `i2t.patches.dimensions`.
     """
     xp = _namespace(T_a_b)
     return xp.concatenate([T_a_b[..., :3, 3], TWIST_LEVER_M * so3_log(T_a_b[..., :3, :3])], -1)
@@ -259,18 +261,19 @@ def to_twist(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
 def contact_frame(
     point: Float[Array, "3"], normal: Float[Array, "3"], roll: Float[Array, ""] | float = 0.0
 ) -> Float[Array, "4 4"]:
-    """Frame of a skin flat on a surface.
+    """Compute the pose of a skin that lies flat on a surface.
 
-    Roll 0 turns the frame whose tool points straight down and whose x is the world's by the smallest rotation (the
-    paper's alignment); straight up, where that rotation is not unique, it turns about the world's x.
+    With roll 0, the pose is that of a tool which points straight down with its x along the world's x, turned onto the
+    normal by the smallest rotation (the paper's alignment). For a tool that points straight up, where that rotation is
+    not unique, it is a rotation about the world's x.
 
     Args:
-        point: The tool's origin (m).
-        normal: The surface's outward unit normal; tool z is minus it.
-        roll: Angle (rad) by which the frame is turned about tool z.
+        point: The tool's origin (m) in the world frame.
+        normal: The surface's outward unit normal, opposite to tool z.
+        roll: Additional rotation (rad) about tool z.
 
     Returns:
-        T_w_t of the tool.
+        `(4, 4)` tool pose T_w_t.
     """
     xp = _namespace(point, normal, roll)
     z = -normal
@@ -278,7 +281,7 @@ def contact_frame(
     c = -z[2]
     v = xp.stack([z[1], -z[0], xp.zeros_like(z[0])])
     cross = _cross_matrix(v)
-    square = v @ v  # (1 - c)(1 + c), which still knows 1 + c where the sum has lost it to rounding
+    square = v @ v  # (1 - c)(1 + c), which keeps the digits of 1 + c that the sum loses to rounding
     upright = (square < 1e-12) & (c < 0)
     scale = xp.where(c > 0, 1 / xp.where(c > 0, 1 + c, 1.0), (1 - c) / xp.where(square < 1e-12, 1.0, square))
     turn = xp.eye(3, dtype=normal.dtype) + cross + scale * cross @ cross
@@ -294,27 +297,27 @@ def random_motion(
     """Draw a small rigid motion.
 
     Args:
-        key: A JAX key.
+        key: The JAX key to draw with.
         distance: Standard deviation (m) of the translation along each axis.
         angle: Standard deviation (rad) of the rotation vector along each axis.
 
     Returns:
-        The motion, a JAX array.
+        `(4, 4)` rigid motion, a JAX array.
     """
-    import jax  # the one function that needs it
+    import jax  # no other function of this module needs it
 
-    drawn = jax.random.normal(key, (6,))  # one draw: XLA compiles each for half a second
-    return transform(so3_exp(angle * drawn[3:]), distance * drawn[:3])
+    normal = jax.random.normal(key, (6,))  # a single draw, because XLA takes half a second to compile each
+    return transform(so3_exp(angle * normal[3:]), distance * normal[:3])
 
 
 def _namespace(*arrays: Any) -> Any:
-    """`jax.numpy` where one of the arrays is JAX's, traced or not, else NumPy."""
+    """Choose `jax.numpy` if any array is JAX's, traced or not, else NumPy."""
     jax = sys.modules.get("jax")
     return jax.numpy if jax is not None and any(isinstance(array, jax.Array) for array in arrays) else np
 
 
 def _stacked(rotation: Float[Array, "*n 3 3"], translation: Float[Array, "*n 3 1"]) -> Float[Array, "*n 4 4"]:
-    """Rigid motions from their parts."""
+    """Stack rotations and translations to rigid motions."""
     xp = _namespace(rotation, translation)
     top = xp.concatenate([rotation, translation], -1)
     last = xp.broadcast_to(xp.array([0, 0, 0, 1], top.dtype), (*top.shape[:-2], 1, 4))
@@ -322,7 +325,7 @@ def _stacked(rotation: Float[Array, "*n 3 3"], translation: Float[Array, "*n 3 1
 
 
 def _cross_matrix(vector: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """The matrix [v] whose product with w is v x w."""
+    """Build the matrix [v] whose product with w is v x w."""
     xp = _namespace(vector)
     x, y, z = (vector[..., i] for i in range(3))
     zero = xp.zeros_like(x)
@@ -331,10 +334,10 @@ def _cross_matrix(vector: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
 
 
 def _left_jacobian(rotvec: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """The integral of the rotation along a motion of constant velocity, from 0 to 1."""
+    """Integrate the rotation of a motion at constant angular velocity over one unit of time."""
     xp = _namespace(rotvec)
     square = xp.sum(rotvec * rotvec, -1)
-    small = square < SMALL_SERIES_SQUARE
+    small = square < THREE_TERM_SERIES_SQUARE
     safe = xp.where(small, 1.0, square)
     angle = xp.sqrt(safe)
     first = xp.where(small, 0.5 - square / 24 + square**2 / 720, (1 - xp.cos(angle)) / safe)

@@ -1,15 +1,15 @@
-"""95 % intervals of scores whose errors come in clusters: touches share a pad, a session or a place on the skin;
+"""95 % confidence intervals of scores whose errors are clustered: touches share a pad, a session or a place on it, and
 episodes share a pad, a pool of touch sites and an object.
 
-`student_interval` is for independent values, such as one for each seed. `cluster_interval` of a mean, and
-`bootstrap_clusters` of any statistic, resample whole clusters. The variance over several crossed factors is put
-together as Cameron, Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011); few clusters are
-allowed for by Student's t with the degrees of freedom of Satterthwaite (Biometrics Bulletin 2, 1946).
-`rate_interval` is Jeffreys' (Brown, Cai and DasGupta, Statistical Science 16, 2001) for as many independent trials as
-would have that variance (Korn and Graubard, Survey Methodology 24, 1998). Near 0 and 1 few episodes show how alike
-those of a cluster are, so that the variance over clusters says too little; the number of trials is bounded there by the
-number of clusters.
-NumPy, because nothing here is differentiated.
+`student_interval` is for independent values, such as one for each seed. `cluster_interval` (of a mean) and
+`bootstrap_clusters` (of any statistic) resample whole clusters. They combine the variances of several crossed factors
+as Cameron, Gelbach and Miller do (Journal of Business and Economic Statistics 29, 2011), and account for small numbers
+of clusters by Student's t with Satterthwaite's degrees of freedom (Biometrics Bulletin 2, 1946). `rate_interval` is
+Jeffreys' interval (Brown, Cai and DasGupta, Statistical Science 16, 2001) for the number of independent trials that has
+the same variance (Korn and Graubard, Survey Methodology 24, 1998). Near 0 and 1, too few episodes differ to estimate
+the variance over clusters, so the number of trials is bounded by the number of clusters.
+
+This module uses NumPy, because nothing here is differentiated.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,18 +23,18 @@ from scipy import stats
 from i2t.types import Array
 
 RESAMPLES = 1000
-COVERAGE = 0.95  # of every interval
-MIN_CLUSTERS = 3  # fewer say nothing about others: there is no interval over them
-ALIKE = 1e-12  # variance of episodes that differ by rounding only
+COVERAGE = 0.95  # probability that an interval holds the truth
+MIN_CLUSTERS = 3  # number of clusters below which a factor has no interval
+ROUNDING_VARIANCE = 1e-12  # variance below which values differ by rounding only
 
-Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, for each factor
-Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # of the episodes' weights
-# The same in each of some draws, from how often each cluster was drawn (draws, groups) and the episodes' labels.
+Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, one array for each factor
+Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # maps weights of the episodes to a value
+# Maps the number of times each cluster was drawn, and the label of each episode, to a value for each draw.
 Resampled = Callable[[Float[np.ndarray, "draws groups"], Int[np.ndarray, " n"]], Float[np.ndarray, "draws k"]]
 
 
 class Estimate(NamedTuple):
-    """Means with their intervals: floats, or arrays of one shape."""
+    """Means with their 95 % intervals, as floats or arrays of one shape."""
 
     mean: Any
     low: Any
@@ -42,26 +42,26 @@ class Estimate(NamedTuple):
 
 
 def estimate_at(estimates: Estimate, index: int) -> Estimate:
-    """One of several estimates.
+    """Select one of several estimates.
 
     Args:
-        estimates: Along a leading axis.
-        index: Which, for instance -1 for the last touch.
+        estimates: Estimates stacked along a leading axis.
+        index: Index along that axis, for instance -1 for the last touch.
 
     Returns:
-        That one.
+        The estimate at that index.
     """
     return Estimate(estimates.mean[index], estimates.low[index], estimates.high[index])
 
 
 def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
-    """Mean and Student's t interval of independent values, such as seeds or episodes.
+    """Compute the mean and Student's t interval of independent values, such as one for each seed.
 
     Args:
-        values: (n, ...), independent along axis 0.
+        values: `(n, ...)` values, independent along axis 0.
 
     Returns:
-        Mean and both ends, floats for values (n,); a single value has no interval (NaN).
+        The mean and both limits, floats for values of shape `(n,)`. The limits of a single value are NaN.
     """
     sample = np.asarray(values, np.float64)
     n, mean = len(sample), sample.mean(0)
@@ -72,20 +72,21 @@ def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
 
 
 def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
-    """Mean of values between 0 and 1, with Jeffreys' limits at the effective number of trials.
+    """Compute a mean of values between 0 and 1, with Jeffreys' limits at the effective number of trials n_e.
 
-    n_e = p (1 - p) / v [t(n - 1) / t(k)]^2, where v is the variance of the mean p over clusters, which is at least that
-    of independent episodes, k its degrees of freedom and t() the quantiles of Student's t. Of c clusters with m
-    exceptions in all, which are the rarer outcome of each cluster, n_e is at most c (1 + m): c clusters that are all
-    right are c trials, however many episodes they have, and each exception shows that the episodes of a cluster differ.
-    Where all values are alike, n_e is n within that bound. Limits lie between 0 and 1.
+    n_e = p (1 - p) / v [t(n - 1) / t(k)]^2, where v is the variance of the mean p over clusters (at least the variance
+    for independent episodes), k its degrees of freedom, and t() quantiles of Student's t. Let m be the number of
+    exceptions, the rarer outcome of each cluster, in all c clusters. Then n_e is at most c (1 + m): c clusters of
+    successes are c trials, however many episodes they have, and each exception shows that the episodes of a cluster
+    differ. If all values are equal, n_e is n within that bound.
 
     Args:
-        values: (n, ...) in [0, 1]; fractions are those of shared ties, or means over touches.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+        values: `(n, ...)` values in [0, 1]. Fractions come from shared ties, or from means over touches.
+        clusters: Factors that episodes share, as for `cluster_interval`; none if episodes are independent.
 
     Returns:
-        Estimates of the trailing shape; NaN where n is 0, limits NaN where no factor has three clusters.
+        Estimates of shape `(...)`, with limits in [0, 1]. They are NaN if n is 0, and the limits are NaN if no factor
+        has three clusters.
     """
     values = np.asarray(values, np.float64)
     n, shape = len(values), values.shape[1:]
@@ -99,12 +100,12 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     else:
         variance, freedom = independent, np.full_like(mean, max(n - 1, 1))
     variance = np.maximum(variance, independent)
-    variance = np.where(variance * n < ALIKE, 0.0, variance)
+    variance = np.where(variance * n < ROUNDING_VARIANCE, 0.0, variance)
     with np.errstate(divide="ignore", invalid="ignore"):
         trials = mean * (1 - mean) / variance * (_t(np.float64(max(n - 1, 1))) / _t(freedom)) ** 2
-        most = np.where(independent == 0, n, mean * (1 - mean) / independent)  # those of independent episodes
-        most = most * _share_of_trials(flat, factors)
-        trials = np.where(variance == 0, most, np.minimum(trials, most))
+        bound = np.where(independent == 0, n, mean * (1 - mean) / independent)  # trials if episodes were independent
+        bound = bound * _share_of_trials(flat, factors)
+        trials = np.where(variance == 0, bound, np.minimum(trials, bound))
     right, wrong = mean * trials + 0.5, (1 - mean) * trials + 0.5
     low, high = (stats.beta.ppf((1 + sign * COVERAGE) / 2, right, wrong) for sign in (-1, 1))
     low, high = np.where(mean == 0, 0, np.minimum(low, mean)), np.where(mean == 1, 1, np.maximum(high, mean))
@@ -115,9 +116,7 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
 def _share_of_trials(
     values: Float[np.ndarray, "n k"], factors: Sequence[Int[np.ndarray, " n"]]
 ) -> Float[np.ndarray, " k"]:
-    """Largest share of n independent trials that clusters of each factor may count for: at most c (1 + m) of them, with
-    c clusters and m exceptions in all.
-    """
+    """Bound the effective number of trials by c (1 + m), as a share of n, for c clusters and m exceptions in all."""
     share = np.ones(values.shape[1])
     for label in factors:
         counts = np.bincount(label)
@@ -129,33 +128,33 @@ def _share_of_trials(
 
 
 def _independent(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
-    """Variance of the mean of independent values; zero where they differ by rounding only."""
+    """Compute the variance of the mean of independent values, zero where they differ by rounding only."""
     variance = values.var(0) / max(len(values), 1)
-    return np.where(variance * len(values) < ALIKE, 0.0, variance)
+    return np.where(variance * len(values) < ROUNDING_VARIANCE, 0.0, variance)
 
 
 def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
-    """Mean of any values: `cluster_interval`, or Student's t where episodes are independent.
+    """Compute a mean with `cluster_interval`, or with `student_interval` if there are no clusters.
 
     Args:
-        values: (n, ...).
-        clusters: Factors in which episodes are alike, as of `cluster_interval`.
+        values: `(n, ...)` values of n episodes.
+        clusters: Factors that episodes share, as for `cluster_interval`.
 
     Returns:
-        Estimates of the trailing shape.
+        Estimates of shape `(...)`.
     """
     return cluster_interval(values, clusters) if clusters and len(values) else student_interval(values)
 
 
 def rows_of(clusters: Clusters, rows: Shaped[Array, "..."]) -> Sequence[Shaped[Array, " kept"]]:
-    """Labels of some of the episodes.
+    """Select the cluster labels of some episodes.
 
     Args:
-        clusters: Of all.
-        rows: Which: a mask or numbers.
+        clusters: Labels of all episodes, one array for each factor.
+        rows: Mask or row numbers of the episodes to select.
 
     Returns:
-        Those of the rows.
+        Labels of the selected episodes, one array for each factor.
     """
     return [np.asarray(label)[rows] for label in clusters]
 
@@ -163,22 +162,23 @@ def rows_of(clusters: Clusters, rows: Shaped[Array, "..."]) -> Sequence[Shaped[A
 def cluster_interval(
     values: Shaped[Array, "n ..."], clusters: Clusters, *, draws: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
-    """Mean of values of episodes, with an interval over the clusters that they come in; its variance is at least that
-    of independent episodes, as a few clusters may be alike by chance.
+    """Compute the mean of the values of clustered episodes, with an interval over clusters.
+
+    The variance is at least that of independent episodes, because a few clusters may agree by chance.
 
     Args:
-        values: (n, ...) of the episodes, for instance whether each was right after each touch.
-        clusters: One label for each episode, for each factor: its pad, its pool of sites, its object. Labels of
-            different pads' pools must differ. A factor left out is taken as fixed: the interval is then for these very
-            objects, say; so is one of fewer than three clusters. No factor at all means independent episodes.
-        draws: Of each bootstrap.
-        seed: Of the draws.
+        values: `(n, ...)` values of n episodes, for instance whether each was right after each touch.
+        clusters: For each factor (pad, pool of sites, object), one label for each episode. Labels of the pools of
+            different pads must differ. A factor that is left out, or has fewer than three clusters, is taken as fixed:
+            the interval is then for these very objects, for instance. Without factors, episodes are independent.
+        draws: Number of draws in each bootstrap.
+        seed: Seed of the draws.
 
     Returns:
-        Estimates of the trailing shape. Limits are NaN where no factor has three clusters.
+        Estimates of shape `(...)`. The limits are NaN if no factor has three clusters.
 
     Raises:
-        ValueError: Labels are not as many as values.
+        ValueError: The number of labels differs from the number of values.
     """
     values = np.asarray(values, np.float64)
     n, shape = len(values), values.shape[1:]
@@ -198,69 +198,69 @@ def _means(values: Float[np.ndarray, "n k"]) -> Resampled:
 
 
 def _t(freedom: Shaped[Array, "..."]) -> np.ndarray:
-    """Student's t for half of the width of an interval."""
+    """Compute the quantile of Student's t that scales a standard error to half the width of an interval."""
     return np.asarray(stats.t.ppf((1 + COVERAGE) / 2, freedom))
 
 
 def bootstrap_clusters(
     statistic: Statistic, clusters: Clusters, count: int, *, draws: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
-    """Any statistic of weighted episodes, with an interval over the clusters that they come in.
+    """Compute any statistic of weighted episodes, with an interval over clusters.
 
     Args:
-        statistic: Maps weights (n,) of the episodes, all 1 for what was seen, to one number or several.
-        clusters: As of `cluster_interval`.
+        statistic: Function that maps weights `(n,)` of the episodes, 1 each for the data as observed, to an array.
+        clusters: Factors that episodes share, as for `cluster_interval`.
         count: Number n of episodes.
-        draws: Of each bootstrap.
-        seed: Of the draws.
+        draws: Number of draws in each bootstrap.
+        seed: Seed of the draws.
 
     Returns:
-        Estimates of the statistic's shape; limits are NaN where no factor has three clusters.
+        Estimates of the statistic's shape. The limits are NaN if no factor has three clusters.
 
     Raises:
-        ValueError: Labels are not as many as episodes.
+        ValueError: The number of labels differs from the number of episodes.
     """
-    seen = np.asarray(statistic(np.ones(count)), np.float64)
+    observed = np.asarray(statistic(np.ones(count)), np.float64)
 
     def resampled(counts: np.ndarray, label: np.ndarray) -> np.ndarray:
         return np.stack([np.ravel(statistic(drawn[label])) for drawn in counts]).astype(np.float64)
 
     variance, freedom = _spread(resampled, _factors(clusters, count), draws, seed)
-    half = (_t(freedom) * np.sqrt(variance)).reshape(seen.shape)
-    return Estimate(seen, seen - half, seen + half)
+    half = (_t(freedom) * np.sqrt(variance)).reshape(observed.shape)
+    return Estimate(observed, observed - half, observed + half)
 
 
 def grouped_interval(
     statistic: Callable[[np.ndarray], float], groups: Shaped[Array, " n"], seed: int = 0
 ) -> tuple[float, float]:
-    """`bootstrap_clusters` of a statistic of rows, such as a median or an R2, over one factor.
+    """Compute the interval of a statistic of rows, such as a median or R2, over the clusters of one factor.
 
     Args:
-        statistic: Function of row numbers, those of a cluster that was drawn twice twice among them. Draws of which it
-            is NaN are left out.
-        groups: (n,) run or spatial block of each row; rows of one group are not independent.
-        seed: Of the draws.
+        statistic: Function of row numbers. The rows of a cluster that was drawn twice appear twice. Draws for which the
+            function returns NaN are ignored.
+        groups: `(n,)` labels, such as the session or spatial block of each row; rows of one group are not independent.
+        seed: Seed of the draws.
 
     Returns:
-        Both ends of the interval; NaN where there are fewer than three groups.
+        The lower and upper limit, NaN if there are fewer than three groups.
     """
     rows = np.arange(len(groups))
-    found = bootstrap_clusters(
+    estimate = bootstrap_clusters(
         lambda weights: np.float64(statistic(np.repeat(rows, weights.astype(int)))), [groups], len(rows), seed=seed
     )
-    return float(found.low), float(found.high)
+    return float(estimate.low), float(estimate.high)
 
 
 def p_values(estimates: Estimate, freedom: int | Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Two-sided p values of means that are zero in truth, by Student's t, from their intervals.
+    """Compute two-sided p values, for the null hypothesis of a zero mean, from intervals of Student's t.
 
     Args:
-        estimates: Means with intervals that are Student's t.
-        freedom: Degrees of freedom of these, or the least that they may have: p values are then too large rather than
-            too small.
+        estimates: Means with intervals of Student's t.
+        freedom: Degrees of freedom of the intervals. A lower bound of them makes the p values too large rather than too
+            small.
 
     Returns:
-        The p values; NaN where there is no interval.
+        P values of the shape of the means, NaN where there is no interval.
     """
     mean, low, high = (np.asarray(part, np.float64) for part in estimates)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -268,15 +268,15 @@ def p_values(estimates: Estimate, freedom: int | Float[np.ndarray, "..."]) -> Fl
 
 
 def holm(p: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """P values adjusted for their number, so that one below 0.05 among true null hypotheses has a chance of 5 %.
+    """Adjust p values for their number, so that the chance of any false rejection at 0.05 is at most 5 %.
 
     Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979.
 
     Args:
-        p: P values.
+        p: `(n,)` p values.
 
     Returns:
-        The adjusted ones, in the same order.
+        `(n,)` adjusted p values in the same order.
     """
     order = np.argsort(p)
     adjusted = np.empty(len(p))
@@ -287,20 +287,20 @@ def holm(p: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 def _spread(
     resampled: Resampled, factors: Sequence[Int[np.ndarray, " n"]], draws: int = RESAMPLES, seed: int = 0
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Variance of a statistic over crossed factors, and its degrees of freedom; NaN where there is no factor."""
+    """Compute the variance of a statistic over crossed factors and its degrees of freedom, NaN without factors."""
     if not factors:
         return np.full(1, np.nan), np.full(1, np.nan)
     rng = np.random.default_rng(seed)
     variance = first = spread = np.zeros(1)
     for size in range(1, len(factors) + 1):
-        for some in combinations(factors, size):
-            label = _cells(some)
+        for subset in combinations(factors, size):
+            label = _cells(subset)
             part = _resampled_variance(resampled, label, draws, rng)
             variance = variance + (-1) ** (size + 1) * part
             if size == 1:
                 first = np.maximum(first, part)
                 spread = spread + part**2 / label.max()
-    variance = np.maximum(variance, first)  # what cells take off is noisy too
+    variance = np.maximum(variance, first)  # the subtracted variances of intersections are noisy
     fewest = min(int(factor.max()) for factor in factors)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.clip(np.where(spread > 0, variance**2 / spread, fewest), fewest, None)
@@ -308,8 +308,8 @@ def _spread(
 
 
 def _factors(clusters: Clusters, count: int) -> list[Int[np.ndarray, " n"]]:
-    """Labels 0, 1, ... of the factors that have several clusters, without those nested in another: resampling the
-    coarser clusters resamples what is in them. Independent episodes are clusters of one.
+    """Number the clusters 0, 1, ... of each factor with enough clusters, without factors nested in a coarser one, whose
+    resampling resamples them too. Independent episodes are clusters of one episode.
     """
     if any(len(label) != count for label in clusters):
         raise ValueError(f"clusters: {[len(label) for label in clusters]} labels for {count} episodes")
@@ -325,15 +325,15 @@ def _factors(clusters: Clusters, count: int) -> list[Int[np.ndarray, " n"]]:
 
 
 def _cells(factors: Sequence[Int[np.ndarray, " n"]]) -> Int[np.ndarray, " n"]:
-    """Labels of combined clusters of all factors."""
+    """Number the intersections of the clusters of all factors."""
     return np.unique(np.stack(factors), axis=1, return_inverse=True)[1].reshape(-1)
 
 
 def _resampled_variance(
     resampled: Resampled, label: Int[np.ndarray, " n"], draws: int, rng: np.random.Generator
 ) -> Float[np.ndarray, " k"]:
-    """Variance of a statistic over resampled clusters, one less than there are: so it is unbiased for a mean (McCarthy
-    and Snowden, Vital and Health Statistics 2:95, 1985).
+    """Compute the variance of a statistic over resampled clusters. Each draw has one cluster less than there are, which
+    makes the variance of a mean unbiased (McCarthy and Snowden, Vital and Health Statistics 2:95, 1985).
     """
     groups = int(label.max()) + 1
     counts = rng.multinomial(groups - 1, np.full(groups, 1 / groups), size=draws).astype(np.float64)

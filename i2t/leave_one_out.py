@@ -1,14 +1,14 @@
-"""Exact leave-one-out of a normal distribution: part of y as predicted from all the rest, without fitting again.
+"""Exact leave-one-out predictions of a normal distribution, without fitting it again.
 
-Let y ~ N(0, P^-1). Given all other entries, entries b of y have the covariance inv(P_bb) and differ from their mean by
+Let y ~ N(0, P^-1). Given all other entries, the entries b of y have covariance inv(P_bb) and differ from their mean by
 
     y_b - E[y_b | rest] = inv(P_bb) (P y)_b,
 
 so that one precision matrix P serves every b (Rasmussen and Williams, "Gaussian Processes for Machine Learning",
-equations 5.10 to 5.12). A mean is subtracted from y before. The functions take P_bb and the weights (P y)_b, because a
-linear regression has these without P itself. Where the covariance is s^2 inv(P), weights and errors stay as they are.
+equations 5.10 to 5.12). Subtract a mean from y first. The functions take P_bb and the weights (P y)_b, because a linear
+regression yields both without forming P. If the covariance is s^2 inv(P), weights and errors do not change.
 
-NumPy arrays in, NumPy arrays out, and likewise of JAX, also under `jax.jit` and `jax.grad`.
+The functions take NumPy or JAX arrays and return the same kind, also under `jax.jit` and `jax.grad`.
 """
 
 import contextlib
@@ -18,50 +18,51 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import lapack
 
-Array: TypeAlias = Any  # of NumPy or JAX
+Array: TypeAlias = Any  # a NumPy or JAX array
 
-STDS_WITHIN_90 = 1.645  # standard deviations of a normal error that hold nine in ten
-SMALL_SYSTEM = 40  # edge of matrices that are inverted in one call
-UNINFORMED_VARIANCE = 1e6  # of what is left out where a matrix is not positive definite, which rounding can bring about
+STDS_WITHIN_90 = 1.645  # half width, in standard deviations, of the interval that holds 90 % of a normal distribution
+MAX_BATCHED_SIZE = 40  # rows of matrices up to which NumPy inverts a whole stack faster than LAPACK one by one
+UNINFORMED_VARIANCE = 1e6  # variance predicted where rounding left a matrix that is not positive definite
 
 
 class LeftOutRows(NamedTuple):
-    """Rows, each predicted from all others."""
+    """Predictions of each row from all other rows."""
 
-    error: Float[Array, "... n c"]  # value minus mean
+    error: Float[Array, "... n c"]  # value minus predicted mean
     variance: Float[Array, "... n #c"]
 
 
 class LeftOutBlocks(NamedTuple):
-    """Blocks of m entries, each predicted from all others."""
+    """Predictions of each block of m rows from all other rows."""
 
-    error: Float[Array, "... m c"]  # value minus mean
-    log_density: Float[Array, "... c"]  # of the block's values
+    error: Float[Array, "... m c"]  # value minus predicted mean
+    log_density: Float[Array, "... c"]  # predicted log density of the block's values
 
 
 def leave_out_rows(
     precision: Float[Array, "... n"], weights: Float[Array, "... n c"], scale: Float[Array, "... 1 c"] | float = 1.0
 ) -> LeftOutRows:
-    """Leave out single rows.
+    """Predict each row from all others.
 
     Args:
         precision: Diagonal of the precision matrix P of n rows.
-        weights: P y, for c independent columns of y.
-        scale: s, by which the standard deviations of each column, or of all alike, are those of P.
+        weights: The product P y for c independent columns of y.
+        scale: Factor s of the standard deviations of each column, or of all columns.
 
     Returns:
-        Errors (value minus mean) in the unit of y, and variances, one for all columns that have one scale.
+        Errors (value minus mean) in the unit of y, and variances; with one scale for all columns, one variance serves
+        all of them.
     """
     own = precision[..., None]
     return LeftOutRows(weights / own, scale**2 / own)
 
 
 def leave_out_blocks(precision: Float[Array, "... m m"], weights: Float[Array, "... m c"]) -> LeftOutBlocks:
-    """Leave out blocks of m rows, each of them whole.
+    """Predict each block of m rows from all other rows.
 
     Args:
         precision: Diagonal blocks P_bb of the precision matrix, positive definite.
-        weights: Their rows (P y)_b, for c independent columns of y.
+        weights: Rows (P y)_b of each block for c independent columns of y.
 
     Returns:
         Errors (value minus mean) in the unit of y, and the log density of each column of each block.
@@ -90,13 +91,13 @@ def leave_out_parts(
     part: Int[np.ndarray, " n"],
     scale: Float[np.ndarray, "groups 1 c"] | float = 1.0,
 ) -> LeftOutRows:
-    """Leave out the rows of each part together, for several precision matrices at once.
+    """Predict the rows of each part from the rows of all other parts, for several precision matrices at once.
 
     Args:
         precision: Precision matrices P of n rows.
-        weights: P y, for c independent columns of y.
-        part: Number of the part of each row.
-        scale: As for `leave_out_rows`.
+        weights: The products P y for c independent columns of y.
+        part: Number of the part to which each row belongs.
+        scale: Factor of the standard deviations, as for `leave_out_rows`.
 
     Returns:
         Errors (value minus mean) in the unit of y, and the variance of each row.
@@ -114,13 +115,13 @@ def inverses(matrices: Float[np.ndarray, "groups n n"], *, failed: float) -> Flo
     """Invert symmetric positive definite matrices.
 
     Args:
-        matrices: Several of one size.
+        matrices: Matrices of one size.
         failed: Diagonal of the result for a matrix that is not positive definite.
 
     Returns:
-        Their inverses.
+        `(groups, n, n)` inverses.
     """
-    if matrices.shape[1] <= SMALL_SYSTEM:
+    if matrices.shape[1] <= MAX_BATCHED_SIZE:
         with contextlib.suppress(np.linalg.LinAlgError):
             return np.linalg.inv(matrices)
     return np.stack([_inverse(matrix, failed) for matrix in matrices])
@@ -129,7 +130,7 @@ def inverses(matrices: Float[np.ndarray, "groups n n"], *, failed: float) -> Flo
 def _inverse(matrix: np.ndarray, failed: float) -> np.ndarray:
     factor, info = lapack.dpotrf(matrix, lower=1)
     if not info:
-        inverse, info = lapack.dpotri(factor, lower=1)  # its lower half; the upper one of the factor is zero
+        inverse, info = lapack.dpotri(factor, lower=1)  # fills the lower half; the upper half stays zero
     if info:
         return failed * np.eye(len(matrix))
     whole = inverse + inverse.T

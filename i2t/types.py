@@ -1,12 +1,13 @@
-"""Types of every part of i2t: surfaces, boards, pads, touches and the numbers of a depth patch.
+"""Types that all parts of i2t share: surfaces, patches, boards, pads and touches.
 
-Frames: W world, B robot base, T tool, C camera, O object; `T_a_b` is the (4, 4) transform that maps points in b to a.
-The tool frame has its origin at the skin's centre on its surface, z out of the skin into the object, x and y along the
-skin's edges. Units: metres, radians, newtons and tesla in the physics, microtesla at the sensor's face.
+Frames are W (world), B (robot base), T (tool), C (camera) and O (object); `T_a_b` is the `(4, 4)` transform that maps
+points in b to a. The tool frame has its origin at the centre of the skin's surface, z pointing out of the skin into the
+object, and x and y along the skin's edges. Units are metres, radians, newtons and tesla inside the physics, and
+microtesla for readings.
 
-Every type is a NamedTuple of arrays and so a JAX pytree: one example has the shapes given here, a batch has a leading
-axis. NumPy and JAX arrays are both welcome, and nothing here imports JAX, so that the hardware layer can speak the same
-words.
+Every type is a NamedTuple of arrays and therefore a JAX pytree. A single example has the shapes given here, and a batch
+has a leading axis. The arrays may be NumPy's or JAX's. This module does not import JAX, so that the hardware layer can
+use the same types.
 """
 
 from enum import IntEnum
@@ -16,37 +17,36 @@ from jaxtyping import Float, Int
 
 Array: TypeAlias = Any  # a NumPy or a JAX array
 Kind = TypeVar("Kind", bound=tuple)
-MAX_SHOWN_ITEMS, MAX_SHOWN_TEXT = 8, 160  # items of a container, and characters, that one line of a `repr` shows
 
 
 def one_line(values: tuple) -> str:
-    """Text of a named tuple of arrays: shapes and types in place of numbers.
+    """Describe a named tuple of arrays by their shapes and types instead of their numbers.
 
     Args:
         values: The named tuple.
 
     Returns:
-        One line.
+        One line of text, such as `Patch(depth=48x48 float32, nearest=0.001)`.
     """
     parts = [f"{name}={_shown(value)}" for name, value in values._asdict().items()]  # type: ignore[attr-defined]
     return f"{type(values).__name__}({', '.join(parts)})"
 
 
 def in_one_line(kind: type[Kind]) -> type[Kind]:
-    """Let a class of named tuples show itself by `one_line`.
+    """Decorate a class of named tuples so that `repr` shows it by `one_line`.
 
     Args:
-        kind: The class.
+        kind: The class to decorate.
 
     Returns:
-        The class.
+        The same class.
     """
     kind.__repr__ = one_line  # type: ignore[method-assign,assignment]  # it is given a named tuple
     return kind
 
 
 def _shown(value: Any) -> str:
-    """Text of one field: a number, the shape and type of an array, or another short description."""
+    """Describe one field by its number, by the shape and type of its array, or by another short text."""
     shape = getattr(value, "shape", None)
     if shape == () and hasattr(value, "item") and "Tracer" not in type(value).__name__:
         return f"{value.item():.6g}" if hasattr(value, "dtype") and value.dtype.kind in "fiu" else str(value)
@@ -54,19 +54,19 @@ def _shown(value: Any) -> str:
         return f"{'x'.join(map(str, shape)) or 'scalar'} {getattr(value, 'dtype', '')}".rstrip()
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, tuple | list | dict) and len(value) > MAX_SHOWN_ITEMS:
+    if isinstance(value, tuple | list | dict) and len(value) > 8:
         return f"{type(value).__name__} of {len(value)}"
     text = one_line(value) if hasattr(value, "_fields") else " ".join(repr(value).split())
-    return text if len(text) <= MAX_SHOWN_TEXT else f"{type(value).__name__}(...)"
+    return text if len(text) <= 160 else f"{type(value).__name__}(...)"
 
 
 @in_one_line
 class Surface(NamedTuple):
-    """A triangle mesh ready for rendering, in the object's frame; build it with `i2t.rendering.render.prepare_surface`.
+    """A triangle mesh prepared for rendering, in the object's frame; `i2t.prepare_surface` makes it.
 
-    Faces lie in the order of a k-d tree, a few to a cluster and 32 clusters to a group, padded with faces that shrink
-    to a point up to a static size class, so that surfaces of one class share a compiled renderer and can be stacked. A
-    box is its centre and its half extents. Triangles alone are enough for everything but rendering.
+    Faces are sorted by a k-d tree into clusters, with 32 clusters to a group. Degenerate faces pad the mesh to one of a
+    few sizes, so that surfaces of one size share a compiled renderer and can be stacked. Boxes are stored as centres
+    and half extents. Only rendering needs the boxes and groups.
 
     Example:
         surface = i2t.prepare_surface(i2t.load_mesh("mug.stl", unit="m"))
@@ -74,30 +74,31 @@ class Surface(NamedTuple):
     """
 
     triangles: Float[Any, "*batch faces 3 3"]  # m, of each face's 3 corners
-    boxes: Float[Any, "*batch groups 6 32"] | None = None  # m, of 32 clusters
-    groups: Float[Any, "*batch 6 words"] | None = None  # m; groups rounded up to whole words of 32
+    boxes: Float[Any, "*batch groups 6 32"] | None = None  # m, boxes of the 32 clusters of each group
+    groups: Float[Any, "*batch 6 words"] | None = None  # m, boxes of the groups, padded to a multiple of 32
 
 
 @in_one_line
 class Patch(NamedTuple):
-    """Depth in front of the skin, seen along tool z: row i along tool y, column j along tool x, pixel centres at ((k +
-    0.5)/n - 0.5) window.
+    """Depth image in front of the skin, seen along tool z. Rows run along tool y and columns along tool x, with pixel
+    centres at ((k + 0.5)/n - 0.5) times the window's edge.
 
     Example:
         patch = i2t.render_patch(surface, T_o_t)
         height = patch.nearest + patch.depth  # m, of the surface along tool z
     """
 
-    depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, clipped to the reach; no surface = reach
-    nearest: Float[Any, "*batch"]  # m, signed distance of that point from the tool origin along tool z; +inf for none
+    depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, at most the reach; the reach where no surface is
+    nearest: Float[Any, "*batch"]  # m, position of that point along tool z from the tool origin; +inf without a surface
 
 
 @in_one_line
 class Board(NamedTuple):
-    """A sensor board: positions of its chips below the skin and their axes in the tool frame.
+    """Positions and axes of the magnetometer chips on a sensor board, in the tool frame.
 
-    A board has n chips and sends readings of 3 n values. `chips[i]` is the i-th chip in the order in which the board
-    sends its values, `rotations[i]` maps that chip's axes to tool axes (a reflection where a driver flips a sign).
+    A board with n chips sends readings of 3 n values. `chips[i]` is the position of the i-th chip in the order in which
+    the board sends its values. `rotations[i]` maps the axes of that chip to tool axes, and is a reflection if the
+    driver flips a sign.
 
     Example:
         board = i2t.reskin_board()
@@ -105,37 +106,37 @@ class Board(NamedTuple):
     """
 
     chips: Float[Any, "*batch chips 3"]  # m, in the tool frame; z is negative, below the skin's surface
-    rotations: Float[Any, "*batch chips 3 3"]  # from each chip's axes to the tool's
+    rotations: Float[Any, "*batch chips 3 3"]  # map the axes of each chip to tool axes
 
     @property
     def num_chips(self) -> int:
-        """Number n of chips."""
+        """Number of chips."""
         return int(self.chips.shape[-2])
 
     @property
     def num_readings(self) -> int:
-        """Values of one reading, 3 n."""
+        """Number of values in a reading, three for each chip."""
         return 3 * self.num_chips
 
     def to_tool(self, reading: Array) -> Array:
-        """Turn readings into tool axes.
+        """Rotate readings into tool axes.
 
         Args:
-            reading: (..., 3 n) in the board's order and the chips' own axes.
+            reading: `(..., 3 n)` values in the board's order and the chips' own axes.
 
         Returns:
-            (..., n, 3) in tool axes.
+            `(..., n, 3)` field at each chip in tool axes, in the unit of the readings.
         """
         return (self.rotations @ reading.reshape(*reading.shape[:-1], self.num_chips, 3, 1))[..., 0]
 
     def to_board(self, field: Array) -> Array:
-        """Turn fields into readings as the board sends them; the inverse of `to_tool`.
+        """Rotate fields into readings as the board sends them, the inverse of `to_tool`.
 
         Args:
-            field: (..., n, 3) in tool axes.
+            field: `(..., n, 3)` field at each chip in tool axes.
 
         Returns:
-            (..., 3 n) in the board's order and the chips' own axes.
+            `(..., 3 n)` values in the board's order and the chips' own axes.
         """
         turned = (self.rotations.swapaxes(-1, -2) @ field[..., None])[..., 0]
         return turned.reshape(*field.shape[:-2], self.num_readings)
@@ -143,7 +144,7 @@ class Board(NamedTuple):
 
 @in_one_line
 class Pad(NamedTuple):
-    """One magnetic skin: an elastic layer, bonded to its board or clamped at its edge, magnetised unevenly.
+    """A magnetic skin: an unevenly magnetised elastic layer that is bonded to its board or clamped at its edge.
 
     Example:
         pad = i2t.sample_pad(jax.random.key(0), board=i2t.anyskin_board())
@@ -153,22 +154,22 @@ class Pad(NamedTuple):
     thickness: Float[Any, "*batch"]  # m
     young: Float[Any, "*batch"]  # Pa
     poisson: Float[Any, "*batch"]  # Poisson's ratio
-    # A/m in tool axes on m x m equal cells of the pad (row along y), uniform through the thickness:
+    # A/m in tool axes on m x m equal cells of the pad (rows along y), uniform through the thickness
     magnetization: Float[Any, "*batch m m 3"]
-    gains: Float[Any, "*batch c"]  # of the chips' axes, in the board's order; 1 is nominal
-    board: Board  # the chips under it
-    friction: Float[Any, "*batch"]  # coefficient of Coulomb friction of the skin; 0 is frictionless
-    mount_compliance: Float[Any, "*batch"]  # m/N by which the middle of a skin clamped at its edge sinks; 0 is bonded
+    gains: Float[Any, "*batch c"]  # gain of each axis of each chip in the board's order; the nominal gain is 1
+    board: Board  # the chips below the skin
+    friction: Float[Any, "*batch"]  # Coulomb friction coefficient of the skin
+    mount_compliance: Float[Any, "*batch"]  # m/N, sinking of the centre of a skin clamped at its edge; 0 if bonded
 
 
 @in_one_line
 class Truth(NamedTuple):
-    """Truth of a simulated touch: the ceiling that an ideal observer would reach."""
+    """Error-free values of a simulated touch, which only the simulation knows."""
 
-    wide: Float[Any, "*n w w"]  # m, 72 x 72, the surface as the skin met it, without camera or pose error
-    nearest: Float[Any, "*n"]  # m, at the stop, without error
+    wide: Float[Any, "*n w w"]  # m, 72 x 72 view of the surface that the skin met, without camera or pose error
+    nearest: Float[Any, "*n"]  # m, position of the nearest surface point along tool z at the end of the press
     force: Float[Any, "*n"]  # N
-    indentation: Float[Any, "*n"]  # m, of the skin
+    indentation: Float[Any, "*n"]  # m, largest indentation of the skin
     reading: Float[Any, "*n c"]  # uT, without noise or ambient
 
 

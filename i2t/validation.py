@@ -1,7 +1,7 @@
-"""Checks of a user's arguments to a public function: numbers, poses, counts and random keys.
+"""Checks of the arguments that users pass to public functions: numbers, poses, counts and random keys.
 
-Wrong types are a TypeError and wrong values a ValueError, in one sentence that names the argument. Values that `jit`,
-`vmap` or a derivative traces are not known yet and pass.
+A wrong type raises a TypeError and a wrong value a ValueError, with one sentence that names the argument. Values that
+`jit`, `vmap` or a derivative traces have no number yet and are accepted.
 """
 
 import math
@@ -15,49 +15,49 @@ from i2t.errors import did_you_mean
 from i2t.patches.dimensions import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORCE_N, ORTHOGONALITY_TOLERANCE
 
 ROUND_TIPS = ("sphere", "cylinder")
-MIN_TIP_RADIUS_MM = 0.1  # of an indenter; smaller ones are meant in metres
-MAX_TIP_RADIUS_MM = 100.0  # a ball of 20 cm; under a skin of 20 mm a larger one is flat to 0.5 mm
-REAL_KINDS = "iuf"  # of NumPy: integers and floats; no booleans, text or objects
+MIN_TIP_RADIUS_MM = 0.1  # a smaller radius was probably given in metres
+MAX_TIP_RADIUS_MM = 100.0  # on a skin of 20 mm, a larger tip is flat to 0.5 mm
 
 
 def is_traced(*values: Any) -> bool:
-    """Test whether a value is traced by JAX, so that it has no number yet.
+    """Test whether JAX traces a value, which then has no number yet.
 
     Args:
-        values: Any.
+        values: Values of any type.
 
     Returns:
-        Whether one of them is.
+        True if at least one of them is traced.
     """
     return any("Tracer" in type(value).__name__ for value in values)
 
 
 def numbers(name: str, value: Any, hint: str) -> np.ndarray:
-    """Real numbers that a user gave, in any shape.
+    """Convert a user's argument to an array of real numbers.
 
     Args:
-        name: Of the argument, for the message.
-        value: A number, or an array or nested list of them.
-        hint: What to give, for the message.
+        name: Name of the argument, for the message.
+        value: A number, or an array or nested list of numbers.
+        hint: What to give instead, for the message.
 
     Returns:
-        The array; integers and floats stay as they are, and masked floats become NaN.
+        Array of the argument's shape and type; masked floats become NaN.
 
     Raises:
-        TypeError: It holds something else than real numbers, rows of different lengths, or masked integers.
+        TypeError: The argument holds anything but real numbers, rows of different lengths, or masked integers.
     """
     value = _without_mask(name, value, hint)
     try:
         array = np.asarray(value)
     except (TypeError, ValueError) as error:  # rows of different lengths
         raise TypeError(f"{name}: is a {type(value).__name__} that makes no array; give {hint}") from error
-    if array.dtype.kind not in REAL_KINDS and array.size:
+    is_real = array.dtype.kind in "iuf"  # integers and floats, but not booleans, text or objects
+    if array.size and not is_real:
         raise TypeError(f"{name}: is {_short(value)}, and no real numbers; give {hint}")
     return array
 
 
 def _without_mask(name: str, value: Any, hint: str) -> Any:
-    """A masked array with NaN where it is masked; everything else as it is."""
+    """Replace masked entries of a masked array by NaN, and return any other value unchanged."""
     if not isinstance(value, np.ma.MaskedArray) or not np.ma.getmaskarray(value).any():
         return value
     if value.dtype.kind != "f":
@@ -66,19 +66,20 @@ def _without_mask(name: str, value: Any, hint: str) -> Any:
 
 
 def pose(name: str, value: Any, *, farthest: float = MAX_POSE_M) -> np.ndarray:
-    """A rigid motion that a user gave: the only check of poses, so that all of them answer alike.
+    """Check a rigid motion that a user passes. All functions that take poses use this check.
 
     Args:
-        name: Of the pose, for the message.
-        value: (4, 4), such as a nested list.
-        farthest: The largest translation (m) along an axis that makes sense.
+        name: Name of the argument, for the message.
+        value: `(4, 4)` matrix, such as a nested list.
+        farthest: Largest plausible translation (m) along an axis.
 
     Returns:
-        (4, 4) float64.
+        `(4, 4)` float64 matrix.
 
     Raises:
-        TypeError: It holds something else than real numbers.
-        ValueError: It has another shape, is not finite or not rigid, is transposed, or lies too far away for metres.
+        TypeError: The argument holds anything but real numbers.
+        ValueError: The matrix has another shape, is not finite, not rigid or transposed, or its translation is too
+            large to be in metres.
     """
     T = numbers(name, value, "a (4, 4) transform").astype(np.float64)
     if T.shape != (4, 4):
@@ -114,18 +115,18 @@ def _is_last_row(row: np.ndarray) -> bool:
 
 
 def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, above: int | float = -math.inf) -> None:
-    """Refuse anything but a single finite number within its range; a traced one passes.
+    """Refuse anything but a single finite number within a range. A traced number is accepted.
 
     Args:
-        name: Of the argument, for the message.
-        value: That was given.
-        hint: What to give, for the message.
-        least: The smallest that is allowed.
-        above: What it must be larger than.
+        name: Name of the argument, for the message.
+        value: The argument.
+        hint: What to give instead, for the message.
+        least: Smallest number that is allowed.
+        above: Number that the argument must exceed.
 
     Raises:
-        TypeError: It is no real number.
-        ValueError: It is an array, not finite, or out of its range.
+        TypeError: The argument is not a real number.
+        ValueError: The argument is an array, not finite, or out of range.
     """
     if is_traced(value):
         return
@@ -145,10 +146,10 @@ def forces(name: str, value: Any, *, measured: bool = False) -> np.ndarray:
         measured: Whether the forces were measured, so that noise may make them zero or negative.
 
     Returns:
-        The forces as an array, with their signs as given.
+        Array of the forces (N) with their signs as given.
 
     Raises:
-        TypeError: The value holds other things than real numbers.
+        TypeError: The argument holds anything but real numbers.
         ValueError: A force is not finite, is larger than a skin bears, or, if not measured, does not press.
     """
     array = numbers(name, value, "newtons along tool z")
@@ -164,19 +165,19 @@ def forces(name: str, value: Any, *, measured: bool = False) -> np.ndarray:
 
 
 def count(name: str, value: Any, *, least: int = 1) -> int:
-    """A whole number of things.
+    """Check a whole number.
 
     Args:
-        name: Of the argument, for the message.
-        value: That was given.
-        least: The smallest that is allowed.
+        name: Name of the argument, for the message.
+        value: The argument.
+        least: Smallest number that is allowed.
 
     Returns:
-        The number.
+        The number as an int.
 
     Raises:
-        TypeError: It is no whole number.
-        ValueError: It is smaller.
+        TypeError: The argument is not a whole number.
+        ValueError: The number is smaller than `least`.
     """
     try:
         whole = operator.index(value)
@@ -193,11 +194,11 @@ def random_key(name: str, value: Any) -> None:
     """Refuse anything but a random key of JAX.
 
     Args:
-        name: Of the argument, for the message.
-        value: That was given.
+        name: Name of the argument, for the message.
+        value: The argument.
 
     Raises:
-        TypeError: It is something else, such as the seed of a key.
+        TypeError: The argument is something else, such as a seed.
     """
     kind = str(getattr(value, "dtype", ""))
     new, old = kind.startswith("key<"), kind == "uint32" and getattr(value, "shape", ())[-1:] == (2,)
@@ -206,17 +207,17 @@ def random_key(name: str, value: Any) -> None:
 
 
 def round_tip(text: str, largest_mm: float = MAX_TIP_RADIUS_MM) -> tuple[str, float]:
-    """Shape and radius of a round indenter from its name, such as `sphere:4`.
+    """Parse the shape and radius of a round indenter from a text such as `sphere:4`.
 
     Args:
-        text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm; capitals do not matter.
-        largest_mm: The largest radius that makes sense, mm.
+        text: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm; case does not matter.
+        largest_mm: Largest plausible radius in mm.
 
     Returns:
-        "sphere" or "cylinder", and the radius in mm.
+        The shape, "sphere" or "cylinder", and the radius in mm.
 
     Raises:
-        ValueError: The text does not name a round indenter. The message completes a sentence about the text.
+        ValueError: The text does not describe a round indenter. The message completes a sentence about the text.
     """
     kind, _, size = (part.strip() for part in text.partition(":"))
     shape = kind.lower()
@@ -242,6 +243,6 @@ def round_tip(text: str, largest_mm: float = MAX_TIP_RADIUS_MM) -> tuple[str, fl
 
 
 def _short(value: Any) -> str:
-    """A value in short form for a message."""
+    """Describe a value in a few words for a message."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 40 else f"a {type(value).__name__}"
