@@ -88,7 +88,7 @@ class Patch(NamedTuple):
         height = patch.nearest + patch.depth  # m, of the surface along tool z
     """
 
-    depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, at most the reach; the reach where no surface is
+    depth: Float[Any, "*batch n n"]  # m behind the nearest surface point, at most the reach (also without a surface)
     nearest: Float[Any, "*batch"]  # m, position of that point along tool z from the tool origin; +inf without a surface
 
 
