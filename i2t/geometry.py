@@ -1,10 +1,10 @@
 """Rigid motions as 4 x 4 matrices: exponential, logarithm, inverse, composition and the frames of contact.
 
-`T_a_b` maps points in b to a (frames as in `i2t.types`). Rotation vectors follow Rodrigues' formula, with series
-near zero that keep values and derivatives finite (Grassia, "Practical parameterization of rotations using the
-exponential map", 1998). Logarithms go through the largest component of the quaternion (Shepperd, "Quaternion from
-rotation matrix", 1978). `exp` and `log` are those of SE(3) (Murray, Li and Sastry, "A mathematical introduction to
-robotic manipulation", 1994). Optimisers move poses by a *twist* (`from_twist`), whose translation and rotation are independent and both in
+`T_a_b` maps points in b to a (frames as in `i2t.types`). Rotation vectors follow Rodrigues' formula, with series near
+zero that keep values and derivatives finite (Grassia, "Practical parameterization of rotations using the exponential
+map", 1998). Logarithms go through the largest component of the quaternion (Shepperd, "Quaternion from rotation matrix",
+1978). `exp` and `log` are those of SE(3) (Murray, Li and Sastry, "A mathematical introduction to robotic manipulation",
+1994). Optimisers move poses by a *twist* (`from_twist`), whose translation and rotation are independent and both in
 metres.
 
 All functions except `random_motion` and `nearest_rigid` take NumPy or JAX arrays and return the same kind. On the host
