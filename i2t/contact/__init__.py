@@ -1,1 +1,1 @@
-"""Contacts: where a press ends, and the pressure on the skin from a view, a mesh or a tip."""
+"""Contacts between skin and object: first contact, the end of a press, and the pressure on the skin."""

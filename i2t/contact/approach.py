@@ -1,22 +1,21 @@
 """First contact of the flat skin with a surface, along tool z.
 
-The skin's square face moves along its own z axis until it meets the surface. There are two ways to say where, and each
-has its use:
+The skin's square face moves along its own z axis until it touches the surface. Two functions find that contact:
 
-  * `first_contact` asks the faces of the mesh. It is exact, at any size of a feature, and has derivatives by the pose:
-    a triangle clipped to a square prism is a convex polygon whose corners are either on the triangle's edges (each edge
-    clipped as in Liang and Barsky, "A new concept and method for line clipping", 1984) or where a corner line of the
-    prism pierces the triangle, and height is linear on it, so its extremes lie at those corners.
-  * `facing_surface` asks rays through the middles of the skin's cells. A contact is solved on cells, so what is pressed
-    are these heights. Their nearest point lies behind the exact one by as much as the surface falls within half a cell:
-    0 on a flat face, at most the slope times half a cell's diagonal elsewhere. A ridge or tip that is narrower than a
-    cell may be missed.
+  * `first_contact` uses the faces of the mesh. It is exact for features of any size and differentiable by the pose. A
+    triangle clipped to a square prism is a convex polygon. Its corners lie either on the triangle's edges, each clipped
+    as in Liang and Barsky ("A new concept and method for line clipping", 1984), or where an edge of the prism pierces
+    the triangle. Height is linear on the polygon, so its extremes lie at those corners.
+  * `facing_surface` casts a ray through the centre of each cell of the skin. The contact problem is solved on cells, so
+    these heights are what is pressed. Their nearest point lies behind the exact one by the drop of the surface within
+    half a cell: 0 on a flat face, and elsewhere at most the slope times half a cell's diagonal. A ridge or tip narrower
+    than a cell may be missed.
 
-`meet` is both: the tool stands where the mesh is met, and the cells see the surface from there; the distance to their
-nearest point is carried along (`Patch.nearest`), so that travel and indentation agree.
+`meet` combines both. The tool stops where the mesh is met, the cells see the surface from there, and `Patch.nearest`
+holds the remaining distance to their nearest point, so that travel and indentation agree.
 
-Frames as in `i2t.types`: surfaces are given in W (an object frame serves as W); lengths in metres. Degenerate faces,
-which pad a surface to its size class, are never met.
+Frames are those of `i2t.types`: surfaces are given in W, for which an object frame may be used. Lengths are in metres.
+Degenerate faces, which pad a surface to its size class, are ignored.
 """
 
 import math
@@ -33,16 +32,15 @@ from i2t.rendering.tiles import ToolView, place_boxes
 from i2t.skin.elasticity import GRID, Grid
 from i2t.types import Patch, Surface
 
-MIN_RUN_M = 1e-12  # of an edge along x or y; a shorter one is parallel to the sides of the square
-MIN_FORWARD_COSINE = 1e-3  # closer to sideways, the skin's face would meet a surface edge-on
+MIN_EDGE_EXTENT_M = 1e-12  # extent along x or y below which an edge counts as parallel to a side of the square
 
 
 class FirstContact(NamedTuple):
-    """End of a motion along tool z, at first contact or where it gave up."""
+    """End of a motion along tool z, at first contact or at the end of the allowed distance."""
 
-    T_w_t: Float[Array, "4 4"]  # the tool's pose
-    distance: Float[Array, ""]  # m from the site along tool z, negative before it
-    hit: Bool[Array, ""]  # whether anything was met
+    T_w_t: Float[Array, "4 4"]  # tool pose
+    distance: Float[Array, ""]  # m from the site along tool z, negative before the site
+    hit: Bool[Array, ""]  # whether the skin touched the surface
 
 
 @full_precision
@@ -54,17 +52,17 @@ def meet(
     beyond: float | Float[Array, ""] = STANDOFF,
     grid: Grid = GRID,
 ) -> tuple[FirstContact, Patch]:
-    """Move the skin along tool z to first contact with the faces of a mesh, and see the surface from there.
+    """Move the skin along tool z to first contact with the faces of a mesh, and view the surface from there.
 
     Args:
-        surface: In the world.
-        T_w_site: The tool's pose at the site.
-        before: m before the site where the motion starts; what lies further back is not met.
-        beyond: m beyond the site after which nothing was met.
+        surface: Surface in the world frame.
+        T_w_site: Tool pose at the site.
+        before: Distance (m) before the site at which the motion starts. Faces further back are ignored.
+        beyond: Distance (m) beyond the site at which the motion ends without contact.
         grid: Cells of the skin.
 
     Returns:
-        The contact, which counts only where a cell sees the surface too, and `facing_surface` from its pose.
+        The contact, whose `hit` requires that a cell sees the surface too, and the `facing_surface` from its pose.
     """
     contact = first_contact(surface, T_w_site, before=before, beyond=beyond)
     facing = facing_surface(surface, contact.T_w_t, grid)
@@ -82,30 +80,30 @@ def first_contact(
     """Move the skin's flat square face along tool z to first contact with the faces of a mesh.
 
     Args:
-        surface: In the world.
-        T_w_site: The tool's pose at the site, any place on its way.
-        before: m before the site where the motion starts; what lies further back is not met.
-        beyond: m beyond the site after which nothing was met.
+        surface: Surface in the world frame.
+        T_w_site: Tool pose at the site, which may be anywhere along the motion.
+        before: Distance (m) before the site at which the motion starts. Faces further back are ignored.
+        beyond: Distance (m) beyond the site at which the motion ends without contact.
 
     Returns:
-        The tool at first contact; where nothing is met, at the end of the motion.
+        The tool at first contact, or at the end of the motion if there is none.
     """
     start = T_w_site @ jnp.eye(4).at[2, 3].set(-before)
     T_w_t, hit = move_to_contact(surface, start, start[:3, 2], max_distance=before + beyond)
-    # Of the poses as they are rounded, so that distance and pose agree.
+    # The distance is computed from the rounded poses, so that it agrees with them.
     return FirstContact(T_w_t, jnp.linalg.norm(T_w_t[:3, 3] - start[:3, 3]) - before, hit)
 
 
 def facing_surface(surface: Surface, T_w_t: Float[Array, "4 4"], grid: Grid = GRID) -> Patch:
-    """Surface in front of the skin at a pose, as seen by a ray through the middle of each cell.
+    """Render the surface in front of the skin with one ray through the centre of each cell.
 
     Args:
-        surface: In the world.
-        T_w_t: The tool's pose.
+        surface: Surface in the world frame.
+        T_w_t: Tool pose.
         grid: Cells of the skin.
 
     Returns:
-        Patch over the cells, not clipped: m behind the nearest point, inf where there is no surface.
+        `(g, g)` patch of depths (m) behind the nearest point without an upper limit, infinite without a surface.
     """
     return render_patch(surface, T_w_t, window=grid.window, pixels=grid.cells, reach=math.inf)
 
@@ -121,20 +119,20 @@ def move_to_contact(
     """Move the skin's flat square face along a line to first contact.
 
     Args:
-        surface: In the world.
-        start: T_w_t, clear of the surface; what is behind it is not met.
-        direction: Unit vector in the world.
-        half: m, half the edge of the face.
-        max_distance: m, after which nothing was met.
+        surface: Surface in the world frame.
+        start: Tool pose T_w_t clear of the surface. Faces behind it are ignored.
+        direction: Unit vector of the motion in the world frame.
+        half: Half the edge (m) of the face.
+        max_distance: Distance (m) at which the motion ends without contact.
 
     Returns:
-        T_w_t at contact, and whether there was one. Where nothing is met within `max_distance`, or the face does not
-        move forwards (along its own z), that is false and the pose is that at the motion's end.
+        The tool pose T_w_t at the end of the motion, and whether there was a contact. There is none if nothing lies
+        within `max_distance` or if the face does not move forwards, along its own z.
     """
     # The face meets a point q of the surface after s metres if q - s d lies in the square at z = 0 (tool frame), so
     # s = z / d_z: the shear (x - s d_x, y - s d_y, s) turns any forward direction into the z axis.
     d = start[:3, :3].T @ direction
-    forward = d[2] > MIN_FORWARD_COSINE
+    forward = d[2] > 1e-3  # a face that moves sideways would meet a surface edge-on
     ahead = jnp.where(forward, d[2], 1.0)
     shear = jnp.eye(4).at[:3, 2].set(jnp.stack([-d[0] / ahead, -d[1] / ahead, 1 / ahead]))
     distance = nearest_in_square(surface, shear @ inverse(start), half, behind=0.0)
@@ -148,16 +146,16 @@ def nearest_in_square(
     half: float | Float[Array, ""],
     behind: float | Float[Array, ""] = STANDOFF,
 ) -> Float[Array, ""]:
-    """The smallest z of the surface inside the square |x|, |y| <= half, after an affine map. Exact.
+    """Compute the exact smallest z of a surface inside the square |x|, |y| <= half, after an affine map.
 
     Args:
-        surface: In the world.
-        A_t_w: The map, from the world.
-        half: m, half the edge of the square.
-        behind: m, how far behind the origin a surface still counts; may be inf.
+        surface: Surface in the world frame.
+        A_t_w: Affine map from the world frame.
+        half: Half the edge (m) of the square.
+        behind: Distance (m) behind the origin up to which the surface counts; may be infinite.
 
     Returns:
-        z (m); +inf where the square holds no surface.
+        The smallest z (m), +inf if the square holds no surface.
     """
     behind = jnp.asarray(behind, A_t_w.dtype)
     return _nearest(jax.tree.map(jnp.asarray, surface), A_t_w, jnp.asarray(half, A_t_w.dtype), behind)
@@ -169,33 +167,34 @@ def lowest_in_square(
     half: float | Float[Array, ""],
     behind: float | Float[Array, ""] = STANDOFF,
 ) -> Float[Array, " faces"]:
-    """The smallest z of each triangle inside the square, as of `nearest_in_square`, without derivatives.
+    """Compute the smallest z of each triangle inside the square, as `nearest_in_square` does, without derivatives.
 
     Args:
-        corners: Coordinates x, y and z (m) of the first, second and third corners in the world, of triangles that have
-            an area: rounding may make one that has none cover the square. A long last axis is a fast one.
-        A_t_w: The map, from the world.
-        half: m, half the edge of the square.
-        behind: m, how far behind the origin a triangle still counts; may be inf.
+        corners: Coordinates x, y and z (m) of the three corners of each triangle in the world frame; faces are the last
+            axis for speed. Every triangle must have an area, because rounding may make a degenerate one cover the
+            square.
+        A_t_w: Affine map from the world frame.
+        half: Half the edge (m) of the square.
+        behind: Distance (m) behind the origin up to which a triangle counts; may be infinite.
 
     Returns:
-        z (m); +inf for those of which the square holds nothing.
+        `(faces,)` smallest z (m), +inf for triangles outside the square.
     """
     x, y, z = corners
-    # Written out, as a matrix product may round to fewer digits on an accelerator.
+    # The product is written out because an accelerator may round a matrix product to fewer digits.
     u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in A_t_w[:3])
     low, high = _height_range(u, v, w, half)
     return jnp.where((low <= high) & (high >= -behind), jnp.maximum(low, -behind), jnp.inf)
 
 
 def first_smallest(values: Float[Array, " n"]) -> Int[Array, ""]:
-    """Number of the first of the smallest values, as of `argmin`, which takes a CPU five times as long.
+    """Find the first smallest value, like `argmin` but in a fifth of its time on a CPU.
 
     Args:
-        values: None of which is NaN.
+        values: Values without NaN.
 
     Returns:
-        Its number.
+        Index of the first smallest value.
     """
     last = len(values) - 1
     return jnp.min(jnp.where(values <= jnp.min(values), jnp.arange(len(values)), last))
@@ -209,8 +208,8 @@ def _nearest(surface: Surface, A_t_w: Array, half: Array, behind: Array) -> Floa
 @_nearest.defjvp
 @full_precision
 def _nearest_jvp(at: tuple[Any, ...], along: tuple[Any, ...]) -> tuple[Array, Array]:
-    """Only the face that is nearest moves the minimum, with its lowest point in the square. Written out: traced, a
-    derivative through the clipping of an edge takes a compiler eight times as long.
+    """Differentiate the minimum, which moves with the lowest point of the nearest face inside the square. The
+    derivative is written out because compiling one traced through the clipping takes eight times as long.
     """
     (surface, A_t_w, half, behind), (d_surface, d_A_t_w, d_half, d_behind) = at, along
     low, face = _nearest_face(surface, A_t_w, half, behind)
@@ -224,10 +223,10 @@ def _nearest_jvp(at: tuple[Any, ...], along: tuple[Any, ...]) -> tuple[Array, Ar
 def _nearest_face(
     surface: Surface, A_t_w: Array, half: Array, behind: Array
 ) -> tuple[Float[Array, ""], Int[Array, ""]]:
-    """Smallest z of a surface inside the square, and the first face that has it.
+    """Find the smallest z of a surface inside the square, and the first face that attains it.
 
-    The groups of a prepared surface whose boxes meet the square are visited from the front, until the next one begins
-    behind the nearest face.
+    The groups of a prepared surface whose boxes overlap the square are visited from front to back, until the next group
+    begins behind the nearest face found.
     """
     groups = 1 if surface.boxes is None else len(surface.boxes)
     triangles = surface.triangles.reshape(groups, -1, 3, 3)
@@ -241,8 +240,8 @@ def _nearest_face(
         return nearest_of(0)
     box = surface.groups[:, :groups]
     centre, extent = place_boxes(box, ToolView(A_t_w[:3, :3], jnp.zeros(3), A_t_w[:3, 3]))
-    met = (jnp.abs(centre[0]) - extent[0] <= half) & (jnp.abs(centre[1]) - extent[1] <= half)
-    fronts = jnp.where(met & (centre[2] + extent[2] >= -behind), centre[2] - extent[2], jnp.inf)
+    overlaps = (jnp.abs(centre[0]) - extent[0] <= half) & (jnp.abs(centre[1]) - extent[1] <= half)
+    fronts = jnp.where(overlaps & (centre[2] + extent[2] >= -behind), centre[2] - extent[2], jnp.inf)
 
     def may_be_nearer(state: tuple[Array, Array, Array]) -> Array:
         front = jnp.min(state[0])
@@ -263,31 +262,32 @@ def _nearest_face(
 def _change_of_lowest(
     corners: Float[Array, "3 3"], moved: Float[Array, "3 3"], half: Array, d_half: Array
 ) -> Float[Array, ""]:
-    """Rate of change of the smallest z of a triangle inside the square, where its corners move.
+    """Compute the rate of change of the smallest z of a triangle inside the square from the velocities of its corners.
 
-    A lowest point is a corner of the triangle, which takes it along; or it lies where an edge crosses a side of the
-    square, or under a corner of the square, and slides on the edge or on the triangle. Several lowest points of one
+    A lowest point is either a corner of the triangle and moves with it, or it lies where an edge crosses a side of the
+    square or under a corner of the square, and slides along the edge or the triangle. Several lowest points of one
     height count equally.
     """
-    share, slope, there = _vertices(corners, half)
-    height = jnp.where(there, share @ corners[:, 2], jnp.inf)
-    lowest = there & (height <= jnp.min(height))
-    aside, up = share @ moved[:, :2], share @ moved[:, 2]
-    held = jnp.sign(share @ corners[:, :2]) * d_half  # sides move outwards
-    change = up - jnp.sum(slope * (aside - held), axis=1)
+    weights, slope, is_vertex = _vertices(corners, half)
+    height = jnp.where(is_vertex, weights @ corners[:, 2], jnp.inf)
+    lowest = is_vertex & (height <= jnp.min(height))
+    sideways, upwards = weights @ moved[:, :2], weights @ moved[:, 2]
+    of_side = jnp.sign(weights @ corners[:, :2]) * d_half  # sides of the square move outwards
+    change = upwards - jnp.sum(slope * (sideways - of_side), axis=1)
     return jnp.sum(jnp.where(lowest, change, 0)) / jnp.maximum(jnp.sum(lowest), 1)
 
 
 def _vertices(
     corners: Float[Array, "3 3"], half: Array
 ) -> tuple[Float[Array, "10 3"], Float[Array, "10 2"], Bool[Array, " 10"]]:
-    """The ends of the clipped edges, then the square's corners: each one's weights of the triangle's corners, the
-    change of its height with a side of the square that holds it, and whether it is a vertex of the clipped triangle.
+    """List the ends of the clipped edges, then the corners of the square. For each point return its barycentric
+    weights, the slope of its height along x and y if a side of the square holds it, and whether it is a vertex of the
+    clipped triangle.
     """
     run = jnp.roll(corners, -1, axis=0) - corners
-    inverse = 1 / jnp.where(jnp.abs(run[:, :2]) < MIN_RUN_M, MIN_RUN_M, run[:, :2])
+    inverse = 1 / jnp.where(jnp.abs(run[:, :2]) < MIN_EDGE_EXTENT_M, MIN_EDGE_EXTENT_M, run[:, :2])
     crossings = (half * jnp.array([-1.0, 1.0])[:, None, None] - corners[None, :, :2]) * inverse[None]
-    # What ends an edge: its own corner, a side across x, or one across y.
+    # An edge is bounded by its own corner, by a side across x, or by a side across y.
     begins = jnp.concatenate([jnp.zeros((3, 1)), jnp.min(crossings, axis=0)], axis=1)
     ends = jnp.concatenate([jnp.ones((3, 1)), jnp.max(crossings, axis=0)], axis=1)
     t = jnp.concatenate([jnp.max(begins, axis=1), jnp.min(ends, axis=1)])
@@ -315,13 +315,13 @@ def _vertices(
 
 
 def double_areas(triangles: Float[Array, "faces 3 3"]) -> Float[Array, " faces"]:
-    """Twice the area of each face.
+    """Compute twice the area of each face.
 
     Args:
-        triangles: m.
+        triangles: Corners (m) of each face.
 
     Returns:
-        m^2.
+        `(faces,)` doubled areas (m^2).
     """
     return jnp.linalg.norm(_cross(triangles), axis=-1)
 
@@ -333,14 +333,15 @@ def _cross(triangles: Float[Array, "faces 3 3"]) -> Float[Array, "faces 3"]:
 def _height_range(
     x: Float[Array, "3 faces"], y: Float[Array, "3 faces"], z: Float[Array, "3 faces"], half: float | Array
 ) -> tuple[Float[Array, " faces"], Float[Array, " faces"]]:
-    """Smallest and largest z of each triangle inside the square |x|, |y| <= half; (+inf, -inf) where it misses it."""
+    """Compute the smallest and largest z of each triangle inside the square; (+inf, -inf) for triangles outside it."""
     low = jnp.full(x.shape[1], jnp.inf)
     high = -low
-    for i, j in ((0, 1), (1, 2), (2, 0)):  # edges, clipped to the part from t0 to t1 that lies in the square
+    for i, j in ((0, 1), (1, 2), (2, 0)):  # edges, clipped to the part from t0 to t1 inside the square
         t0, t1 = jnp.zeros_like(low), jnp.ones_like(low)
         for p in (x, y):
             run = p[j] - p[i]
-            inverse = 1 / jnp.where(jnp.abs(run) < MIN_RUN_M, MIN_RUN_M, run)  # parallel: ends fly off to their side
+            # Ends of edges parallel to a side go to infinity.
+            inverse = 1 / jnp.where(jnp.abs(run) < MIN_EDGE_EXTENT_M, MIN_EDGE_EXTENT_M, run)
             to_low, to_high = (-half - p[i]) * inverse, (half - p[i]) * inverse
             t0 = jnp.maximum(t0, jnp.minimum(to_low, to_high))
             t1 = jnp.minimum(t1, jnp.maximum(to_low, to_high))

@@ -1,17 +1,17 @@
-"""End of a press: the indentation at which the skin change or the force first crosses its limit.
+"""End of a press: the indentation at which the change of the reading or the force first reaches its limit.
 
-The stop is the root of the excess f(delta) = log max(|dB|/limit, F/limit) over the indentation delta. In the logarithms
-of both a contact is nearly a straight line (Hertz: F ~ delta^1.5). What costs time is the field of a press, so the
-search knows two readings of a pressure: its own and a linear one, the derivative of the field at rest times the
-pressure. First the linear excess is scanned on a geometric grid for its first crossing, which regula falsi closes in on
-(Anderson and Bjorck, BIT 13, 1973), with contacts solved roughly. Then secant steps alternate with readings by the
-press's own law, whose difference from the linear reading is carried along: it grows as the square of the indentation,
-being what the linear reading leaves out. Two to four readings by the law are enough.
+The stop is the root of the excess f(delta) = log max(|dB|/limit, F/limit) over the indentation delta. A contact is
+nearly a straight line in the logarithms of both (Hertz: F ~ delta^1.5). The field of a press is expensive, so the
+search uses two readings of a pressure: the exact one, and a linear one, the derivative of the field at rest times the
+pressure. It first scans the linear excess on a geometric grid for a crossing and narrows the bracket by regula falsi
+(Anderson and Bjorck, BIT 13, 1973), with roughly solved contacts. Secant steps then alternate with exact readings. The
+difference between the exact and the linear reading, which grows as the square of the indentation, is carried from one
+to the next. Two to four exact readings suffice.
 
-`press_to_stop` is that search. Where the readings of a press are known at a few loads, as of imagined touches, of which
-there are thousands, `stop_load` interpolates between them: within 1 % of the load of the search on smooth shapes.
+`press_to_stop` is this search. For the thousands of predicted touches, whose readings are known at a few loads,
+`stop_load` interpolates between these readings; on smooth shapes it is within 1 % of the load that the search finds.
 
-Metres, newtons, microtesla.
+Units are metres, newtons and microtesla.
 """
 
 import math
@@ -35,75 +35,87 @@ from i2t.skin.pad import Press
 from i2t.skin.pad import press as press_pad
 from i2t.types import Pad, ReturnCode
 
-PressLaw = Callable[..., Press]  # (pad, height, indentation, *, grid, start) to a press, as `i2t.skin.pad.press`
-SCAN_START_FRACTION = 0.005  # of the deepest indentation, where the search begins
-BRACKET_EXCESS = 0.05  # of the linear excess, within which regula falsi ends
-ROUGH_TOLERANCE = 1e-2  # of contacts in the bracket
-CLOSE_TOLERANCE = 1e-4  # of contacts in secant steps
-EXCESS_TOLERANCE = 5e-4  # of the press's own excess, at which the search ends
-FLAT_EXCESS_TOLERANCE = 1e-4  # where the excess hardly grows, so that the indentation is met as well
-FLAT_SLOPE = 0.3
-SLOPES = (0.1, 50.0)  # of the excess by the logarithm of the indentation: a second tip that arrives makes it steep
-MAX_BRACKETING_TRIALS = 16
-FINE_SHEETS = 2  # of dipoles that are as fine as the cells of a final grid finer than GRID: readings within 0.04 uT
-FIELDS_AT_A_TIME = 6  # on such a grid
-MAX_READINGS = 8  # by the law; a search that is still further off ends there
+# Function (pad, height, indentation, *, grid, start) -> press, such as `i2t.skin.pad.press`.
+PressLaw = Callable[..., Press]
+FINE_SHEETS = 2  # upper sheets of dipoles that are as fine as a fine final grid, for readings within 0.04 uT
+
+
+@dataclass(frozen=True)
+class StopSearch:
+    """Accuracy of the search for the end of a press, for limits that are met within 0.05 %."""
+
+    start_fraction: float = 0.005  # indentation at which the scan begins, as a fraction of the largest allowed one
+    bracket_excess: float = 0.05  # linear excess at which regula falsi ends
+    max_bracket_steps: int = 16
+    bracket_tolerance: float = 1e-2  # relative tolerance of contacts while bracketing
+    secant_tolerance: float = 1e-4  # relative tolerance of contacts in secant steps
+    excess_tolerance: float = 5e-4  # exact excess at which the search ends
+    # A smaller slope needs a smaller excess, so that the indentation is accurate as well.
+    flat_slope: float = 0.3
+    flat_excess_tolerance: float = 1e-4
+    # Bounds on the slope of the excess over the logarithm of the indentation. A second tip that arrives makes it steep.
+    min_slope: float = 0.1
+    max_slope: float = 50.0
+    max_exact_readings: int = 8
+
+
+_SEARCH = StopSearch()
 
 
 @traced_floats
 @dataclass(frozen=True)
 class PressLimits:
-    """Limits of a press (the paper's values).
+    """Limits at which a press ends, with the paper's values as defaults.
 
     Example:
         limits = i2t.PressLimits(force=5.0, stiffness=20e3)  # a stiffer arm, which presses less
         touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 1000, limits=limits)
     """
 
-    skin_change: float = 25.0  # uT, norm of the reading
+    skin_change: float = 25.0  # uT, Euclidean norm of the change of the reading
     force: float = 8.0  # N
-    indentation: float = 0.6  # of the layer's thickness: beyond it small-strain elasticity means nothing
-    overshoot: float = 0.1  # relative standard deviation by which a press runs past its limit (latency; one-sided)
-    scan: int = 6  # strides, each as much deeper as the one before, in which the first crossing is sought
-    stiffness: float = ARM_STIFFNESS_N_PER_M  # N/m, arm and mount in series
-    final: Grid = GRID  # of the last press, whose reading counts; sharp edges want `i2t.skin.contact.FINE_GRID`
-    approach_distance: float = STANDOFF  # m before the site where the approach starts
-    overtravel: float = 6e-3  # m beyond the site before a press counts as air (three extra steps of 2 mm)
+    indentation: float = 0.6  # fraction of the layer's thickness; small-strain elasticity fails beyond it
+    overshoot: float = 0.1  # relative standard deviation of the overshoot past a limit by latency (one-sided)
+    scan: int = 6  # steps of the geometric grid that is scanned for the first crossing
+    stiffness: float = ARM_STIFFNESS_N_PER_M  # N/m, series stiffness of arm and mount
+    final: Grid = GRID  # cells of the final press, which gives the reading; sharp edges need `FINE_GRID`
+    approach_distance: float = STANDOFF  # m before the site at which the approach starts
+    overtravel: float = 6e-3  # m beyond the site at which a press ends without contact (three steps of 2 mm)
 
 
 class PressResult(NamedTuple):
-    """The end of a press."""
+    """State of the skin at the end of a press."""
 
     indentation: Float[Array, ""]  # m
     force: Float[Array, ""]  # N
-    reading: Float[Array, " c"]  # uT, noise free
-    code: Int[Array, ""]
-    pressure: Float[Array, "g g"]  # Pa, of the pad's own physics, whatever the law
+    reading: Float[Array, " c"]  # uT, without noise
+    code: Int[Array, ""]  # a `ReturnCode`
+    pressure: Float[Array, "g g"]  # Pa, by the pad's own physics, whatever the press law
 
     @property
     def press(self) -> Press:
-        """The last press."""
+        """The same state as a `Press`."""
         return Press(self.reading, self.force, self.indentation, self.pressure, jnp.asarray(True))
 
 
 class PadResponse(NamedTuple):
-    """Derivatives of a pad's reading, by which its presses are simulated quickly."""
+    """Derivatives of a pad's reading, which speed up the simulation of its presses."""
 
     linear: Float[Array, "c g g"]  # uT/Pa at rest, by the pressure on the cells of the search
-    # uT/Pa, by the pressure on the cells of a finer final grid: what deep sheets of fewer dipoles leave out
+    # uT/Pa, by the pressure on the cells of a finer final grid: the error of deep sheets with fewer dipoles
     deep: Float[Array, "c f f"] | None
 
 
 @partial(jax.jit, static_argnames="final")
 def pad_response(pad: Pad, final: Grid = GRID) -> PadResponse:
-    """Work out the derivatives of a pad's reading, once for all of its presses.
+    """Compute the derivatives of a pad's reading, which serve all of its presses.
 
     Args:
-        pad: the skin.
-        final: grid of the last press, `PressLimits.final`.
+        pad: The skin.
+        final: Grid of the final press, `PressLimits.final`.
 
     Returns:
-        The derivatives.
+        Derivatives (uT/Pa) of the reading by the pressure on each cell.
     """
     dipoles = _final_dipoles(final)
     if dipoles is None:
@@ -114,8 +126,8 @@ def pad_response(pad: Pad, final: Grid = GRID) -> PadResponse:
 
 
 def _final_dipoles(final: Grid) -> tuple[Grid, ...] | None:
-    """Grids of the dipoles under a finer grid, deep sheets of which feel no sharp edges; None where there is no finer
-    grid of the same period.
+    """List the grid of each sheet of dipoles under a fine grid; deep sheets, which do not feel sharp edges, use `GRID`.
+    Return None if the grid is not a finer one of the same period.
     """
     finer = final.cells > GRID.cells and final.modes * final.spacing == GRID.modes * GRID.spacing
     return (final,) * FINE_SHEETS + (GRID,) * (CELL_NODES - FINE_SHEETS) if finer else None
@@ -131,22 +143,22 @@ def press_finally(
     law: PressLaw = press_pad,
     response: PadResponse | None = None,
 ) -> PressResult:
-    """The end of a press once more, on a finer grid.
+    """Solve the end of a press again on a finer grid.
 
-    The upper sheets of the skin have a dipole under each cell of that grid. Those of `GRID` are enough for the deep
-    ones, and their error is taken to be linear in the pressure.
+    The upper sheets of the skin have a dipole under each cell of that grid. The deep sheets have those of `GRID`, whose
+    error is taken to be linear in the pressure.
 
     Args:
-        pad: the skin.
-        height: m, the surface behind its nearest point over the cells of `final`.
-        indentation: m past first touch, of that nearest point.
-        stop: the end of the press on `GRID`.
-        final: the finer grid.
-        law: what a press of the pad gives.
-        response: the pad's `pad_response` for this grid.
+        pad: The skin.
+        height: Depth (m) of the surface behind its nearest point over the cells of `final`.
+        indentation: Distance (m) by which that nearest point is pressed into the skin.
+        stop: The end of the press on `GRID`.
+        final: The finer grid.
+        law: Function that computes a press of the pad.
+        response: The pad's `pad_response` for this grid; computed if it is not given.
 
     Returns:
-        `stop` with other force and reading.
+        `stop` with the force and reading of the finer grid.
     """
     dipoles = _final_dipoles(final)
     if law is not press_pad or dipoles is None:
@@ -154,20 +166,20 @@ def press_finally(
         return stop._replace(force=pressed.force, reading=pressed.reading)
     deep = (pad_response(pad, final) if response is None else response).deep
     start = jax.image.resize(stop.pressure, height.shape, "linear")
-    contact = solve(pad, height, indentation, final, start=start, tolerance=CLOSE_TOLERANCE)
-    reading = _reading_in_turn(final, dipoles)(pad, contact.pressure[None])[0]
+    contact = solve(pad, height, indentation, final, start=start, tolerance=_SEARCH.secant_tolerance)
+    reading = _reading_in_batches(final, dipoles)(pad, contact.pressure[None])[0]
     return stop._replace(force=contact.force, reading=reading + jnp.einsum("cij,ij->c", deep, contact.pressure))
 
 
 @lru_cache
-def _reading_in_turn(grid: Grid, dipoles: tuple[Grid, ...]) -> Callable[..., Array]:
-    """The reading of pressures, a few at a time: fields of all presses of a session outgrow the caches."""
+def _reading_in_batches(grid: Grid, dipoles: tuple[Grid, ...]) -> Callable[..., Array]:
+    """Make a function that computes readings of pressures in batches, because fields of a whole session exceed caches."""
 
     def reading(pad: Pad, pressures: Float[Array, "lanes f f"]) -> Float[Array, "lanes c"]:
         def field(pressure: Array) -> Array:
             return skin_response(pad, pressure, grid, dipoles=dipoles)
 
-        return map_batches(field, pressures, FIELDS_AT_A_TIME)
+        return map_batches(field, pressures, 6)
 
     return by_lanes(reading)
 
@@ -182,22 +194,22 @@ def press_to_stop(
     response: PadResponse | None = None,
     grid: Grid = GRID,
 ) -> PressResult:
-    """Press until the skin change or the force first crosses its limit, which is met within 0.05 %.
+    """Press until the change of the reading or the force first reaches its limit, within 0.05 %.
 
-    A crossing within the first 0.2 % of the deepest indentation is not resolved; the press ends there.
+    A crossing within the first 0.2 % of the largest allowed indentation is not resolved; the press ends there.
 
     Args:
-        pad: the skin.
-        height: m, the surface behind its nearest point over the pad's cells.
-        limits: of skin change, force and indentation.
-        overshoot: fraction by which both limits are raised.
-        law: what a press of the pad gives; with None, its reading is the linear one.
-        response: the pad's `pad_response`, which is worked out anew where it is not given.
-        grid: cells of the contact, of `height` and of `response`.
+        pad: The skin.
+        height: Depth (m) of the surface behind its nearest point over the pad's cells.
+        limits: Limits of the skin change, the force and the indentation.
+        overshoot: Fraction by which both limits are raised.
+        law: Function that computes a press of the pad; None for a reading that is linear in the pressure.
+        response: The pad's `pad_response`; computed if it is not given.
+        grid: Cells of the contact, of `height` and of `response`.
 
     Returns:
-        The end of the press. Its code SKIN or WRENCH says which limit came first; UNDEFINED means that the deepest
-        allowed indentation crossed neither.
+        The end of the press. Its code is SKIN or WRENCH for the limit that came first, and UNDEFINED if neither limit
+        was reached at the largest allowed indentation.
     """
     linear = linear_response(pad, grid) if response is None else response.linear
     world = _World(pad, height, limits, jnp.asarray(overshoot), law, linear, grid)
@@ -211,18 +223,18 @@ def stop_load(
     skin_change: float | Float[Array, ""],
     force: float | Float[Array, ""],
 ) -> Float[Array, ""]:
-    """The load at which a press would end, from its readings at a few loads: no contact is solved.
+    """Interpolate the load at which a press ends from its readings at a few loads, without solving a contact.
 
-    A reading grows about as a power of its load, so that the logarithm of its size is interpolated in that of the load.
+    The norm of a reading grows nearly as a power of the load, so its logarithm is interpolated over that of the load.
 
     Args:
-        readings: uT, at `loads`.
-        loads: Ascending (N).
+        readings: `(l, c)` readings (uT) at the loads.
+        loads: `(l,)` ascending loads (N).
         skin_change: Change of the reading (uT) at which the press ends.
-        force: Force (N) at which it ends at the latest.
+        force: Force (N) at which the press ends in any case.
 
     Returns:
-        The load (N), from a tenth of the least load to `force`.
+        The load (N), between a tenth of the smallest given load and `force`.
     """
     size = jnp.log(jnp.maximum(jnp.linalg.norm(readings, axis=1), 1e-3))
     knots, goal = jnp.log(loads), jnp.log(skin_change)
@@ -232,7 +244,7 @@ def stop_load(
 
 
 class _World(NamedTuple):
-    """What a search is about."""
+    """The press whose end is sought."""
 
     pad: Pad
     height: Array
@@ -244,17 +256,17 @@ class _World(NamedTuple):
 
     @property
     def deepest(self) -> Array:
-        """Logarithm of the deepest indentation."""
+        """Logarithm of the largest allowed indentation."""
         return jnp.log(self.limits.indentation * self.pad.thickness)
 
     def press_linearly(self, x: Array, start: Array, tolerance: float) -> tuple[Array, Array]:
-        """Pressure at the log indentation x, and its force and linear reading: (c + 1,)."""
+        """Compute the pressure at the log indentation x, and its linear reading and force as one vector (c + 1,)."""
         contact = solve(self.pad, self.height, jnp.exp(x), self.grid, start=start, tolerance=tolerance)
         reading = jnp.einsum("cij,ij->c", self.linear, contact.pressure)
         return contact.pressure, jnp.append(reading, contact.force)
 
     def read(self, x: Array, pressure: Array, felt: Array) -> Array:
-        """Reading and force by the law (c + 1,), at the log indentation x whose linear ones and pressure are known."""
+        """Compute the exact reading and force (c + 1,) at the log indentation x from its pressure and linear reading."""
         if self.law is None:
             return felt
         if self.law is press_pad:
@@ -263,7 +275,7 @@ class _World(NamedTuple):
         return jnp.append(pressed.reading, pressed.force)
 
     def excess(self, felt: Array) -> tuple[Array, Array]:
-        """Excess of a reading and force (c + 1,) over the limits, and the code of the limit that it is about."""
+        """Compute the excess of a reading and force (c + 1,) over the limits, and the code of the limit that counts."""
         skin = jnp.linalg.norm(felt[:-1]) / self.limits.skin_change
         wrench = felt[-1] / self.limits.force
         over = jnp.log(jnp.maximum(jnp.maximum(skin, wrench) / (1 + self.overshoot), 1e-6))
@@ -271,39 +283,39 @@ class _World(NamedTuple):
 
 
 class _Bracket(NamedTuple):
-    """Bracket of the crossing: two trials around it, of which the upper one is a guess until it is found."""
+    """Bracket of the crossing. Its upper end is a guess until a trial above the crossing is found."""
 
     low: Array  # log indentation below the crossing
     f_low: Array
-    high: Array  # and above it, once found
+    high: Array  # log indentation above the crossing, if `found`
     f_high: Array
-    above: Array  # whether the last trial was
-    found: Array
-    x: Array  # the last trial
+    above: Array  # whether the last trial was above the crossing
+    found: Array  # whether any trial was
+    x: Array  # log indentation of the last trial
     f: Array
     pressure: Array
     trials: Array
 
 
 def _bracket(world: _World) -> _Bracket:
-    """A trial near the first crossing of the linear excess, or at the deepest indentation, and its bracket."""
+    """Bracket the first crossing of the linear excess, with the last trial near it or at the largest indentation."""
     deepest = world.deepest
-    stride = -math.log(SCAN_START_FRACTION) / (world.limits.scan - 1)
+    stride = -math.log(_SEARCH.start_fraction) / (world.limits.scan - 1)
 
     def unfinished(now: _Bracket) -> Array:
-        near = jnp.where(now.found, jnp.abs(now.f) < BRACKET_EXCESS, now.x >= deepest)
-        return ~near & (now.trials < MAX_BRACKETING_TRIALS)
+        near = jnp.where(now.found, jnp.abs(now.f) < _SEARCH.bracket_excess, now.x >= deepest)
+        return ~near & (now.trials < _SEARCH.max_bracket_steps)
 
     def try_next(now: _Bracket) -> _Bracket:
         secant = now.low - now.f_low * (now.high - now.low) / (now.f_high - now.f_low)
         x = jnp.where(now.found, secant, jnp.minimum(now.low + stride, deepest))
-        pressure, felt = world.press_linearly(x, now.pressure * jnp.exp(x - now.x), ROUGH_TOLERANCE)
+        pressure, felt = world.press_linearly(x, now.pressure * jnp.exp(x - now.x), _SEARCH.bracket_tolerance)
         f, _ = world.excess(felt)
         return _narrowed(now, x, f)._replace(pressure=pressure)
 
     no = jnp.asarray(False)
     low = deepest - world.limits.scan * stride
-    # A crossing in the first stride is sought as if the excess grew in proportion to the indentation below it.
+    # Below the first step of the scan, the excess is assumed to grow in proportion to the indentation.
     start = _Bracket(
         low=low, f_low=jnp.asarray(-stride), high=deepest, f_high=jnp.ones(()), above=no, found=no,
         x=low, f=jnp.asarray(-stride), pressure=jnp.zeros_like(world.height), trials=jnp.asarray(0),
@@ -312,18 +324,18 @@ def _bracket(world: _World) -> _Bracket:
 
 
 def _narrowed(now: _Bracket, x: Array, f: Array) -> _Bracket:
-    """The bracket after a trial at x whose excess is f.
+    """Narrow the bracket after a trial at x with excess f.
 
-    Anderson and Bjorck: the value at an end that stays twice in a row is shrunk, so that it cannot stay for ever.
+    As Anderson and Bjorck do, the value at an end that is kept twice in a row is shrunk, so that it is replaced soon.
     """
     above = f >= 0
     shrunk = 1 - f / jnp.where(above, now.f_high, now.f_low)
-    kept = jnp.where(now.found & (above == now.above), jnp.where(shrunk > 0, shrunk, 0.5), 1.0)
+    factor = jnp.where(now.found & (above == now.above), jnp.where(shrunk > 0, shrunk, 0.5), 1.0)
     return now._replace(
         low=jnp.where(above, now.low, x),
-        f_low=jnp.where(above, kept * now.f_low, f),
+        f_low=jnp.where(above, factor * now.f_low, f),
         high=jnp.where(above, x, now.high),
-        f_high=jnp.where(above, f, kept * now.f_high),
+        f_high=jnp.where(above, f, factor * now.f_high),
         above=above,
         found=now.found | above,
         x=x,
@@ -333,51 +345,51 @@ def _narrowed(now: _Bracket, x: Array, f: Array) -> _Bracket:
 
 
 class _Trial(NamedTuple):
-    """A trial of the search by secants."""
+    """One trial of the secant search."""
 
     x: Array  # log indentation
     f: Array  # excess
-    slope: Array  # of the excess there
+    slope: Array  # derivative of the excess by the log indentation
     pressure: Array
 
 
 class _Approach(NamedTuple):
-    """A search by secants, with readings by the law."""
+    """State of the secant search, with exact readings."""
 
     trial: _Trial
-    measured_at: Array  # log indentation of the last reading by the law
-    remainder: Array  # (c + 1,) of that reading and its force, less the linear ones
-    low: Array  # deepest log indentation whose reading by the law is below the limits
-    high: Array  # shallowest one whose reading is above them, or the deepest allowed
-    nearest: Array  # smallest size of an excess by the law
+    measured_at: Array  # log indentation of the last exact reading
+    remainder: Array  # (c + 1,) exact minus linear reading and force at that indentation
+    low: Array  # largest log indentation whose exact reading is below the limits
+    high: Array  # smallest log indentation whose exact reading is above the limits, or the largest allowed
+    nearest: Array  # smallest absolute exact excess
     stop: PressResult
     done: Array
     readings: Array
 
 
 def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
-    """From a trial near it to the stop."""
+    """Search the stop from a trial near it."""
     deepest = world.deepest
 
     def step(now: _Approach, last: tuple[_Trial, Array]) -> tuple[_Trial, Array]:
-        """One secant step, and what is felt there by the linear reading alone."""
+        """Take one secant step, and compute the linear reading and force there."""
         trial, _ = last
         x = jnp.clip(trial.x - jnp.clip(trial.f / trial.slope, -1.0, 1.0), now.low, now.high)
-        pressure, felt = world.press_linearly(x, trial.pressure * jnp.exp(x - trial.x), CLOSE_TOLERANCE)
+        pressure, felt = world.press_linearly(x, trial.pressure * jnp.exp(x - trial.x), _SEARCH.secant_tolerance)
         f, _ = world.excess(felt + now.remainder * jnp.exp(2 * (x - now.measured_at)))
         run = x - trial.x
         slope = (f - trial.f) / jnp.where(run == 0, 1, run)
-        slope = jnp.where(jnp.abs(run) > 1e-4, jnp.clip(slope, *SLOPES), trial.slope)
+        slope = jnp.where(jnp.abs(run) > 1e-4, _clipped(slope), trial.slope)
         return _Trial(x, f, slope, pressure), felt
 
     def read(now: _Approach) -> _Approach:
-        """Two secant steps, one where nothing is known of the law yet, and the law's reading where they end."""
+        """Take two secant steps, or one before the first exact reading, and compute the exact reading at their end."""
         steps = jnp.where(now.readings == 0, 1, 2)
         first = now.trial, jnp.zeros_like(now.remainder)
         trial, felt = jax.lax.fori_loop(0, steps, lambda _, last: step(now, last), first)
         true = world.read(trial.x, trial.pressure, felt)
         f, code = world.excess(true)
-        tolerance = jnp.where(trial.slope < FLAT_SLOPE, FLAT_EXCESS_TOLERANCE, EXCESS_TOLERANCE)
+        tolerance = jnp.where(trial.slope < _SEARCH.flat_slope, _SEARCH.flat_excess_tolerance, _SEARCH.excess_tolerance)
         beyond = (trial.x >= deepest) & (f < 0)
         code = jnp.where(beyond, ReturnCode.UNDEFINED, code)
         stop = PressResult(jnp.exp(trial.x), true[-1], true[:-1], code, trial.pressure)
@@ -394,7 +406,7 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
             readings=now.readings + 1,
         )
 
-    slope = jnp.clip((bracket.f_high - bracket.f_low) / (bracket.high - bracket.low), *SLOPES)
+    slope = _clipped((bracket.f_high - bracket.f_low) / (bracket.high - bracket.low))
     slope = jnp.where(jnp.isfinite(slope), slope, 1.0)
     channels = world.pad.board.num_readings
     nothing = PressResult(
@@ -405,4 +417,8 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         low=jnp.asarray(-jnp.inf), high=deepest, nearest=jnp.asarray(jnp.inf), stop=nothing, done=jnp.asarray(False),
         readings=jnp.asarray(0),
     )  # fmt: skip
-    return jax.lax.while_loop(lambda now: ~now.done & (now.readings < MAX_READINGS), read, start).stop
+    return jax.lax.while_loop(lambda now: ~now.done & (now.readings < _SEARCH.max_exact_readings), read, start).stop
+
+
+def _clipped(slope: Array) -> Array:
+    return jnp.clip(slope, _SEARCH.min_slope, _SEARCH.max_slope)

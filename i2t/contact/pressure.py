@@ -1,19 +1,18 @@
-"""Pressure on the skin at a contact: the geometry half of predicting a touch.
+"""Pressure on the skin at a contact, the geometric half of predicting a touch.
 
-Heights over the cells of the skin come from a view or from a mesh at a pose, and are pressed with a given load into an
-elastic layer (`press_heights`, by `i2t.skin.contact`): `predict_pressure` is that of a view, `surface_pressure` that of
-a mesh.
+`press_heights` presses heights over the cells of the skin into an elastic layer with a given load, using
+`i2t.skin.contact`. The heights come from a view (`predict_pressure`) or from a mesh at a pose (`surface_pressure`).
 
 A view is smoothed to robust local planes (`i2t.contact.smoothing`), resampled to cells over the skin, and pressed with
-the measured force into a layer of nominal stiffness. What the camera cannot tell, the tilt between looking and
-pressing, is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the two tilts, because one
-degree over 20 mm is as large as a press is deep and a single guess would put all of the load on the wrong edge. The
-result, a pressure map and its load, says where and how hard the skin is met; which reading that gives is a property of
-one pad's magnetisation and is learned from its touches (`i2t.skin_models.pressure_gp`).
+the measured force into a layer of nominal stiffness. The camera does not observe the tilt between looking and pressing,
+so it is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the two tilts. One degree over
+20 mm is as much as a press is deep, and a single guess would put the whole load on the wrong edge. The resulting
+pressure map says where and how hard the skin is touched. The reading that follows from it depends on the magnetisation
+of the pad and is learned from its touches (`i2t.skin_models.pressure_gp`).
 
-Wide views are used where there are any; of a cropped one the outermost pixels are continued. Forces are positive where
-they press, and depths count from first contact; what a recording counts otherwise is corrected when it is read
-(`i2t.recordings.sets`).
+Views include the surroundings of the patch if they were recorded; the outermost pixels of a cropped view are repeated.
+Forces are positive in compression, and depths count from first contact. Recordings with other conventions are corrected
+when they are read (`i2t.recordings.sets`).
 """
 
 from dataclasses import dataclass, field
@@ -35,11 +34,11 @@ from i2t.skin.pad import nominal_pad
 from i2t.types import Array as AnyArray
 from i2t.types import Pad, Surface, in_one_line
 
-CELL_MM = 1.0  # mm
-SOLVER_TOLERANCE = 1e-3  # of the contact: far below the uncertainty of what is pressed
-MAX_STEPS = 25  # of the contact solver, which meets that tolerance in them from any start
+CELL_MM = 1.0  # edge of a cell of `ContactPressure`
+SOLVER_TOLERANCE = 1e-3  # relative tolerance of contacts, far below the uncertainty of the heights
+MAX_STEPS = 25  # steps in which the contact solver reaches this tolerance from any start
 
-# Gauss-Hermite, three points: exact to the fifth moment of the tilt.
+# Three-point Gauss-Hermite rule, exact to the fifth moment of the tilt.
 _NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
 _WEIGHTS = np.array(
     [{0: 2 / 3, 1: 1 / 6}[abs(x)] * {0: 2 / 3, 1: 1 / 6}[abs(y)] for x in (-1, 0, 1) for y in (-1, 0, 1)]
@@ -48,30 +47,30 @@ _WEIGHTS = np.array(
 
 @in_one_line
 class ContactPressure(NamedTuple):
-    """The pressure of a contact on the skin's surface; one touch, or many on axis 0."""
+    """Pressure of a contact on the skin's surface, of one touch or of many along axis 0."""
 
-    pressure: Float[Array, "*n m m"]  # N on each 1 mm cell
-    load: Float[Array, "*n"]  # N, total
+    pressure: Float[Array, "*n m m"]  # N on each cell of 1 mm
+    load: Float[Array, "*n"]  # N, total force
 
 
 @traced_floats
 @dataclass(frozen=True)
 class PressureModelConfig:
-    """Options of the pressure model. Metres, radians, newtons."""
+    """Options of the pressure model, in metres, radians and newtons."""
 
     pitch: float  # m, edge of a pixel of the view
     window: float = field(default=PAD_WINDOW, metadata={"static": True})  # m, edge of the square that can carry load
-    smooth: bool = True  # off for views without noise
-    tilt: float = 0.6 * np.pi / 180  # standard deviation of the tilt that the view does not show, about each axis
-    control: Literal["force", "depth"] = "force"  # what the press is known by
-    # m, edge of a cell of the contact grid; divides 1 mm
+    smooth: bool = True  # whether views are smoothed; views without noise need not be
+    tilt: float = 0.6 * np.pi / 180  # rad, standard deviation about each axis of the tilt that the view does not show
+    control: Literal["force", "depth"] = "force"  # measurement that determines how hard the skin is pressed
+    # m, edge of a cell of the contact grid; it must divide 1 mm
     cell: float = field(default=0.5e-3, metadata={"static": True})
-    iterations: int = MAX_STEPS  # of the contact solver
-    floor: float = 0.02  # N, least load, where a noisy wrench sensor says less
-    softness: float = 1.0  # of the layer that is pressed, in units of the pad's: of one twice as soft, E is halved
+    iterations: int = MAX_STEPS  # steps of the contact solver
+    floor: float = 0.02  # N, smallest load; a noisy wrench sensor may report less
+    softness: float = 1.0  # divides Young's modulus of the pad: a layer twice as soft has softness 2
 
     def __post_init__(self) -> None:
-        """Refuse cells that do not tile the skin, and a layer of no stiffness (ValueError)."""
+        """Refuse cells that do not tile the skin, and a layer without stiffness (ValueError)."""
         if not (np.isfinite(self.softness) and self.softness > 0):
             raise ValueError(f"softness is {self.softness:g}; give a positive number, 1 for a nominal layer")
         for name, length in (("1 mm", CELL_MM * 1e-3), ("the window", self.window)):
@@ -81,7 +80,7 @@ class PressureModelConfig:
 
     @property
     def grid(self) -> Grid:
-        """The contact grid and its period of 1.6 windows."""
+        """Contact grid, with a period of 1.6 windows."""
         cells = round(self.window / self.cell)
         return Grid(cells=cells, modes=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
 
@@ -94,17 +93,17 @@ def press_heights(
     *,
     max_steps: int = MAX_STEPS,
 ) -> tuple[Float[Array, "g g"], Float[Array, ""]]:
-    """Press a layer onto a surface with a load, to `SOLVER_TOLERANCE`.
+    """Press a pad's layer onto a surface with a given load, to within `SOLVER_TOLERANCE`.
 
     Args:
-        pad: Whose layer is pressed.
-        height: m, of the surface behind its nearest point, over the cells of the grid.
-        load: N, above 0.
+        pad: Pad whose layer is pressed.
+        height: Depth (m) of the surface behind its nearest point, over the cells of the grid.
+        load: Load (N), above 0.
         grid: Cells of the skin.
-        max_steps: Of the contact solver.
+        max_steps: Largest number of steps of the contact solver.
 
     Returns:
-        Pressure (Pa) on each cell, which carries the load, and the indentation (m) past first contact.
+        Pressure (Pa) on each cell, scaled to carry the load, and the indentation (m) past first contact.
     """
     contact = solve_force(pad, height, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=max_steps)
     return contact.pressure * load / jnp.maximum(contact.force, 1e-6), contact.indentation
@@ -113,35 +112,35 @@ def press_heights(
 def surface_pressure(
     pad: Pad, surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"]
 ) -> tuple[ContactPressure, Float[Array, " l"]]:
-    """Contact pressures of a layer that is pressed onto a mesh with each of some loads.
+    """Press a pad's layer onto a mesh with each of several loads.
 
     Args:
-        pad: Whose layer is pressed.
-        surface: Of the object.
-        T_o_t: The skin's pose at first contact.
-        loads: N; less than `PressureModelConfig.floor` counts as that.
+        pad: Pad whose layer is pressed.
+        surface: Surface of the object.
+        T_o_t: Pose of the skin at first contact.
+        loads: Loads (N). A load below `PressureModelConfig.floor` is raised to it.
 
     Returns:
-        Pressure (N on each 1 mm cell) and load (N) of each press, and its indentation (m) past that pose; without
-        pressure and infinite where nothing lies before the skin.
+        Contact pressure of each press, and its indentation (m) past the pose. If no surface lies in front of the skin,
+        the pressure is zero and the indentation infinite.
     """
     height, nearest = facing_surface(surface, T_o_t, CELL_GRID)
-    met, loads = jnp.isfinite(nearest), jnp.maximum(loads, PressureModelConfig.floor)
-    behind = jnp.where(met, height, 0.0)
+    hit, loads = jnp.isfinite(nearest), jnp.maximum(loads, PressureModelConfig.floor)
+    behind = jnp.where(hit, height, 0.0)
     pressure, indentation = jax.vmap(lambda load: press_heights(pad, behind, load))(loads)
-    newtons = jnp.where(met, newtons_on_cells(pressure, CELL_GRID), 0.0)
-    return ContactPressure(newtons, loads), jnp.where(met, nearest + indentation, jnp.inf)
+    newtons = jnp.where(hit, newtons_on_cells(pressure, CELL_GRID), 0.0)
+    return ContactPressure(newtons, loads), jnp.where(hit, nearest + indentation, jnp.inf)
 
 
 def newtons_on_cells(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float[AnyArray, "*n m m"]:
-    """Newtons on each cell of 1 mm.
+    """Sum a pressure to the force on each cell of 1 mm.
 
     Args:
-        pressure: Pa, on the cells of a grid.
-        grid: That grid; a whole number of its cells fits along 1 mm.
+        pressure: Pressure (Pa) on the cells of a grid.
+        grid: The grid, whose cells divide 1 mm.
 
     Returns:
-        Newtons, of NumPy where the pressure is.
+        `(*n, m, m)` forces (N), a NumPy array if the pressure is one.
     """
     fine = round(CELL_MM * 1e-3 / grid.spacing)
     cells = pressure.shape[-1] // fine
@@ -149,14 +148,14 @@ def newtons_on_cells(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float[A
 
 
 def centre_of_pressure(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float[Array, "*n 2"]:
-    """Centre of a pressure on the skin.
+    """Compute the centre of pressure on the skin.
 
     Args:
-        pressure: Pa, on the cells of a grid.
-        grid: That grid.
+        pressure: Pressure (Pa) on the cells of a grid.
+        grid: The grid.
 
     Returns:
-        x and y (m); 0 without pressure.
+        `(*n, 2)` coordinates x and y (m) in the tool frame, 0 without pressure.
     """
     total = pressure.sum((-2, -1))
     along = jnp.stack([pressure.sum(-2) @ grid.centres, pressure.sum(-1) @ grid.centres], -1)
@@ -164,14 +163,14 @@ def centre_of_pressure(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float
 
 
 def heights(cfg: PressureModelConfig, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
-    """Heights of the view over the cells of the skin.
+    """Resample a view to the cells of the skin.
 
     Args:
-        cfg: How pressure is predicted.
-        view: m, depth view about the tool axis; NaN where nothing is known.
+        cfg: Options of the pressure model.
+        view: Depth view (m) centred on the tool axis, NaN where it is unknown.
 
     Returns:
-        m, of the view, at the centres of the contact grid's cells.
+        `(g, g)` depths (m) at the centres of the cells of the contact grid.
     """
     if cfg.smooth:
         view = smoothing.local_planes(view)
@@ -188,20 +187,20 @@ def predict_pressure(
     force: Float[Array, ""],
     depth: Float[Array, ""],
 ) -> ContactPressure:
-    """Contact pressure of a press on the surface in the view.
+    """Predict the contact pressure of a press onto the surface in a view.
 
-    Of `force` and `depth` only the one named by `cfg.control` is used. A press known by its depth alone gets the load
-    that the nominal layer gives.
+    Only the force or the depth is used, as `cfg.control` says. If it is the depth, the load is that of the pad's layer
+    at this depth.
 
     Args:
-        cfg: How pressure is predicted.
-        pad: Whose layer is pressed.
-        view: m, depth view; NaN where nothing is known.
-        force: N, along tool z, positive where it presses.
-        depth: m, past first contact.
+        cfg: Options of the pressure model.
+        pad: Pad whose layer is pressed.
+        view: Depth view (m), NaN where it is unknown.
+        force: Force (N) along tool z, positive in compression.
+        depth: Travel (m) past first contact.
 
     Returns:
-        Pressure (N on each 1 mm cell) and its load (N).
+        Contact pressure with its load.
     """
     grid = cfg.grid
     pad = pad._replace(young=pad.young / cfg.softness)
@@ -217,11 +216,11 @@ def predict_pressure(
         indentation = jnp.maximum(depth, 0.0)
         return solve(pad, tilted, indentation, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations).pressure
 
-    # Without a tilt the middle node is pressed alone.
+    # Without a tilt, only the central node is pressed.
     tilted, middle, nodes = cfg.tilt > 0, len(_NODES) // 2, jnp.float32(_NODES)
     first, last = jnp.where(tilted, 0, middle), jnp.where(tilted, len(_NODES), middle + 1)
     pressures = jax.lax.fori_loop(
-        first, last, lambda i, some: some.at[i].set(press(nodes[i])), jnp.zeros((len(_NODES), grid.cells, grid.cells))
+        first, last, lambda i, parts: parts.at[i].set(press(nodes[i])), jnp.zeros((len(_NODES), grid.cells, grid.cells))
     )
     weights = jnp.where(tilted, jnp.float32(_WEIGHTS), jnp.arange(len(_NODES)) == middle)
     pressure = jnp.einsum("t,tij->ij", weights, pressures)
@@ -232,25 +231,25 @@ def predict_pressure(
 def predict_pressures(
     cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, depth: np.ndarray, pad: Pad | None = None
 ) -> ContactPressure:
-    """The contact pressures of many touches, in batches of few sizes, so that a new number of them compiles nothing.
+    """Predict the contact pressures of many touches, in batches of a few sizes so that any number reuses compiled code.
 
     Args:
-        cfg: How pressure is predicted.
-        views: (n, w, w) m, depth views; NaN where the recording was cropped.
-        force: (n,) N along tool z.
-        depth: (n,) m past first contact.
-        pad: Whose layer is pressed; left out, one of nominal stiffness.
+        cfg: Options of the pressure model.
+        views: `(n, w, w)` depth views (m), NaN where the recording was cropped.
+        force: `(n,)` forces (N) along tool z.
+        depth: `(n,)` travels (m) past first contact.
+        pad: Pad whose layer is pressed; the nominal pad if not given.
 
     Returns:
-        Pressures and loads, n on axis 0.
+        Contact pressures of the n touches along axis 0.
     """
     columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or _nominal_pad()
     parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows in size_classes(len(views))]
-    # Only the last part is filled up.
-    return jax.tree.map(lambda *found: jnp.asarray(np.concatenate(found)[: len(views)]), *parts)
+    # Only the last batch is padded.
+    return jax.tree.map(lambda *batches: jnp.asarray(np.concatenate(batches)[: len(views)]), *parts)
 
 
-_nominal_pad = cache(nominal_pad)  # whose making takes a fifth of a single prediction
+_nominal_pad = cache(nominal_pad)  # making it takes a fifth of the time of a prediction
 
 
 @jax.jit

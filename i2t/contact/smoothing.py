@@ -1,10 +1,10 @@
-"""Depth patches without their noise: robust local planes.
+"""Denoising of depth views by robust local planes.
 
-A skin 2 mm thick feels tenths of a millimetre and a depth camera knows three of them, pixel by pixel. Surfaces are
-smooth between edges, so each pixel is replaced by the value of a plane fitted to its surroundings, weighted by distance
-(Gaussian, `sigma` pixels) and by agreement with the plane of the pass before (iteratively reweighted, Welsch weights of
-width `edge`), which leaves steps where they are: moving least squares (Levin 1998) with the robust weights of
-Fleishman, Cohen-Or and Silva (SIGGRAPH 2005).
+A skin 2 mm thick responds to tenths of a millimetre, and the pixels of a depth camera have a noise of 0.3 mm. Surfaces
+are smooth between edges, so each pixel is replaced by the value of a plane fitted to its neighbourhood. Neighbours are
+weighted by distance (Gaussian, `sigma` pixels) and by agreement with the plane of the previous pass (Welsch weights of
+width `edges`), which preserves steps. This is moving least squares (Levin, 1998) with the robust weights of Fleishman,
+Cohen-Or and Silva (SIGGRAPH 2005).
 """
 
 import jax
@@ -15,13 +15,13 @@ from i2t.types import Array as AnyArray
 
 
 def fill(depth: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Replace NaN pixels around a known central square by the nearest known pixel (row, then column).
+    """Replace NaN pixels around a known central square by the nearest known pixel, along rows and then columns.
 
     Args:
-        depth: m.
+        depth: Depth view (m), NaN where it is unknown.
 
     Returns:
-        m, the same where it was known.
+        `(n, n)` depth view (m) without NaN; known pixels are unchanged.
     """
     n = depth.shape[0]
     index = jnp.arange(n)
@@ -42,21 +42,21 @@ def local_planes(
     edges: tuple[float, ...] = (1.5e-3, 0.8e-3, 0.5e-3),
     radius: int = 5,
 ) -> Float[Array, "n n"]:
-    """Value at each pixel of the robust plane through its surroundings.
+    """Replace each pixel by the value of a robust plane through its neighbourhood.
 
     Args:
-        depth: m; NaN, and what lies outside, is unknown.
-        sigma: Pixels, width of the Gaussian weights.
-        edges: m, widths of the agreement weights, one pass each.
-        radius: Pixels, half the edge of the square that counts as surroundings.
+        depth: Depth view (m), NaN where it is unknown.
+        sigma: Width (pixels) of the Gaussian weights.
+        edges: Width (m) of the agreement weights in each pass.
+        radius: Half the edge (pixels) of the square neighbourhood.
 
     Returns:
-        m.
+        `(n, n)` smoothed depth view (m).
     """
     n, width = depth.shape[0], 2 * radius + 1
     padded = jnp.pad(depth, radius, constant_values=jnp.nan)
     offsets = jnp.stack(jnp.meshgrid(jnp.arange(width), jnp.arange(width), indexing="ij"), -1).reshape(-1, 2)
-    # Value and slopes per pixel, towards rows and columns.
+    # Value of the plane at each pixel, and its slopes along rows and columns per pixel.
     plane = (depth, jnp.zeros_like(depth), jnp.zeros_like(depth))
 
     for edge in edges:
@@ -77,7 +77,7 @@ def local_planes(
             return tuple(m + t for m, t in zip(moments, terms, strict=True)), None
 
         (s, sy, sx, syy, sxy, sxx, sz, syz, sxz), _ = jax.lax.scan(add, (jnp.zeros_like(depth),) * 9, offsets)
-        # Normal equations of z = a + b y + c x about the weighted mean; a small ridge keeps slopes bounded where few
+        # Normal equations of z = a + b y + c x about the weighted mean. A small ridge bounds the slopes where few
         # pixels agree.
         my, mx, mz = sy / s, sx / s, sz / s
         ridge = 0.05
