@@ -173,7 +173,7 @@ def press_finally(
 
 @lru_cache
 def _reading_in_batches(grid: Grid, dipoles: tuple[Grid, ...]) -> Callable[..., Array]:
-    """Make a function that computes readings of pressures in batches, because fields of a whole session exceed caches."""
+    """Make a function that computes readings in batches, because the fields of a whole session exceed the caches."""
 
     def reading(pad: Pad, pressures: Float[Array, "lanes f f"]) -> Float[Array, "lanes c"]:
         def field(pressure: Array) -> Array:
@@ -266,7 +266,7 @@ class _World(NamedTuple):
         return contact.pressure, jnp.append(reading, contact.force)
 
     def read(self, x: Array, pressure: Array, felt: Array) -> Array:
-        """Compute the exact reading and force (c + 1,) at the log indentation x from its pressure and linear reading."""
+        """Compute the exact reading and force (c + 1,) at the log indentation x from its linear ones and pressure."""
         if self.law is None:
             return felt
         if self.law is press_pad:
