@@ -231,7 +231,7 @@ def bootstrap_clusters(
 
 
 def grouped_interval(
-    statistic: Callable[[np.ndarray], float], groups: Shaped[Array, " n"], seed: int = 0
+    statistic: Callable[[np.ndarray], float], groups: Shaped[Array, " n"], seed: int = 0, *, most: float = np.inf
 ) -> tuple[float, float]:
     """Compute the interval of a statistic of rows, such as a median or R2, over the clusters of one factor.
 
@@ -240,6 +240,7 @@ def grouped_interval(
             function returns NaN are ignored.
         groups: `(n,)` labels, such as the session or spatial block of each row; rows of one group are not independent.
         seed: Seed of the draws.
+        most: Upper bound of the statistic, such as 1 for R2, which the upper limit does not exceed.
 
     Returns:
         The lower and upper limit, NaN if there are fewer than three groups.
@@ -248,7 +249,7 @@ def grouped_interval(
     estimate = bootstrap_clusters(
         lambda weights: np.float64(statistic(np.repeat(rows, weights.astype(int)))), [groups], len(rows), seed=seed
     )
-    return float(estimate.low), float(estimate.high)
+    return float(estimate.low), min(float(estimate.high), most)
 
 
 def p_values(estimates: Estimate, freedom: int | Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

@@ -74,6 +74,13 @@ def test_grouped_interval_covers_where_rows_of_a_group_agree(groups):
         assert abs(covered[how] / repeats - expected) < 3.5 * np.sqrt(expected * (1 - expected) / repeats) + 0.01, how
 
 
+def test_the_upper_limit_of_a_bounded_statistic_is_at_most_its_bound():
+    values, group = np.array([0.9, 1.0, 0.2, 1.0]), np.arange(4)
+    low, high = grouped_interval(lambda rows: values[rows].mean(), group)
+    assert high > 1
+    assert grouped_interval(lambda rows: values[rows].mean(), group, most=1.0) == (low, 1.0)
+
+
 def test_grouped_interval_needs_three_groups_and_leaves_out_draws_without_a_value():
     assert np.isnan(grouped_interval(lambda rows: rows.mean(), np.arange(6) % 2)).all()
     values = np.random.default_rng(0).normal(size=40)

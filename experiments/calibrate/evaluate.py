@@ -140,16 +140,16 @@ def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) ->
     def r2(error: np.ndarray, rows: np.ndarray) -> float:
         return 1 - share(error, rows)
 
-    def interval(statistic: Callable[[np.ndarray], float]) -> dict[str, float]:
+    def interval(statistic: Callable[[np.ndarray], float], most: float = 1.0) -> dict[str, float]:
         every = np.arange(len(names))
-        return dict(zip(INTERVAL, (statistic(every), *grouped_interval(statistic, every)), strict=True))
+        return dict(zip(INTERVAL, (statistic(every), *grouped_interval(statistic, every, most=most)), strict=True))
 
     return {
         "blocks": len(names),
         "r2": {n: interval(partial(r2, error)) for n, error in missed[CALIBRATED].items()},
         "differences": {
             f"{CALIBRATED} - {other}": {
-                n: interval(partial(share, error - missed[CALIBRATED][n])) for n, error in by.items()
+                n: interval(partial(share, error - missed[CALIBRATED][n]), np.inf) for n, error in by.items()
             }
             for other, by in missed.items()
             if other != CALIBRATED

@@ -115,7 +115,7 @@ def scored(
         The scores, the 95 % interval of R2 over groups, and the share of values within the predicted 90 %.
     """
     values: dict[str, Any] = score(truth, mean, noise)._asdict()
-    values["r2_interval"] = grouped_interval(lambda rows: score(truth[rows], mean[rows]).r2, groups)
+    values["r2_interval"] = grouped_interval(lambda rows: score(truth[rows], mean[rows]).r2, groups, most=1.0)
     if std is not None:
         values["coverage_90"] = coverage(truth, Reading(mean, std))
     return values
