@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from i2t.files.kinds import MAX_MESH_BYTES, MESH_SUFFIXES
+from i2t.files.kinds import MESH_SUFFIXES
+from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import read_bytes as read_file
 from i2t.files.writing import as_path
 from i2t.geometry import inverse
@@ -130,7 +131,7 @@ def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
         raise FileNotFoundError(f"{path}: there is no such file; check the name")
     if path.is_dir():
         raise ValueError(f"{path}: is a folder; name a file in it")
-    data = read_file(path, MAX_MESH_BYTES)
+    data = read_file(path, READ_LIMITS.mesh_bytes)
     if not data:
         raise ValueError(f"{path}: is empty; export it again")
     return data

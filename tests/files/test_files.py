@@ -11,7 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from i2t.errors import DataError, FullDiskError
-from i2t.files.reading import MAX_LINE_BYTES, read_lines
+from i2t.files.limits import READ_LIMITS
+from i2t.files.reading import read_lines
 from i2t.files.writing import replacing
 from i2t.viz import save_figure
 
@@ -54,9 +55,9 @@ def test_a_disk_that_fails_is_one_sentence_and_leaves_nothing(tmp_path, monkeypa
 
     monkeypatch.setattr(os, "fsync", fail)
     path = tmp_path / "note.txt"
-    with pytest.raises(DataError, match=f"note.txt: cannot be written .*{remedy}") as found, replacing(path) as file:
+    with pytest.raises(DataError, match=f"note.txt: cannot be written .*{remedy}") as raised, replacing(path) as file:
         file.write_text("new")
-    assert type(found.value) is kind
+    assert type(raised.value) is kind
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(kind, match=rf"touches\.png: cannot be written .*{remedy}"):
         save_figure(Figure(), tmp_path / "touches.png")
@@ -77,10 +78,10 @@ def test_a_command_meets_a_full_disk_with_one_sentence(tmp_path):
     table, environment = root / "examples" / "data" / "presses.csv", os.environ | {"PYTHONPATH": str(root)}
     words = [sys.executable, "-c", FULL_DISK, "presses", table, "set", "--indenter", "sphere:4.0", "--as-stated"]
     done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    (said,) = done.stderr.splitlines()
+    (message,) = done.stderr.splitlines()
     assert done.returncode == 1
-    assert said.startswith("error: ")
-    assert said.endswith("cannot be written (File too large); make room on its disk, or choose another")
+    assert message.startswith("error: ")
+    assert message.endswith("cannot be written (File too large); make room on its disk, or choose another")
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
@@ -96,7 +97,7 @@ def test_lines_come_one_after_the_other_without_their_ends(tmp_path):
 @pytest.mark.parametrize(
     ("name", "data", "sentence"),
     [
-        ("a.csv", b"1,2\n" + b"9" * MAX_LINE_BYTES, "line 2 has more than"),
+        ("a.csv", b"1,2\n" + b"9" * READ_LIMITS.line_bytes, "line 2 has more than"),
         ("a.csv", b"1,2\n3,\xff\n", "line 2 is not text"),
         ("a.csv.gz", gzip.compress(b"1,2\n" * 1000)[:-20], "cannot be unpacked"),
         ("a.csv.gz", gzip.compress((b"1," * 500 + b"2\n") * 20_000), "unpacks to more than"),

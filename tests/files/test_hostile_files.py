@@ -26,9 +26,9 @@ CHEAP = [
 
 def refusal(label, path, answer):
     """What is wrong with how a file was answered; "" where nothing is."""
-    said = answer["said"]
-    named = path.name in said or "theirs" in said
-    right = answer["user"] and named and "\n" not in said and len(said) <= 800
+    message = answer["said"]
+    named = path.name in message or "theirs" in message
+    right = answer["user"] and named and "\n" not in message and len(message) <= 800
     if right and answer["seconds"] <= MAX_SECONDS and answer["grown"] <= GIB:
         return ""
     return f"{label}: {answer}"
@@ -36,21 +36,21 @@ def refusal(label, path, answer):
 
 @pytest.mark.full
 def test_every_hostile_file_is_refused_in_one_sentence_in_5_s_and_1_gib(tmp_path):
-    made = {
+    files = {
         label: (reader, make(tmp_path / str(i) / name, content))
         for i, (label, (reader, name, content)) in enumerate(HOSTILE.items())
     }
-    assert {reader for reader, _ in made.values()} == set(READERS)
-    assert max(path.stat().st_size for _, path in made.values() if path.is_file()) < 16 * 2**20
+    assert {reader for reader, _ in files.values()} == set(READERS)
+    assert max(path.stat().st_size for _, path in files.values() if path.is_file()) < 16 * 2**20
     run = subprocess.run(
         [sys.executable, hostile_files.__file__],
-        input="".join(f"{reader}\t{path}\n" for reader, path in made.values()),
+        input="".join(f"{reader}\t{path}\n" for reader, path in files.values()),
         capture_output=True, text=True, timeout=1500, cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
     )  # fmt: skip
     answers = [json.loads(line) for line in run.stdout.splitlines()]
-    assert len(answers) == len(made), run.stderr[-2000:]
-    wrong = [refusal(name, made[name][1], answer) for name, answer in zip(made, answers, strict=True)]
+    assert len(answers) == len(files), run.stderr[-2000:]
+    wrong = [refusal(name, files[name][1], answer) for name, answer in zip(files, answers, strict=True)]
     assert not list(filter(None, wrong))
     assert not list(tmp_path.rglob("i2t-was-here"))  # which a pickle would have made
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.errors import DataError
-from i2t.files.kinds import MAX_MESH_BYTES
+from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import parse_json, read_bytes
 from i2t.files.writing import file_in
 from i2t.objects.polygons import strip_triangles
@@ -206,7 +206,7 @@ class _Document:
         count, dtype = int(accessor["count"]), np.dtype(COMPONENTS[accessor["componentType"]])
         if accessor["type"] != kind:
             raise DataError(f"{self.path}: accessor {number} is {accessor['type']} and not {kind}; export it again")
-        if count < 0 or count * dtype.itemsize > MAX_MESH_BYTES:
+        if count < 0 or count * dtype.itemsize > READ_LIMITS.mesh_bytes:
             raise DataError(f"{self.path}: accessor {number} has {count} entries, which no file holds; export it again")
         values = np.zeros((count, WIDTHS[kind]), dtype)
         if "bufferView" in accessor:
@@ -276,9 +276,9 @@ class _Document:
         file = file_in(self.path.parent, name, self.path, below=True)
         if not file.is_file():
             raise DataError(f"{self.path}: its data are in {name!r}, which is not next to it; copy that file as well")
-        data = read_bytes(file, MAX_MESH_BYTES)
-        if sum(map(len, self.buffers.values())) + len(data) > MAX_MESH_BYTES:
-            raise DataError(f"{self.path}: its data are more than {MAX_MESH_BYTES} bytes; simplify the mesh")
+        data = read_bytes(file, READ_LIMITS.mesh_bytes)
+        if sum(map(len, self.buffers.values())) + len(data) > READ_LIMITS.mesh_bytes:
+            raise DataError(f"{self.path}: its data are more than {READ_LIMITS.mesh_bytes} bytes; simplify the mesh")
         return data
 
     def _check_box(self, number: int, accessor: dict[str, Any], values: NDArray, exact: NDArray) -> None:
