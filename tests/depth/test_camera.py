@@ -87,8 +87,8 @@ def test_brown_conrady_against_opencv():
     points = np.concatenate([np.random.default_rng(0).uniform(-0.8, 0.8, (50, 2)), np.ones((50, 1))], 1)
     K = np.array([[322.4, 0, 318.7], [0, 322.1, 181.2], [0, 0, 1.0]])
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.array(LENSES[Distortion.BROWN_CONRADY]))
-    found = project(camera(Distortion.BROWN_CONRADY), jnp.float32(points))
-    np.testing.assert_allclose(found, theirs[:, 0], atol=PIXEL)
+    ours = project(camera(Distortion.BROWN_CONRADY), jnp.float32(points))
+    np.testing.assert_allclose(ours, theirs[:, 0], atol=PIXEL)
 
 
 def test_a_pinhole():
@@ -102,13 +102,13 @@ def test_a_pinhole():
     [
         ({"fx": 0.0}, "focal"),
         ({"cx": float("nan")}, "finite"),
-        ({"model": "plumb_bob", "coefficients": (0.1, 0.0, 0.0, 0.0, 0.0, 0.2)}, "6 coefficients, .* rational model"),
+        ({"model": "plumb_bob", "coefficients": (0.1, 0.0, 0.0, 0.0, 0.0, 0.2)}, "6 coefficients .* rational model"),
         ({"coefficients": (0.1,)}, "coefficients are given without a model"),
         ({"model": "kannala_brandt4"}, "fisheye"),
         ({"model": "tangential"}, "not known; choose from none, modified_brown_conrady"),
         ({"fx": 0.47, "fy": 0.83}, "neither in millimetres"),
         ({"cx": 640.0}, "subtract from cx, cy what was cropped"),
-        ({"cx": 180.0, "cy": 320.0}, "its two numbers are swapped"),
+        ({"cx": 180.0, "cy": 320.0}, "its two numbers were swapped"),
         ({"fy": 3000.0}, "differ by more than a factor of 2"),
         ({"fx": 6e5, "fy": 6e5}, "less than 1 degree"),
         # The lens of an image of 1280 x 720 pixels with one of 640 x 360, and of every second pixel, and of two thirds.
@@ -263,7 +263,7 @@ def test_colour_and_palette_images_are_no_depth(tmp_path):
 
 def test_hostile_files(tmp_path):
     good = np.full((4, 5), 300, np.uint16)
-    for path, said in (
+    for path, words in (
         (png(tmp_path / "b.png", good.astype(np.uint8)), "uint8"),
         (png(tmp_path / "d.png", 0 * good), "no pixel"),
         (tif(tmp_path / "g.tif", -good.astype(np.float32)), "negative"),
@@ -271,20 +271,20 @@ def test_hostile_files(tmp_path):
         (tif(tmp_path / "k.tif", np.tile(good, (2, 1, 1))), "several images"),
         (tmp_path / "depth.exr", "PNG or TIF"),
     ):
-        with pytest.raises(ValueError, match=said) as caught:
+        with pytest.raises(ValueError, match=words) as caught:
             read_depth(path, "mm")
         assert str(path) in str(caught.value)
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_depth(tmp_path / "nothing.png", "mm")
     floats = tif(tmp_path / "j.tif", good.astype(np.float32))
-    for path, how, said in (
+    for path, arguments, words in (
         (floats, ("cm",), "scale"),
         (floats, (float("nan"),), "scale"),
         (floats, ("mm", "jpeg"), "encoding"),
-        (floats, ("mm", "rotated"), "cannot be turned"),
+        (floats, ("mm", "rotated"), "cannot be rotated"),
     ):
-        with pytest.raises(ValueError, match=said):
-            read_depth(path, *how)
+        with pytest.raises(ValueError, match=words):
+            read_depth(path, *arguments)
 
 
 def test_views_are_checked():

@@ -24,15 +24,15 @@ def test_the_pose_is_that_on_the_mesh(name, tilt):
     depth = image(mesh, T_w_c)
     pixel = np.round(pixel_of(T_w_c, beside(name))).astype(int)
     for roll in (0.0, 0.7):
-        found = i2t.pose_at_pixel(depth, CAMERA, T_w_c, tuple(pixel), roll=roll)
+        T_w_t = i2t.pose_at_pixel(depth, CAMERA, T_w_c, tuple(pixel), roll=roll)
         z = depth[pixel[1], pixel[0]]
         point = T_w_c[:3, :3] @ np.asarray(deproject(CAMERA, jnp.asarray(pixel, float), jnp.asarray(z))) + T_w_c[:3, 3]
-        np.testing.assert_allclose(found[:3, 3], point, atol=1e-6)
+        np.testing.assert_allclose(T_w_t[:3, 3], point, atol=1e-6)
         own = i2t.Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
         outwards = point - np.append(24e-3 * point[:2] / np.linalg.norm(point[:2]), 0)  # from the circle of its tube
         normal = outwards / np.linalg.norm(outwards) if name == "torus" else None
         exact = i2t.contact_pose(own, point, normal=normal, roll=roll)
-        apart = np.asarray(log(compose(inverse(exact), found)))
+        apart = np.asarray(log(compose(inverse(exact), T_w_t)))
         assert np.linalg.norm(apart[:3]) < 1e-6
         assert np.degrees(np.linalg.norm(apart[3:])) < (1.5 if name == "torus" else 0.01)
 
@@ -76,8 +76,8 @@ RAGGED = plane() + np.random.default_rng(0).uniform(-3e-3, 3e-3, (360, 640)).ast
         ({"depth": np.where(only(180, 320) > 0, np.float32(65.535), plane())}, r"not measured \(it is 65.535\)"),
         ({"depth": only(0, 0)}, r"column 320, row 180 was not measured"),
         ({"depth": only(180, [320, 321])}, "only 2 measured pixels lie within 3 mm"),
-        ({"depth": only(180, slice(None))}, "make no plane"),
-        ({"depth": RAGGED}, "make no plane"),
+        ({"depth": only(180, slice(None))}, "do not determine a plane"),
+        ({"depth": RAGGED}, "do not determine a plane"),
         ({"depth": 1e3 * plane()}, "divide millimetres by 1000"),
     ],
 )
