@@ -12,9 +12,9 @@ def test_names_of_the_catalogue_and_files_with_a_unit_are_objects_and_nothing_el
     mesh = tmp_path / "mug.obj"
     mesh.write_text(TETRAHEDRON)
     assert read_object("star", None).name == read_object("star", "mm").name == "star"
-    found = read_object(str(mesh), "mm")
-    assert found.name == "mug"
-    assert abs(found.mesh.vertices[:, 2].max() - 10e-3) < 1e-6
+    thing = read_object(str(mesh), "mm")
+    assert thing.name == "mug"
+    assert abs(thing.mesh.vertices[:, 2].max() - 10e-3) < 1e-6
     for name, unit, catalogue, problem in (
         ("cup.stl", "mm", True, "^--object cup.stl: is neither a mesh file nor an object of the catalogue"),
         (str(mesh), None, True, "say in which unit the file is"),
