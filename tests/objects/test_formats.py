@@ -124,7 +124,7 @@ def test_all_solids_of_an_stl_are_read(tmp_path):
         (binary_stl(2**32 - 1)[:-1], "cut off"),
         (binary_stl() + binary_stl(), "684 bytes after the 12 facets .*another body"),
         (binary_stl(10), "100 bytes after the 10 facets"),
-        ("hello", "cut off or no STL file"),
+        ("hello", "cut off or not an STL file"),
     ],
 )
 def test_what_is_wrong_with_an_stl_is_said(tmp_path, data, words):
@@ -203,7 +203,7 @@ def test_dialects_of_obj_are_read(tmp_path, data):
         ("v 1 2\n" + V + F, "vertex 1 has 2 numbers"),
         (V.replace("\n", " 2\n") + F, "a fourth number w that is not 1"),
         (V.replace("40.0 0.0 0.0", "40.0 nan 0.0") + F, "1 vertices are not finite"),
-        ((V + F).encode() + bytes(9), "it is no text"),
+        ((V + F).encode() + bytes(9), "it is not text"),
     ],
 )
 def test_what_is_wrong_with_an_obj_is_said(tmp_path, data, words):
@@ -313,7 +313,7 @@ def test_strips_of_triangles_in_ply_are_read_and_faces_with_them(tmp_path, faces
             "cut off: its header announces 6 entries of element 'face', and 5 are there",
         ),
         (ply("binary_big_endian", quads=MIXED)[:-9], "cut off"),
-        (ply()[:60], "no header of PLY, or is cut off in it"),
+        (ply()[:60], "no PLY header, or is cut off within it"),
         (ply().replace(b"face 6", b"face 5"), "1 lines more than its header announces|numbers"),
         (ply("binary_little_endian").replace(b"face 6", b"face 5"), "bytes more than its header announces"),
         (ply().replace(b" 255\n", b"\n"), "vertex 1 has 3 numbers"),
@@ -322,7 +322,7 @@ def test_strips_of_triangles_in_ply_are_read_and_faces_with_them(tmp_path, faces
         (ply().replace(b"float y", b"float u"), "no vertices with x, y and z"),
         (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 8\n"), "face 1 refers to a vertex that is not there"),
         (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 -1\n"), "face 1 refers to a vertex that is not there"),
-        (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 1.5\n"), "no whole number"),
+        (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 1.5\n"), "not a whole number"),
         (ply(quads=[QUADS[0][[0, 2, 1, 3]]]), "face 1 has 4 corners and crosses itself"),
         (ply().replace(b"20.5", b"20,5"), "decimal commas"),
         (ply(quads=[]), "holds no faces"),
@@ -561,7 +561,7 @@ MESHOPT = "EXT_meshopt_compression"
         (scene(accessor={"count": 10**12}), "entries, which no file holds"),
         (scene(buffers=[{"byteLength": 10**6}]), "buffer 0 should have 1000000 bytes"),
         (scene()[:-9], "is cut off: it announces"),
-        (b"rubbish", "is no glTF file"),
+        (b"rubbish", "is not a glTF file"),
         (scene(asset={"version": "1.0"}), "is glTF 1.0"),
         (scene(primitive={"mode": 9}), "mode 9"),
         (scene(indices=TRIANGLES.astype("<u2").tobytes()[:-2]), "35 corners of triangles"),

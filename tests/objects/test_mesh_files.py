@@ -79,7 +79,7 @@ FACE = CORNERS + b"f 1 2 3\n"
         ("a.stl", _bytes(box(), "stl")[:-1], "m", "cut off"),
         ("a.stl", ASCII_STL[: len(ASCII_STL) // 2], "m", "cut off"),
         ("a.ply", _bytes(box(), "ply")[:-5], "m", "cannot be read as PLY"),
-        ("a.ply", _bytes(trimesh.PointCloud(np.eye(3)), "ply"), "m", "point cloud is made one first"),
+        ("a.ply", _bytes(trimesh.PointCloud(np.eye(3)), "ply"), "m", "point cloud has to be made one first"),
         ("a.glb", _bytes(box(), "glb")[:-5], "m", "cut off"),
         ("a.obj", CORNERS, "m", "holds no faces"),
         ("a.obj", FACE.replace(b"0 0.1 0", b"0 nan 0"), "m", "1 vertices are not finite"),

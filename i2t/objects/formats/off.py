@@ -1,4 +1,4 @@
-"""Triangles of OFF."""
+"""Reader of OFF."""
 
 import re
 from pathlib import Path
@@ -35,7 +35,7 @@ def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
 
 
 def _off_by_lines(path: Path, rows: list[bytes]) -> tuple[NDArray, NDArray, NDArray]:
-    """Vertices, corners and sizes of faces, each vertex and face a line, at whose end colours may stand."""
+    """Read vertices, corners and sizes of faces if each vertex and face is a line, which may end with a colour."""
     announced = number_rows(path, rows[:1], np.int64)[0]
     if len(announced) not in (2, 3) or min(announced) < 0:
         raise unreadable(path, "its first line is not the numbers of vertices, faces and edges", "export it again")
@@ -57,12 +57,12 @@ def _off_by_lines(path: Path, rows: list[bytes]) -> tuple[NDArray, NDArray, NDAr
         raise unreadable(path, f"face {short.argmax() + 1} has too few corners", "export or copy it again")
     corners = values[ranges(starts + 1, sizes)]
     if (corners != np.floor(corners)).any():
-        raise unreadable(path, "a corner of a face is no whole number", "export it again")
+        raise unreadable(path, "a corner of a face is not a whole number", "export it again")
     return vertices, corners.astype(np.int64), sizes
 
 
 def _off_by_words(kind: bytes, rows: list[bytes]) -> tuple[NDArray, NDArray, NDArray] | None:
-    """The same of numbers that are laid out freely over lines; None where they are not as many as the counts say."""
+    """Read the same from numbers in any lines; return None if there are not as many as the counts require."""
     try:
         values = np.array(b" ".join(rows).split()).astype(np.float64)
     except ValueError:
