@@ -108,9 +108,9 @@ class Camera:
     coefficients: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        max_edge = READ_LIMITS.image_edge_pixels
         for name in ("width", "height"):
             size = getattr(self, name)
-            max_edge = READ_LIMITS.image_edge_pixels
             if not isinstance(size, int | np.integer) or not 2 <= size <= max_edge:
                 raise ValueError(f"camera: {name} is {size!r}; give whole pixels from 2 to {max_edge}")
         lens = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
@@ -138,9 +138,7 @@ def _lens_model(name: Any, coefficients: tuple[float, ...]) -> tuple[Distortion,
         raise ValueError(f"camera: model {name!r} is not known; choose from {names} (ROS's plumb_bob is brown_conrady)")
     model = MODEL_NAMES[plain]
     if model is None:
-        raise ValueError(
-            f"camera: model {name!r} is a fisheye lens, which i2t does not support; undistort to a pinhole"
-        )
+        raise ValueError(f"camera: model {name!r} is a fisheye lens, which is not supported; undistort to a pinhole")
     if any(coefficients[5:]):
         more = ", ".join(f"{value:g}" for value in coefficients[5:])
         raise ValueError(
@@ -159,20 +157,21 @@ def _check_lens_fits_image(camera: Camera, plausible: PlausibleLens) -> None:
     """Refuse a lens that belongs to an image of another size, or is not in pixels."""
     sizes, focal, middle = (camera.width, camera.height), (camera.fx, camera.fy), (camera.cx, camera.cy)
     size = f"{camera.width} x {camera.height} pixels"
+    focal_text = f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g}"
+    centre_text = f"camera: the principal point cx = {camera.cx:g}, cy = {camera.cy:g}"
     if any(length < plausible.min_focal_ratio * edge for length, edge in zip(focal, sizes, strict=True)):
         raise ValueError(
-            f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g} see more than 150 degrees on an image of "
-            f"{size}; give them in pixels, neither in millimetres nor as parts of the image"
+            f"{focal_text} see more than 150 degrees on an image of {size}; give them in pixels, neither in "
+            "millimetres nor as parts of the image"
         )
     if any(length > plausible.max_focal_ratio * edge for length, edge in zip(focal, sizes, strict=True)):
         raise ValueError(
-            f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g} see less than 1 degree on an image of "
-            f"{size}; give them in pixels, not in micrometres"
+            f"{focal_text} see less than 1 degree on an image of {size}; give them in pixels, not in micrometres"
         )
     if max(focal) > plausible.max_pixel_aspect * min(focal):
         raise ValueError(
-            f"camera: focal lengths fx = {camera.fx:g}, fy = {camera.fy:g} differ by more than a factor of "
-            f"{plausible.max_pixel_aspect:g}, and pixels are nearly square; correct the wrong one"
+            f"{focal_text} differ by more than a factor of {plausible.max_pixel_aspect:g}, and pixels are nearly "
+            "square; correct the wrong one"
         )
     x, y = ((2 * at + 1) / edge for at, edge in zip(middle, sizes, strict=True))
     scale = (x + y) / 2
@@ -184,20 +183,15 @@ def _check_lens_fits_image(camera: Camera, plausible: PlausibleLens) -> None:
     )
     if min(as_given) > plausible.min_swapped_offset and max(swapped) < plausible.max_restored_offset:
         raise ValueError(
-            f"camera: the principal point cx = {camera.cx:g}, cy = {camera.cy:g} would lie in the middle of an image "
-            f"of {size} if its two numbers were swapped; give cx along the width and cy along the height"
+            f"{centre_text} would lie in the middle of an image of {size} if its two numbers were swapped; give cx "
+            "along the width and cy along the height"
         )
     if outside or scaled:
-        other = f"{round(scale * camera.width)} x {round(scale * camera.height)} pixels"
-        remedy = (
-            f"it is the lens of an image of about {other}: scale fx, fy, cx and cy with the image"
-            if scaled
-            else "give the lens of this image: subtract from cx, cy what was cropped, and scale all with it"
-        )
-        raise ValueError(
-            f"camera: the principal point cx = {camera.cx:g}, cy = {camera.cy:g} does not fit an image of {size}; "
-            + remedy
-        )
+        remedy = "give the lens of this image: subtract from cx, cy what was cropped, and scale all with it"
+        if scaled:
+            other = f"{round(scale * camera.width)} x {round(scale * camera.height)} pixels"
+            remedy = f"it is the lens of an image of about {other}: scale fx, fy, cx and cy with the image"
+        raise ValueError(f"{centre_text} does not fit an image of {size}; {remedy}")
 
 
 def brown_conrady(camera: Camera, x: Any, y: Any) -> tuple[Any, Any]:
@@ -260,14 +254,7 @@ def fold_radius(camera: Camera) -> float:
 
 
 def invert_brown_conrady(
-    camera: Camera,
-    x: Any,
-    y: Any,
-    *,
-    xp: Any = np,
-    repeat: Callable[[int, Callable, Any], Any] | None = None,
-    max_slope: float = 10.0,
-    tolerance: float = 1e-5,
+    camera: Camera, x: Any, y: Any, *, xp: Any = np, repeat: Callable[[int, Callable, Any], Any] | None = None
 ) -> tuple[Any, Any]:
     """Invert `brown_conrady` within the radius at which the lens folds.
 
@@ -279,14 +266,12 @@ def invert_brown_conrady(
         y: The distorted y, of the same shape.
         xp: The array namespace: NumPy, or `jax.numpy`.
         repeat: `repeat(n, step, value)` applies `step` to a value n times; None uses a Python loop.
-        max_slope: The largest x / z of a line of sight; 10 is 84 degrees off the camera's axis.
-        tolerance: The largest error of a solution in x / z. 1e-5 is some thousandths of a pixel, and a hundred times
-            the rounding error of float32.
 
     Returns:
         x and y before distortion; NaN where no point within the fold is mapped to the given one.
     """
-    limit = 0.999 * min(fold_radius(camera), max_slope)  # the derivative vanishes at the fold itself
+    # 10 is 84 degrees off the camera's axis; at the fold itself the derivative is zero.
+    limit = 0.999 * min(fold_radius(camera), 10.0)
     repeat = repeat or (lambda n, step, at: functools.reduce(lambda at, _: step(at), range(n), at))
     k1, k2, _, _, k3 = camera.coefficients
     distance = xp.hypot(x, y)
@@ -312,7 +297,8 @@ def invert_brown_conrady(
     at = repeat(6, step, (x * outward, y * outward))
     p, q = brown_conrady(camera, *at)
     px, py, qx, qy = _jacobian(camera, *at)
-    solved = xp.hypot(p - x, q - y) <= tolerance * (1 + xp.hypot(x, y))
+    # 1e-5 is some thousandths of a pixel, and a hundred times the rounding error of float32.
+    solved = xp.hypot(p - x, q - y) <= 1e-5 * (1 + xp.hypot(x, y))
     solved &= px * qy - py * qx > 0
     return xp.where(solved, at[0], xp.nan), xp.where(solved, at[1], xp.nan)
 
@@ -401,9 +387,10 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
         raise ValueError(f"{path}: is an image of shape {values.shape}; give one with a single channel of depth")
     if values.dtype not in (np.uint16, np.int32) and values.dtype.kind != "f":
         raise ValueError(f"{path}: holds {values.dtype}; give depth as 16-bit unsigned integers, or as floats in a TIF")
-    max_edge = READ_LIMITS.image_edge_pixels
-    if min(values.shape) < 2 or max(values.shape) > max_edge:
-        raise ValueError(f"{path}: is {values.shape} pixels; an edge must have from 2 to {max_edge}")
+    if min(values.shape) < 2:
+        raise ValueError(
+            f"{path}: is {values.shape} pixels; an edge must have from 2 to {READ_LIMITS.image_edge_pixels}"
+        )
     if encoding == Encoding.ROTATED:
         if values.dtype != np.uint16:
             raise ValueError(f"{path}: holds {values.dtype}, which cannot be rotated; give encoding='plain'")

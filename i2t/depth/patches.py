@@ -132,9 +132,8 @@ def patch_from_depth(
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
     depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # float16 resolves 0.1 m to 0.06 mm
-    seen = _patch_from_depth(
-        depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), window=window, reach=reach, fill=fill, tracing=tracing
-    )
+    sizes = {"window": window, "reach": reach, "fill": fill}
+    seen = _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes, tracing=tracing)
     seen.window, seen.reach = window, reach
     return seen
 
@@ -178,17 +177,9 @@ def view_from_depth(
 
 @partial(jax.jit, static_argnames=("camera", "pixels", "window", "reach", "fill", "tracing"))
 def _patch_from_depth(
-    depth: Array,
-    T_w_c: Array,
-    T_w_t: Array,
-    *,
-    camera: Camera,
-    pixels: int,
-    window: float,
-    reach: float,
-    fill: float,
+    depth: Array, T_w_c: Array, T_w_t: Array, *, camera: Camera, pixels: int, window: float, reach: float, fill: float,
     tracing: SurfaceTracing,
-) -> DepthPatch:
+) -> DepthPatch:  # fmt: skip
     """Compute `patch_from_depth`; compiled once for each camera and each set of sizes."""
     # Holes at the patch's border are filled from pixels beyond it.
     margin = max(math.ceil(fill / window * pixels) - 1, 0)
@@ -305,13 +296,9 @@ _Gap: TypeAlias = Callable[[Array], tuple[Array, Array]]  # `_gap` with the rays
 
 
 def _follow(
-    rays: _Rays,
-    cells: Float[Array, "cells 6"],
-    camera: Camera,
-    reach: float,
-    inner: tuple[slice, slice],
+    rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, reach: float, inner: tuple[slice, slice],
     tracing: SurfaceTracing,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array]:  # fmt: skip
     """Find tool z (m) where rays meet the surface, +inf where they do not, and tool z to which they are free.
 
     Rays are sampled from their start until a sample is free and the next one is behind the surface. The crossing

@@ -22,8 +22,6 @@ class _Remedy(StrEnum):
     UNPACK = "unpack it first"
     SAVE_AS_CSV = "save it as CSV in UTF-8"
     SAVETXT = "write its columns with numpy.savetxt, with their names as the header"
-    WRITETABLE = "write it in MATLAB with writetable"
-    DOWNLOAD = "download the file itself"
 
 
 # The first bytes of files that are not tables, by the specification of each format: mark, kind and remedy.
@@ -38,14 +36,15 @@ FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"SQLite format 3\0", "an SQLite database, as ROS 2 bags (.db3) are", _Remedy.EXPORT),
     (MARK_OF_TOUCHES, "a data set of i2t, and converted already", "use it as it is"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file", _Remedy.EXPORT),
-    (b"MATLAB 5.0 MAT-file", "a MATLAB file (.mat)", _Remedy.WRITETABLE),
-    (b"MATLAB 7.3 MAT-file", "a MATLAB file (.mat)", _Remedy.WRITETABLE),
+    *(
+        (b"MATLAB %s MAT-file" % v, "a MATLAB file (.mat)", "write it in MATLAB with writetable")
+        for v in (b"5.0", b"7.3")
+    ),
     (b"TDSm", "a LabVIEW recording (TDMS)", _Remedy.EXPORT),
     *((mark, "a compressed archive", _Remedy.UNPACK) for mark in (b"BZh", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd")),
     *((mark, "an image", "name a table") for mark in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")),
     (b"version https://git-lfs", "a Git LFS pointer and not the file itself", "fetch it with git lfs pull"),
-    (b"<!doctype html", "a web page (HTML)", _Remedy.DOWNLOAD),
-    (b"<html", "a web page (HTML)", _Remedy.DOWNLOAD),
+    *((mark, "a web page (HTML)", "download the file itself") for mark in (b"<!doctype html", b"<html")),
     (b"<?xml", "an XML document", _Remedy.EXPORT),
     (b"{\\rtf", "a document in rich text (RTF)", "save its table as plain text, in CSV and UTF-8"),
     (GZIP_MARK, "a gzip archive", _Remedy.UNPACK),

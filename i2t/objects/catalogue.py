@@ -39,10 +39,8 @@ def make_object(name: str) -> Object:
         mesh = i2t.make_object("hammer").mesh
     """
     if name not in NAMES:
-        remedy = did_you_mean(
-            name, NAMES, "choose one of i2t.objects.NAMES, such as hexagon or hammer, or load a mesh file"
-        )
-        raise ValueError(f"no object is called {name!r}; {remedy}")
+        hint = "choose one of i2t.objects.NAMES, such as hexagon or hammer, or load a mesh file"
+        raise ValueError(f"no object is called {name!r}; {did_you_mean(name, NAMES, hint)}")
     with np.load(Path(__file__).with_name("catalogue.npz"), allow_pickle=False) as arrays:
         mesh = Mesh(*(arrays[f"{name}/{part}"] for part in Mesh._fields))
     family = "primitive" if name in PRIMITIVES else "stamp" if name in STAMPS else "tool"

@@ -21,13 +21,7 @@ from i2t.errors import DataError
 
 
 def triangulate(
-    vertices: NDArray[np.float64],
-    corners: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-    name: Callable[[int], str],
-    *,
-    max_work: int = 7000**2,
-    block_corners: int = 2**20,
+    vertices: NDArray[np.float64], corners: NDArray[np.int64], sizes: NDArray[np.int64], name: Callable[[int], str]
 ) -> NDArray[np.int64]:
     """Cut polygons into triangles.
 
@@ -36,9 +30,6 @@ def triangulate(
         corners: `(sum of sizes,)` indices of vertices, polygon after polygon, each in order around the polygon.
         sizes: `(polygons,)` numbers of corners, at least three each.
         name: Names the file and the polygon of a given number, for messages.
-        max_work: The largest sum of squared numbers of corners of polygons that need ear clipping, which bounds its
-            time.
-        block_corners: The number of corners that are processed together, which bounds the memory.
 
     Returns:
         `(m, 3)` triangles in the order of their polygons, with the same orientation and total area. A polygon without
@@ -57,12 +48,12 @@ def triangulate(
     work, width = 0, _rounding(vertices[corners])
     for size in np.unique(sizes[sizes >= 3]):
         polygons = np.flatnonzero(sizes == size)
-        for block in np.array_split(polygons, -(-len(polygons) * size // block_corners)):
+        for block in np.array_split(polygons, -(-len(polygons) * size // 2**20)):  # corners, which bounds the memory
             loops = corners[starts[block, None] + np.arange(size)]
             fans, right = _fans(vertices, loops, width)
             faces[places[block, None] + np.arange(size - 2)] = fans
             work += int(size**2 * (~right).sum())
-            if work > max_work:
+            if work > 7000**2:  # ear clipping takes time with the square of the number of corners
                 raise DataError(
                     f"{name(int(block[0]))} and others are not convex and have {size} corners, which takes too long "
                     "here; split the polygons into triangles (in Blender: Triangulate Faces)"

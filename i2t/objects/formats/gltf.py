@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,17 +28,8 @@ COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u
 COMPRESSION_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
 DECOMPRESS = "export it again without compression, or decompress it, for instance with gltf-transform"
 
-
-class _Mode(IntEnum):
-    """Kinds of primitives (glTF 2.0, 3.7.2.1)."""
-
-    POINTS = 0
-    LINES = 1
-    LINE_LOOP = 2
-    LINE_STRIP = 3
-    TRIANGLES = 4
-    TRIANGLE_STRIP = 5
-    TRIANGLE_FAN = 6
+# Kinds of primitives (glTF 2.0, 3.7.2.1)
+_Mode = IntEnum("_Mode", "POINTS LINES LINE_LOOP LINE_STRIP TRIANGLES TRIANGLE_STRIP TRIANGLE_FAN", start=0)
 
 
 @dataclass(frozen=True)
@@ -50,15 +41,9 @@ class SceneLimits:
     box_tolerance: float = 1e-4  # error of a mesh's stated bounding box, relative to its longest side
 
 
-class Scene(NamedTuple):
-    """The triangles of a scene."""
-
-    vertices: NDArray[np.float64]  # (n, 3), in the file's unit, which is metres by the standard
-    faces: NDArray[np.int64]  # (m, 3)
-    left_out: tuple[str, ...]  # counts of what has no triangles, such as "2 primitives of lines"
-
-
-def read_scene(path: Path, data: bytes, *, limits: SceneLimits = SceneLimits()) -> Scene:
+def read_scene(
+    path: Path, data: bytes, *, limits: SceneLimits = SceneLimits()
+) -> tuple[NDArray, NDArray, tuple[str, ...]]:
     """Read the triangles of the default scene, each node in its place.
 
     Args:
@@ -67,7 +52,8 @@ def read_scene(path: Path, data: bytes, *, limits: SceneLimits = SceneLimits()) 
         limits: Bounds on the scene.
 
     Returns:
-        The triangles in the scene's frame, and what was left out.
+        `(n, 3)` vertices in the scene's frame, in the file's unit, which is metres by the standard; `(m, 3)` triangles;
+        and counts of what has no triangles, such as "2 primitives of lines".
 
     Raises:
         DataError: The file is cut off, is too large, or uses a feature that is not supported.
@@ -75,7 +61,7 @@ def read_scene(path: Path, data: bytes, *, limits: SceneLimits = SceneLimits()) 
     """
     document = _Document(path, data, limits)
     document.check_extensions()
-    vertices, faces, left_out, start, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], [], 0, 0
+    vertices, faces, start, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0, 0
     for mesh, matrix in document.placed_meshes():
         for corners, triangles in document.primitives(mesh):
             mirrored = np.linalg.det(matrix[:3, :3]) < 0
@@ -89,7 +75,7 @@ def read_scene(path: Path, data: bytes, *, limits: SceneLimits = SceneLimits()) 
     left_out = [f"{count} primitives of {kind}" for kind, count in document.skipped.items()]
     if len(document.scenes) > 1:
         left_out.append(f"{len(document.scenes) - 1} scenes that are not the default one")
-    return Scene(np.concatenate(vertices), np.concatenate(faces), tuple(left_out))
+    return np.concatenate(vertices), np.concatenate(faces), tuple(left_out)
 
 
 class _Document:

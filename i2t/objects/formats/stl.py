@@ -23,7 +23,7 @@ def is_binary_stl(data: bytes) -> bool:
     Returns:
         Whether the size fits.
     """
-    return len(data) == HEADER_BYTES + FACET_DTYPE.itemsize * _announced(data)
+    return len(data) == HEADER_BYTES + FACET_DTYPE.itemsize * int.from_bytes(data[80:HEADER_BYTES], "little")
 
 
 def read_stl(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
@@ -35,14 +35,9 @@ def read_stl(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
     return corners, np.arange(len(corners)).reshape(-1, 3), ()
 
 
-def _announced(data: bytes) -> int:
-    """Read the number of facets in the header of binary STL."""
-    return int.from_bytes(data[80:HEADER_BYTES], "little")
-
-
 def _binary_facets(path: Path, data: bytes) -> NDArray:
     """Read the corners `(3 n, 3)` of the n facets of binary STL."""
-    announced = _announced(data)
+    announced = int.from_bytes(data[80:HEADER_BYTES], "little")
     room, rest = divmod(len(data) - HEADER_BYTES, FACET_DTYPE.itemsize)
     # Programs that stream the facets write one of these numbers, and never correct it.
     if announced in (0, 2**31 - 1, 2**32 - 1) and room >= 0 and rest == 0:
