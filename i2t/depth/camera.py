@@ -382,7 +382,7 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
     metres = metres_per_unit(scale, path)
     if encoding not in list(Encoding):
         raise ValueError(f"{path}: encoding {encoding!r} is not known; choose from {', '.join(Encoding)}")
-    values = _pixels(path)
+    values = _stored_pixels(path)
     if values.ndim != 2:
         raise ValueError(f"{path}: is an image of shape {values.shape}; give one with a single channel of depth")
     if values.dtype not in (np.uint16, np.int32) and values.dtype.kind != "f":
@@ -617,7 +617,7 @@ def _unreadable(path: str | Path, error: Exception) -> str:
     return f"{path}: cannot be read ({' '.join(str(error).split())}); save or copy it again"
 
 
-def _pixels(path: Path) -> np.ndarray:
+def _stored_pixels(path: Path) -> np.ndarray:
     """Read the numbers of a depth file as they are stored."""
     if path.suffix.lower() not in IMAGE_SUFFIXES:
         raise ValueError(f"{path}: is not a PNG or TIF; save depth as 16-bit PNG, or TIF")

@@ -82,7 +82,7 @@ def pose_at_pixel(
         measured = measured_mask(image[row, column])
         why = "has no line of sight in this lens" if measured else f"was not measured (it is {image[row, column]:g})"
         raise ValueError(f"pixel: depth at column {column}, row {row} {why}; choose another pixel, or look again")
-    normal = _normal(points.reshape(-1, 3), at, radius, plane, f"column {column}, row {row}")
+    normal = _plane_normal(points.reshape(-1, 3), at, radius, plane, f"column {column}, row {row}")
     R_w_c = T[:3, :3]
     return np.asarray(contact_frame(R_w_c @ at + T[:3, 3], R_w_c @ normal, roll))
 
@@ -108,7 +108,7 @@ def _points(image: Float[np.ndarray, "height width"], camera: Camera) -> Float[n
     return np.stack([x * z, y * z, z], -1)
 
 
-def _normal(
+def _plane_normal(
     points: Float[np.ndarray, "n 3"], at: Float[np.ndarray, "3"], radius: float, plane: PlaneFit, where: str
 ) -> Float[np.ndarray, "3"]:
     """Fit a plane to the points around `at` and compute its unit normal towards the camera."""

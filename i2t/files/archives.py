@@ -10,7 +10,7 @@ from i2t.errors import DataError
 from i2t.files.limits import READ_LIMITS
 
 
-def unpacks_to_too_much(path: str | Path, max_bytes: float) -> DataError:
+def unpacked_size_error(path: str | Path, max_bytes: float) -> DataError:
     """Make the error for an archive that unpacks to more than any recording.
 
     Args:
@@ -46,7 +46,7 @@ def unpacked(path: str | Path, data: bytes) -> bytes:
     except (OSError, EOFError, zlib.error) as error:
         raise DataError(f"{path}: cannot be unpacked ({error}); restore it from the source") from error
     if len(contents) > max_bytes:
-        raise unpacks_to_too_much(path, max_bytes)
+        raise unpacked_size_error(path, max_bytes)
     return contents
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from i2t.errors import DataError
-from i2t.files.archives import may_grow_to, readable_size, unpacks_to_too_much
+from i2t.files.archives import may_grow_to, readable_size, unpacked_size_error
 from i2t.files.kinds import (
     GZIP_MARK,
     MARK_OF_TOUCHES,
@@ -116,7 +116,7 @@ def encoding_of_file(path: str | Path) -> str:
         OSError: The file is missing, or cannot be read.
     """
     with open_regular(path) as raw, _unpacking(path):
-        head = _unzipped(raw).read(READ_LIMITS.head_bytes)
+        head = _unzip(raw).read(READ_LIMITS.head_bytes)
     return encoding_of(path, head, whole=len(head) < READ_LIMITS.head_bytes)
 
 
@@ -140,13 +140,13 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
         max_total, max_line = may_grow_to(size) if zipped else math.inf, READ_LIMITS.line_bytes
         # Bytes that are not UTF-8 are kept as surrogates, so that the message can name their line.
         errors = "surrogateescape" if encoding == UTF_8 else "strict"
-        text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzipped(raw), encoding, errors)
+        text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzip(raw), encoding, errors)
         number, total = 0, 0
         try:
             while line := text.readline(max_line):
                 number, total = number + 1, total + len(line)
                 if total > max_total:
-                    raise unpacks_to_too_much(path, max_total)
+                    raise unpacked_size_error(path, max_total)
                 if not line.strip("\0"):  # a power cut leaves zeros at the end of a log
                     continue
                 if len(line) == max_line and not line.endswith("\n"):
@@ -176,14 +176,14 @@ def require_unpackable(path: str | Path) -> None:
     with open_regular(path) as raw, _unpacking(path):
         if not raw.peek(2).startswith(GZIP_MARK):
             return
-        left, text = may_grow_to(os.fstat(raw.fileno()).st_size), _unzipped(raw)
+        left, text = may_grow_to(os.fstat(raw.fileno()).st_size), _unzip(raw)
         while chunk := text.read(2**20):
             left -= len(chunk)
             if left < 0:
-                raise unpacks_to_too_much(path, may_grow_to(os.fstat(raw.fileno()).st_size))
+                raise unpacked_size_error(path, may_grow_to(os.fstat(raw.fileno()).st_size))
 
 
-def _unzipped(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:
+def _unzip(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:
     """Unpack a file while it is read, if it begins like a gzip archive."""
     return gzip.GzipFile(fileobj=raw) if raw.peek(2).startswith(GZIP_MARK) else raw
 

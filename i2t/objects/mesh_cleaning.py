@@ -15,7 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from i2t.objects.orientation import directed_edges, encloses, turned_outward
+from i2t.objects.orientation import directed_edges, encloses, turn_outward
 from i2t.objects.solids import Mesh
 
 
@@ -99,7 +99,7 @@ def clean_mesh(
     if not solid.any():
         raise ValueError(f"{path}: no face has an area; export the mesh again")
     work.update_faces(solid)
-    single = _single_faces(work.vertices, work.faces, work.area_faces, config.max_dust_fraction)
+    single = _distinct_faces(work.vertices, work.faces, work.area_faces, config.max_dust_fraction)
     work.update_faces(single)
 
     vertices, faces = np.asarray(work.vertices, np.float64), np.asarray(work.faces)
@@ -108,7 +108,7 @@ def clean_mesh(
     kept = np.arange(pieces) == areas.argmax() if largest_piece else ~_dust(areas, config.max_dust_fraction)
     left_out = _compact(vertices, faces[~kept[piece]])
     clean = _compact(vertices, faces[kept[piece]])
-    outward = turned_outward(clean)
+    outward = turn_outward(clean)
     uses = np.unique(_edges(outward.faces), axis=0, return_counts=True)[1]
     x, y, z = np.ptp(outward.vertices, axis=0).tolist()
     report = CleaningReport(
@@ -154,7 +154,7 @@ def _compact(vertices: NDArray, faces: NDArray) -> Mesh:
     return Mesh(vertices[used], corners.reshape(-1, 3).astype(np.int32))
 
 
-def _single_faces(vertices: NDArray, faces: NDArray, areas: NDArray, max_fin_fraction: float) -> NDArray:
+def _distinct_faces(vertices: NDArray, faces: NDArray, areas: NDArray, max_fin_fraction: float) -> NDArray:
     """Mark the faces to keep so that no two have the same corners.
 
     One of each repeated face is kept, except in small fins and in walls inside the object. Without such a wall, the
@@ -166,15 +166,15 @@ def _single_faces(vertices: NDArray, faces: NDArray, areas: NDArray, max_fin_fra
     repeated = np.flatnonzero(times > 1)
     if not len(repeated):
         return keep
-    wall, spare, fin = _spare_walls(unique, repeated, times == 1, areas[first], max_fin_fraction)
+    wall, spare, fin = _group_walls(unique, repeated, times == 1, areas[first], max_fin_fraction)
     removed = spare | fin
     keep[first[repeated[removed[wall]]]] = False
     if not spare.any() or not keep.any():
         return keep
     piece = _pieces(faces)[1]
-    outward = turned_outward(Mesh(vertices, faces[keep])).faces
+    outward = turn_outward(Mesh(vertices, faces[keep])).faces
     restored = np.zeros(len(faces), bool)
-    torn = _torn_vertices(outward)
+    torn = _inconsistent_vertices(outward)
     for number in np.flatnonzero(spare):
         rows = first[repeated[wall == number]]
         around = vertices[outward[piece[keep] == piece[rows[0]]]]
@@ -184,7 +184,7 @@ def _single_faces(vertices: NDArray, faces: NDArray, areas: NDArray, max_fin_fra
     return keep | restored
 
 
-def _torn_vertices(faces: NDArray) -> NDArray:
+def _inconsistent_vertices(faces: NDArray) -> NDArray:
     """Find the vertices of edges through which faces do not run equally often in both directions."""
     directed = directed_edges(faces)
     edges, edge = np.unique(np.sort(directed, 1), axis=0, return_inverse=True)
@@ -192,7 +192,7 @@ def _torn_vertices(faces: NDArray) -> NDArray:
     return np.unique(edges[balance != 0])
 
 
-def _spare_walls(
+def _group_walls(
     faces: NDArray, repeated: NDArray, single: NDArray, areas: NDArray, max_fin_fraction: float
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Group repeated faces into walls, and mark the walls that are not needed and those that are fins.

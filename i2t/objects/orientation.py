@@ -31,12 +31,12 @@ class OrientationConfig:
     max_judged_parts: int = 2000  # with more parts, closed ones are judged by their volume, and open ones not at all
     max_holed_parts: int = 8  # with more parts with holes, each is judged only by the mean winding number next to it
     min_evidence: float = 0.65  # evidence to turn a part: 0 for a sheet, 0.63 for half a sphere, 1 for a closed body
-    min_gain: float = 1.0  # gain of all winding numbers in being whole and positive, to turn a part with holes
+    min_gain: float = 1.0  # evidence from the numbers next to all parts, to turn a part with holes
     inside_out_number: float = -0.9  # winding number below which a point is in a body that is inside out
     min_inside_out_fraction: float = 1e-3  # difference in area next to such points by which one result is better
 
 
-def turned_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) -> Mesh:
+def turn_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) -> Mesh:
     """Turn the faces of a mesh so that every part of it faces outward.
 
     Args:
@@ -47,8 +47,8 @@ def turned_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) 
         The mesh with the same faces in the same order, some of them turned.
     """
     corners = mesh.vertices[mesh.faces]
-    faces, parts = _wound_alike(mesh.faces, np.linalg.norm(_double_area(corners), axis=1))
-    turned = _inside_out(mesh.vertices[faces], parts, config)[parts.of_face]
+    faces, parts = _orient_parts(mesh.faces, np.linalg.norm(_double_area(corners), axis=1))
+    turned = _parts_to_turn(mesh.vertices[faces], parts, config)[parts.of_face]
     return Mesh(mesh.vertices, np.where(turned[:, None], faces[:, ::-1], faces).astype(np.int32))
 
 
@@ -73,7 +73,7 @@ class _Parts(NamedTuple):
     halved: NDArray  # (parts,) whether half of the part's area was given turned
 
 
-def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
+def _orient_parts(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
     """Orient the faces of each part alike, so that neighbours run through their common edge in opposite directions.
 
     Neighbours are the two faces of an edge that no third face has. In a graph every face occurs twice, as given and
@@ -116,7 +116,7 @@ class _Field(NamedTuple):
         return np.bincount(self.owner, self.weight * values, count) / np.bincount(self.owner, self.weight, count)
 
 
-def _inside_out(corners: NDArray, parts: _Parts, config: OrientationConfig) -> NDArray:
+def _parts_to_turn(corners: NDArray, parts: _Parts, config: OrientationConfig) -> NDArray:
     """Mark the parts to turn so that no part encloses a negative winding number.
 
     Starting from the parts as given, and again from all parts turned, the part with the most negative number next to
@@ -136,22 +136,22 @@ def _inside_out(corners: NDArray, parts: _Parts, config: OrientationConfig) -> N
     plain = parts.closed.all() and (inward.all() or not inward.any()) and (len(inward) == 1 or not parts.halved.any())
     if plain or len(inward) > config.max_judged_parts:
         return inward
-    points, owner, weight = _points_beside(corners, parts.of_face, config)
+    points, owner, weight = _points_near_faces(corners, parts.of_face, config)
     shares = _winding_numbers(corners, parts.of_face, points, config.dipole_distance)
     field = _Field(owner, weight, shares, volume, parts)
     starts = [np.ones(len(volume)), -np.ones(len(volume))]
     if weight @ field.shares.sum(0) < -0.5 * config.min_evidence * weight.sum():
         starts.reverse()
-    (first, negative), (second, second_negative) = (_settled(field, start, config) for start in starts)
+    (first, negative), (second, second_negative) = (_turn_parts(field, start, config) for start in starts)
     return (second if second_negative < negative - config.min_inside_out_fraction else first) < 0
 
 
-def _settled(field: _Field, sign: NDArray, config: OrientationConfig) -> tuple[NDArray, float]:
+def _turn_parts(field: _Field, sign: NDArray, config: OrientationConfig) -> tuple[NDArray, float]:
     """Turn parts that are inside out; return all signs (parts,), and the fraction of area with negative numbers."""
     number, parts = sign @ field.shares, field.parts
-    rules = [(_evidence_beside, config.min_evidence)]
+    rules = [(_evidence_nearby, config.min_evidence)]
     if parts.holed.sum() <= config.max_holed_parts:
-        rules.append((_evidence_of_all, config.min_gain))
+        rules.append((_evidence_overall, config.min_gain))
     for judge, min_evidence in rules:
         for _ in range(2 * len(sign)):
             evidence = judge(field, sign, number)
@@ -166,14 +166,17 @@ def _settled(field: _Field, sign: NDArray, config: OrientationConfig) -> tuple[N
     return sign, float(field.weight[number < config.inside_out_number].sum() / field.weight.sum())
 
 
-def _evidence_beside(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
+def _evidence_nearby(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
     """Rate each part from body (1) over sheet (0) to inside out (-1), by the numbers next to it."""
     inside_out = (sign * field.volume < 0) & (field.mean(number < -0.5) > 0)  # otherwise a closed part is a cavity
     return np.where(field.parts.closed, np.where(inside_out, -1.0, 1.0), 2 * field.mean(number))
 
 
-def _evidence_of_all(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
-    """Rate parts with holes by the numbers next to all parts, which two halves of one body make whole."""
+def _evidence_overall(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
+    """Rate parts with holes by the numbers next to all parts, which are integers if two halves form one body.
+
+    The evidence is twice the growth of the implausibility of all numbers if the part is turned, per area of the part.
+    """
     evidence, now = np.ones(len(sign)), field.weight @ _implausible(number)
     own = np.bincount(field.owner, field.weight, len(sign))
     for part in np.flatnonzero(field.parts.holed):
@@ -187,7 +190,7 @@ def _implausible(number: NDArray) -> NDArray:
     return np.abs(number - np.round(number)) + np.maximum(-number, 0)
 
 
-def _points_beside(corners: NDArray, part: NDArray, config: OrientationConfig) -> tuple[NDArray, NDArray, NDArray]:
+def _points_near_faces(corners: NDArray, part: NDArray, config: OrientationConfig) -> tuple[NDArray, NDArray, NDArray]:
     """Choose points (k, 3) close to faces of each part, on both sides, with their parts (k,) and areas (k,)."""
     areas = np.linalg.norm(_double_area(corners), axis=1) / 2
     points, owner, weight = [], [], []

@@ -59,7 +59,7 @@ def triangulate(
                     "here; split the polygons into triangles (in Blender: Triangulate Faces)"
                 )
             for polygon, loop in zip(block[~right], loops[~right], strict=True):
-                pieces = _clipped(vertices[loop], width)
+                pieces = _clip_polygon(vertices[loop], width)
                 if pieces is None:
                     raise DataError(
                         f"{name(int(polygon))} has {size} corners and crosses itself; repair it, or split it into "
@@ -115,10 +115,10 @@ def _fans(vertices: NDArray, loops: NDArray, width: float) -> tuple[NDArray, NDA
     if size == 3:
         return loops[:, None], np.ones(count, bool)
     fans = _fan(loops)
-    right = _is_right(vertices[fans], width)
+    right = _fits_polygon(vertices[fans], width)
     if size == 4 and not right.all():
         others = _fan(np.roll(loops[~right], -1, 1))
-        swap = _is_right(vertices[others], width)
+        swap = _fits_polygon(vertices[others], width)
         fans[np.flatnonzero(~right)[swap]] = others[swap]
         right[~right] = swap
     return fans, right
@@ -128,7 +128,7 @@ def _fan(loops: NDArray) -> NDArray:
     return np.stack(np.broadcast_arrays(loops[:, :1], loops[:, 1:-1], loops[:, 2:]), 2)
 
 
-def _is_right(triangles: NDArray, width: float) -> NDArray:
+def _fits_polygon(triangles: NDArray, width: float) -> NDArray:
     """Mark `(p,)` the fans `(p, m, 3, 3)` that lie in their polygon."""
     a, b, c = np.moveaxis(triangles, 2, 0)
     ab, ac, bc = b - a, c - a, c - b
@@ -143,7 +143,7 @@ def _is_right(triangles: NDArray, width: float) -> NDArray:
     return right
 
 
-def _clipped(points: NDArray, width: float) -> NDArray | None:
+def _clip_polygon(points: NDArray, width: float) -> NDArray | None:
     """Cut a polygon `(n, 3)` into triangles `(m, 3)` of its corners; return None if it crosses itself."""
     size, none = len(points), np.zeros((1, 3), np.int64)
     if not np.isfinite(points).all():  # the caller refuses vertices that are not finite

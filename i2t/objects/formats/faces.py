@@ -39,7 +39,7 @@ class MeshReader(Protocol):
         ...
 
 
-def triangulated(
+def triangulate_polygons(
     path: Path, vertices: NDArray, corners: NDArray, sizes: NDArray, name: Callable[[int], str] = "face {}".format
 ) -> tuple[NDArray, NDArray, str]:
     """Cut the polygons of a file into triangles.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.errors import DataError
-from i2t.objects.formats.faces import triangulated
+from i2t.objects.formats.faces import triangulate_polygons
 from i2t.objects.formats.text import number_rows, plain_text, unreadable
 
 
@@ -38,7 +38,9 @@ def read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
     if (corners == 0).any():
         raise DataError(f"{path}: a face has a corner 0, and OBJ counts vertices from 1; export it again")
     corners = np.where(corners > 0, corners - 1, corners + np.repeat(np.array(before, np.int64), sizes))
-    vertices, faces, few = triangulated(path, vertices, corners, sizes, lambda i: f"face {i} (line {numbers[i - 1]})")
+    vertices, faces, few = triangulate_polygons(
+        path, vertices, corners, sizes, lambda i: f"face {i} (line {numbers[i - 1]})"
+    )
     return vertices, faces, (few, *(f"{count} {name}" for name, count in others.items()))
 
 

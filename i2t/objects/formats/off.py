@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.errors import DataError
-from i2t.objects.formats.faces import triangulated
-from i2t.objects.formats.text import cut_off, in_utf8, number_rows, plain_text, ranges, unreadable
+from i2t.objects.formats.faces import triangulate_polygons
+from i2t.objects.formats.text import cut_off, number_rows, plain_text, ranges, to_utf8, unreadable
 
 
 def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
     """Read OFF, as in `i2t.objects.formats.faces.MeshReader`."""
-    data = in_utf8(data)
+    data = to_utf8(data)
     head = re.match(rb"\s*(?:#[^\n]*\s*)*((?:ST|st)?[Cc]?N?4?n?(?:OFF|off|Off))?", data)
     kind = (head[1] or b"") if head else b""
     if b"4" in kind or b"n" in kind or re.match(rb"\s*BINARY", data[head.end() :] if head else b"", re.IGNORECASE):
@@ -30,7 +30,7 @@ def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
         if free is None:
             raise
         vertices, corners, sizes = free
-    vertices, faces, few = triangulated(path, vertices, corners, sizes)
+    vertices, faces, few = triangulate_polygons(path, vertices, corners, sizes)
     return vertices, faces, (few,)
 
 

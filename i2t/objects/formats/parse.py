@@ -52,10 +52,10 @@ def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
             f"{path}: holds no faces{others}; export it as a mesh (a point cloud has to be made one first, for "
             "instance with Open3D)"
         )
-    return ParsedMesh(*_used(path, vertices, faces), left_out)
+    return ParsedMesh(*_drop_unused(path, vertices, faces), left_out)
 
 
-def _used(path: Path, vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
+def _drop_unused(path: Path, vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
     """Keep only the vertices that a face uses, which have to be finite: scanners mark unseen points as NaN."""
     used = np.zeros(len(vertices), bool)
     used[faces] = True

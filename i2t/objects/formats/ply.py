@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from i2t.objects.formats.faces import triangulated
-from i2t.objects.formats.text import PADDING, cut_off, in_utf8, number_rows, plain_text, ranges, unreadable
+from i2t.objects.formats.faces import triangulate_polygons
+from i2t.objects.formats.text import PADDING, cut_off, number_rows, plain_text, ranges, to_utf8, unreadable
 from i2t.objects.polygons import strip_triangles
 
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -48,7 +48,7 @@ def read_ply(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
         triangles = np.concatenate([strip_triangles(part) for part in parts] or [np.empty((0, 3), np.int64)])
         corners = np.append(corners, triangles.reshape(-1))
         sizes = np.append(sizes, np.full(len(triangles), 3))
-    vertices, faces, few = triangulated(path, vertices, corners, sizes)
+    vertices, faces, few = triangulate_polygons(path, vertices, corners, sizes)
     return vertices, faces, (few, "a range grid" if "range_grid" in elements else "")
 
 
@@ -66,7 +66,7 @@ def _ply_corners(path: Path, name: str, element: _Element) -> tuple[NDArray, NDA
 
 def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list[_Property]]], bytes]:
     """Read the format, each element's name, count and properties, and the bytes after the header."""
-    data = in_utf8(data)
+    data = to_utf8(data)
     end = re.search(rb"\nend_header *(\r\n|\n)|\rend_header *\r", data[: 2**16])
     if not data.startswith(b"ply") or not end:
         raise unreadable(path, "it has no PLY header, or is cut off within it", "export or copy it again")

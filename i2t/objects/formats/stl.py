@@ -72,7 +72,7 @@ def _text_facets(path: Path, text: bytes) -> NDArray:
         raise DataError(f"{path}: is cut off or not an STL file: {reason}; export or copy it again")
     keywords = {0: b"facet", 1: b"normal", 5: b"outer", 6: b"loop", 7: b"vertex", 11: b"vertex", 15: b"vertex",
                 19: b"endloop", 20: b"endfacet"}  # fmt: skip
-    wrong = [i for place, word in keywords.items() for i in _unlike_words(words[place::facet_words], word)]
+    wrong = [i for place, word in keywords.items() for i in _first_mismatch(words[place::facet_words], word)]
     if wrong or len(words) % facet_words:
         raise DataError(
             f"{path}: facet {min([*wrong, whole]) + 1} is not written as a normal and a loop of three vertices; export "
@@ -102,7 +102,7 @@ def _without_titles(text: bytes) -> tuple[bytes, list[bool]]:
     return b"".join(facets), ends
 
 
-def _unlike_words(words: list[bytes], word: bytes) -> list[int]:
+def _first_mismatch(words: list[bytes], word: bytes) -> list[int]:
     """List the index of the first word that differs from the given one; empty if there is none."""
     if words.count(word) == len(words):
         return []

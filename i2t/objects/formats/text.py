@@ -56,13 +56,13 @@ def plain_text(path: Path, data: bytes) -> bytes:
     Raises:
         DataError: The file is binary.
     """
-    data = in_utf8(data).rstrip(b"\x1a")  # marks the end of a file in DOS
+    data = to_utf8(data).rstrip(b"\x1a")  # marks the end of a file in DOS
     if b"\0" in data:
         raise unreadable(path, "it is not text", "export it again, or check its ending")
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ")
 
 
-def in_utf8(data: bytes) -> bytes:
+def to_utf8(data: bytes) -> bytes:
     """Decode UTF-16 and drop byte order marks.
 
     Args:
