@@ -13,12 +13,12 @@ LEVEL = pose(DOWN, (0, 0, 0.104))
 
 
 def pixel_of(T_w_c: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Where a point of W appears."""
+    """The pixel at which a point of W appears."""
     return np.asarray(project(CAMERA, jnp.asarray((point - T_w_c[:3, 3]) @ T_w_c[:3, :3])))
 
 
 @pytest.mark.parametrize(("name", "tilt"), [("wedge", 0.0), ("star", 35.0), ("torus", 35.0)])
-def test_the_pose_is_that_on_the_mesh(name, tilt):
+def test_the_pose_equals_the_pose_on_the_mesh(name, tilt):
     """`contact_pose` with the face's own normal, or with that of the torus whose facets the mesh has."""
     mesh, (T_w_c, _) = scene(name), views(tilt, beside(name))
     depth = image(mesh, T_w_c)
@@ -37,7 +37,7 @@ def test_the_pose_is_that_on_the_mesh(name, tilt):
         assert np.degrees(np.linalg.norm(apart[3:])) < (1.5 if name == "torus" else 0.01)
 
 
-def test_the_patch_at_the_pose_begins_at_the_tool():
+def test_the_patch_at_the_pose_starts_at_the_tool():
     mesh, (T_w_c, _) = scene("dome"), views(20.0, beside("dome"))
     depth = image(mesh, T_w_c)
     T_w_t = i2t.pose_at_pixel(depth, CAMERA, T_w_c, pixel_of(T_w_c, beside("dome")))
@@ -46,8 +46,8 @@ def test_the_patch_at_the_pose_begins_at_the_tool():
     assert np.asarray(seen.valid_mask).mean() > 0.9
 
 
-def test_noise_is_averaged_and_holes_and_other_levels_are_left_out():
-    """Noise of 0.2 mm on 280 pixels over 6 mm tilts a plane by half a degree; a step beside the pixel by nothing."""
+def test_noise_is_averaged_and_holes_and_other_levels_are_ignored():
+    """Noise of 0.2 mm on 280 pixels over 6 mm tilts a plane by half a degree; a step next to it does not."""
     depth = plane() + np.random.default_rng(0).normal(0, 0.2e-3, (360, 640)).astype(np.float32)
     depth[::3] = np.nan
     depth[:, 326:] = 0.12  # 16 mm further, from 2 mm beside the pixel on
@@ -81,7 +81,7 @@ RAGGED = plane() + np.random.default_rng(0).uniform(-3e-3, 3e-3, (360, 640)).ast
         ({"depth": 1e3 * plane()}, "divide millimetres by 1000"),
     ],
 )
-def test_what_makes_no_pose_is_refused(changes, message):
+def test_invalid_arguments_are_refused(changes, message):
     given = {"depth": plane(), "T_w_c": LEVEL, "pixel": (320, 180), **changes}
     named = {name: given.pop(name) for name in ("roll", "radius") if name in given}
     with pytest.raises(ValueError, match=message):

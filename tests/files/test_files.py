@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and lines of files that others wrote."""
+"""Writing of files whole or not at all, and reading of lines from files of others."""
 
 import errno
 import gzip
@@ -17,7 +17,7 @@ from i2t.files.writing import replacing
 from i2t.viz import save_figure
 
 
-def test_a_file_appears_whole_in_a_folder_that_is_made_and_after_its_contents_reached_the_disk(tmp_path, monkeypatch):
+def test_a_file_appears_whole_in_a_new_folder_after_its_contents_are_on_the_disk(tmp_path, monkeypatch):
     path = tmp_path / "a" / "b" / "note.txt"
     synced = []
     monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append((os.fstat(descriptor).st_size, path.exists())))
@@ -31,7 +31,7 @@ def test_a_file_appears_whole_in_a_folder_that_is_made_and_after_its_contents_re
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), DataError("no")])
-def test_a_block_that_fails_leaves_the_old_file_and_no_other(tmp_path, failure):
+def test_a_failed_block_leaves_only_the_old_file(tmp_path, failure):
     path = tmp_path / "note.txt"
     path.write_text("old")
 
@@ -49,7 +49,7 @@ def test_a_block_that_fails_leaves_the_old_file_and_no_other(tmp_path, failure):
 @pytest.mark.parametrize(
     ("number", "kind", "remedy"), [(errno.ENOSPC, FullDiskError, "make room"), (errno.EACCES, DataError, "choose")]
 )
-def test_a_disk_that_fails_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, number, kind, remedy):
+def test_a_failing_disk_is_reported_in_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, number, kind, remedy):
     def fail(descriptor):
         raise OSError(number, os.strerror(number))
 
@@ -73,7 +73,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of a file's size")
-def test_a_command_meets_a_full_disk_with_one_sentence(tmp_path):
+def test_a_command_reports_a_full_disk_in_one_sentence(tmp_path):
     root = Path(__file__).parents[2]
     table, environment = root / "examples" / "data" / "presses.csv", os.environ | {"PYTHONPATH": str(root)}
     words = [sys.executable, "-c", FULL_DISK, "presses", table, "set", "--indenter", "sphere:4.0", "--as-stated"]
@@ -85,7 +85,7 @@ def test_a_command_meets_a_full_disk_with_one_sentence(tmp_path):
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def test_lines_come_one_after_the_other_without_their_ends(tmp_path):
+def test_lines_are_read_without_their_line_breaks(tmp_path):
     path = tmp_path / "log.csv"
     path.write_bytes("\ufefftime_s,µT\r\n1,2\n\n3,4".encode())
     assert list(read_lines(path)) == ["time_s,µT", "1,2", "", "3,4"]

@@ -1,4 +1,4 @@
-"""Files made to mislead: each is answered with one sentence that names it, in bounded memory and time."""
+"""Hostile files: each is refused with one sentence that names it, in bounded memory and time."""
 
 import json
 import os
@@ -25,7 +25,7 @@ CHEAP = [
 
 
 def refusal(label, path, answer):
-    """What is wrong with how a file was answered; "" where nothing is."""
+    """Explain what is wrong with the answer to a hostile file; empty if nothing is."""
     message = answer["said"]
     named = path.name in message or "theirs" in message
     right = answer["user"] and named and "\n" not in message and len(message) <= 800
@@ -64,7 +64,7 @@ def test_a_hostile_file_is_refused_by_its_name(label, tmp_path):
     assert refusal(label, path, {"said": str(raised.value), "user": True, "seconds": 0, "grown": 0}) == ""
 
 
-def test_a_file_is_read_to_its_bound_and_no_device_is(tmp_path):
+def test_a_file_is_read_up_to_its_limit_and_a_device_is_refused(tmp_path):
     path = tmp_path / "a.txt"
     path.write_bytes("grün".encode())
     assert read_text(path, 5) == "grün"
@@ -76,7 +76,7 @@ def test_a_file_is_read_to_its_bound_and_no_device_is(tmp_path):
             read_bytes(tmp_path / name)
 
 
-def test_a_list_names_files_of_its_folder_only(tmp_path):
+def test_a_listed_file_must_be_in_its_folder(tmp_path):
     folder = tmp_path / "images"
     folder.mkdir()
     assert file_in(folder, "a b.png", "list") == folder / "a b.png"
@@ -88,7 +88,7 @@ def test_a_list_names_files_of_its_folder_only(tmp_path):
             file_in(folder, name, "list")
 
 
-def test_a_file_of_ones_own_is_not_written_through_a_link(tmp_path):
+def test_a_file_is_not_written_through_a_link(tmp_path):
     (tmp_path / "theirs").write_text("precious")
     (tmp_path / "mine").symlink_to(tmp_path / "theirs")
     with pytest.raises(OSError, match=r"symbolic link|symlink|loop"):

@@ -1,4 +1,4 @@
-"""The catalogue against closed forms, and what every object must be: closed, outward, settled, of a size to touch."""
+"""The catalogue against closed forms; every object is closed, outward, on the table and of a plausible size."""
 
 import hashlib
 
@@ -53,7 +53,7 @@ def check_shape(mesh: Mesh) -> None:
 FAMILIES = {"primitive": PRIMITIVES, "stamp": STAMPS, "tool": TOOLS}
 
 
-def test_the_catalogue_is_that_of_every_result_to_the_bit():
+def test_the_catalogue_has_not_changed_in_any_bit():
     digest = hashlib.sha256()
     for name in NAMES:
         for values in make_object(name).mesh:
@@ -61,7 +61,7 @@ def test_the_catalogue_is_that_of_every_result_to_the_bit():
     assert digest.hexdigest() == "a38ddd6d3640aaf41c315e27f5f3d937d1d47061039b5fe62036f3b1c285c1d0"
 
 
-def test_every_object_of_the_catalogue_is_closed_outward_settled_and_of_its_family():
+def test_every_catalogue_object_is_closed_outward_on_the_table_and_of_its_family():
     assert PRIMITIVES[:6] == ("hexagon", "parallelogram", "star", "square", "flower", "cylinder")
     assert len(set(NAMES)) == len(NAMES) == sum(map(len, FAMILIES.values()))
     for family, names in FAMILIES.items():
@@ -130,7 +130,7 @@ def test_round_solids_have_their_corners_on_the_surface_and_their_chords_within_
     np.testing.assert_allclose(np.linalg.norm(flower[:, :2], axis=1), outline, rtol=4 * EXACT)
 
 
-def test_stamps_are_reliefs_of_at_most_10_mm_and_3_5_mm_deep():
+def test_stamps_are_reliefs_within_10_mm_and_3_5_mm_high():
     areas = {
         "stamp-T": 10 * 3 + 7 * 3,
         "stamp-angle": 10 * 3 + 7 * 3,
@@ -181,7 +181,7 @@ def test_random_objects():
     np.testing.assert_array_equal(random_object(7).mesh.vertices, drawn[7].mesh.vertices)
 
 
-def test_surrogate_unknowns_are_like_what_is_known_but_none_of_it():
+def test_surrogate_unknowns_resemble_known_objects_but_differ_from_them():
     known_meshes = [make_object("square").mesh, make_object("hammer").mesh]
     drawn = [surrogate_unknown(known_meshes, seed).mesh for seed in range(60)]
     heights = np.array([size(mesh)[2] for mesh in drawn])

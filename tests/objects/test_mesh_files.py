@@ -100,7 +100,7 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
     assert "\n" not in str(caught.value)
 
 
-def test_every_body_is_kept_and_a_stray_facet_is_not(tmp_path):
+def test_every_body_is_kept_but_a_stray_facet_is_dropped(tmp_path):
     body, other = trimesh.creation.box((30, 30, 30)), trimesh.creation.box((5, 5, 5))
     facet = trimesh.Trimesh([[0, 0, 50], [0.1, 0, 50], [0, 0.1, 50]], [[0, 1, 2]])
     other.apply_translation((60, 0, 0))
@@ -118,7 +118,7 @@ def test_every_body_is_kept_and_a_stray_facet_is_not(tmp_path):
 
 @pytest.mark.parametrize("up", ["z", "y"])
 @pytest.mark.parametrize("table", [True, False])
-def test_the_frame_of_the_file_is_given_back(tmp_path, up, table):
+def test_the_transform_to_the_files_frame_is_returned(tmp_path, up, table):
     path = tmp_path / "part.ply"
     part = trimesh.creation.icosphere(1, 20.0)
     part.apply_translation([100, 200, 300])
