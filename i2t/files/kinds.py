@@ -36,10 +36,8 @@ FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"SQLite format 3\0", "an SQLite database, as ROS 2 bags (.db3) are", _Remedy.EXPORT),
     (MARK_OF_TOUCHES, "a data set of i2t, and converted already", "use it as it is"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file", _Remedy.EXPORT),
-    *(
-        (b"MATLAB %s MAT-file" % v, "a MATLAB file (.mat)", "write it in MATLAB with writetable")
-        for v in (b"5.0", b"7.3")
-    ),
+    (b"MATLAB 5.0 MAT-file", "a MATLAB file (.mat)", "write it in MATLAB with writetable"),
+    (b"MATLAB 7.3 MAT-file", "a MATLAB file (.mat)", "write it in MATLAB with writetable"),
     (b"TDSm", "a LabVIEW recording (TDMS)", _Remedy.EXPORT),
     *((mark, "a compressed archive", _Remedy.UNPACK) for mark in (b"BZh", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd")),
     *((mark, "an image", "name a table") for mark in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")),
