@@ -41,7 +41,7 @@ COMMANDS = [
     ("i2t nonsense", "is no command"),
     ("i2t colect", "did you mean i2t.collect?"),
     ("i2t.collect --object hamer", "did you mean hammer?"),
-    ("i2t.collect --rig mesh.stl", "is the mesh of an object, and text is read here"),
+    ("i2t.collect --rig mesh.stl", "is the mesh of an object, not a text file"),
     ("i2t.collect --arm emulatd", "--arm emulatd is not known; did you mean emulated?"),
     ("i2t.convert presses table.csv DATA --indenter sphere:4 --board reskn", "did you mean reskin?"),
     ("experiments.recognize --pad-model text.txt", "is a file and holds no finished run"),

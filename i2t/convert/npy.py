@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.files.kinds import HEAD_BYTES, kind_of
+from i2t.files.kinds import kind_of
+from i2t.files.limits import READ_LIMITS
 from i2t.recordings.files import data_error, read_bytes
 
 MAX_LIST_LEVELS = 16  # nested lists: real files have five levels
@@ -75,7 +76,7 @@ def read(path: Path) -> np.ndarray | list[Any]:
             ]
             shape, fortran, dtype = read_header(stream)
     except Exception as error:  # a damaged header can make its parser fail in any way
-        kind, remedy = kind_of(stream.getvalue()[:HEAD_BYTES])
+        kind, remedy = kind_of(stream.getvalue()[: READ_LIMITS.head_bytes])
         if kind and not kind.startswith("a NumPy array"):
             raise DataError(f"{path}: is {kind} and no output of np.save; {remedy}") from error
         raise data_error(path, "is no output of np.save") from error

@@ -26,7 +26,7 @@ import h5py
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.files.archives import SPARE_BYTES
+from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import open_regular
 from i2t.files.writing import replacing, unwritable
 
@@ -135,7 +135,7 @@ class _Inspection:
     """
 
     def __init__(self, size: int) -> None:
-        self._size, self._left, self._objects = size, SPARE_BYTES + MAX_H5_GROWTH * size, 0
+        self._size, self._left, self._objects = size, READ_LIMITS.unpacked_spare_bytes + MAX_H5_GROWTH * size, 0
 
     def group(self, group: h5py.Group, level: int) -> None:
         """Raise DataError, without the file's name, for what no file of this schema holds."""
@@ -193,7 +193,7 @@ class _Inspection:
             about = item.attrs.get_id(name)
             count = int(np.prod(about.shape or (), dtype=object))
             shared = about.dtype.hasobject and count > 1 and count * self._size > 8 * MAX_TEXT_GROWTH_BYTES
-            if shared or count * about.dtype.itemsize > SPARE_BYTES:
+            if shared or count * about.dtype.itemsize > READ_LIMITS.unpacked_spare_bytes:
                 raise DataError(f"the attribute {name!r} says that it holds {count} values, more than any does")
 
 

@@ -1,1 +1,1 @@
-"""Real depth images to the same depth patches."""
+"""Depth patches from real depth images."""

@@ -1,24 +1,25 @@
-"""Real depth images become depth patches: the same patch as `i2t.rendering.render.render_patch`, seen by a camera.
+"""Depth patches from real depth images: the patch of `i2t.rendering.render.render_patch`, as a camera sees it.
 
 Every ray of the patch runs along tool z, as in the renderer, and is followed through the depth image. Three measured
-neighbours make a triangle of surface, on which inverse depth is linear in the pixel, as on any plane seen by a pinhole;
-along a ray inverse depth is linear in the image too, so where both are equal the ray meets the surface. Triangles seen
-at a grazing angle span a depth edge and are no surface, which also leaves out flying pixels: one between two surfaces
-has such an edge on both sides.
+neighbours form a triangle of surface. On it inverse depth is linear in the pixel, as on any plane seen by a pinhole.
+Along a ray inverse depth is linear in the image as well, so the ray meets the surface where the two are equal.
+Triangles seen at a grazing angle span a depth edge and are not surface. This also leaves out flying pixels, since a
+pixel between two surfaces has such an edge on both sides.
 
-A camera knows more than what is surface: it saw that the space before it is free. A ray that is found behind the image
-without having met a triangle, because it started there or came in through a hole, is lost, and what it meets later is
-not known. So a pixel is
+A camera measures free space as well as surface: everything in front of the surface is free. A ray that gets behind the
+image without meeting a triangle, because it started there or came in through a hole, is lost, and what it meets later
+is unknown. So a pixel is
 
-    seen    its ray meets the surface, or is free to deeper than the reach behind the nearest point
-    filled  it is in a hole between two seen pixels of its row, column or diagonal, at most 2 mm apart
-    neither it is in a larger hole; its depth reads the reach, as where there is no surface
+    seen    if its ray meets the surface, or is free to deeper than the reach behind the nearest point
+    filled  if it is in a hole between two seen pixels of its row, column or diagonal, at most 2 mm apart
+    neither if it is in a larger hole; its depth is then the reach, as where there is no surface
 
 Frames: W world, C camera (z forward, x along columns, y along rows), T tool; metres.
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
@@ -35,14 +36,17 @@ from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, 
 from i2t.patches.views import WideView, camera_view
 from i2t.types import Patch, in_one_line
 
-VIEW_DEPTH_M = 80e-3  # m behind the nearest point, down to which a wide view is followed
-GRAZING_ANGLE_RAD = math.radians(10)  # rad, between a triangle and the line of sight to it
-# m: neighbours no further apart in depth are surface however steep; the depth step of a file in millimetres is less
-MAX_DEPTH_STEP_M = 1.5e-3
-MAX_HOLE_M = 2e-3  # m
-STRIDE_PIXELS = 0.5  # pixels of the image from sample to sample of a ray
-CROSSING_STEPS = 6  # steps; without a fold of the surface in between the first is exact
-CROSSING_TOLERANCE = 1e-4  # relative error of depth at which a crossing counts as found: 10 um at the paper's distance
+
+@dataclass(frozen=True)
+class SurfaceTracing:
+    """How rays are followed through a depth image to its surface."""
+
+    grazing_angle: float = math.radians(10)  # rad between triangle and line of sight; a smaller one spans a depth edge
+    # m: nearer neighbours are surface at any angle; more than the depth step of a file in millimetres
+    max_depth_step: float = 1.5e-3
+    stride: float = 0.5  # pixels of the image from one sample of a ray to the next
+    crossing_steps: int = 6  # refinements of a crossing; the first is exact unless the surface folds in between
+    crossing_tolerance: float = 1e-4  # relative error of a crossing's depth: 10 um at the paper's distance
 
 
 class _DepthPatch(NamedTuple):
@@ -53,12 +57,12 @@ class _DepthPatch(NamedTuple):
 
 @in_one_line
 class DepthPatch(_DepthPatch):
-    """A patch extracted from a depth image, and what is known of each of its pixels.
+    """A patch extracted from a depth image, and masks of its measured and interpolated pixels.
 
     Attributes:
-        window: m, edge of the patch, and
-        reach: m, at which it is clipped, as `patch_from_depth` was called; they are static and no part of the tuple, so
-            that a transformation of JAX makes them None, which is unknown.
+        window: The edge of the patch (m) that `patch_from_depth` was given.
+        reach: The depth (m) at which the patch is clipped. Both are static and not part of the tuple, so they become
+            None, which means unknown, in a transformation of JAX.
     """
 
     window: float | None = None
@@ -82,33 +86,37 @@ def patch_from_depth(
     window: float = PATCH_WINDOW,
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
-    fill: float = MAX_HOLE_M,
+    fill: float = 2e-3,
+    tracing: SurfaceTracing = SurfaceTracing(),
 ) -> DepthPatch:
-    """Patch in front of the tool at `T_w_t`, as the camera at `T_w_c` saw it: `render_patch` for depth images.
+    """Extract the patch in front of a tool from a depth image; `render_patch` does the same for a mesh.
 
-    All but `depth` and the two poses are static. It has no reverse-mode derivative. Holes are bridged from side to
-    side, but to the deeper side where the sides differ by more than their distance: what a nearer surface hides lies
-    behind it.
+    All arguments except `depth` and the two poses are static. The function has no reverse-mode derivative. A hole is
+    bridged from side to side. Where its sides differ in depth by more than its width, it is filled to the deeper side,
+    since what a nearer surface hides lies behind that surface.
 
     Args:
-        depth: Depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask` knows them.
+        depth: `(height, width)` depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask`
+            recognises them.
         camera: The camera.
-        T_w_c: Where it stood.
-        T_w_t: Where the tool looks from.
-        window: Edge (m) of the patch.
-        pixels: Along the edge.
-        reach: Depth (m) behind the nearest point to which the patch is clipped.
-        fill: Widest hole (m) that is bridged.
+        T_w_c: `(4, 4)` pose of the camera.
+        T_w_t: `(4, 4)` pose of the tool, along whose z axis the patch is seen.
+        window: The edge of the patch (m).
+        pixels: The number of pixels along the edge.
+        reach: The depth (m) behind the nearest point at which the patch is clipped.
+        fill: The largest width (m) of a hole that is bridged.
+        tracing: How rays are followed to the surface.
 
     Returns:
-        The patch and what is known of its pixels. `nearest` is the nearest measured point; where nothing is measured it
-        is +inf and the depth reads the reach. Under `jit` and `vmap`, where values cannot be judged, a pose that is not
-        rigid or not finite gives NaN and no valid pixel.
+        The patch with masks of its measured and interpolated pixels. `nearest` is the nearest measured point. Where
+        nothing is measured, `nearest` is +inf and the depth is the reach. Under `jit` and `vmap`, where values cannot
+        be checked, a pose that is not rigid or not finite gives NaN and no valid pixel.
 
     Raises:
-        ValueError: The image is not the camera's; or, where values are known, it holds nothing measured or no metres
-            (nearly all nearer than 2 cm or farther than 5 m), or a pose is not rigid.
-        TypeError: One of them holds no real numbers.
+        ValueError: The image has another size than the camera's. Outside of `jit` and `vmap` also: no pixel is
+            measured, the image is not in metres (nearly all nearer than 2 cm or farther than 5 m), or a pose is not
+            rigid.
+        TypeError: An argument holds no real numbers.
 
     Example:
         seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
@@ -123,9 +131,9 @@ def patch_from_depth(
     validation.number("fill", fill, "a length (m), 0 for none", least=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
-    depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # 16 bits hold 0.1 m to 0.06 mm
+    depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # float16 resolves 0.1 m to 0.06 mm
     sizes = {"window": window, "reach": reach, "fill": fill}
-    seen = _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes)
+    seen = _patch_from_depth(depth, T_w_c, T_w_t, camera=camera, pixels=int(pixels), **sizes, tracing=tracing)
     seen.window, seen.reach = window, reach
     return seen
 
@@ -135,46 +143,52 @@ def view_from_depth(
     camera: Camera,
     T_w_c: Float[Array | np.ndarray, "4 4"],
     T_w_t: Float[Array | np.ndarray, "4 4"],
+    *,
+    reach: float = 80e-3,
 ) -> DepthView:
-    """A patch with its surroundings from a depth image, as a simulated camera sees them: what was trained on one fits
-    the other.
+    """Extract a patch with its surroundings from a depth image, in the form in which a simulated camera sees them.
+
+    A model that was trained on simulated views accepts these views as well.
 
     Args:
-        depth: As for `patch_from_depth`.
+        depth: `(height, width)` depth (m), as for `patch_from_depth`.
         camera: The camera; static.
-        T_w_c: Where it stood.
-        T_w_t: Where the tool looks from.
+        T_w_c: `(4, 4)` pose of the camera.
+        T_w_t: `(4, 4)` pose of the tool.
+        reach: The depth (m) behind the nearest point to which the view is followed; static.
 
     Returns:
-        The view, behind the patch's nearest surface, and which of its pixels are known. The others read the reach.
+        The view, relative to the patch's nearest surface, and a mask of its measured or interpolated pixels. The
+        others are at the view's reach.
 
     Raises:
         ValueError: As for `patch_from_depth`.
-        TypeError: One of them holds no real numbers.
+        TypeError: An argument holds no real numbers.
 
     Example:
         seen = view_from_depth(image, camera, T_w_c, T_w_t)
         reading, std = predictor.predict(seen, force=1.0)
     """
-    seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=VIEW_DEPTH_M)
-    known = seen.valid_mask | seen.inpainted_mask
-    z = jnp.where(known & (seen.patch.depth < VIEW_DEPTH_M), seen.patch.nearest + seen.patch.depth, jnp.inf)
-    return DepthView(camera_view(z), known)
+    seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=reach)
+    known_mask = seen.valid_mask | seen.inpainted_mask
+    z = jnp.where(known_mask & (seen.patch.depth < reach), seen.patch.nearest + seen.patch.depth, jnp.inf)
+    return DepthView(camera_view(z), known_mask)
 
 
-@partial(jax.jit, static_argnames=("camera", "pixels", "window", "reach", "fill"))
+@partial(jax.jit, static_argnames=("camera", "pixels", "window", "reach", "fill", "tracing"))
 def _patch_from_depth(
-    depth: Array, T_w_c: Array, T_w_t: Array, *, camera: Camera, pixels: int, window: float, reach: float, fill: float
-) -> DepthPatch:
-    """`patch_from_depth`, compiled once for a camera and sizes."""
-    # Wide enough that holes at the border are filled as if there were none.
+    depth: Array, T_w_c: Array, T_w_t: Array, *, camera: Camera, pixels: int, window: float, reach: float, fill: float,
+    tracing: SurfaceTracing,
+) -> DepthPatch:  # fmt: skip
+    """Compute `patch_from_depth`; compiled once for each camera and each set of sizes."""
+    # Holes at the patch's border are filled from pixels beyond it.
     margin = max(math.ceil(fill / window * pixels) - 1, 0)
     T_c_t = _relative(T_w_c, T_w_t)
     rigid = is_rigid(T_w_c) & is_rigid(T_w_t)
     T_c_t = jnp.where(rigid, T_c_t, jnp.eye(3, 4))
-    rays = _rays(depth, camera, T_c_t, window=window, pixels=pixels, margin=margin)
+    rays = _rays(depth, camera, T_c_t, window=window, pixels=pixels, margin=margin, stride=tracing.stride)
     inner = (slice(margin, margin + pixels),) * 2
-    met, clear = _follow(rays, _cells(depth, camera), camera, reach, inner)
+    met, clear = _follow(rays, _cells(depth, camera, tracing), camera, reach, inner, tracing)
     nearest = jnp.min(met[inner])
     seen = ((met < jnp.inf) | (clear >= nearest + reach)) & (nearest < jnp.inf)
     bridged = _bridge(met, seen, window / pixels, fill)
@@ -187,23 +201,26 @@ def _patch_from_depth(
 
 
 class _Rays(NamedTuple):
-    """The stretch of each ray that the image can say something about, from where it starts to where it ends.
+    """The section of each ray that lies in the camera's field of view.
 
-    Between both, the place in the image and the inverse depth are linear in a number from 0 to 1, and so is tool z
-    times inverse depth.
+    From its start to its end, the position in the image, the inverse depth, and tool z times inverse depth are linear
+    in a number from 0 to 1.
     """
 
     x: Array  # (2, n, n) x / z of both ends in C
     y: Array  # (2, n, n)
     inverse: Array  # (2, n, n) 1/m, 1 / z
     height: Array  # (2, n, n) tool z / z
-    steps: Array  # (n, n) how many samples it takes; 0 for a ray that is not in sight
+    steps: Array  # (n, n) number of samples; 0 for a ray outside the field of view
 
 
-def _rays(depth: Array, camera: Camera, T_c_t: Array, *, window: float, pixels: int, margin: int) -> _Rays:
-    """Cut (n + 2 margin)^2 rays to what lies in the camera's field of view, between its least and largest depth.
+def _rays(
+    depth: Array, camera: Camera, T_c_t: Array, *, window: float, pixels: int, margin: int, stride: float
+) -> _Rays:
+    """Clip (n + 2 margin)^2 rays to the camera's field of view, between the image's smallest and largest depth.
 
-    Half spaces a + b s >= 0 of tool z s: Liang and Barsky, "A new concept and method for line clipping", 1984.
+    Each bound is a half space a + b s >= 0 of tool z s (Liang and Barsky, "A new concept and method for line clipping",
+    1984).
     """
     along = ((jnp.arange(pixels + 2 * margin) - margin + 0.5) / pixels - 0.5) * window
     x, y = jnp.meshgrid(along, along)
@@ -232,12 +249,14 @@ def _rays(depth: Array, camera: Camera, T_c_t: Array, *, window: float, pixels: 
 
     u, v, inverse, height = (jnp.stack(ends) for ends in zip(end(low), end(high), strict=True))
     length = jnp.hypot((u[1] - u[0]) * camera.fx, (v[1] - v[0]) * camera.fy)
-    return _Rays(u, v, inverse, height, jnp.where(inside, jnp.ceil(length / STRIDE_PIXELS) + 1, 0))
+    return _Rays(u, v, inverse, height, jnp.where(inside, jnp.ceil(length / stride) + 1, 0))
 
 
-def _cells(depth: Array, camera: Camera) -> Float[Array, "cells 6"]:
-    """For every square of four pixels ((h - 1)(w - 1), 6): their inverse depths (1/m; upper left, upper right, lower
-    left, lower right), and whether the triangles of its upper left and its lower right corner are surface.
+def _cells(depth: Array, camera: Camera, tracing: SurfaceTracing) -> Float[Array, "cells 6"]:
+    """Describe every square of four pixels, as ((h - 1)(w - 1), 6).
+
+    The first four columns are the pixels' inverse depths (1/m): upper left, upper right, lower left, lower right. The
+    last two say whether the triangles at the upper left and at the lower right corner are surface.
     """
     x, y = pixel_rays(camera)
     measured = measured_mask(depth) & jnp.isfinite(x) & jnp.isfinite(y)
@@ -251,51 +270,52 @@ def _cells(depth: Array, camera: Camera) -> Float[Array, "cells 6"]:
     a, b, c, d = corners(points)
     at_a, at_b, at_c, at_d = corners(measured)
 
-    def surface(corner: Array, one: Array, other: Array) -> Array:
-        normal = jnp.cross(one - corner, other - corner, axis=0)
+    def is_surface(corner: Array, right: Array, left: Array) -> Array:
+        normal = jnp.cross(right - corner, left - corner, axis=0)
         facing = jnp.abs(jnp.sum(normal * corner, 0))
-        steep = facing < math.sin(GRAZING_ANGLE_RAD) * jnp.sqrt(jnp.sum(normal**2, 0) * jnp.sum(corner**2, 0))
-        depths = jnp.stack([corner[2], one[2], other[2]])
-        return ~steep | (jnp.max(depths, 0) - jnp.min(depths, 0) <= MAX_DEPTH_STEP_M)
+        steep = facing < math.sin(tracing.grazing_angle) * jnp.sqrt(jnp.sum(normal**2, 0) * jnp.sum(corner**2, 0))
+        depths = jnp.stack([corner[2], right[2], left[2]])
+        return ~steep | (jnp.max(depths, 0) - jnp.min(depths, 0) <= tracing.max_depth_step)
 
-    upper = at_a & at_b & at_c & surface(a, b, c)
-    lower = at_d & at_b & at_c & surface(d, c, b)
+    upper = at_a & at_b & at_c & is_surface(a, b, c)
+    lower = at_d & at_b & at_c & is_surface(d, c, b)
     cells = jnp.stack([*corners(inverse), upper.astype(depth.dtype), lower.astype(depth.dtype)], -1)
     return cells.reshape(-1, cells.shape[-1])
 
 
 class _March(NamedTuple):
-    """State of rays that are followed, (n, n) each; free is what lies before the surface."""
+    """State of the rays while they are followed, (n, n) each. A ray is free in front of the surface."""
 
-    going: Array  # bool
-    free: Array  # bool, at the last sample
-    clear: Array  # m, tool z to which the ray is known to be free
-    hit: Array  # sample that lies behind the surface, next to a free one; 0 where there is none
+    going: Array  # bool, whether the ray is still followed
+    free: Array  # bool, whether the last sample is free
+    clear: Array  # m, tool z to which the ray is free
+    hit: Array  # number of the sample behind the surface that follows a free one; 0 if there is none
 
 
-_Gap: TypeAlias = Callable[[Array], tuple[Array, Array]]  # `_gap` of some rays, a function of `part` alone
+_Gap: TypeAlias = Callable[[Array], tuple[Array, Array]]  # `_gap` with the rays, cells and camera filled in
 
 
 def _follow(
-    rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, reach: float, inner: tuple[slice, slice]
-) -> tuple[Array, Array]:
-    """Tool z (m) where rays meet the surface, +inf where they do not, and to which they are known to be free.
+    rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, reach: float, inner: tuple[slice, slice],
+    tracing: SurfaceTracing,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Find tool z (m) where rays meet the surface, +inf where they do not, and tool z to which they are free.
 
-    Rays are sampled from where they start until one sample is free and the next behind the surface; between the two the
-    crossing is refined.
+    Rays are sampled from their start until a sample is free and the next one is behind the surface. The crossing
+    between the two is then refined.
     """
     gap = partial(_gap, rays, cells, camera)
     steps = jnp.maximum(rays.steps, 1)
     end = _march(rays, gap, reach, inner)
-    part, exact = _crossing(gap, (end.hit - 1) / steps, end.hit / steps)
-    found = (end.hit > 0) & exact(_between(rays.inverse, part))
-    return jnp.where(found, _height(rays, part), jnp.inf), end.clear
+    part, on_surface = _crossing(gap, (end.hit - 1) / steps, end.hit / steps, tracing)
+    met = (end.hit > 0) & on_surface(_between(rays.inverse, part))
+    return jnp.where(met, _height(rays, part), jnp.inf), end.clear
 
 
 def _gap(rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, part: Array) -> tuple[Array, Array]:
-    """Distance of rays behind the surface, as a difference of inverse depths (1/m), and whether they are on it.
+    """Compute how far rays are behind the surface, as a difference of inverse depths (1/m), and whether it is there.
 
-    `part` (n, n) says where on the rays, from 0 at their start to 1 at their end.
+    `part` (n, n) is the position on the rays, from 0 at their start to 1 at their end.
     """
     pixel = project_to_pixel(camera, _between(rays.x, part), _between(rays.y, part))
     u, v = pixel[..., 0], pixel[..., 1]
@@ -304,7 +324,7 @@ def _gap(rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, part: Arra
     cell = cells[row.astype(jnp.int32) * (camera.width - 1) + column.astype(jnp.int32)]
     a, b, c, d, upper, lower = jnp.moveaxis(cell, -1, 0)
     across, down = u - column, v - row
-    in_upper = across + down < 1  # triangle of the square of four pixels
+    in_upper = across + down < 1  # the triangle of the square that the pixel is in
     inverse = jnp.where(
         in_upper, a + across * (b - a) + down * (c - a), d + (1 - across) * (c - d) + (1 - down) * (b - d)
     )
@@ -313,12 +333,12 @@ def _gap(rays: _Rays, cells: Float[Array, "cells 6"], camera: Camera, part: Arra
 
 
 def _height(rays: _Rays, part: Array) -> Array:
-    """Tool z (m) at a part of the rays."""
+    """Compute tool z (m) at a position on the rays."""
     return _between(rays.height, part) / _between(rays.inverse, part)
 
 
 def _march(rays: _Rays, gap: _Gap, reach: float, inner: tuple[slice, slice]) -> _March:
-    """Follow all rays sample by sample until each has met the surface, has ended, or is deeper than the patch shows."""
+    """Follow all rays until each has met the surface, has ended, or is deeper than the patch shows."""
     steps = jnp.maximum(rays.steps, 1)
 
     def step(state: tuple[Array, Array, _March]) -> tuple[Array, Array, _March]:
@@ -329,7 +349,7 @@ def _march(rays: _Rays, gap: _Gap, reach: float, inner: tuple[slice, slice]) -> 
         met = behind_now & march.free
         free = on & (behind < 0)
         clear = jnp.where(march.going & free, _height(rays, part), march.clear)
-        # Behind the deepest that the patch can show nothing more is asked.
+        # Deeper than this the patch shows nothing.
         last = jnp.minimum(last, jnp.min(jnp.where(met, _height(rays, part), jnp.inf)[inner]))
         going = march.going & ~behind_now & (k < rays.steps) & (clear <= last + reach)
         return k + 1, last, _March(going, free, clear, jnp.where(met, k, march.hit))
@@ -340,9 +360,11 @@ def _march(rays: _Rays, gap: _Gap, reach: float, inner: tuple[slice, slice]) -> 
     return jax.lax.while_loop(lambda state: jnp.any(state[2].going), step, first)[2]
 
 
-def _crossing(gap: _Gap, low: Array, high: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Crossing of rays from free (`low`) to behind (`high`), by the Illinois method (Dowell and Jarratt, 1971), and a
-    function that tells, from their inverse depth, whether that is on surface.
+def _crossing(gap: _Gap, low: Array, high: Array, tracing: SurfaceTracing) -> tuple[Array, Callable[[Array], Array]]:
+    """Find where rays cross the surface between a free position `low` and a position `high` behind it.
+
+    The Illinois method is used (Dowell and Jarratt, 1971). Also return a function that tests, given the inverse depth
+    of the crossing, whether it lies on surface.
     """
 
     def chord(ends: tuple[Array, ...]) -> Array:
@@ -362,26 +384,28 @@ def _crossing(gap: _Gap, low: Array, high: Array) -> tuple[Array, Callable[[Arra
         )
 
     ends = (low, high, jnp.minimum(gap(low)[0], 0), jnp.maximum(gap(high)[0], 0))
-    part = chord(jax.lax.fori_loop(0, CROSSING_STEPS, refine, ends))
+    part = chord(jax.lax.fori_loop(0, tracing.crossing_steps, refine, ends))
     behind, on = gap(part)
-    return part, lambda inverse: on & (jnp.abs(behind) <= CROSSING_TOLERANCE * inverse)
+    return part, lambda inverse: on & (jnp.abs(behind) <= tracing.crossing_tolerance * inverse)
 
 
 def _bridge(met: Float[Array, "m m"], seen: Bool[Array, "m m"], pitch: float, fill: float) -> Float[Array, "m m"]:
-    """Heights (n, n) across holes between two seen pixels at most `fill` apart, in a row, a column or a diagonal with
-    the hole, NaN elsewhere; the nearest two decide.
+    """Interpolate heights (n, n) across holes, NaN elsewhere.
+
+    A hole is bridged between two seen pixels of its row, column or diagonal that are at most `fill` apart. Of several
+    such pairs the nearest is used.
     """
     n = seen.shape[0]
 
     def shift(image: Array, i: int, j: int) -> Array:
-        """image[k - i, l - j] at (k, l), zero beyond the border."""
+        """Shift an image so that its pixel (k, l) is image[k - i, l - j], and zero beyond the border."""
         wide = jnp.pad(image, ((max(i, 0), max(-i, 0)), (max(j, 0), max(-j, 0))))
         return wide[max(-i, 0) : max(-i, 0) + n, max(-j, 0) : max(-j, 0) + n]
 
-    def first(i: int, j: int, most: int) -> tuple[Array, Array]:
-        """The first seen height in a direction, and how many steps away."""
+    def first(i: int, j: int, max_steps: int) -> tuple[Array, Array]:
+        """Find the first seen height in a direction, and its distance in steps."""
         height, away = jnp.zeros_like(met), jnp.full(seen.shape, n)
-        for k in range(most - 1, 0, -1):
+        for k in range(max_steps - 1, 0, -1):
             here = shift(seen, k * i, k * j)
             height, away = jnp.where(here, shift(met, k * i, k * j), height), jnp.where(here, k, away)
         return height, away
@@ -389,25 +413,27 @@ def _bridge(met: Float[Array, "m m"], seen: Bool[Array, "m m"], pitch: float, fi
     heights, spans = [], []
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1)):
         length = pitch * math.hypot(i, j)
-        most = int(fill / length * (1 + 1e-6))
-        (a, before), (b, behind) = first(i, j, most), first(-i, -j, most)
+        max_steps = int(fill / length * (1 + 1e-6))
+        (a, before), (b, behind) = first(i, j, max_steps), first(-i, -j, max_steps)
         span = before + behind
         even = jnp.isfinite(a) & jnp.isfinite(b) & (jnp.abs(b - a) <= span * length)
         heights.append(jnp.where(even, a + jnp.where(even, b - a, 0) * before / span, jnp.maximum(a, b)))
-        spans.append(jnp.where(~seen & (span <= most), span * length, jnp.inf))
-    least = jnp.minimum(jnp.minimum(spans[0], spans[1]), jnp.minimum(spans[2], spans[3]))
-    chosen = [(span == least) & (least < jnp.inf) for span in spans]
+        spans.append(jnp.where(~seen & (span <= max_steps), span * length, jnp.inf))
+    shortest = jnp.minimum(jnp.minimum(spans[0], spans[1]), jnp.minimum(spans[2], spans[3]))
+    chosen = [(span == shortest) & (shortest < jnp.inf) for span in spans]
     total = sum(jnp.where(which, height, 0) for which, height in zip(chosen, heights, strict=True))
-    return jnp.where(least < jnp.inf, total / jnp.maximum(sum(which.astype(met.dtype) for which in chosen), 1), jnp.nan)
+    return jnp.where(
+        shortest < jnp.inf, total / jnp.maximum(sum(which.astype(met.dtype) for which in chosen), 1), jnp.nan
+    )
 
 
 def _between(ends: Array, part: Array) -> Array:
-    """Linear interpolation, from the first end at 0 to the second at 1."""
+    """Interpolate linearly, from the first end at 0 to the second at 1."""
     return ends[0] + part * (ends[1] - ends[0])
 
 
 def _relative(T_w_a: Float[Array, "4 4"], T_w_b: Float[Array, "4 4"]) -> Float[Array, "3 4"]:
-    """The first three rows of T_a_b, with full precision on accelerators too."""
+    """Compute the first three rows of T_a_b, with full precision on accelerators as well."""
     R_a_w = T_w_a[:3, :3].T
     moved = jnp.concatenate([T_w_b[:3, :3], (T_w_b[:3, 3] - T_w_a[:3, 3])[:, None]], 1)
     return jnp.matmul(R_a_w, moved, precision=jax.lax.Precision.HIGHEST)

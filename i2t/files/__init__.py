@@ -1,1 +1,1 @@
-"""Files: reading what somebody else made, within bounds, and writing what is there whole or not at all."""
+"""Files: reading files of others within bounds, and writing files whole or not at all."""

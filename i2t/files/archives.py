@@ -1,4 +1,4 @@
-"""Archives, unpacked within bounds: a kilobyte may unpack to gigabytes."""
+"""Unpacking of archives within bounds, because a kilobyte may unpack to gigabytes."""
 
 import gzip
 import io
@@ -7,94 +7,93 @@ import zlib
 from pathlib import Path
 
 from i2t.errors import DataError
-
-SPARE_BYTES = 16 * 2**20  # that a small archive may unpack to, however small it is
-MAX_INFLATION = 40  # times its size, that an archive may unpack to beyond that: numbers as text reach 10
-MAX_ARCHIVE_ENTRIES = 4096
-ARCHIVE_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+from i2t.files.limits import READ_LIMITS
 
 
-def unpacks_to_too_much(path: str | Path, most: float) -> DataError:
-    """Error for an archive that unpacks to more than numbers ever do.
+def unpacked_size_error(path: str | Path, max_bytes: float) -> DataError:
+    """Make the error for an archive that unpacks to more than any recording.
 
     Args:
-        path: The file.
-        most: Bytes that it may unpack to.
+        path: The archive's path.
+        max_bytes: The number of bytes that the archive may unpack to.
 
     Returns:
-        The error, which names the file.
+        The error, whose message names the file.
     """
     return DataError(
-        f"{path}: unpacks to more than {readable_size(int(most))}, as no recording does; restore it from the source"
+        f"{path}: unpacks to more than {readable_size(int(max_bytes))}, as no recording does; restore it from the "
+        "source"
     )
 
 
 def unpacked(path: str | Path, data: bytes) -> bytes:
-    """The contents of a gzip file.
+    """Unpack a gzip file.
 
     Args:
-        path: Of the file, for messages.
-        data: Its bytes.
+        path: The file's path, for messages.
+        data: The packed bytes.
 
     Returns:
-        What they unpack to.
+        The unpacked bytes.
 
     Raises:
-        DataError: They are damaged, or unpack to more than numbers ever do.
+        DataError: The file is damaged, or unpacks to more than any recording.
     """
-    most = may_grow_to(len(data))
+    max_bytes = may_grow_to(len(data))
     try:
         with gzip.open(io.BytesIO(data)) as file:
-            found = file.read(most + 1)
+            contents = file.read(max_bytes + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise DataError(f"{path}: cannot be unpacked ({error}); restore it from the source") from error
-    if len(found) > most:
-        raise unpacks_to_too_much(path, most)
-    return found
+    if len(contents) > max_bytes:
+        raise unpacked_size_error(path, max_bytes)
+    return contents
 
 
 def may_grow_to(size: int) -> int:
-    """Bytes that a packed file may unpack to.
+    """Compute the number of bytes that a packed file may unpack to.
 
     Args:
-        size: Bytes of the file.
+        size: The number of bytes of the packed file.
 
     Returns:
         A bound that recordings and models stay far below.
     """
-    return SPARE_BYTES + MAX_INFLATION * size
+    return READ_LIMITS.unpacked_spare_bytes + READ_LIMITS.unpacked_growth * size
 
 
 def check_archive(path: str | Path, data: bytes) -> None:
-    """Refuse a zip archive (an .npz file) that would unpack to more than it can rightly hold.
+    """Refuse a zip archive (an .npz file) that no program of i2t can have written.
 
     Args:
-        path: Of the file, for messages.
-        data: Its bytes.
+        path: The archive's path, for messages.
+        data: The archive's bytes.
 
     Raises:
-        DataError: It has too many entries, entries packed in an unusual way, or says that it unpacks to too much.
-        zipfile.BadZipFile: It is no archive.
+        DataError: The archive has too many entries or two of one name, announces too large a size, or is packed by
+            another method than stored or deflated.
+        zipfile.BadZipFile: The data are not a zip archive.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
-    most, total = may_grow_to(len(data)), sum(entry.file_size for entry in entries)
-    if len(entries) > MAX_ARCHIVE_ENTRIES or total > most or len({entry.filename for entry in entries}) < len(entries):
+    max_bytes, total = may_grow_to(len(data)), sum(entry.file_size for entry in entries)
+    too_many = len(entries) > READ_LIMITS.archive_entries
+    if too_many or total > max_bytes or len({entry.filename for entry in entries}) < len(entries):
         raise DataError(
             f"{path}: is an archive of {len(entries)} entries that unpacks to {readable_size(total)}, as none of i2t's "
             "does; restore a copy or make it again"
         )
-    if any(entry.compress_type not in ARCHIVE_METHODS for entry in entries):
+    if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in entries):
         raise DataError(f"{path}: is packed in a way that i2t does not use; restore a copy or make it again")
 
 
 def readable_size(count: int) -> str:
-    """A number of bytes, as a message names it.
+    """Format a number of bytes for a message.
 
     Args:
-        count: Bytes.
+        count: The number of bytes.
 
     Returns:
-        The number in MiB, or in bytes where it is smaller than one MiB.
+        The size as text, in MiB, or in bytes if it is below one MiB.
     """
     return f"{count / 2**20:.3g} MiB" if count >= 2**20 else f"{count} bytes"

@@ -1,8 +1,8 @@
-"""Reading files that somebody else made, within bounds.
+"""Reading of files made by others, within bounds.
 
-A file can be a pipe that never ends, a kilobyte that unpacks to gigabytes, or a text nested so deep that its parser
-falls over. The functions here read text and tables in TOML and JSON, and answer all of that with one sentence that
-names the file. Where a file is missing or forbidden they raise the system's own OSError.
+A file may be a pipe that never ends, a kilobyte that unpacks to gigabytes, or a text nested so deeply that its parser
+fails. The functions here read text, TOML and JSON, and refuse such files with one sentence that names the file. If a
+file is missing or must not be read, they raise the system's own OSError.
 """
 
 import codecs
@@ -23,10 +23,9 @@ from pathlib import Path
 from typing import Any
 
 from i2t.errors import DataError
-from i2t.files.archives import may_grow_to, readable_size, unpacks_to_too_much
+from i2t.files.archives import may_grow_to, readable_size, unpacked_size_error
 from i2t.files.kinds import (
     GZIP_MARK,
-    HEAD_BYTES,
     MARK_OF_TOUCHES,
     MESH_SUFFIXES,
     TABLE_SUFFIXES,
@@ -35,29 +34,23 @@ from i2t.files.kinds import (
     encoding_of,
     kind_of,
 )
-
-MAX_BYTES = 2 * 2**30  # of any file that is read as a whole
-MAX_TEXT_BYTES = 2**20  # of a settings file: real ones have a few kilobytes
-MAX_TOML_LINE_BYTES = 4096  # a matrix of 6 x 6 numbers in one line has 900
-MAX_LINE_BYTES = 2**16  # of a text that is read line by line: a row of 25 chips has some 1000
-UNPACKED_AT_ONCE = 2**20  # bytes
-UNDECODED = re.compile("[\udc80-\udcff]")  # bytes that are not UTF-8, as `surrogateescape` keeps them
+from i2t.files.limits import READ_LIMITS
 
 
 def open_regular(path: str | Path) -> BufferedReader:
-    """Open a regular file for reading. A pipe would be waited for, and a device may never end.
+    """Open a regular file for reading, and refuse a pipe or a device, which may never end.
 
     Args:
-        path: Of the file.
+        path: The file's path.
 
     Returns:
-        The open file.
+        The open file, to be closed by the caller.
 
     Raises:
-        DataError: It is a folder, a pipe or a device.
-        OSError: It is missing, or cannot be read.
+        DataError: The path is a folder, a pipe or a device.
+        OSError: The file is missing, or cannot be read.
     """
-    # A pipe without a writer would keep whoever opens it waiting.
+    # Without O_NONBLOCK, opening a pipe waits until somebody writes to it.
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
@@ -67,97 +60,98 @@ def open_regular(path: str | Path) -> BufferedReader:
 
 
 def why_no_touches(path: Path) -> str:
-    """Message for a file that is named as a data set and is none.
+    """Explain why a file that was named as a data set is not one.
 
     Args:
-        path: Of a file that exists.
+        path: The path of an existing file.
 
     Returns:
-        The sentence; "" where the file begins as those of touches do.
+        A sentence for the user; empty if the file begins like a file of touches.
     """
     with open_regular(path) as file:
         if file.read(len(MARK_OF_TOUCHES)) == MARK_OF_TOUCHES:
             return ""
     if path.suffix.lower() in MESH_SUFFIXES:
-        return f"{path}: is the mesh of an object, and no data set; name the folder or file of the touches"
+        return f"{path}: is the mesh of an object, not a data set; name the folder or file of the touches"
     if path.suffix.lower() in TABLE_SUFFIXES:
-        return f"{path}: is a table, and no data set yet; convert it with python -m i2t.convert"
-    return f"{path}: is no data set; name a folder or file of touches, or convert it with python -m i2t.convert"
+        return f"{path}: is a table, not yet a data set; convert it with python -m i2t.convert"
+    return f"{path}: is not a data set; name a folder or file of touches, or convert it with python -m i2t.convert"
 
 
-def read_bytes(path: str | Path, most: int = MAX_BYTES) -> bytes:
-    """The contents of a regular file.
+def read_bytes(path: str | Path, max_bytes: int = READ_LIMITS.file_bytes) -> bytes:
+    """Read a regular file as a whole.
 
     Args:
-        path: Of the file.
-        most: Bytes that it may have.
+        path: The file's path.
+        max_bytes: The number of bytes up to which the file is read.
 
     Returns:
-        The contents.
+        All bytes of the file.
 
     Raises:
-        DataError: It is no regular file (a folder, a pipe, a device), or larger.
-        OSError: It is missing, or cannot be read.
+        DataError: The path is not a regular file (a folder, a pipe, a device), or the file is larger.
+        OSError: The file is missing, or cannot be read.
     """
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
-        if size > most:
+        if size > max_bytes:
             raise DataError(
-                f"{path}: has {readable_size(size)} where at most {readable_size(most)} are read; name another file"
+                f"{path}: has {readable_size(size)} where at most {readable_size(max_bytes)} are read; name another "
+                "file"
             )
-        return file.read(most)
+        return file.read(max_bytes)
 
 
 def encoding_of_file(path: str | Path) -> str:
-    """Detect the encoding of a text file, plain or gzip-ed, by its first bytes (`encoding_of`).
+    """Detect the encoding of a text file, plain or gzipped, from its first bytes (`encoding_of`).
 
     Args:
-        path: The file.
+        path: The file's path.
 
     Returns:
         Python's name of the encoding.
 
     Raises:
-        DataError: It is not a regular file, is of another kind, is not text, or is damaged.
-        OSError: It is missing, or cannot be read.
+        DataError: The path is not a regular file, or the file is of another kind, is not text, or is damaged.
+        OSError: The file is missing, or cannot be read.
     """
     with open_regular(path) as raw, _unpacking(path):
-        head = _unzipped(raw).read(HEAD_BYTES)
-    return encoding_of(path, head, whole=len(head) < HEAD_BYTES)
+        head = _unzip(raw).read(READ_LIMITS.head_bytes)
+    return encoding_of(path, head, whole=len(head) < READ_LIMITS.head_bytes)
 
 
 def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
-    """The lines of a text file of any size, plain or gzip-ed, one after the other.
+    """Read the lines of a text file of any size, plain or gzipped, one after the other.
 
     Args:
-        path: Of the file.
-        encoding: Of its text, as of `encoding_of_file`.
+        path: The file's path.
+        encoding: The encoding of its text, as `encoding_of_file` returns it.
 
     Yields:
-        Each line, without its end.
+        Each line, without its line break.
 
     Raises:
-        DataError: It is no regular file, no text in this encoding, damaged, has a line of more than `MAX_LINE_BYTES`
-            characters, or unpacks to more than numbers ever do.
-        OSError: It is missing, or cannot be read.
+        DataError: The path is not a regular file, or the file is not text in this encoding, is damaged, has a line of
+            more than `READ_LIMITS.line_bytes` characters, or unpacks to more than any recording.
+        OSError: The file is missing, or cannot be read.
     """
     with open_regular(path) as raw, _unpacking(path):
         size, zipped = os.fstat(raw.fileno()).st_size, raw.peek(2).startswith(GZIP_MARK)
-        most = may_grow_to(size) if zipped else math.inf
+        max_total, max_line = may_grow_to(size) if zipped else math.inf, READ_LIMITS.line_bytes
         # Bytes that are not UTF-8 are kept as surrogates, so that the message can name their line.
         errors = "surrogateescape" if encoding == UTF_8 else "strict"
-        text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzipped(raw), encoding, errors)
+        text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzip(raw), encoding, errors)
         number, total = 0, 0
         try:
-            while line := text.readline(MAX_LINE_BYTES):
+            while line := text.readline(max_line):
                 number, total = number + 1, total + len(line)
-                if total > most:
-                    raise unpacks_to_too_much(path, most)
+                if total > max_total:
+                    raise unpacked_size_error(path, max_total)
                 if not line.strip("\0"):  # a power cut leaves zeros at the end of a log
                     continue
-                if len(line) == MAX_LINE_BYTES and not line.endswith("\n"):
-                    raise DataError(f"{path}: line {number} has more than {MAX_LINE_BYTES} bytes; it is no table")
-                if not line.isascii() and UNDECODED.search(line):
+                if len(line) == max_line and not line.endswith("\n"):
+                    raise DataError(f"{path}: line {number} has more than {max_line} bytes; it is not a table")
+                if not line.isascii() and re.search("[\udc80-\udcff]", line):  # the surrogates
                     raise DataError(f"{path}: line {number} is not text in UTF-8; save the file as CSV in UTF-8")
                 yield line.removesuffix("\n")
         except UnicodeDecodeError as error:
@@ -170,60 +164,60 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
 
 
 def require_unpackable(path: str | Path) -> None:
-    """Refuse a gzip-ed text that unpacks to more than numbers ever do, before any of it is parsed.
+    """Refuse a gzipped text that unpacks to more than any recording, before it is parsed.
 
     Args:
-        path: The file, plain or gzip-ed.
+        path: The path of a file, plain or gzipped.
 
     Raises:
-        DataError: It unpacks to too much, is damaged, or is no regular file.
-        OSError: It is missing, or cannot be read.
+        DataError: The path is not a regular file, or the file unpacks to too much or is damaged.
+        OSError: The file is missing, or cannot be read.
     """
     with open_regular(path) as raw, _unpacking(path):
         if not raw.peek(2).startswith(GZIP_MARK):
             return
-        left, text = may_grow_to(os.fstat(raw.fileno()).st_size), _unzipped(raw)
-        while chunk := text.read(UNPACKED_AT_ONCE):
+        left, text = may_grow_to(os.fstat(raw.fileno()).st_size), _unzip(raw)
+        while chunk := text.read(2**20):
             left -= len(chunk)
             if left < 0:
-                raise unpacks_to_too_much(path, may_grow_to(os.fstat(raw.fileno()).st_size))
+                raise unpacked_size_error(path, may_grow_to(os.fstat(raw.fileno()).st_size))
 
 
-def _unzipped(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:
-    """What a file holds, unpacked where it begins as gzip archives do."""
+def _unzip(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:
+    """Unpack a file while it is read, if it begins like a gzip archive."""
     return gzip.GzipFile(fileobj=raw) if raw.peek(2).startswith(GZIP_MARK) else raw
 
 
 @contextmanager
 def _unpacking(path: str | Path) -> Iterator[None]:
-    """Name a gzip archive that is damaged."""
+    """Name the file in the error that a damaged gzip archive causes within this block."""
     try:
         yield
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise DataError(f"{path}: cannot be unpacked ({error}); restore it from the source") from error
 
 
-def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
-    """The contents of a text file.
+def read_text(path: str | Path, max_bytes: int = READ_LIMITS.text_bytes) -> str:
+    """Read a text file as a whole.
 
     Args:
-        path: Of the file.
-        most: Bytes that it may have.
+        path: The file's path.
+        max_bytes: The number of bytes up to which the file is read.
 
     Returns:
         The text, without a byte order mark.
 
     Raises:
-        DataError: It is no regular file, larger, or no text in UTF-8.
-        OSError: It is missing, or cannot be read.
+        DataError: The path is not a regular file, or the file is larger or not text in UTF-8 or UTF-16.
+        OSError: The file is missing, or cannot be read.
     """
-    data = read_bytes(path, most)
+    data = read_bytes(path, max_bytes)
     try:
         return data.decode(UTF_8)
     except UnicodeDecodeError as error:
         if Path(path).suffix.lower() in MESH_SUFFIXES:
-            raise DataError(f"{path}: is the mesh of an object, and text is read here; name another file") from error
-        kind, _ = kind_of(data[:HEAD_BYTES])
+            raise DataError(f"{path}: is the mesh of an object, not a text file; name another file") from error
+        kind, _ = kind_of(data[: READ_LIMITS.head_bytes])
         if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             return decoded(path, data)
         raise DataError(
@@ -232,22 +226,22 @@ def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """The tables of a TOML file.
+    """Read a TOML file.
 
     Args:
-        path: Of the file.
+        path: The file's path.
 
     Returns:
-        The tables.
+        The file's keys and tables.
 
     Raises:
-        DataError: It is no TOML, too large, or nested too deep.
-        OSError: It is missing, or cannot be read.
+        DataError: The file is not TOML, is too large, or is nested too deeply.
+        OSError: The file is missing, or cannot be read.
     """
     text = read_text(path)
     # The parser's time grows with the square of a key's length.
     longest = max(map(len, text.splitlines()), default=0)
-    if longest > MAX_TOML_LINE_BYTES:
+    if longest > READ_LIMITS.toml_line_bytes:
         raise DataError(
             f"{path}: is not TOML that can be read (a line has {longest} characters); restore it from a copy"
         )
@@ -255,7 +249,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError as error:
         raise DataError(f"{path}: is not TOML that can be read (nested too deep); restore it from a copy") from error
-    except ValueError as error:  # TOMLDecodeError, and whole numbers of thousands of digits
+    except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
         raise DataError(f"{path}: is not TOML ({error}); correct it there") from error
 
 
@@ -264,13 +258,13 @@ def parse_json(text: str | bytes, whose: str | Path) -> Any:
 
     Args:
         text: The text.
-        whose: Names the file in messages.
+        whose: What messages call the text, such as the path of its file.
 
     Returns:
-        The value.
+        The value that the text describes.
 
     Raises:
-        DataError: It is no JSON, or nested too deep.
+        DataError: The text is not JSON, or is nested too deeply.
     """
     try:
         return json.loads(text)
@@ -280,18 +274,18 @@ def parse_json(text: str | bytes, whose: str | Path) -> Any:
         raise DataError(f"{whose}: is not JSON ({error}); restore it from a copy") from error
 
 
-def read_json(path: str | Path, most: int = MAX_TEXT_BYTES) -> Any:
+def read_json(path: str | Path, max_bytes: int = READ_LIMITS.text_bytes) -> Any:
     """Read a JSON file.
 
     Args:
-        path: Of the file.
-        most: Bytes that it may have.
+        path: The file's path.
+        max_bytes: The number of bytes up to which the file is read.
 
     Returns:
-        The value.
+        The value that the file describes.
 
     Raises:
-        DataError: It is no JSON, too large, or nested too deep.
-        OSError: It is missing, or cannot be read.
+        DataError: The file is not JSON, is too large, or is nested too deeply.
+        OSError: The file is missing, or cannot be read.
     """
-    return parse_json(read_text(path, most), path)
+    return parse_json(read_text(path, max_bytes), path)

@@ -1,7 +1,8 @@
-"""NamedTuples of arrays on disk: one npz file each, which appears whole or not at all and never holds a pickle.
+"""NamedTuples of arrays on disk: one npz file each, which is written whole or not at all and never holds a pickle.
 
-Each array is stored under its field's name, those of nested NamedTuples with dots between; None is left out. One more
-entry is text (JSON): what kind of thing the file holds, in which version, and whatever the caller wants to remember.
+Each array is stored under the name of its field. Names of fields in nested NamedTuples are joined by dots, and fields
+that are None are left out. One more entry, a text in JSON, records the kind and version of the file and whatever the
+caller wants to remember.
 """
 
 import hashlib
@@ -22,8 +23,8 @@ from i2t.files.archives import check_archive
 from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path, replacing
 
-TREE_VERSION = 1
-ABOUT = "about"
+FORMAT_VERSION = 1
+HEADER_ENTRY = "about"
 
 Tree = TypeVar("Tree")
 
@@ -32,20 +33,20 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
     """Write a NamedTuple of arrays as a file.
 
     Args:
-        path: Of the file.
-        kind: Of file, which `load` must name too.
-        tree: The NamedTuple; its fields may be NamedTuples.
-        about: Anything that JSON can hold, kept with it.
-        beside: A second NamedTuple with other fields, which `load` gives where its type is named.
+        path: The file's path.
+        kind: The kind of file; `load` refuses a file of another kind.
+        tree: The NamedTuple, whose fields may be NamedTuples.
+        about: Anything that JSON can hold; `load` returns it with the arrays.
+        beside: A second NamedTuple with other fields; `load` returns it instead if it is given that type.
 
     Raises:
         SerializationError: The file cannot be written.
     """
     path, arrays = Path(path), flatten(tree) | ({} if beside is None else flatten(beside))
-    header = {"format": kind, "version": TREE_VERSION, "sha256": _digest(arrays), "about": about or {}}
+    header = {"format": kind, "version": FORMAT_VERSION, "sha256": _digest(arrays), "about": about or {}}
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **{ABOUT: np.array(json.dumps(header))}, **arrays)
+            np.savez_compressed(file, allow_pickle=False, **{HEADER_ENTRY: np.array(json.dumps(header))}, **arrays)
     except DataError as error:
         raise (error if isinstance(error, SerializationError) else SerializationError(str(error))) from error
 
@@ -61,34 +62,35 @@ def load(
     """Read a NamedTuple that `save` wrote.
 
     Args:
-        path: Of the file.
-        kind: Of file.
-        form: Type of the NamedTuple.
-        renamed: Fields that files of earlier versions call otherwise: the name there, and the name now.
-        missing: Ends the sentence where there is no such file.
+        path: The file's path.
+        kind: The kind of file, as `save` was given it.
+        form: The type of the NamedTuple.
+        renamed: Names of fields in files of earlier versions, mapped to the names of today.
+        missing: The end of the message for a file that does not exist.
 
     Returns:
-        The NamedTuple, with NumPy arrays, and what was kept with it.
+        The NamedTuple, with NumPy arrays, and the `about` that `save` was given.
 
     Raises:
-        SerializationError: There is no such file, or it is of another kind or damaged.
+        SerializationError: The file does not exist, is of another kind, or is damaged.
         TypeError: The path is neither text nor a path.
     """
     arrays, header = _read(path, f"{kind} file", missing)
-    found, version, digest = header["format"], header["version"], header["sha256"]
-    if found != kind:
-        raise SerializationError(f"{path}: holds a {found}, not a {kind}; name the right file")
-    if version != TREE_VERSION:
+    stored_kind, version, digest = header["format"], header["version"], header["sha256"]
+    if stored_kind != kind:
+        raise SerializationError(f"{path}: holds a {stored_kind}, not a {kind}; name the right file")
+    if version != FORMAT_VERSION:
         raise SerializationError(
-            f"{path}: has version {version}, but this i2t reads version {TREE_VERSION}; make it again"
+            f"{path}: has version {version}, but this i2t reads version {FORMAT_VERSION}; make it again"
         )
     if digest != _digest(arrays):
         raise SerializationError(
             f"{path}: its contents have changed since it was written; restore a copy or make it again"
         )
     if renamed:
-        now = {name: ".".join(renamed.get(part, part) for part in name.split(".")) for name in arrays}
-        arrays = {now[name]: array for name, array in arrays.items()}
+        arrays = {
+            ".".join(renamed.get(part, part) for part in name.split(".")): array for name, array in arrays.items()
+        }
     try:
         return _build(form, arrays, ""), header["about"]
     except KeyError as error:
@@ -96,32 +98,32 @@ def load(
 
 
 def file_kind(path: Path | str) -> str:
-    """Kind of a file's contents.
+    """Read the kind of a file that `save` wrote.
 
     Args:
-        path: Of a file that `save` wrote.
+        path: The file's path.
 
     Returns:
-        The kind that `load` must name.
+        The kind that `save` was given.
 
     Raises:
-        SerializationError: There is no such file, or it was not written by `save`.
+        SerializationError: The file does not exist, or was not written by `save`.
     """
     return str(_read(path, "file")[1]["format"])
 
 
 @contextmanager
 def fitting(path: Path | str) -> Iterator[None]:
-    """Name the file in errors of this block, where the parts that `load` read do not fit each other.
+    """Turn errors of this block into one that names the file whose parts do not fit each other.
 
     Args:
-        path: Of the file.
+        path: The path of the file that `load` read.
 
     Yields:
         Nothing.
 
     Raises:
-        SerializationError: A part is missing, of another shape or of another type.
+        SerializationError: The block failed, because a part is missing or has another shape or type.
     """
     try:
         yield
@@ -135,16 +137,16 @@ def fitting(path: Path | str) -> Iterator[None]:
 
 
 def check_arrays(path: Path | str, tree: Any, shapes: Mapping[str, tuple[int, ...]], remedy: str) -> None:
-    """Refuse arrays of another shape, and such as are not finite.
+    """Refuse arrays of a wrong shape or with non-finite values.
 
     Args:
-        path: Of the file that they come from.
-        tree: The NamedTuple that `load` gave.
-        shapes: Shapes by the arrays' dotted names.
-        remedy: Ends the sentence: what to do.
+        path: The path of the file that the arrays come from.
+        tree: The NamedTuple that `load` returned.
+        shapes: The required shape of each array to check, by the array's dotted name.
+        remedy: The end of the message, which says what to do.
 
     Raises:
-        SerializationError: An array has another shape or is not finite.
+        SerializationError: An array has another shape or a non-finite value.
     """
     arrays = flatten(tree)
     for name, shape in shapes.items():
@@ -153,14 +155,14 @@ def check_arrays(path: Path | str, tree: Any, shapes: Mapping[str, tuple[int, ..
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:
-    """Arrays by their dotted names.
+    """Collect the arrays of a NamedTuple.
 
     Args:
         tree: A NamedTuple of arrays and of NamedTuples.
-        prefix: Before each name.
+        prefix: The text in front of each name.
 
     Returns:
-        The arrays.
+        The arrays by their dotted names, without fields that are None.
     """
     arrays: dict[str, np.ndarray] = {}
     for name, value in tree._asdict().items():
@@ -172,7 +174,7 @@ def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:
 
 
 def _build(form: Any, arrays: dict[str, np.ndarray], prefix: str) -> Any:
-    """A NamedTuple from its arrays; fields that may be None are where nothing is stored."""
+    """Build a NamedTuple from its arrays; a field that is not stored is None if its type allows that."""
     values: dict[str, Any] = {}
     for name, hint in typing.get_type_hints(form).items():
         several = typing.get_origin(hint) in (typing.Union, types.UnionType)
@@ -189,7 +191,7 @@ def _build(form: Any, arrays: dict[str, np.ndarray], prefix: str) -> Any:
 
 
 def _read(path: Path | str, what: str, missing: str = "") -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays of a file, and its header."""
+    """Read the arrays of a file and its header."""
     path = as_path("path", path)
     if not path.is_file():
         raise SerializationError(f"{path}: there is no such file; name a {what} that i2t wrote{missing}")
@@ -198,24 +200,24 @@ def _read(path: Path | str, what: str, missing: str = "") -> tuple[dict[str, np.
         check_archive(path, data)
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        header = json.loads(str(arrays.pop(ABOUT)))
+        header = json.loads(str(arrays.pop(HEADER_ENTRY)))
         if any(array.dtype.kind not in "biufU" for array in arrays.values()):
             raise ValueError("neither numbers nor text")
         if not {"format", "version", "sha256", "about"} <= header.keys():
             raise ValueError("no header")
-    except DataError as error:  # says itself what it is
+    except DataError as error:  # its message names the file already
         raise SerializationError(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise SerializationError(
             f"{path}: is damaged or was not written by i2t; restore a copy or make it again"
         ) from error
-    except Exception as error:  # zlib's and the zip reader's own kinds, which have no common parent
+    except Exception as error:  # zlib and the zip reader raise errors of their own, which share no base class
         raise SerializationError(f"{path}: is damaged; restore a copy or make it again") from error
     return arrays, header
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:
-    """Digest of all names, types, shapes and values."""
+    """Compute the SHA-256 digest of all names, types, shapes and values."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and names of files that stay in their folder."""
+"""Writing of files whole or not at all, and checks that file names stay inside their folder."""
 
 import os
 import re
@@ -12,35 +12,35 @@ from i2t.errors import NAMED_WRONGLY, DataError, FullDiskError
 
 
 def as_path(name: str, value: Any) -> Path:
-    """The path of a file or folder that a user gave.
+    """Check the path of a file or folder that a user gave.
 
     Args:
-        name: Of the argument, for the message.
-        value: That was given.
+        name: The name of the argument, for messages.
+        value: The value that the user gave.
 
     Returns:
-        The path.
+        The value as a Path.
 
     Raises:
-        TypeError: It is neither text nor a path.
-        ValueError: It is empty.
+        TypeError: The value is neither text nor a path.
+        ValueError: The value is empty.
     """
     if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"{name}: is {repr(value)[:40]}, and no path; give the name of a file or folder")
+        raise TypeError(f"{name}: is {repr(value)[:40]}, not a path; give the name of a file or folder")
     if not os.fspath(value):
         raise ValueError(f"{name}: is empty; give the name of a file or folder")
     return Path(value)
 
 
 def unwritable(path: str | Path, error: OSError) -> DataError:
-    """Error for a file that could not be written.
+    """Make the error for a file that could not be written.
 
     Args:
-        path: Of the file.
-        error: Of the system, or of the HDF5 library.
+        path: The file's path.
+        error: The error of the system or of the HDF5 library.
 
     Returns:
-        A FullDiskError, unless the folder is to blame.
+        A DataError if the path is at fault (it does not exist or is forbidden), otherwise a FullDiskError.
     """
     inner = re.search("error message = '([^']*)'", str(error))  # as HDF5 words it
     why = error.strerror or (inner[1] if inner else str(error))
@@ -51,16 +51,16 @@ def unwritable(path: str | Path, error: OSError) -> DataError:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Write a file whole or not at all: what is written in the block appears under its name when the block is done.
+    """Write a file whole or not at all: it appears under its name when the block ends without an error.
 
     Args:
-        path: Of the file; its folder is made, and a file that is there is replaced.
+        path: The file's path. Its folder is created if it does not exist, and an existing file is replaced.
 
     Yields:
-        The hidden name next to it under which the file is to be written. Nothing is left of it if the block fails.
+        The path of a hidden file in the same folder, which the block has to write. It is removed if the block fails.
 
     Raises:
-        DataError: Its folder cannot be written to; FullDiskError if the disk is full, or failed.
+        DataError: The folder cannot be written to, or, as a FullDiskError, the disk is full or failed.
     """
     temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
@@ -77,19 +77,19 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def file_in(folder: Path, name: str, listed_in: str | Path, *, below: bool = False) -> Path:
-    """The file in a folder that a list names.
+    """Find a file by a name that another file gives for it, within one folder.
 
     Args:
-        folder: The folder.
-        name: Of the file.
-        listed_in: The list, for messages.
-        below: Whether the name may lead into a folder in the folder.
+        folder: The folder that the file must be in.
+        name: The file's name.
+        listed_in: The file that gives the name, for messages.
+        below: Whether the file may be in a subfolder.
 
     Returns:
-        The file's path.
+        The path of the file, which need not exist.
 
     Raises:
-        DataError: The name leads out of the folder, by itself or as a symbolic link.
+        DataError: The name leads out of the folder, by itself or through a symbolic link.
     """
     path = folder / name
     if below:
@@ -104,28 +104,28 @@ def file_in(folder: Path, name: str, listed_in: str | Path, *, below: bool = Fal
 
 
 def not_through_links(path: str, flags: int) -> int:
-    """Opens a file, but not what a symbolic link of its name leads to: `open(path, "wb", opener=not_through_links)`.
+    """Open a file unless it is a symbolic link, as in `open(path, "wb", opener=not_through_links)`.
 
     Args:
-        path: Of the file.
-        flags: As `open` has them.
+        path: The file's path.
+        flags: The flags that `open` passes to its opener.
 
     Returns:
-        The descriptor.
+        The descriptor of the open file.
 
     Raises:
-        OSError: It is a symbolic link, or cannot be opened.
+        OSError: The path is a symbolic link, or cannot be opened.
     """
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def slug(name: str) -> str:
-    """A folder name.
+    """Make a folder name from any text.
 
     Args:
-        name: Any text.
+        name: The text.
 
     Returns:
-        Its letters and digits, with lines between.
+        The letters and digits of the text, with hyphens between words.
     """
     return "-".join("".join(c if c.isalnum() else " " for c in name.replace("'s", "")).split())

@@ -1,7 +1,7 @@
-"""Objects to touch: procedural solids, and meshes from files. Imports no JAX.
+"""Objects to touch: procedural solids, and meshes from files. This package imports no JAX.
 
-Each name is loaded when it is first used: reading mesh files needs libraries that take seconds to import, and a command
-that only asks which objects there are need not wait for them.
+Each name is loaded when it is first used. The libraries that read mesh files take seconds to import, and a command that
+only lists the objects need not wait for them.
 """
 
 import lazy_loader

@@ -1,8 +1,7 @@
-"""Watertight solids from outlines: the small vocabulary in which primitives are drawn.
+"""Watertight solids from outlines, by which primitives are drawn.
 
-Solids are drawn in millimetres as manifold3d values (`a + b` union, `a - b` difference), whose booleans keep a mesh
-closed; `mesh_from_solid` turns one into metres. A curve of radius r is cut into so many segments that its chords stay
-within `SAGITTA_MM` of it, a tenth of a usual indentation of the skin: n = pi / acos(1 - SAGITTA / r).
+Solids are drawn in millimetres as manifold3d values (`a + b` is the union, `a - b` the difference), whose booleans keep
+a mesh closed. `mesh_from_solid` converts one to metres.
 """
 
 import math
@@ -17,14 +16,12 @@ from i2t.objects.solids import Mesh, place_on_table
 
 Real: TypeAlias = float | int  # of a drawing
 
-SAGITTA_MM = 0.03  # between a chord and its arc
-
 
 def mesh_from_solid(solid: Manifold) -> Mesh:
-    """Turn a solid into a mesh.
+    """Convert a solid to a mesh.
 
     Args:
-        solid: Drawn in millimetres.
+        solid: The solid, drawn in millimetres.
 
     Returns:
         Its mesh in metres, placed on the table.
@@ -34,26 +31,28 @@ def mesh_from_solid(solid: Manifold) -> Mesh:
     return place_on_table(Mesh(vertices, np.asarray(drawn.tri_verts).astype(np.int32)))
 
 
-def segments(radius: Real) -> int:
-    """Number of chords that replace a circle within `SAGITTA`.
+def segments(radius: Real, sagitta: Real = 0.03) -> int:
+    """Compute the number of chords that replace a circle, n = pi / acos(1 - sagitta / radius), rounded up.
 
     Args:
-        radius: mm.
+        radius: The radius (mm).
+        sagitta: The largest distance (mm) between a chord and its arc; 0.03 is a tenth of a usual indentation of the
+            skin.
 
     Returns:
-        The number, a multiple of four and at least eight.
+        The number of chords, a multiple of four and at least eight.
     """
-    return max(8, 4 * math.ceil(math.pi / math.acos(1 - SAGITTA_MM / max(radius, 2 * SAGITTA_MM)) / 4))
+    return max(8, 4 * math.ceil(math.pi / math.acos(1 - sagitta / max(radius, 2 * sagitta)) / 4))
 
 
 def outline(points: Sequence[Sequence[Real]] | NDArray) -> CrossSection:
-    """The region inside a closed polygon that does not cross itself, in either direction.
+    """Make the region inside a closed polygon that does not cross itself.
 
     Args:
-        points: (n, 2) mm.
+        points: `(n, 2)` corners (mm), in either direction.
 
     Returns:
-        The region.
+        The region inside the polygon.
     """
     corners = np.asarray(points, np.float64)
     x, y = corners.T
@@ -62,41 +61,41 @@ def outline(points: Sequence[Sequence[Real]] | NDArray) -> CrossSection:
 
 
 def polar(radii: NDArray) -> CrossSection:
-    """The region inside a closed curve given by its radii.
+    """Make the region inside a closed curve that is given by its radii.
 
     Args:
-        radii: (n,) mm, at equally spaced angles from the x axis.
+        radii: `(n,)` radii (mm), at equally spaced angles from the x axis.
 
     Returns:
-        The region.
+        The region inside the curve.
     """
     angles = 2 * np.pi * np.arange(len(radii)) / len(radii)
     return outline(np.stack([radii * np.cos(angles), radii * np.sin(angles)], -1))
 
 
 def disk(radius: Real, centre: tuple[Real, Real] = (0.0, 0.0)) -> CrossSection:
-    """A circle.
+    """Make a circular region.
 
     Args:
-        radius: mm.
-        centre: mm.
+        radius: The radius (mm).
+        centre: The centre's x and y (mm).
 
     Returns:
-        The region.
+        The region inside the circle.
     """
     return CrossSection.circle(radius, segments(radius)).translate(centre)
 
 
 def rectangle(width: Real, depth: Real, centre: tuple[Real, Real] = (0.0, 0.0)) -> CrossSection:
-    """A rectangle.
+    """Make a rectangular region.
 
     Args:
-        width: mm, along x.
-        depth: mm, along y.
-        centre: mm.
+        width: The length (mm) along x.
+        depth: The length (mm) along y.
+        centre: The centre's x and y (mm).
 
     Returns:
-        The region.
+        The region inside the rectangle.
     """
     return CrossSection.square((width, depth), center=True).translate(centre)
 
@@ -105,24 +104,24 @@ def prism(region: CrossSection, height: Real, base: Real = 0.0) -> Manifold:
     """Extrude a region upwards.
 
     Args:
-        region: mm.
-        height: mm.
-        base: mm, z at which it begins.
+        region: The region, in millimetres.
+        height: The height of the prism (mm).
+        base: z (mm) of the prism's bottom.
 
     Returns:
-        The solid.
+        The prism, in millimetres.
     """
     return Manifold.extrude(region, height).translate((0, 0, base))
 
 
 def ball(radius: Real, scale: Sequence[Real] = (1.0, 1.0, 1.0)) -> Manifold:
-    """A sphere, or an ellipsoid along the axes.
+    """Make a sphere, or an ellipsoid along the axes.
 
     Args:
-        radius: mm.
-        scale: Factors along the axes.
+        radius: The radius (mm) before scaling.
+        scale: The factors along x, y and z.
 
     Returns:
-        The solid.
+        The solid, in millimetres, centred at the origin.
     """
     return Manifold.sphere(radius, segments(radius)).scale(tuple(scale))

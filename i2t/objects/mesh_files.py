@@ -1,8 +1,8 @@
-"""Mesh files of other people: read with an explicit unit, cleaned, and honest about what was cleaned.
+"""Reading of mesh files with an explicit unit, cleaned, with a report on the cleaning.
 
-A file says nothing reliable about its unit, so the caller does. `i2t.objects.formats` reads its triangles.
-Everything in a file is one object, whatever number of bodies it has (`i2t.objects.mesh_cleaning`). The object's frame
-stands on the table, and `Object.T_file_object` leads back to the file's.
+A file does not state its unit reliably, so the caller has to give it. `i2t.objects.formats` reads the triangles.
+Everything in a file is one object, however many bodies it has (`i2t.objects.mesh_cleaning`). The object's frame stands
+on the table, and `Object.T_file_object` transforms it back to the file's frame.
 """
 
 import warnings
@@ -11,78 +11,82 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from i2t.files.kinds import MAX_MESH_BYTES, MESH_SUFFIXES
-from i2t.files.reading import read_bytes as read_file
+from i2t.files.kinds import MESH_SUFFIXES
+from i2t.files.limits import READ_LIMITS
+from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path
 from i2t.geometry import inverse
 from i2t.objects.formats.kinds import foreign_kind
 from i2t.objects.formats.parse import parse_mesh
 from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
-from i2t.objects.solids import IDENTITY, Mesh, Object, table_transform, transform_mesh
+from i2t.objects.solids import Mesh, Object, table_transform, transform_mesh
 
-METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}  # m
-MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, longest side of something to touch
-Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a frame whose y is up
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}
+MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # longest side of an object that is touched
 
 
 def read_mesh(
     path: str | Path, unit: str, *, table: bool = True, largest_piece: bool = False, up: str = "z"
 ) -> tuple[Object, CleaningReport]:
-    """Read and clean a mesh file. (An OBJ file cut off between two lines cannot be distinguished from a whole one.)
+    """Read and clean a mesh file.
+
+    An OBJ file that was cut off between two lines cannot be distinguished from a complete one.
 
     Args:
-        path: An STL, OBJ, PLY, OFF, GLB or glTF file.
-        unit: Of its coordinates: m, cm, mm or inch.
-        table: Whether to place it on the table: box centred in x and y, lowest point on z = 0, without turning it;
-            otherwise it keeps its own frame.
-        largest_piece: Whether only the largest connected piece is touched; `Object.left_out` has the rest.
-        up: The file's upward axis, "z" or "y" (GLB files usually say y).
+        path: The path of an STL, OBJ, PLY, OFF, GLB or glTF file.
+        unit: The unit of the file's coordinates: m, cm, mm or inch.
+        table: Whether to place the object on the table, with its bounding box centred in x and y and its lowest point
+            on z = 0, without turning it. Otherwise it keeps the file's frame.
+        largest_piece: Whether only the largest connected piece is touched; `Object.left_out` holds the others.
+        up: The file's upward axis, "z" or "y" (GLB files usually use y).
 
     Returns:
-        The object, named by the file, in metres, and what cleaning did.
+        The object, named by the file, in metres, and a report on the cleaning.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file cannot be read, or its mesh cannot be touched; one sentence names the file and a remedy.
     """
     path = as_path("path", path)
-    data = read_bytes(path, MESH_SUFFIXES)
-    scale = to_metres(path, unit)
+    data = _mesh_bytes(path)
+    scale = _metres_per_unit(path, unit)
     if up not in ("z", "y"):
-        raise ValueError(f"{path}: up={up!r} is not known; say up='z' or up='y'")
+        raise ValueError(f"{path}: up={up!r} is not known; give up='z' or up='y'")
     vertices, faces, skipped = parse_mesh(path, data)
     if skipped:
         rule = "faces are read, and of several scenes the default one"
         warnings.warn(f"{path}: left out {' and '.join(skipped)}; {rule}", stacklevel=2)
     vertices = vertices * scale
-    check_size(path, vertices[faces].reshape(-1, 3), unit)
-    T_up_file = Y_UP if up == "y" else IDENTITY
+    _check_size(path, vertices[faces].reshape(-1, 3), unit)
+    T_up_file = np.eye(4)
+    if up == "y":
+        T_up_file[1:3, 1:3] = [[0, -1], [1, 0]]
     upright = transform_mesh(Mesh(vertices, faces.astype(np.int32)), T_up_file)
     mesh, left_out, report = clean_mesh(upright, str(path), largest_piece=largest_piece)
-    T_o_up = table_transform(mesh) if table else IDENTITY
+    T_o_up = table_transform(mesh) if table else np.eye(4)
     placed, obstacles = transform_mesh(mesh, T_o_up), transform_mesh(left_out, T_o_up)
     T_file_object = inverse(T_o_up @ T_up_file)
     return Object(path.stem, placed, "file", T_file_object, obstacles if len(obstacles.faces) else None), report
 
 
 def load_mesh(path: str | Path, unit: str, *, table: bool = True, largest_piece: bool = False, up: str = "z") -> Mesh:
-    """The mesh in a file, cleaned.
+    """Read the mesh in a file, cleaned.
 
     Args:
-        path: An STL, OBJ, PLY, OFF, GLB or glTF file.
-        unit: Of its coordinates: m, cm, mm or inch.
-        table: Whether to place it on the table: box centred in x and y, lowest point on z = 0, without turning it;
-            otherwise it keeps the file's frame.
+        path: The path of an STL, OBJ, PLY, OFF, GLB or glTF file.
+        unit: The unit of the file's coordinates: m, cm, mm or inch.
+        table: Whether to place the mesh on the table, with its bounding box centred in x and y and its lowest point on
+            z = 0, without turning it. Otherwise it keeps the file's frame.
         largest_piece: Whether to keep only the largest connected piece; otherwise every body is kept.
-        up: The file's upward axis, "z" or "y" (GLB files usually say y).
+        up: The file's upward axis, "z" or "y" (GLB files usually use y).
 
     Returns:
-        The mesh, in metres. `i2t.objects.read_mesh` also gives the transform to the file's frame, and reports what
-        cleaning changed.
+        The mesh, in metres. `i2t.objects.read_mesh` also returns the transform to the file's frame and a report on the
+        cleaning.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file cannot be read, or its mesh cannot be touched; one sentence names the file and a remedy.
 
     Example:
         mesh = i2t.load_mesh("mug.stl", "mm")
@@ -91,82 +95,50 @@ def load_mesh(path: str | Path, unit: str, *, table: bool = True, largest_piece:
 
 
 def load_object(path: str | Path, unit: str, *, largest_piece: bool = False) -> Object:
-    """The object in a mesh file, standing on the table.
+    """Read the object in a mesh file and place it on the table.
 
     Args:
-        path: An STL, OBJ, PLY, OFF, GLB or glTF file.
-        unit: Of its coordinates: m, cm, mm or inch.
-        largest_piece: Whether only the largest connected piece is touched; `Object.left_out` has the rest.
+        path: The path of an STL, OBJ, PLY, OFF, GLB or glTF file.
+        unit: The unit of the file's coordinates: m, cm, mm or inch.
+        largest_piece: Whether only the largest connected piece is touched; `Object.left_out` holds the others.
 
     Returns:
         The object, named by the file, in metres.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It cannot be read, or is not something to touch; one sentence that names the file and a remedy.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file cannot be read, or its mesh cannot be touched; one sentence names the file and a remedy.
     """
     return read_mesh(path, unit, largest_piece=largest_piece)[0]
 
 
-def read_bytes(path: Path, suffixes: tuple[str, ...]) -> bytes:
-    """Read a file of a known kind.
-
-    Args:
-        path: The file.
-        suffixes: Endings that are welcome, in small letters.
-
-    Returns:
-        Its bytes.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It has another ending, is a folder or is empty.
-    """
-    if path.suffix.lower() not in suffixes:
+def _mesh_bytes(path: Path) -> bytes:
+    """Read the bytes of a mesh file after checking its suffix."""
+    if path.suffix.lower() not in MESH_SUFFIXES:
         kind, remedy = foreign_kind(path.suffix)
         is_kind = f"is {kind}: " if kind else ""
-        raise ValueError(f"{path}: {is_kind}its ending {path.suffix!r} is none of {', '.join(suffixes)}; {remedy}")
+        raise ValueError(f"{path}: {is_kind}its ending {path.suffix!r} is none of {', '.join(MESH_SUFFIXES)}; {remedy}")
     if not path.exists():
         raise FileNotFoundError(f"{path}: there is no such file; check the name")
     if path.is_dir():
         raise ValueError(f"{path}: is a folder; name a file in it")
-    data = read_file(path, MAX_MESH_BYTES)
+    data = read_bytes(path, READ_LIMITS.mesh_bytes)
     if not data:
         raise ValueError(f"{path}: is empty; export it again")
     return data
 
 
-def to_metres(path: Path, unit: str) -> float:
-    """Say how long a unit is.
-
-    Args:
-        path: The file, for the message.
-        unit: m, cm, mm or inch.
-
-    Returns:
-        Metres in one unit.
-
-    Raises:
-        ValueError: The unit is unknown.
-    """
+def _metres_per_unit(path: Path, unit: str) -> float:
+    """Convert the name of a unit to its length (m), or refuse an unknown name."""
     if unit not in METRES_PER_UNIT:
         raise ValueError(
-            f"{path}: unit {unit!r} is not known; say which of {', '.join(METRES_PER_UNIT)} its coordinates are in"
+            f"{path}: unit {unit!r} is not known; give the unit of its coordinates, one of {', '.join(METRES_PER_UNIT)}"
         )
     return METRES_PER_UNIT[unit]
 
 
-def check_size(path: Path, points: NDArray, unit: str) -> None:
-    """Refuse what is too small or too large to touch, with a hint at the unit that would fit.
-
-    Args:
-        path: The file, for the message.
-        points: (n, 3) corners (m).
-        unit: That was said to be the file's.
-
-    Raises:
-        ValueError: The longest side is not between `MIN_SIZE_M` and `MAX_SIZE_M`.
-    """
+def _check_size(path: Path, points: NDArray, unit: str) -> None:
+    """Refuse points (m) of a mesh that is too small or too large to touch, and suggest a unit that would fit."""
     longest = float(np.ptp(points, axis=0).max())
     if MIN_SIZE_M <= longest <= MAX_SIZE_M:
         return

@@ -1,6 +1,6 @@
-"""Objects as a command line names them: by their name in the catalogue, or by a mesh file and its unit.
+"""Objects by their names on a command line: a name in the catalogue, or a mesh file with its unit.
 
-What builds and reads meshes is imported where it is needed: a command's help need not wait for it.
+Modules that load or read meshes are imported inside functions, so that the help of a command appears without delay.
 """
 
 from pathlib import Path
@@ -11,21 +11,20 @@ from i2t.errors import did_you_mean
 if TYPE_CHECKING:
     from i2t.objects.solids import Object
 
-SHOWN_SHIFT_MM = 0.005  # smallest shift that two decimals of a millimetre show
 CATALOGUE_HINT = 'see its names with: python -c "import i2t.objects; print(i2t.objects.NAMES)"'
 
 
 def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bool = True) -> None:
-    """Refuse what is neither an object of the catalogue nor a mesh file with its unit.
+    """Refuse a name that is neither an object of the catalogue nor a mesh file with its unit.
 
     Args:
-        name: Of the catalogue, or a mesh file.
-        unit: Of the file; None where none was given.
-        flag: The option that names it, for messages; "" where it needs none.
-        catalogue: Whether names of the catalogue are welcome.
+        name: A name in the catalogue, or the path of a mesh file.
+        unit: The unit of the file; None if none was given.
+        flag: The option by which the name was given, for messages; empty if there is none.
+        catalogue: Whether names in the catalogue are allowed.
 
     Raises:
-        ValueError: It is neither.
+        ValueError: The name is neither, or the unit is missing.
     """
     from i2t.objects.catalogue import NAMES
 
@@ -44,18 +43,19 @@ def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bo
 
 
 def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> "Object":
-    """An object by its name or file.
+    """Load an object of the catalogue, or read one from a mesh file.
 
     Args:
-        name: Of the catalogue, or a mesh file.
-        unit: Of a mesh file: m, cm, mm or inch; it does not matter for an object of the catalogue.
+        name: A name in the catalogue, or the path of a mesh file.
+        unit: The unit of the mesh file: m, cm, mm or inch. It is ignored for an object of the catalogue.
         largest_piece: Whether only the largest connected piece of a mesh file is touched.
 
     Returns:
-        The object.
+        The object, standing on the table, in metres.
 
     Raises:
-        ValueError: There is no such name or file, its unit is missing, or it holds no usable mesh.
+        ValueError: The name is neither in the catalogue nor a file, the unit is missing, or the file holds no usable
+            mesh.
     """
     from i2t.objects.catalogue import NAMES, make_object
     from i2t.objects.mesh_files import load_object
@@ -65,17 +65,17 @@ def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> 
 
 
 def describe_placement(thing: "Object") -> str:
-    """Tell how an object's frame differs from its mesh file's, and what of the file is not touched.
+    """Describe how an object's frame differs from that of its mesh file, and which pieces are not touched.
 
     Args:
-        thing: As `read_object` gives it.
+        thing: The object, as `read_object` returns it.
 
     Returns:
-        A sentence for people; empty where the frames are the same and nothing was left out.
+        A sentence for the user; empty if the frames are the same and no piece is left out.
     """
     x, y, z = (-1e3 * thing.T_file_object[:3, 3]).tolist()
     sentences = []
-    if max(abs(x), abs(y), abs(z)) >= SHOWN_SHIFT_MM:
+    if max(abs(x), abs(y), abs(z)) >= 0.005:  # smaller shifts are 0.00 mm in the sentence
         sentences.append(
             f"the mesh was moved by {x:.2f}, {y:.2f}, {z:.2f} mm from its file's frame, to stand on z = 0 with its box "
             "centred in x and y"
@@ -88,7 +88,7 @@ def describe_placement(thing: "Object") -> str:
 
 
 def _folder_hint(path: Path) -> str:
-    """End of a sentence on a file that is not there: what is most like it in its folder, or that there is no folder."""
+    """Word a hint for a missing file: the most similar name in its folder, or that the folder is missing."""
     if not path.parent.is_dir():
         return f", and there is no folder {path.parent}"
     hint = did_you_mean(path.name, (other.name for other in path.parent.iterdir()), "")

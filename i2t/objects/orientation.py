@@ -1,14 +1,15 @@
-"""Which side of a face is outside: meshes turned outward by winding numbers.
+"""Orientation of meshes: faces are turned outward by means of winding numbers.
 
-Faces joined by edges that two faces alone share are one *part*, whose faces are all turned alike. The generalized
-winding number of all parts together is 1 in a body and 0 outside. It is negative where a part is inside out, whatever
-the part's neighbours, holes and cavities are, and whether or not parts are joined. So the parts with negative numbers
-beside them are turned. A sheet has no outside, and stays as it is.
+Faces that are joined by edges of exactly two faces form a *part*, whose faces are all oriented alike. The generalized
+winding number of all parts together is 1 inside a body and 0 outside. It is negative where a part is inside out,
+whatever the part's neighbours, holes and cavities are, and whether or not parts are joined. Parts next to negative
+numbers are therefore turned. A sheet has no outside, and stays as it is.
 
 Sources: Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers", 2013; Barill et al.,
 "Fast winding numbers for soups and clouds", 2018.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,42 +19,47 @@ from scipy.sparse.csgraph import connected_components
 
 from i2t.objects.solids import Mesh
 
-MIN_POINTS = 9  # fewest points on each side of a part at which winding numbers are evaluated
-MAX_POINTS = 64  # most of them, where there are one or two parts
-NEAR = 1e-5  # distance of these points from their face, relative to the mesh's size
-FAR = 3.0  # distance, in radii of a part, from which the part counts as one dipole
-BLOCK = 2**14  # pairs of faces and points that are held at once
-ROUNDING = 1e-9  # relative error of sums of areas
-MAX_JUDGED_PARTS = 2000  # with more parts, closed ones are judged by their own volume alone, and open ones not at all
-MAX_HOLED_PARTS = 8  # with more parts with holes, each is judged by the mean winding number next to it alone
-MIN_EVIDENCE = 0.65  # least evidence to turn a part, from 0 (a sheet) to 1 (a closed body); half a sphere has 0.63
-MIN_OTHERS = 1.0  # least gain in whole winding numbers next to all parts, for a part with holes to be turned
-NEGATIVE, NEGATIVE_SHARE = -0.9, 1e-3  # winding number below which a point lies inside out; least share of such area
+
+@dataclass(frozen=True)
+class OrientationConfig:
+    """Where winding numbers are evaluated, and how much evidence turns a part."""
+
+    min_points: int = 9  # points on each side of a part
+    max_points: int = 64  # points on each side of a part, if there are at most two parts
+    offset: float = 1e-5  # distance of these points from their face, relative to the mesh's size
+    dipole_distance: float = 3.0  # distance, in radii of a part, beyond which the part is treated as one dipole
+    max_judged_parts: int = 2000  # with more parts, closed ones are judged by their volume, and open ones not at all
+    max_holed_parts: int = 8  # with more parts with holes, each is judged only by the mean winding number next to it
+    min_evidence: float = 0.65  # evidence to turn a part: 0 for a sheet, 0.63 for half a sphere, 1 for a closed body
+    min_gain: float = 1.0  # evidence from the numbers next to all parts, to turn a part with holes
+    inside_out_number: float = -0.9  # winding number below which a point is in a body that is inside out
+    min_inside_out_fraction: float = 1e-3  # difference in area next to such points by which one result is better
 
 
-def turned_outward(mesh: Mesh) -> Mesh:
+def turn_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) -> Mesh:
     """Turn the faces of a mesh so that every part of it faces outward.
 
     Args:
-        mesh: Any triangles (m), none without an area.
+        mesh: The mesh (m), whose faces all have an area.
+        config: Where winding numbers are evaluated, and how much evidence turns a part.
 
     Returns:
         The mesh with the same faces in the same order, some of them turned.
     """
     corners = mesh.vertices[mesh.faces]
-    faces, parts = _wound_alike(mesh.faces, np.linalg.norm(_double_area(corners), axis=1))
-    turned = _inside_out(mesh.vertices[faces], parts)[parts.of_face]
+    faces, parts = _orient_parts(mesh.faces, np.linalg.norm(_double_area(corners), axis=1))
+    turned = _parts_to_turn(mesh.vertices[faces], parts, config)[parts.of_face]
     return Mesh(mesh.vertices, np.where(turned[:, None], faces[:, ::-1], faces).astype(np.int32))
 
 
 def directed_edges(faces: NDArray) -> NDArray:
-    """The edges of faces in their direction.
+    """List the edges of faces with their direction.
 
     Args:
-        faces: (n, 3) rows of vertices.
+        faces: `(n, 3)` faces, as rows of vertices.
 
     Returns:
-        (3 n, 2) rows of vertices: first all first edges, then all second, then all third ones.
+        `(3 n, 2)` edges, as rows of vertices: all first edges, then all second, then all third ones.
     """
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
@@ -62,29 +68,29 @@ class _Parts(NamedTuple):
     """Faces that are turned together."""
 
     of_face: NDArray  # (n,) the part of each face
-    closed: NDArray  # (parts,) whether its edges all have two faces
-    holed: NDArray  # (parts,) whether an edge has one face
-    halved: NDArray  # (parts,) whether half of its area was given turned
+    closed: NDArray  # (parts,) whether all edges of the part have two faces
+    holed: NDArray  # (parts,) whether an edge of the part has only one face
+    halved: NDArray  # (parts,) whether half of the part's area was given turned
 
 
-def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
-    """Faces of which neighbours run through their common edge in opposite directions, and their parts.
+def _orient_parts(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
+    """Orient the faces of each part alike, so that neighbours run through their common edge in opposite directions.
 
-    Neighbours are two faces that alone share an edge. Every face is there twice, as it is and turned; neighbours that
-    agree are connected. Of the two halves into which an orientable part falls, the one in which more of the area is as
-    it was given stays.
+    Neighbours are the two faces of an edge that no third face has. In a graph every face occurs twice, as given and
+    turned, and neighbours that agree are connected. An orientable part consists of two components; the one in which
+    more of the area is as given is kept.
     """
     n, directed = len(faces), directed_edges(faces)
     _, edge, uses = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(edge.reshape(-1), kind="stable")
     pairs = order[uses[edge.reshape(-1)[order]] == 2].reshape(-1, 2)
     left, right = (pairs % n).T
-    alike = (directed[pairs[:, 0]] == directed[pairs[:, 1]]).all(1)  # then one of the two has to be turned
+    alike = (directed[pairs[:, 0]] == directed[pairs[:, 1]]).all(1)  # one of the two then has to be turned
     joined = np.concatenate([right + n * alike, right + n * ~alike])
     graph = coo_array((np.ones(2 * len(left)), (np.concatenate([left, left + n]), joined)), (2 * n, 2 * n))
     _, half = connected_components(graph, directed=False)
     given = np.bincount(half[:n], areas, int(half.max()) + 1)
-    kept, flipped = half[:n], half[n:]  # the halves that hold a face as it is, and turned
+    kept, flipped = half[:n], half[n:]  # components that contain a face as given, and turned
     turned = (given[kept] < given[flipped]) | ((given[kept] == given[flipped]) & (kept > flipped))
     part = np.unique(np.minimum(kept, flipped), return_inverse=True)[1].reshape(-1)
     count = int(part.max()) + 1
@@ -96,76 +102,81 @@ def _wound_alike(faces: NDArray, areas: NDArray) -> tuple[NDArray, _Parts]:
 
 
 class _Field(NamedTuple):
-    """Winding numbers at points close to the faces of every part, on both sides of them."""
+    """Winding numbers at points close to the faces of every part, on both sides of the faces."""
 
     owner: NDArray  # (k,) part of each point
-    weight: NDArray  # (k,) area (m^2) that each point stands for
-    shares: NDArray  # (parts, k) number that each part adds, as it is wound
-    volume: NDArray  # (parts,) signed volume of each part, where it is closed
+    weight: NDArray  # (k,) area (m^2) that each point represents
+    shares: NDArray  # (parts, k) contribution of each part to the winding number, with its faces as given
+    volume: NDArray  # (parts,) signed volume of each part that is closed
     parts: _Parts
 
     def mean(self, values: NDArray) -> NDArray:
-        """Mean over the area of each part (parts,) of values at the points (k,)."""
+        """Average values at the points (k,) over the area of each part (parts,)."""
         count = len(self.shares)
         return np.bincount(self.owner, self.weight * values, count) / np.bincount(self.owner, self.weight, count)
 
 
-def _inside_out(corners: NDArray, parts: _Parts) -> NDArray:
-    """Mask (parts,) of those that are to be turned so that no part encloses a negative winding number.
+def _parts_to_turn(corners: NDArray, parts: _Parts, config: OrientationConfig) -> NDArray:
+    """Mark the parts to turn so that no part encloses a negative winding number.
 
-    Starting from the parts as they are, and from all of them turned, the part with the most negative number beside its
-    faces is turned until none is left. Of both results the one with fewer negative numbers is taken.
+    Starting from the parts as given, and again from all parts turned, the part with the most negative number next to
+    its faces is turned until no number is negative. The result with fewer negative numbers is used.
 
     Args:
-        corners: (m, 3, 3) corners of the faces (m).
+        corners: `(m, 3, 3)` corners of the faces (m).
         parts: The parts of the faces.
+        config: Where winding numbers are evaluated, and how much evidence turns a part.
 
     Returns:
-        The mask.
+        `(parts,)` mask of the parts to turn.
     """
     middle = corners - 0.5 * (corners.min((0, 1)) + corners.max((0, 1)))
     volume = np.bincount(parts.of_face, np.linalg.det(middle), len(parts.closed))
     inward = parts.closed & (volume < 0)
     plain = parts.closed.all() and (inward.all() or not inward.any()) and (len(inward) == 1 or not parts.halved.any())
-    if plain or len(inward) > MAX_JUDGED_PARTS:
+    if plain or len(inward) > config.max_judged_parts:
         return inward
-    points, owner, weight = _points_beside(corners, parts.of_face)
-    field = _Field(owner, weight, _winding_numbers(corners, parts.of_face, points), volume, parts)
+    points, owner, weight = _points_near_faces(corners, parts.of_face, config)
+    shares = _winding_numbers(corners, parts.of_face, points, config.dipole_distance)
+    field = _Field(owner, weight, shares, volume, parts)
     starts = [np.ones(len(volume)), -np.ones(len(volume))]
-    if weight @ field.shares.sum(0) < -0.5 * MIN_EVIDENCE * weight.sum():
+    if weight @ field.shares.sum(0) < -0.5 * config.min_evidence * weight.sum():
         starts.reverse()
-    (first, negative), (second, second_negative) = (_settled(field, start) for start in starts)
-    return (second if second_negative < negative - NEGATIVE_SHARE else first) < 0
+    (first, negative), (second, second_negative) = (_turn_parts(field, start, config) for start in starts)
+    return (second if second_negative < negative - config.min_inside_out_fraction else first) < 0
 
 
-def _settled(field: _Field, sign: NDArray) -> tuple[NDArray, float]:
-    """Signs (parts,) after the parts that are inside out were turned, and the share of area with negative numbers."""
+def _turn_parts(field: _Field, sign: NDArray, config: OrientationConfig) -> tuple[NDArray, float]:
+    """Turn parts that are inside out; return all signs (parts,), and the fraction of area with negative numbers."""
     number, parts = sign @ field.shares, field.parts
-    rules = [(_evidence_beside, MIN_EVIDENCE)]
-    if parts.holed.sum() <= MAX_HOLED_PARTS:
-        rules.append((_evidence_of_all, MIN_OTHERS))
-    for evidence, wanted in rules:
+    rules = [(_evidence_nearby, config.min_evidence)]
+    if parts.holed.sum() <= config.max_holed_parts:
+        rules.append((_evidence_overall, config.min_gain))
+    for judge, min_evidence in rules:
         for _ in range(2 * len(sign)):
-            least = evidence(field, sign, number)
-            worst = least.argmin()
-            if least[worst] >= -wanted:
+            evidence = judge(field, sign, number)
+            worst = evidence.argmin()
+            if evidence[worst] >= -min_evidence:
                 break
             sign[worst] *= -1
             number += 2 * sign[worst] * field.shares[worst]
-    # A part that was given half turned says nothing itself, and cavities are more usual than solids inside solids.
-    enclosed = field.mean(number > 0.5) > 1 - ROUNDING
+    # A part that was given half turned is no evidence, and cavities are more common than solids inside solids.
+    enclosed = field.mean(number > 0.5) > 1 - 1e-9
     sign[parts.closed & parts.halved & enclosed] *= -1
-    return sign, float(field.weight[number < NEGATIVE].sum() / field.weight.sum())
+    return sign, float(field.weight[number < config.inside_out_number].sum() / field.weight.sum())
 
 
-def _evidence_beside(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
-    """How far each part is a body (1), a sheet (0) or inside out (-1), by the numbers beside it."""
-    inside_out = (sign * field.volume < 0) & (field.mean(number < -0.5) > 0)  # else a closed part is a cavity
+def _evidence_nearby(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
+    """Rate each part from body (1) over sheet (0) to inside out (-1), by the numbers next to it."""
+    inside_out = (sign * field.volume < 0) & (field.mean(number < -0.5) > 0)  # otherwise a closed part is a cavity
     return np.where(field.parts.closed, np.where(inside_out, -1.0, 1.0), 2 * field.mean(number))
 
 
-def _evidence_of_all(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
-    """The same of parts with holes, by the numbers beside all parts, which two halves of one body make whole."""
+def _evidence_overall(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
+    """Rate parts with holes by the numbers next to all parts, which are integers if two halves form one body.
+
+    The evidence is twice the growth of the implausibility of all numbers if the part is turned, per area of the part.
+    """
     evidence, now = np.ones(len(sign)), field.weight @ _implausible(number)
     own = np.bincount(field.owner, field.weight, len(sign))
     for part in np.flatnonzero(field.parts.holed):
@@ -175,19 +186,19 @@ def _evidence_of_all(field: _Field, sign: NDArray, number: NDArray) -> NDArray:
 
 
 def _implausible(number: NDArray) -> NDArray:
-    """How far winding numbers are from whole ones, which a surface without holes has, and how far below zero."""
+    """Measure how far winding numbers are from integers, which a surface without holes has, and how far below zero."""
     return np.abs(number - np.round(number)) + np.maximum(-number, 0)
 
 
-def _points_beside(corners: NDArray, part: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Points close to some faces of each part on both sides (k, 3), the part of each (k,), and the area it is for."""
+def _points_near_faces(corners: NDArray, part: NDArray, config: OrientationConfig) -> tuple[NDArray, NDArray, NDArray]:
+    """Choose points (k, 3) close to faces of each part, on both sides, with their parts (k,) and areas (k,)."""
     areas = np.linalg.norm(_double_area(corners), axis=1) / 2
     points, owner, weight = [], [], []
-    count = max(MIN_POINTS, 2 * MAX_POINTS // max(int(part.max()) + 1, 2))
+    count = max(config.min_points, 2 * config.max_points // max(int(part.max()) + 1, 2))
     # The R2 sequence (M. Roberts, 2018), which fills a square evenly, folded to a triangle.
     root, along = np.sqrt((np.arange(count) * 0.7548776662 + 0.5) % 1), (np.arange(count) * 0.5698402910 + 0.5) % 1
     spread = np.stack([1 - root, root * (1 - along), root * along], 1)
-    near = NEAR * np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
+    near = config.offset * np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
     order = np.argsort(part, kind="stable")
     for rows in np.split(order, np.cumsum(np.bincount(part))[:-1]):
         reached = np.cumsum(areas[rows])
@@ -202,10 +213,11 @@ def _points_beside(corners: NDArray, part: NDArray) -> tuple[NDArray, NDArray, N
     return np.concatenate(points), np.concatenate(owner), np.concatenate(weight)
 
 
-def _winding_numbers(corners: NDArray, part: NDArray, points: NDArray) -> NDArray:
-    """Generalized winding number (parts, k) of each part around points (k, 3): 1 within a closed one, 0 outside.
+def _winding_numbers(corners: NDArray, part: NDArray, points: NDArray, dipole_distance: float) -> NDArray:
+    """Compute the generalized winding number (parts, k) of each part around points (k, 3).
 
-    It is the sum of the solid angles of the triangles over 4 pi. Far away a part counts as one dipole.
+    It is the sum of the solid angles of the triangles over 4 pi: 1 inside a closed part and 0 outside. Points beyond
+    `dipole_distance` radii of a part see it as one dipole.
     """
     order = np.argsort(part, kind="stable")
     surfaces = np.split(corners[order], np.cumsum(np.bincount(part))[:-1])
@@ -215,20 +227,20 @@ def _winding_numbers(corners: NDArray, part: NDArray, points: NDArray) -> NDArra
         radius = np.linalg.norm(surface.reshape(-1, 3) - centre, axis=1).max()
         towards = centre - points
         distance = np.linalg.norm(towards, axis=1)
-        far = distance > FAR * radius
+        far = distance > dipole_distance * radius
         number[far] = (towards[far] @ (_double_area(surface).sum(0) / 2)) / (4 * np.pi * distance[far] ** 3)
         number[~far] = _solid_angles(surface, points[~far]) / (4 * np.pi)
     return numbers
 
 
 def _solid_angles(surface: NDArray, points: NDArray) -> NDArray:
-    """Solid angle (k,) of a surface (n, 3, 3) from points (k, 3), positive from behind its faces.
+    """Compute the solid angle (k,) of a surface (n, 3, 3) from points (k, 3), positive from behind its faces.
 
-    By van Oosterom and Strackee, "The solid angle of a plane triangle", 1983.
+    The formula is that of van Oosterom and Strackee, "The solid angle of a plane triangle", 1983.
     """
     flat = np.ascontiguousarray(surface.reshape(-1, 9).T)  # coordinates of the first, second and third corners
     angles = np.empty(len(points))
-    block = max(1, BLOCK // len(surface))
+    block = max(1, 2**14 // len(surface))  # pairs of faces and points that are held in memory at the same time
     for i in range(0, len(points), block):
         some = points[i : i + block]
         ax, ay, az, bx, by, bz, cx, cy, cz = flat[:, None] - np.tile(some, 3).T[..., None]
@@ -241,20 +253,21 @@ def _solid_angles(surface: NDArray, points: NDArray) -> NDArray:
 
 
 def _double_area(corners: NDArray) -> NDArray:
-    """Normals (n, 3) of triangles (n, 3, 3), twice as long as their areas."""
+    """Compute normals (n, 3) of triangles (n, 3, 3), whose lengths are twice the areas."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def encloses(corners: NDArray, inner: NDArray) -> bool:
-    """Test whether a surface, which may have holes, has most of some faces inside.
+def encloses(corners: NDArray, inner: NDArray, config: OrientationConfig = OrientationConfig()) -> bool:
+    """Test whether a surface, which may have holes, encloses most of some faces.
 
     Args:
-        corners: (n, 3, 3) corners of the surface's faces (m).
-        inner: (m, 3, 3) corners of the others.
+        corners: `(n, 3, 3)` corners of the surface's faces (m).
+        inner: `(m, 3, 3)` corners of the other faces (m).
+        config: At how many of the other faces' centres winding numbers are evaluated, and how.
 
     Returns:
-        Whether the winding number at most of their centres is beyond 1/2.
+        Whether the winding number at most of these centres is beyond 1/2.
     """
-    points = inner[:: -(-len(inner) // MIN_POINTS)].mean(1)
-    numbers = _winding_numbers(corners, np.zeros(len(corners), int), points)[0]
+    points = inner[:: -(-len(inner) // config.min_points)].mean(1)
+    numbers = _winding_numbers(corners, np.zeros(len(corners), int), points, config.dipole_distance)[0]
     return float(np.mean(np.abs(numbers) > 0.5)) > 0.5

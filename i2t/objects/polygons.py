@@ -1,12 +1,13 @@
-"""Polygons in space to triangles, without new vertices.
+"""Triangulation of polygons in space, without new vertices.
 
-CAD programs write the caps of channels, slots and holes as one polygon that need not be convex. A fan from its first
-corner would fill the slot. A fan is used only where each of its triangles lies in the polygon; the other polygons are
-cut by ear clipping in their plane (G. H. Meisters, "Polygons have ears", 1975). A polygon may touch itself, as one does
-whose holes are joined to its rim by a bridge; one that crosses itself has no inside and is refused.
+CAD programs write the caps of channels, slots and holes as one polygon that need not be convex, and a fan from its
+first corner would fill the slot. A fan is therefore used only if each of its triangles lies in the polygon. Other
+polygons are cut by ear clipping in their plane (G. H. Meisters, "Polygons have ears", 1975). A polygon may touch
+itself, as one does whose holes are joined to its rim by a bridge. A polygon that crosses itself has no inside and is
+refused.
 
-A corner in the middle of a straight side stays a corner of some triangle with an area: neighbouring faces use it, and a
-surface without it would be open there.
+A corner in the middle of a straight side remains the corner of a triangle with an area: neighbouring faces use it, and
+the surface would be open there without it.
 """
 
 import math
@@ -18,11 +19,6 @@ from numpy.typing import NDArray
 
 from i2t.errors import DataError
 
-ROUNDING = 1e-6  # of the surface's size: how straight a line is that a file gives with seven digits
-BLOCK = 2**20  # corners that are looked at together, which bounds the memory
-MAX_CLIPPED_SQUARED = 7000**2  # sum of squared corners of polygons that are clipped: the time of ear clipping
-FULL_TURN = 2 * np.pi - 1e-3  # rad, that a fan may sweep around its first corner
-
 
 def triangulate(
     vertices: NDArray[np.float64], corners: NDArray[np.int64], sizes: NDArray[np.int64], name: Callable[[int], str]
@@ -30,17 +26,17 @@ def triangulate(
     """Cut polygons into triangles.
 
     Args:
-        vertices: Coordinates `(n, 3)` in any unit.
-        corners: Indices of vertices `(sum of sizes,)`, polygon after polygon, each in order around it.
-        sizes: Numbers of corners `(polygons,)`, at least three each.
-        name: Says in messages which file and which polygon a number stands for.
+        vertices: `(n, 3)` coordinates in any unit.
+        corners: `(sum of sizes,)` indices of vertices, polygon after polygon, each in order around the polygon.
+        sizes: `(polygons,)` numbers of corners, at least three each.
+        name: Names the file and the polygon of a given number, for messages.
 
     Returns:
-        Triangles `(m, 3)` in the order of their polygons, turned as these are, of the same total area. A polygon
-        without an area is one triangle without an area.
+        `(m, 3)` triangles in the order of their polygons, with the same orientation and total area. A polygon without
+        an area becomes one triangle without an area.
 
     Raises:
-        DataError: A polygon crosses itself, or those that are not convex have too many corners.
+        DataError: A polygon crosses itself, or the polygons that are not convex have too many corners.
     """
     if (sizes == 3).all():
         return corners.reshape(-1, 3)
@@ -52,18 +48,18 @@ def triangulate(
     work, width = 0, _rounding(vertices[corners])
     for size in np.unique(sizes[sizes >= 3]):
         polygons = np.flatnonzero(sizes == size)
-        for block in np.array_split(polygons, -(-len(polygons) * size // BLOCK)):
+        for block in np.array_split(polygons, -(-len(polygons) * size // 2**20)):  # corners, which bounds the memory
             loops = corners[starts[block, None] + np.arange(size)]
             fans, right = _fans(vertices, loops, width)
             faces[places[block, None] + np.arange(size - 2)] = fans
             work += int(size**2 * (~right).sum())
-            if work > MAX_CLIPPED_SQUARED:
+            if work > 7000**2:  # ear clipping takes time with the square of the number of corners
                 raise DataError(
                     f"{name(int(block[0]))} and others are not convex and have {size} corners, which takes too long "
                     "here; split the polygons into triangles (in Blender: Triangulate Faces)"
                 )
             for polygon, loop in zip(block[~right], loops[~right], strict=True):
-                pieces = _clipped(vertices[loop], width)
+                pieces = _clip_polygon(vertices[loop], width)
                 if pieces is None:
                     raise DataError(
                         f"{name(int(polygon))} has {size} corners and crosses itself; repair it, or split it into "
@@ -75,13 +71,13 @@ def triangulate(
 
 
 def strip_triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Cut a strip into its triangles.
+    """Cut a triangle strip into its triangles.
 
     Args:
-        corners: Indices of vertices `(n,)` along the strip.
+        corners: `(n,)` indices of vertices along the strip.
 
     Returns:
-        Triangles `(m, 3)`, each second one turned. Those with a repeated corner, which join strips, are left out.
+        `(m, 3)` triangles, every second one turned. Triangles with a repeated corner, which join strips, are left out.
     """
     faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1) if len(corners) > 2 else np.empty((0, 3), np.int64)
     faces[1::2] = faces[1::2, [1, 0, 2]]
@@ -89,38 +85,40 @@ def strip_triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _rounding(points: NDArray) -> float:
-    """How far corners may be from where they are meant to be, in a file with seven digits or in float32."""
+    """Bound the rounding error of coordinates in a file with seven digits or in float32."""
     points = points[np.isfinite(points).all(1)]
     if not len(points):
         return 0.0
     low, high = points.min(0), points.max(0)
-    return float(max(ROUNDING * (high - low).max(), np.finfo(np.float32).eps * max(abs(low).max(), abs(high).max())))
+    return float(max(1e-6 * (high - low).max(), np.finfo(np.float32).eps * max(abs(low).max(), abs(high).max())))
 
 
 def _without_repeats(corners: NDArray, sizes: NDArray) -> tuple[NDArray, NDArray]:
-    """Polygons without corners that repeat the one before them, as exporters of nothing but quads write triangles."""
+    """Drop corners that repeat the one before, by which exporters that support only quads write triangles."""
     ends = np.cumsum(sizes)
     before = np.arange(len(corners)) - 1
     before[ends - sizes] = ends - 1
     fresh = corners != corners[before]
-    fresh[ends - sizes] |= ~np.logical_or.reduceat(fresh, ends - sizes)  # one is left where all are the same
+    fresh[ends - sizes] |= ~np.logical_or.reduceat(
+        fresh, ends - sizes
+    )  # keep one corner of a polygon whose corners are all equal
     return corners[fresh], np.add.reduceat(fresh.astype(np.int64), ends - sizes)
 
 
 def _fans(vertices: NDArray, loops: NDArray, width: float) -> tuple[NDArray, NDArray]:
-    """Triangles `(p, n - 2, 3)` of the fans of p polygons of n corners, and a mask `(p,)` of those that are right.
+    """Cut p polygons of n corners into fans `(p, n - 2, 3)`, and mark `(p,)` the fans that lie in their polygon.
 
-    A fan is right where all its triangles have the polygon's orientation and sweep less than a full turn. Of a quad,
-    the fan from the second corner is used where that from the first is wrong.
+    A fan lies in its polygon if all its triangles have the polygon's orientation and sweep less than a full turn. For a
+    quad, the fan from the second corner is tried as well.
     """
     count, size = loops.shape
     if size == 3:
         return loops[:, None], np.ones(count, bool)
     fans = _fan(loops)
-    right = _is_right(vertices[fans], width)
+    right = _fits_polygon(vertices[fans], width)
     if size == 4 and not right.all():
         others = _fan(np.roll(loops[~right], -1, 1))
-        swap = _is_right(vertices[others], width)
+        swap = _fits_polygon(vertices[others], width)
         fans[np.flatnonzero(~right)[swap]] = others[swap]
         right[~right] = swap
     return fans, right
@@ -130,8 +128,8 @@ def _fan(loops: NDArray) -> NDArray:
     return np.stack(np.broadcast_arrays(loops[:, :1], loops[:, 1:-1], loops[:, 2:]), 2)
 
 
-def _is_right(triangles: NDArray, width: float) -> NDArray:
-    """Mask `(p,)` of fans `(p, m, 3, 3)` that lie in their polygon."""
+def _fits_polygon(triangles: NDArray, width: float) -> NDArray:
+    """Mark `(p,)` the fans `(p, m, 3, 3)` that lie in their polygon."""
     a, b, c = np.moveaxis(triangles, 2, 0)
     ab, ac, bc = b - a, c - a, c - b
     areas = np.cross(ab, ac)
@@ -141,21 +139,21 @@ def _is_right(triangles: NDArray, width: float) -> NDArray:
     right = (along > width * np.sqrt(longest * squared[:, None])).all(1)
     if triangles.shape[1] > 2:
         sweep = np.arctan2(np.linalg.norm(areas, axis=2), np.einsum("pmi,pmi->pm", ab, ac))
-        right &= sweep.sum(1) < FULL_TURN
+        right &= sweep.sum(1) < 2 * np.pi - 1e-3  # around the first corner
     return right
 
 
-def _clipped(points: NDArray, width: float) -> NDArray | None:
-    """Triangles `(m, 3)`, as numbers of corners, of a polygon `(n, 3)`; None where it crosses itself."""
+def _clip_polygon(points: NDArray, width: float) -> NDArray | None:
+    """Cut a polygon `(n, 3)` into triangles `(m, 3)` of its corners; return None if it crosses itself."""
     size, none = len(points), np.zeros((1, 3), np.int64)
-    if not np.isfinite(points).all():  # whoever asks for finite vertices is to see it
+    if not np.isfinite(points).all():  # the caller refuses vertices that are not finite
         return _fan(np.arange(size)[None])[0]
     centred = points - points.mean(0)
     _, spreads, axes = np.linalg.svd(centred, full_matrices=False)
     normal = np.cross(centred, np.roll(centred, -1, 0)).sum(0)
     if normal @ np.cross(axes[0], axes[1]) < 0:
         axes[1] = -axes[1]
-    if np.linalg.norm(normal) > width * spreads[0]:  # else it is narrow, goes there and back, or crosses itself
+    if np.linalg.norm(normal) > width * spreads[0]:  # otherwise it is narrow, runs out and back, or crosses itself
         x = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         axes = np.stack([x / np.linalg.norm(x), np.cross(normal, x) / np.linalg.norm(np.cross(normal, x))])
     flattened = centred @ axes[:2].T
@@ -171,7 +169,7 @@ def _cross(a: NDArray, b: NDArray) -> NDArray:
 
 
 def _crosses_itself(points: NDArray, width: float) -> bool:
-    """Tell whether two sides of a polygon `(n, 2)` cross in their insides; to touch is no crossing."""
+    """Test whether two sides of a polygon `(n, 2)` cross; sides that only touch do not cross."""
     ends = np.roll(points, -1, 0)
     along = ends - points
     along = along / np.maximum(np.linalg.norm(along, axis=1), np.finfo(float).tiny)[:, None]
@@ -188,11 +186,11 @@ def _crosses_itself(points: NDArray, width: float) -> bool:
 
 
 def _clip_ears(points: NDArray, width: float, *, folded: bool = False) -> NDArray | None:
-    """Triangles `(m, 3)` of a polygon `(n, 2)` that runs anticlockwise, ear after ear; None where it overlaps itself.
+    """Cut ears off an anticlockwise polygon `(n, 2)`; return triangles `(m, 3)`, or None if it overlaps itself.
 
-    After a cut only the two corners next to it can have become ears, so that each cut costs one look at the others.
-    Spikes without a width, which run out and back, go first: a triangle next to one might cover it. With `folded` they
-    are also those that run back by other corners than they ran out by.
+    After a cut only the two corners next to it can have become ears, so that each cut needs one pass over the others.
+    Spikes without a width, which run out and back, are removed first, because a triangle next to one might cover it.
+    With `folded`, this includes spikes that run back along other corners than they ran out.
     """
     size = len(points)
     before, after = np.roll(np.arange(size), 1).tolist(), np.roll(np.arange(size), -1).tolist()
@@ -205,7 +203,7 @@ def _clip_ears(points: NDArray, width: float, *, folded: bool = False) -> NDArra
             a, c = before[tip], after[tip]
             if not there[tip]:
                 continue
-            flat = place[c] in (place[tip], place[a])  # then nothing is between the two sides
+            flat = place[c] in (place[tip], place[a])  # the two sides enclose nothing
             flat = flat or (folded and _runs_back(place[a], place[tip], place[c], width))
             if not flat and (tolerance > width or not _is_ear(points[[a, tip, c]], points[there], tolerance, touching)):
                 continue
@@ -222,17 +220,17 @@ def _clip_ears(points: NDArray, width: float, *, folded: bool = False) -> NDArra
 
 
 def _runs_back(a: tuple[float, float], tip: tuple[float, float], c: tuple[float, float], width: float) -> bool:
-    """Tell whether the side from a corner lies on the side to it."""
+    """Test whether the side that leaves a corner lies on the side that arrives at it."""
     ax, ay, cx, cy = a[0] - tip[0], a[1] - tip[1], c[0] - tip[0], c[1] - tip[1]
     longer = max(math.hypot(ax, ay), math.hypot(cx, cy))
     return ax * cx + ay * cy > 0 and abs(ax * cy - ay * cx) <= width * longer
 
 
 def _is_ear(triangle: NDArray, others: NDArray, width: float, touching: bool) -> bool:
-    """Tell whether a corner can be cut off: its triangle has an area, and no other corner of the polygon is in it.
+    """Test whether a corner can be cut off: its triangle has an area, and no other corner of the polygon is in it.
 
-    Corners at the same place as one of the triangle's own are of a bridge or of a point where the polygon touches
-    itself, and do not count. On the triangle's sides others may lie only where `touching`.
+    Corners that coincide with one of the triangle's own belong to a bridge, or to a point where the polygon touches
+    itself, and are ignored. Others may lie on the triangle's sides only if `touching`.
     """
     (ax, ay), (bx, by), (cx, cy) = triangle.tolist()
     sides = (ax, ay, bx - ax, by - ay), (bx, by, cx - bx, cy - by), (cx, cy, ax - cx, ay - cy)

@@ -1,4 +1,7 @@
-"""Meshes and objects, and how they are moved. The object frame rests on z = 0, z up, centred in x and y."""
+"""Meshes and objects, and functions that move them.
+
+An object's frame has z up and, by default, the object centred in x and y and standing on z = 0.
+"""
 
 from typing import NamedTuple
 
@@ -14,8 +17,9 @@ STAMP_BASE_MM = (20.0, 5.0)  # edge and height of the base
 
 @in_one_line
 class Mesh(NamedTuple):
-    """A triangle mesh, as every function of i2t takes it: anything with `vertices` and `faces` serves, such as a
-    `trimesh.Trimesh`. Seen from outside, the corners of a face run counter-clockwise.
+    """A triangle mesh. Seen from outside, the corners of a face run counter-clockwise.
+
+    Functions of i2t also accept any other object with `vertices` and `faces`, such as a `trimesh.Trimesh`.
 
     Example:
         mesh = i2t.make_object("hammer").mesh
@@ -26,32 +30,26 @@ class Mesh(NamedTuple):
     faces: NDArray[np.int32]  # (faces, 3) rows of `vertices`
 
 
-IDENTITY = np.eye(4)
-IDENTITY.flags.writeable = False
-
-
 @in_one_line
 class Object(NamedTuple):
-    """Something to touch, in its own frame: z up, and unless a file was read otherwise standing on z = 0, centred in x
-    and y.
-    """
+    """Something to touch, in its own frame: z up, centred in x and y and standing on z = 0 unless read otherwise."""
 
     name: str
     mesh: Mesh
     family: str  # "primitive", "stamp", "tool" or "file"
-    T_file_object: NDArray[np.float64] = IDENTITY  # (4, 4) to the frame of the mesh file, m
-    left_out: Mesh | None = None  # pieces of the file that are not to be touched, but are in an arm's way
+    T_file_object: NDArray[np.float64] = np.broadcast_to(np.eye(4), (4, 4))  # to the mesh file's frame, m; read-only
+    left_out: Mesh | None = None  # pieces of the file that are not touched but obstruct the arm
 
 
 def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
-    """Move a mesh.
+    """Transform a mesh to another frame.
 
     Args:
-        mesh: A mesh in b.
-        T: The (4, 4) transform T_a_b; a reflection turns the winding too.
+        mesh: The mesh in frame b.
+        T: `(4, 4)` transform T_a_b. A reflection also reverses the order of each face's corners.
 
     Returns:
-        The mesh in a.
+        The mesh in frame a.
     """
     T = np.asarray(T, np.float64)
     faces = mesh.faces[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else mesh.faces
@@ -59,37 +57,37 @@ def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
 
 
 def centre_box(mesh: Mesh) -> Mesh:
-    """Shift a mesh, without turning it.
+    """Shift a mesh so that the middle of its bounding box is at the origin.
 
     Args:
-        mesh: Any mesh.
+        mesh: The mesh.
 
     Returns:
-        The mesh with the middle of its box at the origin.
+        The shifted mesh, which is not rotated.
     """
     return Mesh(mesh.vertices - 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0)), mesh.faces)
 
 
 def place_on_table(mesh: Mesh) -> Mesh:
-    """Shift a mesh, without turning it.
+    """Shift a mesh so that its bounding box is centred in x and y and stands on z = 0.
 
     Args:
-        mesh: Any mesh.
+        mesh: The mesh.
 
     Returns:
-        The mesh whose box is centred in x and y and stands on z = 0.
+        The shifted mesh, which is not rotated.
     """
     return transform_mesh(mesh, table_transform(mesh))
 
 
 def table_transform(mesh: Mesh) -> NDArray[np.float64]:
-    """The shift that places a mesh on the table.
+    """Compute the shift that places a mesh on the table.
 
     Args:
-        mesh: A mesh in its frame m (m).
+        mesh: The mesh in its own frame m, in metres.
 
     Returns:
-        T_o_m (4, 4), whose frame o has the middle of the mesh's box on its z axis and the box's bottom on z = 0.
+        `(4, 4)` transform T_o_m. In frame o the bounding box is centred in x and y and stands on z = 0.
     """
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     T_o_m = np.eye(4)
@@ -98,14 +96,14 @@ def table_transform(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def highest_point(target: Object, T_w_o: NDArray) -> float:
-    """Height that the tool has to clear above an object, with what of it is not to be touched.
+    """Compute the height that the tool has to clear above an object, including the pieces that are not touched.
 
     Args:
         target: The object.
-        T_w_o: (4, 4) where it stands.
+        T_w_o: `(4, 4)` pose of the object.
 
     Returns:
-        The largest z of any of its corners in W (m).
+        The largest z (m) of any of its vertices in W.
     """
     meshes = [target.mesh] if target.left_out is None else [target.mesh, target.left_out]
     return max(float(transform_mesh(mesh, np.asarray(T_w_o)).vertices[:, 2].max()) for mesh in meshes)

@@ -1,4 +1,4 @@
-"""Cameras, lenses and depth files: round trips, OpenCV and SciPy where they know the same lens, and hostile files."""
+"""Cameras, lenses and depth files: round trips, OpenCV and SciPy for the same lenses, and hostile files."""
 
 from dataclasses import replace
 from functools import partial
@@ -55,7 +55,7 @@ def brown(coefficients, x, y, modified: bool):
 
 
 @pytest.mark.parametrize("model", list(LENSES))
-def test_pixels_return(model):
+def test_pixels_are_deprojected_and_projected_back(model):
     pixels, depth = grid(), np.linspace(0.1, 2, len(grid())).astype(np.float32)
     points = jax.jit(deproject, static_argnums=0)(camera(model), pixels, depth)
     np.testing.assert_allclose(points[:, 2], depth)
@@ -87,8 +87,8 @@ def test_brown_conrady_against_opencv():
     points = np.concatenate([np.random.default_rng(0).uniform(-0.8, 0.8, (50, 2)), np.ones((50, 1))], 1)
     K = np.array([[322.4, 0, 318.7], [0, 322.1, 181.2], [0, 0, 1.0]])
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.array(LENSES[Distortion.BROWN_CONRADY]))
-    found = project(camera(Distortion.BROWN_CONRADY), jnp.float32(points))
-    np.testing.assert_allclose(found, theirs[:, 0], atol=PIXEL)
+    ours = project(camera(Distortion.BROWN_CONRADY), jnp.float32(points))
+    np.testing.assert_allclose(ours, theirs[:, 0], atol=PIXEL)
 
 
 def test_a_pinhole():
@@ -102,13 +102,13 @@ def test_a_pinhole():
     [
         ({"fx": 0.0}, "focal"),
         ({"cx": float("nan")}, "finite"),
-        ({"model": "plumb_bob", "coefficients": (0.1, 0.0, 0.0, 0.0, 0.0, 0.2)}, "6 coefficients, .* rational model"),
+        ({"model": "plumb_bob", "coefficients": (0.1, 0.0, 0.0, 0.0, 0.0, 0.2)}, "6 coefficients .* rational model"),
         ({"coefficients": (0.1,)}, "coefficients are given without a model"),
         ({"model": "kannala_brandt4"}, "fisheye"),
         ({"model": "tangential"}, "not known; choose from none, modified_brown_conrady"),
         ({"fx": 0.47, "fy": 0.83}, "neither in millimetres"),
         ({"cx": 640.0}, "subtract from cx, cy what was cropped"),
-        ({"cx": 180.0, "cy": 320.0}, "its two numbers are swapped"),
+        ({"cx": 180.0, "cy": 320.0}, "its two numbers were swapped"),
         ({"fy": 3000.0}, "differ by more than a factor of 2"),
         ({"fx": 6e5, "fy": 6e5}, "less than 1 degree"),
         # The lens of an image of 1280 x 720 pixels with one of 640 x 360, and of every second pixel, and of two thirds.
@@ -128,7 +128,7 @@ def folding(k1: float, model: str = "brown_conrady") -> Camera:
 
 @pytest.mark.parametrize("model", [Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY])
 def test_beyond_the_fold_of_a_lens_there_is_no_line_of_sight(model):
-    """r + k r^3 is largest at r^2 = -1 / (3 k): what lies farther out in the image is seen from nowhere."""
+    """r + k r^3 is largest at r^2 = -1 / (3 k): points farther out in the image have no line of sight."""
     lens = folding(-0.18, model)
     u, v = np.meshgrid(np.arange(640), np.arange(480))
     radius = np.hypot(u - 319.5, v - 239.5) / 400
@@ -176,14 +176,14 @@ BROWN = (-0.0565, 0.0682, 0.00037, 0.00069, -0.0218)
         *((name, BROWN + (0.0,) * more) for name in ("rational_polynomial", "plumb_bob") for more in (0, 3, 7, 9)),
     ],
 )  # fmt: skip
-def test_one_lens_has_many_names_and_coefficients_of_zero(name, coefficients):
+def test_a_lens_may_have_other_names_and_further_coefficients_of_zero(name, coefficients):
     given = Camera(640, 360, 391.2, 390.8, 324.7, 183.1, name, coefficients)
     assert given == Camera(640, 360, 391.2, 390.8, 324.7, 183.1, Distortion.BROWN_CONRADY, BROWN)
     assert Camera(640, 360, 391.2, 390.8, 324.7, 183.1, "radtan", BROWN[:4]).coefficients == (*BROWN[:4], 0.0)
 
 
 @pytest.mark.parametrize("model", ["inverse_brown_conrady", "modified_brown_conrady", "none"])
-def test_names_of_librealsense_in_other_spellings_are_the_same_models(model):
+def test_other_spellings_of_librealsense_names_are_the_same_models(model):
     for name in (f"distortion.{model}", model.replace("_", " ").title(), f"RS2_DISTORTION_{model.upper()}"):
         assert Camera(640, 360, 391.2, 390.8, 324.7, 183.1, name).model == model
 
@@ -212,7 +212,7 @@ def test_files(tmp_path):
 
 
 @pytest.mark.parametrize("hole", [0, 65535, np.nan, np.inf, -np.inf, -1.0, -0.3])
-def test_holes_of_files_are_nan_however_they_are_written(tmp_path, hole):
+def test_holes_in_files_are_nan_for_every_marker(tmp_path, hole):
     at = np.zeros((6, 8), bool)
     at[2:5, 3:6] = True
     files = {tif(tmp_path / "a.tif", np.where(at, hole, 300.0).astype(np.float32)): "mm"}
@@ -228,8 +228,8 @@ def test_holes_of_files_are_nan_however_they_are_written(tmp_path, hole):
 
 
 @pytest.mark.parametrize("unit", COMMON_UNITS_M)
-def test_holes_of_arrays_are_holes_in_whatever_unit_they_were_stored(unit):
-    """Where a user divides by 1000 or multiplies by a unit, in single or in double precision."""
+def test_holes_in_arrays_are_recognised_in_every_common_unit(unit):
+    """Users divide by 1000 or multiply by a unit, in single or in double precision."""
     stored = np.array([[0, 65535], [3000, 65534]], np.uint16)
     far = unit * 65534 < MAX_DEPTH_M
     for depth in (stored * unit, stored.astype(np.float32) * np.float32(unit), stored.astype(np.float32) / (1 / unit)):
@@ -242,7 +242,7 @@ def test_holes_of_arrays_are_holes_in_whatever_unit_they_were_stored(unit):
 
 
 @pytest.mark.parametrize("marker", [1023, 2047, 4095, 32767])
-def test_a_full_scale_of_fewer_bits_far_from_all_else_is_refused(tmp_path, marker):
+def test_a_full_scale_of_fewer_bits_far_from_all_other_values_is_refused(tmp_path, marker):
     stored = np.tile(np.uint16([300, 310, 640, 790]), (8, 1))
     stored[:3, 0] = marker
     with pytest.raises(ValueError, match=f"9 % of its pixels are {marker}, the largest value of .* raw disparity"):
@@ -253,7 +253,7 @@ def test_a_full_scale_of_fewer_bits_far_from_all_else_is_refused(tmp_path, marke
     assert read_depth(png(tmp_path / "c.png", flat), "mm").min() > 1
 
 
-def test_colour_and_palette_images_are_no_depth(tmp_path):
+def test_colour_and_palette_images_are_refused_as_depth(tmp_path):
     grey = np.arange(48, dtype=np.uint8).reshape(6, 8)
     for kind in ("P", "1", "RGB", "RGBA", "LA"):
         Image.fromarray(grey).convert(kind).save(tmp_path / f"{kind}.png")
@@ -263,7 +263,7 @@ def test_colour_and_palette_images_are_no_depth(tmp_path):
 
 def test_hostile_files(tmp_path):
     good = np.full((4, 5), 300, np.uint16)
-    for path, said in (
+    for path, words in (
         (png(tmp_path / "b.png", good.astype(np.uint8)), "uint8"),
         (png(tmp_path / "d.png", 0 * good), "no pixel"),
         (tif(tmp_path / "g.tif", -good.astype(np.float32)), "negative"),
@@ -271,20 +271,20 @@ def test_hostile_files(tmp_path):
         (tif(tmp_path / "k.tif", np.tile(good, (2, 1, 1))), "several images"),
         (tmp_path / "depth.exr", "PNG or TIF"),
     ):
-        with pytest.raises(ValueError, match=said) as caught:
+        with pytest.raises(ValueError, match=words) as caught:
             read_depth(path, "mm")
         assert str(path) in str(caught.value)
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_depth(tmp_path / "nothing.png", "mm")
     floats = tif(tmp_path / "j.tif", good.astype(np.float32))
-    for path, how, said in (
+    for path, arguments, words in (
         (floats, ("cm",), "scale"),
         (floats, (float("nan"),), "scale"),
         (floats, ("mm", "jpeg"), "encoding"),
-        (floats, ("mm", "rotated"), "cannot be turned"),
+        (floats, ("mm", "rotated"), "cannot be rotated"),
     ):
-        with pytest.raises(ValueError, match=said):
-            read_depth(path, *how)
+        with pytest.raises(ValueError, match=words):
+            read_depth(path, *arguments)
 
 
 def test_views_are_checked():
@@ -330,6 +330,6 @@ def test_real_files(shared_data):
 
 
 @pytest.mark.parametrize("scale", [[1], 1j, True, None, "cm", np.nan, -1e-3, 0])
-def test_a_scale_that_is_none_names_the_file(scale):
+def test_an_invalid_scale_is_refused_by_the_files_name(scale):
     with pytest.raises(ValueError, match=r"a.png: scale is .*; give metres per unit"):
         metres_per_unit(scale, "a.png")

@@ -1,8 +1,8 @@
 """Depth images made by Embree, from rays through the pixels' centres, against patches rendered directly.
 
 The camera is the paper's: 640 x 360, 322 pixels of focal length, 104 mm from the tool, where a pixel is 0.32 mm wide.
-Pixels whose neighbours within two pixels differ by more than 1 mm lie at edges and are left out, as what is seen there
-depends on which side of the edge a pixel's ray passes.
+Pixels whose neighbours within two pixels differ by more than 1 mm lie at edges and are left out, because
+the surface seen there depends on the side of the edge on which a pixel's ray passes.
 """
 
 import math
@@ -84,7 +84,7 @@ def around(image: np.ndarray) -> np.ndarray:
 
 
 def away(depth: np.ndarray) -> np.ndarray:
-    """Whether pixels are away from edges."""
+    """A mask of the pixels away from edges."""
     return np.ptp(around(depth), axis=(2, 3)) < 1e-3
 
 
@@ -93,7 +93,7 @@ def rms(values) -> float:
 
 
 def compared(name: str, tilt: float, camera: Camera = CAMERA):
-    """A depth image, what is extracted and what is rendered there, and where both are seen away from edges."""
+    """A depth image, the extracted and the rendered patch, and a mask of pixels seen away from edges."""
     mesh, (T_w_c, T_w_t) = scene(name), views(tilt, beside(name))
     depth = image(mesh, T_w_c, camera)
     real, imagined = extract(depth, camera, T_w_c, T_w_t), render(prepare_surface(mesh), T_w_t)
@@ -162,8 +162,8 @@ def test_quantised_depth():
 
 
 @pytest.mark.full
-def test_flying_pixels_are_no_surface():
-    """At every depth edge one pixel in between is put on either side, as cameras do."""
+def test_flying_pixels_are_not_surface():
+    """At every depth edge one pixel is given a depth between both sides, as cameras do."""
     mesh, (T_w_c, T_w_t) = scene("hexagon"), views(0.0, beside("hexagon"))
     T_w_t[0, 3] = T_w_c[0, 3] = np.asarray(make_object("hexagon").mesh.vertices)[:, 0].max() - 3e-3
     exact = image(mesh, T_w_c)
@@ -196,7 +196,7 @@ def plane(depth: float = LOOKING_DISTANCE_M) -> np.ndarray:
 
 @pytest.mark.full
 def test_holes():
-    """Small ones are bridged, large ones marked, and both are told apart from what was seen."""
+    """Small holes are bridged, large ones are marked, and both are distinguished from seen pixels."""
     T_w_t = pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
     depth = plane()
     depth[:, 300] = np.nan  # two cells of 0.32 mm
@@ -220,8 +220,8 @@ IN_HOLE = slice(14, 34)  # pixels of the patch, in the middle
 
 
 @pytest.mark.parametrize("marker", [0, -1, -0.3, np.nan, np.inf, -np.inf, 65.535, 6.5535, 1e10])
-def test_a_hole_is_not_seen_however_it_is_marked(marker):
-    """Nor where an interpolation of the image made values between those of the hole and of the surface."""
+def test_a_hole_is_not_seen_for_every_marker(marker):
+    """This holds as well if the image was interpolated, with values between those of the hole and of the surface."""
     eye, T_w_t = np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
     rows, columns = np.indices((360, 640))
     hole = np.hypot(rows - CAMERA.cy, columns - CAMERA.cx) < 16  # 5 mm at this distance
@@ -235,7 +235,7 @@ def test_a_hole_is_not_seen_however_it_is_marked(marker):
         assert abs(float(real.patch.nearest)) < FLAT
 
 
-def test_what_is_hidden_is_not_made_up():
+def test_hidden_surface_is_not_invented():
     """A camera from the side does not see the table behind a block, and the space above it does not count as seen."""
     block = trimesh.creation.box((0.02, 0.04, 0.003)).apply_translation([0, 0, 0.0015])
     table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])
@@ -280,7 +280,7 @@ def test_hostile_values():
 
 @pytest.mark.full
 def test_contact_masks_agree():
-    """The authors' rule, pixels within 1 to 2 mm of the nearest, says the same of both patches away from edges."""
+    """The authors' rule, pixels within 1 to 2 mm of the nearest, gives both patches the same mask away from edges."""
     _, real, imagined, inner = compared("stamp-T", 0.0)
     for tolerance in (1e-3, 2e-3):
         ours, theirs = (np.asarray(contact_mask(patch.depth, tolerance)) for patch in (real.patch, imagined))
@@ -308,7 +308,7 @@ def test_a_reach_is_a_length(reach):
         extract(np.full((360, 640), 0.3, np.float32), CAMERA, np.eye(4), np.eye(4), reach=reach)
 
 
-def test_a_patch_knows_its_size():
+def test_a_patch_records_its_size():
     depth = np.full((360, 640), 0.3, np.float32)
     seen = patch_from_depth(depth, CAMERA, np.eye(4), pose(np.eye(3), (0, 0, 0.3)), window=34e-3, reach=2e-3)
     assert (seen.window, seen.reach) == (34e-3, 2e-3)

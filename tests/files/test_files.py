@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and lines of files that others wrote."""
+"""Writing of files whole or not at all, and reading of lines from files of others."""
 
 import errno
 import gzip
@@ -11,12 +11,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from i2t.errors import DataError, FullDiskError
-from i2t.files.reading import MAX_LINE_BYTES, read_lines
+from i2t.files.limits import READ_LIMITS
+from i2t.files.reading import read_lines
 from i2t.files.writing import replacing
 from i2t.viz import save_figure
 
 
-def test_a_file_appears_whole_in_a_folder_that_is_made_and_after_its_contents_reached_the_disk(tmp_path, monkeypatch):
+def test_a_file_appears_whole_in_a_new_folder_after_its_contents_are_on_the_disk(tmp_path, monkeypatch):
     path = tmp_path / "a" / "b" / "note.txt"
     synced = []
     monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append((os.fstat(descriptor).st_size, path.exists())))
@@ -30,7 +31,7 @@ def test_a_file_appears_whole_in_a_folder_that_is_made_and_after_its_contents_re
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), DataError("no")])
-def test_a_block_that_fails_leaves_the_old_file_and_no_other(tmp_path, failure):
+def test_a_failed_block_leaves_only_the_old_file(tmp_path, failure):
     path = tmp_path / "note.txt"
     path.write_text("old")
 
@@ -48,15 +49,15 @@ def test_a_block_that_fails_leaves_the_old_file_and_no_other(tmp_path, failure):
 @pytest.mark.parametrize(
     ("number", "kind", "remedy"), [(errno.ENOSPC, FullDiskError, "make room"), (errno.EACCES, DataError, "choose")]
 )
-def test_a_disk_that_fails_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, number, kind, remedy):
+def test_a_failing_disk_is_reported_in_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, number, kind, remedy):
     def fail(descriptor):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", fail)
     path = tmp_path / "note.txt"
-    with pytest.raises(DataError, match=f"note.txt: cannot be written .*{remedy}") as found, replacing(path) as file:
+    with pytest.raises(DataError, match=f"note.txt: cannot be written .*{remedy}") as raised, replacing(path) as file:
         file.write_text("new")
-    assert type(found.value) is kind
+    assert type(raised.value) is kind
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(kind, match=rf"touches\.png: cannot be written .*{remedy}"):
         save_figure(Figure(), tmp_path / "touches.png")
@@ -72,19 +73,19 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of a file's size")
-def test_a_command_meets_a_full_disk_with_one_sentence(tmp_path):
+def test_a_command_reports_a_full_disk_in_one_sentence(tmp_path):
     root = Path(__file__).parents[2]
     table, environment = root / "examples" / "data" / "presses.csv", os.environ | {"PYTHONPATH": str(root)}
     words = [sys.executable, "-c", FULL_DISK, "presses", table, "set", "--indenter", "sphere:4.0", "--as-stated"]
     done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    (said,) = done.stderr.splitlines()
+    (message,) = done.stderr.splitlines()
     assert done.returncode == 1
-    assert said.startswith("error: ")
-    assert said.endswith("cannot be written (File too large); make room on its disk, or choose another")
+    assert message.startswith("error: ")
+    assert message.endswith("cannot be written (File too large); make room on its disk, or choose another")
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def test_lines_come_one_after_the_other_without_their_ends(tmp_path):
+def test_lines_are_read_without_their_line_breaks(tmp_path):
     path = tmp_path / "log.csv"
     path.write_bytes("\ufefftime_s,µT\r\n1,2\n\n3,4".encode())
     assert list(read_lines(path)) == ["time_s,µT", "1,2", "", "3,4"]
@@ -96,7 +97,7 @@ def test_lines_come_one_after_the_other_without_their_ends(tmp_path):
 @pytest.mark.parametrize(
     ("name", "data", "sentence"),
     [
-        ("a.csv", b"1,2\n" + b"9" * MAX_LINE_BYTES, "line 2 has more than"),
+        ("a.csv", b"1,2\n" + b"9" * READ_LIMITS.line_bytes, "line 2 has more than"),
         ("a.csv", b"1,2\n3,\xff\n", "line 2 is not text"),
         ("a.csv.gz", gzip.compress(b"1,2\n" * 1000)[:-20], "cannot be unpacked"),
         ("a.csv.gz", gzip.compress((b"1," * 500 + b"2\n") * 20_000), "unpacks to more than"),

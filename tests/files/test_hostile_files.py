@@ -1,4 +1,4 @@
-"""Files made to mislead: each is answered with one sentence that names it, in bounded memory and time."""
+"""Hostile files: each is refused with one sentence that names it, in bounded memory and time."""
 
 import json
 import os
@@ -25,10 +25,10 @@ CHEAP = [
 
 
 def refusal(label, path, answer):
-    """What is wrong with how a file was answered; "" where nothing is."""
-    said = answer["said"]
-    named = path.name in said or "theirs" in said
-    right = answer["user"] and named and "\n" not in said and len(said) <= 800
+    """Explain what is wrong with the answer to a hostile file; empty if nothing is."""
+    message = answer["said"]
+    named = path.name in message or "theirs" in message
+    right = answer["user"] and named and "\n" not in message and len(message) <= 800
     if right and answer["seconds"] <= MAX_SECONDS and answer["grown"] <= GIB:
         return ""
     return f"{label}: {answer}"
@@ -36,21 +36,21 @@ def refusal(label, path, answer):
 
 @pytest.mark.full
 def test_every_hostile_file_is_refused_in_one_sentence_in_5_s_and_1_gib(tmp_path):
-    made = {
+    files = {
         label: (reader, make(tmp_path / str(i) / name, content))
         for i, (label, (reader, name, content)) in enumerate(HOSTILE.items())
     }
-    assert {reader for reader, _ in made.values()} == set(READERS)
-    assert max(path.stat().st_size for _, path in made.values() if path.is_file()) < 16 * 2**20
+    assert {reader for reader, _ in files.values()} == set(READERS)
+    assert max(path.stat().st_size for _, path in files.values() if path.is_file()) < 16 * 2**20
     run = subprocess.run(
         [sys.executable, hostile_files.__file__],
-        input="".join(f"{reader}\t{path}\n" for reader, path in made.values()),
+        input="".join(f"{reader}\t{path}\n" for reader, path in files.values()),
         capture_output=True, text=True, timeout=1500, cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
     )  # fmt: skip
     answers = [json.loads(line) for line in run.stdout.splitlines()]
-    assert len(answers) == len(made), run.stderr[-2000:]
-    wrong = [refusal(name, made[name][1], answer) for name, answer in zip(made, answers, strict=True)]
+    assert len(answers) == len(files), run.stderr[-2000:]
+    wrong = [refusal(name, files[name][1], answer) for name, answer in zip(files, answers, strict=True)]
     assert not list(filter(None, wrong))
     assert not list(tmp_path.rglob("i2t-was-here"))  # which a pickle would have made
 
@@ -64,7 +64,7 @@ def test_a_hostile_file_is_refused_by_its_name(label, tmp_path):
     assert refusal(label, path, {"said": str(raised.value), "user": True, "seconds": 0, "grown": 0}) == ""
 
 
-def test_a_file_is_read_to_its_bound_and_no_device_is(tmp_path):
+def test_a_file_is_read_up_to_its_limit_and_a_device_is_refused(tmp_path):
     path = tmp_path / "a.txt"
     path.write_bytes("grün".encode())
     assert read_text(path, 5) == "grün"
@@ -76,7 +76,7 @@ def test_a_file_is_read_to_its_bound_and_no_device_is(tmp_path):
             read_bytes(tmp_path / name)
 
 
-def test_a_list_names_files_of_its_folder_only(tmp_path):
+def test_a_listed_file_must_be_in_its_folder(tmp_path):
     folder = tmp_path / "images"
     folder.mkdir()
     assert file_in(folder, "a b.png", "list") == folder / "a b.png"
@@ -88,7 +88,7 @@ def test_a_list_names_files_of_its_folder_only(tmp_path):
             file_in(folder, name, "list")
 
 
-def test_a_file_of_ones_own_is_not_written_through_a_link(tmp_path):
+def test_a_file_is_not_written_through_a_link(tmp_path):
     (tmp_path / "theirs").write_text("precious")
     (tmp_path / "mine").symlink_to(tmp_path / "theirs")
     with pytest.raises(OSError, match=r"symbolic link|symlink|loop"):

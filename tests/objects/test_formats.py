@@ -1,4 +1,4 @@
-"""Mesh files as programs write them: each dialect is read whole, or refused for the true reason."""
+"""Mesh files as programs write them: each dialect is read completely, or refused for the true reason."""
 
 import base64
 import json
@@ -31,7 +31,7 @@ def volume_and_area(mesh):
 
 
 def is_box(mesh, size=SIZE, times=1):
-    """It is the box, closed and turned outward, once or several times."""
+    """Whether a mesh is the box, closed and turned outward, once or several times."""
     x, y, z = size
     volume, area = volume_and_area(mesh)
     assert volume == pytest.approx(times * x * y * z, rel=1e-6)
@@ -124,10 +124,10 @@ def test_all_solids_of_an_stl_are_read(tmp_path):
         (binary_stl(2**32 - 1)[:-1], "cut off"),
         (binary_stl() + binary_stl(), "684 bytes after the 12 facets .*another body"),
         (binary_stl(10), "100 bytes after the 10 facets"),
-        ("hello", "cut off or no STL file"),
+        ("hello", "cut off or not an STL file"),
     ],
 )
-def test_what_is_wrong_with_an_stl_is_said(tmp_path, data, words):
+def test_a_wrong_stl_is_refused_with_the_reason(tmp_path, data, words):
     refused(tmp_path, "a.stl", data, words)
 
 
@@ -138,7 +138,7 @@ F = "".join("f {} {} {} {}\n".format(*(q + 1)) for q in QUADS)
 
 
 def replaced(pattern, text=F):
-    """Faces whose corner i is written as the pattern says."""
+    """Faces whose corner i is written by a pattern."""
     return "".join(
         "f " + " ".join(pattern.format(i=int(i)) for i in line.split()[1:]) + "\n" for line in text.split("\n")[:-1]
     )
@@ -203,10 +203,10 @@ def test_dialects_of_obj_are_read(tmp_path, data):
         ("v 1 2\n" + V + F, "vertex 1 has 2 numbers"),
         (V.replace("\n", " 2\n") + F, "a fourth number w that is not 1"),
         (V.replace("40.0 0.0 0.0", "40.0 nan 0.0") + F, "1 vertices are not finite"),
-        ((V + F).encode() + bytes(9), "it is no text"),
+        ((V + F).encode() + bytes(9), "it is not text"),
     ],
 )
-def test_what_is_wrong_with_an_obj_is_said(tmp_path, data, words):
+def test_a_wrong_obj_is_refused_with_the_reason(tmp_path, data, words):
     refused(tmp_path, "a.obj", data, words)
 
 
@@ -225,7 +225,7 @@ def test_an_obj_cut_off_within_its_last_face_is_refused(tmp_path):
 def ply(
     form="ascii", count="uchar", index="int", name="vertex_indices", before=(), after=(), real="float", quads=QUADS
 ):
-    """The box; before and after the list are colours of a face."""
+    """The box, with colours of faces before and after the list of corners."""
     order = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
     types = {"uchar": "u1", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8", "int8": "i1",
              "uint8": "u1", "int32": "i4", "short": "i2", "float32": "f4", "float64": "f8"}  # fmt: skip
@@ -276,7 +276,7 @@ def test_a_ply_in_utf_16_is_read(tmp_path):
     assert is_box(parse(tmp_path, "a.ply", ply().decode().encode("utf-16")))
 
 
-def test_a_ply_whose_lines_end_as_on_other_systems_is_read(tmp_path):
+def test_a_ply_with_line_ends_of_other_systems_is_read(tmp_path):
     assert is_box(parse(tmp_path, "a.ply", ply().replace(b"\n", b"\r\n")))
     assert is_box(parse(tmp_path, "a.ply", ply().replace(b"\n", b"\r")))
     header, mark, body = ply("binary_little_endian").partition(b"end_header\n")
@@ -285,7 +285,7 @@ def test_a_ply_whose_lines_end_as_on_other_systems_is_read(tmp_path):
     assert is_box(parse(tmp_path, "a.ply", ply("binary_little_endian") + b"\n"))
 
 
-def test_other_lists_next_to_the_faces_are_passed_over(tmp_path):
+def test_other_lists_next_to_the_faces_are_ignored(tmp_path):
     text = ply().decode().replace("element edge", "property list uchar float texcoord\nelement edge")
     lines = text.split("\n")
     lines[-8:-2] = [f"{line} 2 0.5 0.25" for line in lines[-8:-2]]
@@ -313,7 +313,7 @@ def test_strips_of_triangles_in_ply_are_read_and_faces_with_them(tmp_path, faces
             "cut off: its header announces 6 entries of element 'face', and 5 are there",
         ),
         (ply("binary_big_endian", quads=MIXED)[:-9], "cut off"),
-        (ply()[:60], "no header of PLY, or is cut off in it"),
+        (ply()[:60], "no PLY header, or is cut off within it"),
         (ply().replace(b"face 6", b"face 5"), "1 lines more than its header announces|numbers"),
         (ply("binary_little_endian").replace(b"face 6", b"face 5"), "bytes more than its header announces"),
         (ply().replace(b" 255\n", b"\n"), "vertex 1 has 3 numbers"),
@@ -322,13 +322,13 @@ def test_strips_of_triangles_in_ply_are_read_and_faces_with_them(tmp_path, faces
         (ply().replace(b"float y", b"float u"), "no vertices with x, y and z"),
         (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 8\n"), "face 1 refers to a vertex that is not there"),
         (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 -1\n"), "face 1 refers to a vertex that is not there"),
-        (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 1.5\n"), "no whole number"),
+        (ply().replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 1.5\n"), "not a whole number"),
         (ply(quads=[QUADS[0][[0, 2, 1, 3]]]), "face 1 has 4 corners and crosses itself"),
         (ply().replace(b"20.5", b"20,5"), "decimal commas"),
         (ply(quads=[]), "holds no faces"),
     ],
 )
-def test_what_is_wrong_with_a_ply_is_said(tmp_path, data, words):
+def test_a_wrong_ply_is_refused_with_the_reason(tmp_path, data, words):
     refused(tmp_path, "a.ply", data, words)
 
 
@@ -375,7 +375,7 @@ def test_dialects_of_off_are_read(tmp_path, data):
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "face 1 refers to a vertex that is not there"),
     ],
 )
-def test_what_is_wrong_with_an_off_is_said(tmp_path, data, words):
+def test_a_wrong_off_is_refused_with_the_reason(tmp_path, data, words):
     refused(tmp_path, "a.off", data, words)
 
 
@@ -413,7 +413,7 @@ BOX = {"componentType": 5126, "count": 8, "type": "VEC3", "min": [0, 0, 0], "max
 
 
 def scene(positions=None, indices=None, extra=b"", views=(), accessor=None, primitive=None, node=None, **changes):
-    """A box as GLB: view 0 is of its corners, view 1 of its triangles, view 2 of what else is given."""
+    """A box as GLB: view 0 holds its corners, view 1 its triangles and view 2 the extra data."""
     corners = CORNERS.astype("<f4").tobytes() if positions is None else positions
     faces = TRIANGLES.astype("<u2").tobytes() if indices is None else indices
     parts = [corners, faces, extra]
@@ -447,7 +447,7 @@ def test_numbers_of_every_kind_in_glb_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(("code", "dtype"), [(5120, "i1"), (5121, "u1"), (5122, "<i2"), (5123, "<u2")])
-def test_normalized_integers_are_fractions_and_others_are_numbers(tmp_path, code, dtype):
+def test_normalized_integers_are_fractions_and_other_integers_are_not(tmp_path, code, dtype):
     largest = np.iinfo(dtype).max
     corners = (CORNERS / SIZE * largest).astype(dtype)
     low, high = [0, 0, 0], [int(largest)] * 3
@@ -520,7 +520,7 @@ def test_nodes_place_turn_scale_and_mirror(tmp_path):
     assert is_box(parse(tmp_path, "a.glb", scene(nodes=twice, scenes=[{"nodes": [0, 1]}])), times=2)
 
 
-def test_of_several_scenes_the_default_is_read(tmp_path):
+def test_the_default_of_several_scenes_is_read(tmp_path):
     nodes, scenes = [{"mesh": 0}, {"mesh": 0, "scale": [2, 2, 2]}], [{"nodes": [0]}, {"nodes": [1]}]
     mesh = parse(tmp_path, "a.glb", scene(nodes=nodes, scenes=scenes, scene=1))
     assert is_box(mesh, 2 * SIZE)
@@ -561,7 +561,7 @@ MESHOPT = "EXT_meshopt_compression"
         (scene(accessor={"count": 10**12}), "entries, which no file holds"),
         (scene(buffers=[{"byteLength": 10**6}]), "buffer 0 should have 1000000 bytes"),
         (scene()[:-9], "is cut off: it announces"),
-        (b"rubbish", "is no glTF file"),
+        (b"rubbish", "is not a glTF file"),
         (scene(asset={"version": "1.0"}), "is glTF 1.0"),
         (scene(primitive={"mode": 9}), "mode 9"),
         (scene(indices=TRIANGLES.astype("<u2").tobytes()[:-2]), "35 corners of triangles"),
@@ -569,7 +569,7 @@ MESHOPT = "EXT_meshopt_compression"
         (scene(meshes=[{}]), "cannot be read as GLB .KeyError 'primitives'"),
     ],
 )
-def test_what_is_not_understood_in_a_glb_is_refused_by_name(tmp_path, data, words):
+def test_unsupported_features_of_a_glb_are_refused_by_name(tmp_path, data, words):
     refused(tmp_path, "a.glb", data, words)
 
 
@@ -580,7 +580,7 @@ def gltf(uri):
     return json.dumps(document)
 
 
-def test_gltf_is_read_with_its_data_next_to_it_or_in_it(tmp_path):
+def test_gltf_is_read_with_its_data_in_another_file_or_embedded(tmp_path):
     blob = CORNERS.astype("<f4").tobytes() + TRIANGLES.astype("<u2").tobytes()
     (tmp_path / "my box.bin").write_bytes(blob)
     for uri in ("my box.bin", "my%20box.bin", "./my%20box.bin"):
@@ -593,7 +593,7 @@ def test_gltf_is_read_with_its_data_next_to_it_or_in_it(tmp_path):
     refused(tmp_path, "a.gltf", gltf("my box.bin"), "is cut off: buffer 0 should have 168 bytes and has 167")
 
 
-def test_data_of_gltf_may_lie_in_a_folder_next_to_it_and_nowhere_through_links(tmp_path):
+def test_gltf_data_may_be_in_a_subfolder_but_not_behind_a_link(tmp_path):
     blob = CORNERS.astype("<f4").tobytes() + TRIANGLES.astype("<u2").tobytes()
     inside, outside = tmp_path / "scene", tmp_path / "elsewhere"
     for folder in (inside / "parts", outside):
@@ -625,7 +625,7 @@ def test_data_of_gltf_may_lie_in_a_folder_next_to_it_and_nowhere_through_links(t
         ("data:application/octet-stream;base64,AAAA", "is cut off: buffer 0"),
     ],
 )
-def test_data_of_gltf_come_from_next_to_it_only(tmp_path, uri, words):
+def test_gltf_data_come_from_its_own_folder_only(tmp_path, uri, words):
     refused(tmp_path, "a.gltf", gltf(uri), words)
 
 
@@ -662,7 +662,7 @@ def test_data_of_gltf_come_from_next_to_it_only(tmp_path, uri, words):
         ("a.stl", b"\x89PNG\r\n", "an image or a document"),
     ],
 )
-def test_a_wrong_ending_is_named_by_what_the_file_is(tmp_path, name, data, words):
+def test_a_wrong_suffix_is_refused_by_the_kind_of_the_contents(tmp_path, name, data, words):
     refused(tmp_path, name, data, words)
 
 

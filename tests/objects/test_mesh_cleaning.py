@@ -1,4 +1,4 @@
-"""Cleaning of meshes: what it counts, which bodies and walls it keeps, and which side of each body is outside."""
+"""Cleaning of meshes: its counts, the bodies and walls that it keeps, and the outside of each body."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def whole(mesh: Mesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
-def test_cleaning_counts_what_it_does():
+def test_cleaning_counts_its_changes():
     rng = np.random.default_rng(0)
     good = plain(trimesh.creation.icosphere(2, 0.03))
     speck = plain(trimesh.creation.box((2e-3, 2e-3, 2e-3)))
@@ -72,7 +72,7 @@ def test_cleaning_leaves_a_clean_mesh_and_turns_an_inverted_one():
     assert whole(mesh).volume == pytest.approx(whole(star).volume)
 
 
-def test_holes_stay_fins_go_and_two_sided_sheets_keep_one_side():
+def test_holes_are_kept_fins_are_dropped_and_two_sided_sheets_keep_one_side():
     thing = plain(box())
     mesh, _, report = clean_mesh(Mesh(thing.vertices, thing.faces[1:]))
     assert (len(mesh.faces), report.open_edges, report.watertight) == (11, 3, False)
@@ -90,7 +90,7 @@ def test_holes_stay_fins_go_and_two_sided_sheets_keep_one_side():
 
 
 def without(mesh: Mesh, normal: tuple[float, float, float]) -> Mesh:
-    """A mesh without the faces that look in one direction."""
+    """A mesh without the faces whose normal points in one direction."""
     return Mesh(mesh.vertices, mesh.faces[whole(mesh).face_normals @ normal < 1 - 1e-6])
 
 
@@ -102,7 +102,7 @@ def half_dome() -> Mesh:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("half", [box((0.03, 0.04, 0.02), (0.015, 0, 0)), half_dome()], ids=["box", "dome"])
-def test_a_mirrored_half_is_turned_outward_and_the_wall_between_goes(half, seed):
+def test_a_mirrored_half_is_turned_outward_and_the_wall_between_is_dropped(half, seed):
     turn = Rotation.random(random_state=seed).as_matrix()
     both = joined(half, mirrored(half))
     both = Mesh(both.vertices @ turn.T + 0.1, both.faces)
@@ -127,7 +127,7 @@ def test_four_quarters_that_meet_lose_all_walls_between_them():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_wall_that_each_body_cuts_in_its_own_triangles_leaves_both_bodies_outward(seed):
+def test_a_wall_that_two_bodies_triangulate_differently_leaves_both_outward(seed):
     right, left = box((0.03, 0.04, 0.02), (0.015, 0, 0)), mirrored(box((0.03, 0.04, 0.02), (0.015, 0, 0)))
     wall = np.flatnonzero(np.isclose(left.vertices[:, 0], 0))
     side = np.isclose(left.vertices[left.faces][..., 0], 0).all(1)
@@ -142,7 +142,7 @@ def test_a_wall_that_each_body_cuts_in_its_own_triangles_leaves_both_bodies_outw
 
 
 @pytest.mark.parametrize("inverted", [(0,), (1,), (0, 1)])
-def test_bodies_that_overlap_or_share_a_face_are_judged_by_themselves(inverted):
+def test_bodies_that_overlap_or_share_a_face_are_judged_separately(inverted):
     ball, cube = plain(trimesh.creation.icosphere(3, 0.03)), box((0.036, 0.036, 0.036))
     plate, peg = box((0.06, 0.06, 0.01), (0, 0, -0.005)), box((0.02, 0.02, 0.02), (0, 0, 0.01))
     for bodies in ((ball, cube), (plate, peg)):  # corners of the cube stand out of the ball
@@ -153,7 +153,7 @@ def test_bodies_that_overlap_or_share_a_face_are_judged_by_themselves(inverted):
 
 
 @pytest.mark.parametrize("inverted", [False, True])
-def test_faces_that_are_not_joined_are_turned_together_or_not_at_all(inverted):
+def test_unconnected_faces_are_turned_together_or_not_at_all(inverted):
     """A pipe whose outer and inner walls and rims are surfaces of their own, a micrometre apart."""
     pipe = trimesh.creation.annulus(0.017, 0.02, 0.06)
     faces = [pipe.faces[facet] for facet in pipe.facets]
@@ -164,14 +164,14 @@ def test_faces_that_are_not_joined_are_turned_together_or_not_at_all(inverted):
     assert report.turned == (len(given.faces) if inverted else 0)
 
 
-def test_a_dish_beside_a_ball_that_were_seen_from_above_stays():
+def test_a_dish_next_to_a_ball_scanned_from_above_is_not_turned():
     bowl = plain(trimesh.creation.icosphere(3, 0.03).slice_plane([0, 0, 0], [0, 0, -1]))
     ball = plain(trimesh.creation.icosphere(3, 0.02).apply_translation([0.1, 0, 0]))
     assert clean_mesh(joined(turned(bowl), ball)).report.turned == 0
 
 
 @pytest.mark.parametrize("apart", [1e-4, 0.02])
-def test_each_of_several_bodies_is_judged_by_itself(apart):
+def test_separate_bodies_are_judged_separately(apart):
     right = box((0.03, 0.04, 0.02), (0.015 + apart / 2, 0, 0))
     mesh, _, report = clean_mesh(joined(right, mirrored(right), turned(box((0.01, 0.01, 0.01), (0, 0, 0.05)))))
     assert whole(mesh).volume == pytest.approx(2 * whole(right).volume + 1e-6)
@@ -179,7 +179,7 @@ def test_each_of_several_bodies_is_judged_by_itself(apart):
     assert report.area_dropped == 0
 
 
-def test_bodies_that_share_an_edge_alone_are_judged_by_themselves():
+def test_bodies_that_share_only_an_edge_are_judged_separately():
     outward, inward = box((0.02,) * 3, (0.01, 0.01, 0)), turned(box((0.02,) * 3, (-0.01, -0.01, 0)))
     mesh, _, _ = clean_mesh(joined(outward, inward))
     assert whole(mesh).volume == pytest.approx(2 * 0.02**3)
@@ -206,7 +206,7 @@ def test_the_inner_side_of_an_open_wall_still_looks_inward(inverted):
     np.testing.assert_array_equal(radial > 0, np.linalg.norm(cast.triangles_center[:, :2], axis=1) > 0.038)
 
 
-def test_a_body_with_a_hole_is_turned_and_a_bowl_seen_from_above_is_not():
+def test_a_body_with_a_hole_is_turned_but_a_bowl_scanned_from_above_is_not():
     open_box = without(box(), (0, 0, -1))
     mesh, _, report = clean_mesh(turned(open_box))
     assert report.turned == len(open_box.faces)
@@ -216,7 +216,7 @@ def test_a_body_with_a_hole_is_turned_and_a_bowl_seen_from_above_is_not():
     assert report.turned == 0
 
 
-def test_a_wall_given_twice_stays_where_it_is_a_part_of_the_surface():
+def test_a_repeated_wall_is_kept_if_it_is_part_of_the_surface():
     thing = box()
     side = np.arange(len(thing.faces)) < 4
     mesh, _, report = clean_mesh(Mesh(thing.vertices, np.concatenate([thing.faces, thing.faces[side][:, ::-1]])))
@@ -226,7 +226,7 @@ def test_a_wall_given_twice_stays_where_it_is_a_part_of_the_surface():
     assert whole(clean_mesh(twice)[0]).volume == pytest.approx(whole(thing).volume)
 
 
-def test_a_lid_that_two_bodies_on_the_same_side_share_stays():
+def test_a_lid_shared_by_two_bodies_on_the_same_side_is_kept():
     outer, inner = box((0.06, 0.06, 0.04), (0, 0, -0.02)), box((0.04, 0.04, 0.02), (0, 0, -0.01))
     rim = without(inner, (0, 0, 1))  # of the inner body, whose top is cut into the outer one's
     ring = [[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]]
@@ -244,7 +244,7 @@ def test_a_lid_that_two_bodies_on_the_same_side_share_stays():
         assert report.repeated == 2
 
 
-def test_a_flag_of_two_sides_on_a_pole_is_kept():
+def test_a_two_sided_flag_on_a_pole_is_kept():
     pole = box((0.02, 0.02, 0.06))
     corner = pole.vertices.max(0)
     edge = [int(np.argmin(np.linalg.norm(pole.vertices - corner * s, axis=1))) for s in ([1, 1, 1], [1, 1, -1])]

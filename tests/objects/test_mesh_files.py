@@ -79,7 +79,7 @@ FACE = CORNERS + b"f 1 2 3\n"
         ("a.stl", _bytes(box(), "stl")[:-1], "m", "cut off"),
         ("a.stl", ASCII_STL[: len(ASCII_STL) // 2], "m", "cut off"),
         ("a.ply", _bytes(box(), "ply")[:-5], "m", "cannot be read as PLY"),
-        ("a.ply", _bytes(trimesh.PointCloud(np.eye(3)), "ply"), "m", "point cloud is made one first"),
+        ("a.ply", _bytes(trimesh.PointCloud(np.eye(3)), "ply"), "m", "point cloud has to be made one first"),
         ("a.glb", _bytes(box(), "glb")[:-5], "m", "cut off"),
         ("a.obj", CORNERS, "m", "holds no faces"),
         ("a.obj", FACE.replace(b"0 0.1 0", b"0 nan 0"), "m", "1 vertices are not finite"),
@@ -100,7 +100,7 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
     assert "\n" not in str(caught.value)
 
 
-def test_every_body_is_kept_and_a_stray_facet_is_not(tmp_path):
+def test_every_body_is_kept_but_a_stray_facet_is_dropped(tmp_path):
     body, other = trimesh.creation.box((30, 30, 30)), trimesh.creation.box((5, 5, 5))
     facet = trimesh.Trimesh([[0, 0, 50], [0.1, 0, 50], [0, 0.1, 50]], [[0, 1, 2]])
     other.apply_translation((60, 0, 0))
@@ -118,7 +118,7 @@ def test_every_body_is_kept_and_a_stray_facet_is_not(tmp_path):
 
 @pytest.mark.parametrize("up", ["z", "y"])
 @pytest.mark.parametrize("table", [True, False])
-def test_the_frame_of_the_file_is_given_back(tmp_path, up, table):
+def test_the_transform_to_the_files_frame_is_returned(tmp_path, up, table):
     path = tmp_path / "part.ply"
     part = trimesh.creation.icosphere(1, 20.0)
     part.apply_translation([100, 200, 300])

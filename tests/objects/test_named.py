@@ -8,13 +8,13 @@ from i2t.objects.named import read_object, require_object
 TETRAHEDRON = "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def test_names_of_the_catalogue_and_files_with_a_unit_are_objects_and_nothing_else_is(tmp_path):
+def test_only_catalogue_names_and_files_with_a_unit_are_objects(tmp_path):
     mesh = tmp_path / "mug.obj"
     mesh.write_text(TETRAHEDRON)
     assert read_object("star", None).name == read_object("star", "mm").name == "star"
-    found = read_object(str(mesh), "mm")
-    assert found.name == "mug"
-    assert abs(found.mesh.vertices[:, 2].max() - 10e-3) < 1e-6
+    thing = read_object(str(mesh), "mm")
+    assert thing.name == "mug"
+    assert abs(thing.mesh.vertices[:, 2].max() - 10e-3) < 1e-6
     for name, unit, catalogue, problem in (
         ("cup.stl", "mm", True, "^--object cup.stl: is neither a mesh file nor an object of the catalogue"),
         (str(mesh), None, True, "say in which unit the file is"),
@@ -31,7 +31,7 @@ def test_names_of_the_catalogue_and_files_with_a_unit_are_objects_and_nothing_el
             require_object(name, unit, flag="--object", catalogue=catalogue)
 
 
-def test_no_answer_to_a_wrong_name_lists_the_catalogue():
+def test_messages_about_a_wrong_name_do_not_list_the_catalogue():
     for name in ("hamer", "teapot", "cup.stl", "models/cup"):
         for ask in (lambda name: require_object(name, None), make_object):
             with pytest.raises(ValueError, match=name) as caught:

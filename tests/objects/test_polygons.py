@@ -1,4 +1,4 @@
-"""Polygons to triangles: the same area, every side once, no new vertices, and no polygon that crosses itself."""
+"""Triangulation: the same area, every side once, no new vertices, and no polygon that crosses itself."""
 
 import time
 from collections import Counter
@@ -32,7 +32,7 @@ def in_space(points, seed=0):
 
 
 def check(vertices, corners, area):
-    """The triangles have the polygon's area, all the same way round, and its sides as their only open edges."""
+    """Check that the triangles have the polygon's area, one orientation, and only the polygon's sides as open edges."""
     faces = cut(vertices, corners)
     a, b, c = np.moveaxis(np.asarray(vertices)[faces], 1, 0)
     vectors = np.cross(b - a, c - a) / 2
@@ -46,7 +46,7 @@ def check(vertices, corners, area):
 
 
 def crossing(points):
-    """Two sides that cross, None where there are none."""
+    """Two sides that cross, or None."""
     a, b = points, np.roll(points, -1, 0)
 
     def side(p, q, r):
@@ -63,7 +63,7 @@ def crossing(points):
 
 
 def simple_polygon(rng, size):
-    """Random corners in an order without crossings: a crossing is undone by turning round what is between."""
+    """Random corners in an order without crossings: each crossing is undone by reversing the corners in between."""
     points = 50 * rng.random((size, 2))
     while pair := crossing(points):
         i, j = pair
@@ -73,7 +73,7 @@ def simple_polygon(rng, size):
 
 @given(st.integers(0, 2**32 - 1), st.integers(4, 12), st.booleans(), st.booleans())
 @settings(max_examples=25, deadline=None)
-def test_any_simple_polygon_keeps_its_area_and_its_sides(seed, size, turned, single):
+def test_a_simple_polygon_keeps_its_area_and_its_sides(seed, size, turned, single):
     rng = np.random.default_rng(seed)
     points = simple_polygon(rng, size)
     points = np.concatenate([
@@ -152,7 +152,7 @@ def test_a_polygon_that_bends_a_little_out_of_its_plane_is_cut():
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(648, rel=0.02)
 
 
-def test_repeated_corners_are_one_and_polygons_without_area_are_kept_as_such():
+def test_repeated_corners_are_merged_and_polygons_without_area_are_kept():
     square = in_space([(0, 0), (1, 0), (1, 1), (0, 1)])
     assert len(cut(square, [0, 1, 1, 2, 3, 3])) == 2
     assert cut(square, [0, 1, 2, 2]).tolist() == [[0, 1, 2]]
@@ -206,7 +206,7 @@ def test_many_corners_and_many_polygons_take_seconds_or_are_refused():
         triangulate(in_space(comb), np.tile(np.arange(602), 300), np.full(300, 602), "face {}".format)
 
 
-def test_strips_turn_each_second_triangle():
+def test_every_second_triangle_of_a_strip_is_turned():
     assert strip_triangles(np.array([0, 1, 2, 3])).tolist() == [[0, 1, 2], [2, 1, 3]]
     assert strip_triangles(np.array([0, 1, 2, 2, 3, 3, 4, 5])).tolist() == [[0, 1, 2], [4, 3, 5]]
     assert strip_triangles(np.array([0, 1])).shape == (0, 3)

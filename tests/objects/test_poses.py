@@ -49,11 +49,11 @@ def test_a_patch_at_the_pose_begins_at_the_tool_and_is_flat():
         np.testing.assert_allclose(patch.depth, 0, atol=1e-6)
 
 
-def test_what_makes_no_pose_is_refused():
+def test_invalid_arguments_are_refused():
     for change, message in (
-        ({"point": (*TOP[:2], 32e-3)}, "point: lies 2 mm off the surface, of at most 1 mm"),
+        ({"point": (*TOP[:2], 32e-3)}, "point: lies 2 mm off the surface, where at most 1 mm are allowed"),
         ({"point": [0, np.nan, 0]}, "point: .* is not three finite numbers"),
-        ({"normal": [0, 0, 2]}, "normal: .* is no unit vector"),
+        ({"normal": [0, 0, 2]}, "normal: .* is not a unit vector"),
         ({"roll": np.inf}, "roll: is inf; give radians"),
     ):
         with pytest.raises(ValueError, match=message):

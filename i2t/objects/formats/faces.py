@@ -1,4 +1,4 @@
-"""Triangles made of the polygons in a mesh file."""
+"""Triangles from the polygons in a mesh file."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,25 +12,26 @@ from i2t.objects.polygons import triangulate
 
 
 class ParsedMesh(NamedTuple):
-    """The triangles of a file, as it has them."""
+    """The triangles of a file, not yet cleaned."""
 
     vertices: NDArray[np.float64]  # (n, 3), in the file's unit; all finite, and all used
     faces: NDArray[np.int64]  # (m, 3)
-    left_out: tuple[str, ...]  # what is no face, with its number
+    left_out: tuple[str, ...]  # counts of elements that are not faces, such as "2 lines"
 
 
 class MeshReader(Protocol):
-    """Reader of one format."""
+    """A reader of one format."""
 
     def __call__(self, path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
         """Read a file.
 
         Args:
-            path: The file, named in errors.
-            data: Its bytes.
+            path: The file's path, for messages.
+            data: The file's bytes.
 
         Returns:
-            `(n, 3)` vertices in the file's unit, `(m, 3)` triangles, and what was left out, as texts that may be empty.
+            `(n, 3)` vertices in the file's unit, `(m, 3)` triangles, and texts, some of them empty, that name what was
+            left out.
 
         Raises:
             DataError: The file is cut off or does not follow its format.
@@ -38,21 +39,21 @@ class MeshReader(Protocol):
         ...
 
 
-def triangulated(
+def triangulate_polygons(
     path: Path, vertices: NDArray, corners: NDArray, sizes: NDArray, name: Callable[[int], str] = "face {}".format
 ) -> tuple[NDArray, NDArray, str]:
     """Cut the polygons of a file into triangles.
 
     Args:
-        path: The file, named in errors.
+        path: The file's path, for messages.
         vertices: `(n, 3)` vertices in the file's unit.
         corners: Vertex indices of all polygons, polygon after polygon.
-        sizes: `(m,)` number of corners of each polygon.
-        name: What to call the polygon of a given number, from 1 on, in an error.
+        sizes: `(m,)` numbers of corners of the polygons.
+        name: Names the polygon of a given number, counted from 1, in an error.
 
     Returns:
-        The vertices, `(k, 3)` triangles, and how many polygons were left out because they have fewer than three
-        corners, as text; empty if none were.
+        The vertices, `(k, 3)` triangles, and a text that says how many polygons were left out because they have fewer
+        than three corners; empty if there are none.
 
     Raises:
         DataError: A polygon refers to a vertex that does not exist or cannot be triangulated.

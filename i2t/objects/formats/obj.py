@@ -1,4 +1,4 @@
-"""Triangles of Wavefront OBJ."""
+"""Reader of Wavefront OBJ."""
 
 import re
 from pathlib import Path
@@ -7,12 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.errors import DataError
-from i2t.objects.formats.faces import triangulated
+from i2t.objects.formats.faces import triangulate_polygons
 from i2t.objects.formats.text import number_rows, plain_text, unreadable
-
-OBJ_VERTEX_WORDS = (3, 4, 6, 7)  # x y z, then w, or r g b, or r g b a
-OBJ_SURFACES = (b"surf", b"bzp", b"bsp", b"cdp", b"cdc", b"res")  # free-form ones; some of an old version
-OBJ_CURVES = {b"l": "lines", b"p": "points", b"curv": "curves"}
 
 
 def read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
@@ -25,7 +21,7 @@ def read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
     if numbers and not text.endswith(b"\n") and numbers[-1] == len(lines):
         _check_last_face(path, face_rows)
     values, counts = number_rows(path, vertex_rows)
-    unlike = ~np.isin(counts, OBJ_VERTEX_WORDS)
+    unlike = ~np.isin(counts, (3, 4, 6, 7))  # x y z, then w, or r g b, or r g b a
     if unlike.any():
         count = counts[unlike.argmax()]
         raise DataError(
@@ -42,13 +38,17 @@ def read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
     if (corners == 0).any():
         raise DataError(f"{path}: a face has a corner 0, and OBJ counts vertices from 1; export it again")
     corners = np.where(corners > 0, corners - 1, corners + np.repeat(np.array(before, np.int64), sizes))
-    vertices, faces, few = triangulated(path, vertices, corners, sizes, lambda i: f"face {i} (line {numbers[i - 1]})")
+    vertices, faces, few = triangulate_polygons(
+        path, vertices, corners, sizes, lambda i: f"face {i} (line {numbers[i - 1]})"
+    )
     return vertices, faces, (few, *(f"{count} {name}" for name, count in others.items()))
 
 
 def _check_last_face(path: Path, face_rows: list[bytes]) -> None:
-    """Refuse a file whose last line, which no line break ends, has fewer corners than all other faces, or a shorter
-    last corner than its others: it is cut off there.
+    """Refuse a file that is cut off within its last face.
+
+    That is so if no line break ends the last line and it has fewer corners than all other faces, or a shorter last
+    corner than its others.
     """
     *others, last = [row.split() for row in face_rows]
     sizes = {len(row) for row in others}
@@ -60,11 +60,11 @@ def _check_last_face(path: Path, face_rows: list[bytes]) -> None:
 
 
 def _continued(lines: list[bytes]) -> list[bytes]:
-    """Lines of which those of vertices and faces that end in a backslash go on in the next; numbers of lines stay."""
+    """Join lines of vertices and faces that end in a backslash with the next, without changing line numbers."""
     joined, i = [line.rstrip(b"\\") for line in lines], 0
     while i < len(lines):
         first = i
-        if lines[i].lstrip()[:1].lower() in (b"v", b"f", b"l", b"p"):  # not a path or a remark that ends in one
+        if lines[i].lstrip()[:1].lower() in (b"v", b"f", b"l", b"p"):  # not a path or a comment that ends in one
             while lines[i].endswith(b"\\") and i + 1 < len(lines):
                 i += 1
         if i > first:
@@ -75,21 +75,24 @@ def _continued(lines: list[bytes]) -> list[bytes]:
 
 
 def _obj_rows(path: Path, lines: list[bytes]) -> tuple[list[bytes], list[bytes], list[int], list[int], dict[str, int]]:
-    """Rows of vertices and of faces; how many vertices are before each face, its line's number; what else is there."""
+    """Find the rows of vertices and faces, the vertices before each face, its line, and the counts of other things."""
     vertices: list[bytes] = []
     faces: list[bytes] = []
-    before, numbers, others = [], [], dict.fromkeys(OBJ_CURVES.values(), 0)
+    before, numbers = [], []
+    surfaces = (b"surf", b"bzp", b"bsp", b"cdp", b"cdc", b"res")  # free-form surfaces, also of the old version
+    curves = {b"l": "lines", b"p": "points", b"curv": "curves"}
+    others = dict.fromkeys(curves.values(), 0)
     for number, line in enumerate(lines, 1):
         kind = line[:2]
         if kind not in (b"v ", b"f ", b"vn", b"vt", b"", b"# "):
             word, _, rest = line.lstrip().partition(b" ")
             word = word.lower().replace(b"fo", b"f")
-            if word in OBJ_SURFACES:
+            if word in surfaces:
                 raise DataError(f"{path}: holds parametric surfaces (line {number}); export it as a mesh of faces")
             if word in (b"call", b"csh"):
                 raise DataError(f"{path}: calls another file or program (line {number}); export it in one file")
-            if word in OBJ_CURVES:
-                others[OBJ_CURVES[word]] += 1
+            if word in curves:
+                others[curves[word]] += 1
             kind, line = word + b" ", b"  " + rest
         if kind == b"v ":
             vertices.append(line[2:])

@@ -1,4 +1,4 @@
-"""Triangles of OFF."""
+"""Reader of OFF."""
 
 import re
 from pathlib import Path
@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.errors import DataError
-from i2t.objects.formats.faces import triangulated
-from i2t.objects.formats.text import cut_off, in_utf8, number_rows, plain_text, ranges, unreadable
+from i2t.objects.formats.faces import triangulate_polygons
+from i2t.objects.formats.text import cut_off, number_rows, plain_text, ranges, to_utf8, unreadable
 
 
 def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
     """Read OFF, as in `i2t.objects.formats.faces.MeshReader`."""
-    data = in_utf8(data)
+    data = to_utf8(data)
     head = re.match(rb"\s*(?:#[^\n]*\s*)*((?:ST|st)?[Cc]?N?4?n?(?:OFF|off|Off))?", data)
     kind = (head[1] or b"") if head else b""
     if b"4" in kind or b"n" in kind or re.match(rb"\s*BINARY", data[head.end() :] if head else b"", re.IGNORECASE):
@@ -30,12 +30,12 @@ def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
         if free is None:
             raise
         vertices, corners, sizes = free
-    vertices, faces, few = triangulated(path, vertices, corners, sizes)
+    vertices, faces, few = triangulate_polygons(path, vertices, corners, sizes)
     return vertices, faces, (few,)
 
 
 def _off_by_lines(path: Path, rows: list[bytes]) -> tuple[NDArray, NDArray, NDArray]:
-    """Vertices, corners and sizes of faces, each vertex and face a line, at whose end colours may stand."""
+    """Read vertices, corners and sizes of faces if each vertex and face is a line, which may end with a colour."""
     announced = number_rows(path, rows[:1], np.int64)[0]
     if len(announced) not in (2, 3) or min(announced) < 0:
         raise unreadable(path, "its first line is not the numbers of vertices, faces and edges", "export it again")
@@ -57,12 +57,12 @@ def _off_by_lines(path: Path, rows: list[bytes]) -> tuple[NDArray, NDArray, NDAr
         raise unreadable(path, f"face {short.argmax() + 1} has too few corners", "export or copy it again")
     corners = values[ranges(starts + 1, sizes)]
     if (corners != np.floor(corners)).any():
-        raise unreadable(path, "a corner of a face is no whole number", "export it again")
+        raise unreadable(path, "a corner of a face is not a whole number", "export it again")
     return vertices, corners.astype(np.int64), sizes
 
 
 def _off_by_words(kind: bytes, rows: list[bytes]) -> tuple[NDArray, NDArray, NDArray] | None:
-    """The same of numbers that are laid out freely over lines; None where they are not as many as the counts say."""
+    """Read the same from numbers in any lines; return None if there are not as many as the counts require."""
     try:
         values = np.array(b" ".join(rows).split()).astype(np.float64)
     except ValueError:

@@ -1,8 +1,9 @@
-"""Triangles of mesh files in STL, OBJ, PLY, OFF and glTF: what is there, all of it, or the reason why not.
+"""Reading of the triangles in mesh files: STL, OBJ, PLY, OFF and glTF.
 
-The readers are strict about what changes a shape and lenient about the rest. Counts that a file announces are compared
-with what is there; polygons are cut into triangles (`i2t.objects.polygons`); what has no surface, such as lines, is
-left out and said. A file whose contents are of another kind than its ending is refused by the name of that kind.
+The readers are strict about anything that changes a shape and lenient otherwise. Counts that a file announces are
+compared with its contents, and polygons are cut into triangles (`i2t.objects.polygons`). Elements without a surface,
+such as lines, are left out and reported. A file whose contents are of another kind than its suffix is refused by the
+name of that kind.
 """
 
 from pathlib import Path
@@ -22,18 +23,18 @@ from i2t.objects.formats.text import unreadable
 
 
 def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
-    """The triangles in the bytes of a mesh file.
+    """Read the triangles in the bytes of a mesh file.
 
     Args:
-        path: The file; its ending names the format, and glTF may name files next to it.
-        data: Its bytes.
+        path: The file's path. Its suffix names the format, and a glTF file may name other files in its folder.
+        data: The file's bytes.
 
     Returns:
-        Vertices that a face uses, triangles of the same area as the file's polygons, and what was left out.
+        Vertices that a face uses, triangles with the same area as the file's polygons, and what was left out.
 
     Raises:
-        DataError: It is cut off, is of another kind than its ending says, holds what is not understood or no face, or
-            uses vertices that are not there or not finite; one sentence that names the file and a remedy.
+        DataError: The file is cut off, is of another kind than its suffix says, holds no face or a feature that is not
+            supported, or uses vertices that are missing or not finite. One sentence names the file and a remedy.
     """
     suffix = path.suffix.lower()
     check_kind(path, suffix, data)
@@ -41,21 +42,21 @@ def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
         vertices, faces, left_out = _READERS[suffix](path, data)
     except DataError:
         raise
-    except Exception as error:  # whatever a parser trips over, the file is at fault
+    except Exception as error:  # an error of a parser is caused by the file
         reason = " ".join(f"{type(error).__name__} {error}".split())[:300]
         raise unreadable(path, reason, "export it again") from error
     left_out = tuple(text for text in left_out if text)
     if not len(faces):
-        beside = f" but {' and '.join(left_out)}" if left_out else ""
+        others = f" but {' and '.join(left_out)}" if left_out else ""
         raise DataError(
-            f"{path}: holds no faces{beside}; export it as a mesh (a point cloud is made one first, for instance with "
-            "Open3D)"
+            f"{path}: holds no faces{others}; export it as a mesh (a point cloud has to be made one first, for "
+            "instance with Open3D)"
         )
-    return ParsedMesh(*_used(path, vertices, faces), left_out)
+    return ParsedMesh(*_drop_unused(path, vertices, faces), left_out)
 
 
-def _used(path: Path, vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Only the vertices that a face uses, which have to be finite: scanners mark what they did not see as NaN."""
+def _drop_unused(path: Path, vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
+    """Keep only the vertices that a face uses, which have to be finite: scanners mark unseen points as NaN."""
     used = np.zeros(len(vertices), bool)
     used[faces] = True
     vertices = vertices[used]

@@ -1,4 +1,4 @@
-"""Triangles of PLY, binary or text."""
+"""Reader of PLY, binary or text."""
 
 import re
 from pathlib import Path
@@ -7,25 +7,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from i2t.objects.formats.faces import triangulated
-from i2t.objects.formats.text import PADDING, cut_off, in_utf8, number_rows, plain_text, ranges, unreadable
+from i2t.objects.formats.faces import triangulate_polygons
+from i2t.objects.formats.text import PADDING, cut_off, number_rows, plain_text, ranges, to_utf8, unreadable
 from i2t.objects.polygons import strip_triangles
 
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
              "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
              "float32": "f4", "float64": "f8"}  # fmt: skip
 PLY_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-MAX_PLY_HEADER = 2**16  # bytes
 
 
 class _Property(NamedTuple):
     name: str
     dtype: np.dtype
-    size_dtype: np.dtype | None  # of a list: the type of the number of its entries
+    size_dtype: np.dtype | None  # type of a list's length; None if the property is not a list
 
 
 class _Element(NamedTuple):
-    """Columns of an element: numbers `(count,)`, or for a list all its entries and how many each row has."""
+    """Columns of an element: numbers `(rows,)`, or for a list the entries of all rows and the length of each row."""
 
     rows: int
     columns: dict[str, NDArray | tuple[NDArray, NDArray]]
@@ -49,28 +48,28 @@ def read_ply(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
         triangles = np.concatenate([strip_triangles(part) for part in parts] or [np.empty((0, 3), np.int64)])
         corners = np.append(corners, triangles.reshape(-1))
         sizes = np.append(sizes, np.full(len(triangles), 3))
-    vertices, faces, few = triangulated(path, vertices, corners, sizes)
+    vertices, faces, few = triangulate_polygons(path, vertices, corners, sizes)
     return vertices, faces, (few, "a range grid" if "range_grid" in elements else "")
 
 
 def _ply_corners(path: Path, name: str, element: _Element) -> tuple[NDArray, NDArray]:
-    """Indices of vertices of all faces or strips, and how many each has."""
+    """Read the vertex indices of all faces or strips, and the number of corners of each."""
     indices = element.columns.get("vertex_indices", element.columns.get("vertex_index"))
     if not isinstance(indices, tuple):
         reason = f"its element {name!r} has no list vertex_indices, but {', '.join(element.columns)}"
         raise unreadable(path, reason, "export it again")
     corners, sizes = indices[0].astype(np.int64), indices[1]
     if not np.array_equal(corners, indices[0]):
-        raise unreadable(path, "a corner of a face is no whole number", "export it again")
+        raise unreadable(path, "a corner of a face is not a whole number", "export it again")
     return corners, sizes
 
 
 def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list[_Property]]], bytes]:
-    """The format, each element's name, number and properties, and the bytes after the header."""
-    data = in_utf8(data)
-    end = re.search(rb"\nend_header *(\r\n|\n)|\rend_header *\r", data[:MAX_PLY_HEADER])
+    """Read the format, each element's name, count and properties, and the bytes after the header."""
+    data = to_utf8(data)
+    end = re.search(rb"\nend_header *(\r\n|\n)|\rend_header *\r", data[: 2**16])
     if not data.startswith(b"ply") or not end:
-        raise unreadable(path, "it has no header of PLY, or is cut off in it", "export or copy it again")
+        raise unreadable(path, "it has no PLY header, or is cut off within it", "export or copy it again")
     form, schema = "", list[tuple[str, int, list[_Property]]]()
     for line in data[: end.start()].decode("utf-8", "replace").splitlines()[1:]:
         words = line.split()
@@ -90,7 +89,7 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list
 
 
 def _ply_text(path: Path, schema: list[tuple[str, int, list[_Property]]], body: bytes) -> dict[str, _Element]:
-    """The elements of PLY as text, one row a line."""
+    """Read the elements of PLY as text, with one row on each line."""
     lines = [line for line in plain_text(path, body).split(b"\n") if line and not line.isspace()]
     elements, start = {}, 0
     for name, count, properties in schema:
@@ -131,15 +130,15 @@ def _text_element(path: Path, name: str, rows: list[bytes], properties: list[_Pr
 
 
 def _ply_binary(path: Path, schema: list[tuple[str, int, list[_Property]]], body: bytes) -> dict[str, _Element]:
-    """The elements of binary PLY."""
+    """Read the elements of binary PLY."""
     elements, start = {}, 0
     for name, count, properties in schema:
         if not properties:
             continue
         first = _row_sizes(body, start, properties) if count else None
-        element = _alike(count, properties, first, body, start) if first is not None else None
+        element = _equal_rows(count, properties, first, body, start) if first is not None else None
         if element is None:
-            element, start = _unlike(path, name, count, properties, body, start)
+            element, start = _unequal_rows(path, name, count, properties, body, start)
         else:
             start += count * _row_type(properties, first or ()).itemsize
         elements[name] = element
@@ -150,7 +149,7 @@ def _ply_binary(path: Path, schema: list[tuple[str, int, list[_Property]]], body
 
 
 def _row_sizes(body: bytes, start: int, properties: list[_Property]) -> tuple[int, ...] | None:
-    """Numbers of entries of the lists of the row that begins here; None where the row is cut off."""
+    """Read the lengths of the lists in the row that begins here; return None if the row is cut off."""
     sizes = []
     for prop in properties:
         size = 1
@@ -177,8 +176,10 @@ def _row_type(properties: list[_Property], sizes: tuple[int, ...]) -> np.dtype:
     return np.dtype(fields)
 
 
-def _alike(count: int, properties: list[_Property], sizes: tuple[int, ...], body: bytes, start: int) -> _Element | None:
-    """An element of which all rows have lists as long as those of the first; None where they have not."""
+def _equal_rows(
+    count: int, properties: list[_Property], sizes: tuple[int, ...], body: bytes, start: int
+) -> _Element | None:
+    """Read an element whose rows all have lists as long as those of the first; return None if they differ."""
     row = _row_type(properties, sizes)
     if start + count * row.itemsize > len(body):
         return None
@@ -196,10 +197,10 @@ def _alike(count: int, properties: list[_Property], sizes: tuple[int, ...], body
     return _Element(count, columns)
 
 
-def _unlike(
+def _unequal_rows(
     path: Path, name: str, count: int, properties: list[_Property], body: bytes, start: int
 ) -> tuple[_Element, int]:
-    """An element whose rows differ in length, and where it ends."""
+    """Read an element whose rows differ in length, and return where it ends."""
     raw = np.frombuffer(body, np.uint8)
     places: list[list[int]] = [[] for _ in properties]
     sizes: list[list[int]] = [[] for _ in properties]

@@ -11,33 +11,33 @@ from numpy.typing import NDArray
 
 from i2t.errors import DataError
 
-PADDING = b"\0\n\r\t \x1a"  # bytes without meaning that programs append to binary files
+PADDING = b"\0\n\r\t \x1a"  # meaningless bytes that programs append to binary files
 
 
 def unreadable(path: Path, reason: str, remedy: str) -> DataError:
-    """Error for a file that does not follow its format.
+    """Make the error for a file that does not follow its format.
 
     Args:
-        path: The file; its suffix names the format.
-        reason: What is wrong with it.
+        path: The file's path, whose suffix names the format.
+        reason: What is wrong with the file.
         remedy: What the user can do about it.
 
     Returns:
-        The error, to be raised.
+        The error, for the caller to raise.
     """
     return DataError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({reason}); {remedy}")
 
 
 def cut_off(path: Path, announced: str, present: int | str) -> DataError:
-    """Error for a file that ends before everything that its header announces.
+    """Make the error for a file that ends too early.
 
     Args:
-        path: The file; its suffix names the format.
+        path: The file's path, whose suffix names the format.
         announced: What the header announces.
         present: How much of it the file holds.
 
     Returns:
-        The error, to be raised.
+        The error, for the caller to raise.
     """
     reason = f"it is cut off: its header announces {announced}, and {present} are there"
     return unreadable(path, reason, "export or copy it again")
@@ -47,8 +47,8 @@ def plain_text(path: Path, data: bytes) -> bytes:
     """Normalise a text file.
 
     Args:
-        path: The file, named in the error.
-        data: Its bytes in UTF-8, UTF-16 or any encoding that extends ASCII.
+        path: The file's path, for messages.
+        data: The file's bytes in UTF-8, UTF-16 or any encoding that extends ASCII.
 
     Returns:
         The text with line feeds between lines and spaces between words.
@@ -56,17 +56,17 @@ def plain_text(path: Path, data: bytes) -> bytes:
     Raises:
         DataError: The file is binary.
     """
-    data = in_utf8(data).rstrip(b"\x1a")  # the mark of the end in DOS
+    data = to_utf8(data).rstrip(b"\x1a")  # marks the end of a file in DOS
     if b"\0" in data:
-        raise unreadable(path, "it is no text", "export it again, or check its ending")
+        raise unreadable(path, "it is not text", "export it again, or check its ending")
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ")
 
 
-def in_utf8(data: bytes) -> bytes:
+def to_utf8(data: bytes) -> bytes:
     """Decode UTF-16 and drop byte order marks.
 
     Args:
-        data: Bytes of a text, with or without a byte order mark.
+        data: The bytes of a text, with or without a byte order mark.
 
     Returns:
         The text without a byte order mark, in UTF-8 if it was UTF-16.
@@ -80,9 +80,9 @@ def number_rows(path: Path, rows: Sequence[bytes], dtype: type = np.float64) -> 
     """Parse rows of numbers of varying length.
 
     Args:
-        path: The file, named in errors.
+        path: The file's path, for messages.
         rows: Lines of numbers.
-        dtype: `float64` or `int64`.
+        dtype: The type of the numbers: `float64` or `int64`.
 
     Returns:
         All numbers, row after row, and the count of numbers in each row.
@@ -98,19 +98,19 @@ def parse_numbers(path: Path, text: bytes, count: int, dtype: type = np.float64)
     """Parse numbers separated by spaces.
 
     Args:
-        path: The file, named in errors.
-        text: The words.
+        path: The file's path, for messages.
+        text: The words that represent the numbers.
         count: The number of words.
-        dtype: `float64` or `int64`.
+        dtype: The type of the numbers: `float64` or `int64`.
 
     Returns:
-        `(count,)` numbers.
+        `(count,)` numbers in the order of the text.
 
     Raises:
         DataError: A word is not a number.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # which says that a word is no number
+        warnings.simplefilter("error", DeprecationWarning)  # NumPy warns about a word that is not a number
         try:
             values: NDArray = np.fromstring(text, dtype, sep=" ")
         except (DeprecationWarning, ValueError):
@@ -126,7 +126,7 @@ def _number(path: Path, word: bytes, dtype: type) -> int | float:
     except ValueError:
         pass
     if dtype is np.float64 and re.fullmatch(rb"[-+]?(1\.#(qnan|snan|ind|inf)\d*|nan\(.*\))", word, re.IGNORECASE):
-        return np.nan  # as Windows writes it
+        return np.nan  # Windows writes NaN and infinity like this
     shown = word[:40].decode("utf-8", "replace")
     if dtype is np.float64 and re.fullmatch(rb"[-+]?[\d.]*,\d+(e[-+]?\d+)?", word, re.IGNORECASE):
         raise DataError(
@@ -143,7 +143,7 @@ def ranges(starts: NDArray, counts: NDArray) -> NDArray:
         counts: `(n,)` length of each range.
 
     Returns:
-        `start, start + 1, ...` of each range, range after range.
+        `(sum of counts,)` integers start, start + 1, ... of each range, range after range.
     """
     before = np.cumsum(counts) - counts
     return np.repeat(starts - before, counts) + np.arange(counts.sum())
