@@ -23,7 +23,8 @@ from i2t.geometry import transform
 from i2t.hardware.base import CameraBase
 from i2t.hardware.clock import Clock
 from i2t.hardware.guarded import GuardedByPolling
-from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
+from i2t.hardware.limits import SAFETY
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_to_vector
 from i2t.hardware.protocols import (
     ArmState,
@@ -261,7 +262,7 @@ class SimulatedArm(GuardedByPolling):
             self.clock.sleep(self.latency)
         with self.lab.lock:
             self.lab.advance()
-            self.lab.robot.stop(BRAKING_M_S2)
+            self.lab.robot.stop(SAFETY.braking_m_s2)
 
     def zero_sensor(self) -> None:
         """Take the wrench felt now as zero."""

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState, DepthCamera, GuardedArm, Skin
 from i2t.types import Array
 

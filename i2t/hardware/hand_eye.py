@@ -38,7 +38,7 @@ from i2t.geometry import inverse
 from i2t.hardware.camera_folder import DESCRIPTION, lens_text, read_lens
 from i2t.hardware.hand_eye_fit import MIN_CORNERS, BoardView, HandEyeResult, fit, opencv, pixel_rays
 from i2t.hardware.plugins import REALSENSE, DeviceSetup, ToolPose, check_device, colour_view, load_device
-from i2t.hardware.poses import apart, pose_from_vector, pose_to_vector
+from i2t.hardware.poses import pose_difference, pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
 from i2t.types import Array
@@ -264,7 +264,7 @@ class EstimateArgs(CharucoBoard):
             print(f"T_tool_camera =\n{T_t_c}")
         if rig is None or self.rig is None:
             return
-        shift, turn = apart(rig.T_tool_camera, T_t_c)
+        shift, turn = pose_difference(rig.T_tool_camera, T_t_c)
         print(f"{1e3 * shift:.1f} mm and {math.degrees(turn):.1f} degrees from what {self.rig} says")
         if self.write:
             replace(rig, T_tool_camera=T_t_c).write(self.rig)

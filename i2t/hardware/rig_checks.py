@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse
-from i2t.hardware.limits import format_position
-from i2t.hardware.poses import apart
+from i2t.hardware.motion_limits import format_position
+from i2t.hardware.poses import pose_difference
 from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import PAD_WINDOW, TWIST_LEVER_M
 from i2t.types import Array
@@ -108,7 +108,7 @@ def other_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"
     """
     if np.allclose(T_pendant, np.eye(4), atol=1e-6):
         return ""
-    shift, angle = apart(np.asarray(T_flange_tool, float), np.asarray(T_pendant, float))
+    shift, angle = pose_difference(np.asarray(T_flange_tool, float), np.asarray(T_pendant, float))
     turn = math.degrees(angle)
     if shift <= TCP_TOLERANCE_M and turn <= TCP_TOLERANCE_DEG:
         return ""

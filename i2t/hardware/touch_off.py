@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 from i2t.cli.exit_codes import command
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.plugins import DeviceSetup, check_device, load_device
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm

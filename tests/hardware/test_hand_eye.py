@@ -22,7 +22,7 @@ from i2t.hardware.contract import refuse
 from i2t.hardware.hand_eye import CharucoBoard
 from i2t.hardware.hand_eye_fit import BoardView, board_pose, fit, pixel_rays
 from i2t.hardware.plugins import colour_view
-from i2t.hardware.poses import apart, pose_from_vector
+from i2t.hardware.poses import pose_difference, pose_from_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.access import tool_pose
@@ -86,7 +86,7 @@ def test_the_error_it_states_is_the_error_it_makes():
     for seed in range(8):
         rng = np.random.default_rng(seed)
         found = fit([board_view(T, rng, 0.1, reported(T, rng)) for T in tools(12, rng)], CAMERA.fx)
-        made.append(apart(found.T_t_c, TRUE))
+        made.append(pose_difference(found.T_t_c, TRUE))
         stated.append((found.position_error, found.rotation_error))
     made, stated = (np.sqrt(np.mean(np.square(each), 0)) for each in (made, stated))
     assert ((made > 0.5 * stated) & (made < 2 * stated)).all()
@@ -97,10 +97,10 @@ def test_the_error_it_states_is_the_error_it_makes():
 def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused(monkeypatch):
     rng = np.random.default_rng(1)
     board_views = [board_view(T, rng, 0.1) for T in tools(10, rng)]
-    clean = apart(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0]
+    clean = pose_difference(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0]
     for each in board_views[::2]:
         each.rays[rng.integers(len(each.rays))] += 3 / CAMERA.fx
-    assert apart(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0] < max(3 * clean, 0.1e-3)
+    assert pose_difference(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0] < max(3 * clean, 0.1e-3)
     upright = [board_view(T, rng, 0.1, reported(T, rng)) for T in tools(8, rng, tilt=0.0)]
     one = BoardView(upright[0].T_b_t, upright[0].corners[:5], upright[0].rays[:5])
     lost = [*board_views[:8], board_views[8]._replace(T_b_t=np.full((4, 4), np.nan))]
@@ -171,7 +171,7 @@ def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
     assert out.startswith("8 views, 0.")
     distance, angle = map(float, re.search(r"standard error (\S+) mm, (\S+) degrees", out).groups())
     written = Rig.read(tmp_path / "lab.toml")
-    metres, radians = apart(wanted, written.T_tool_camera)
+    metres, radians = pose_difference(wanted, written.T_tool_camera)
     # Three standard errors, which of eight views are themselves known to a quarter.
     assert 1e3 * metres < 4 * distance < 8
     assert math.degrees(radians) < 4 * angle < 4

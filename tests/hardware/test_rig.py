@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from i2t.depth.camera import Camera
 from i2t.hardware.contract import refuse
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig import __main__ as rigs

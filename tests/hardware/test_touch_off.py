@@ -11,7 +11,7 @@ from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
 from i2t.errors import DeviceError
 from i2t.geometry import transform
 from i2t.hardware.contract import refuse
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.touch_off import (
     CLEARANCE_M,

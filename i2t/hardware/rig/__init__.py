@@ -25,7 +25,7 @@ from i2t.files.reading import read_toml
 from i2t.files.writing import replacing
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.carried_skins import TEXT_KEYS, TOOL_SKIN, CarriedSkin, require_distinct
-from i2t.hardware.limits import MotionLimits, format_position
+from i2t.hardware.motion_limits import MotionLimits, format_position
 from i2t.patches.dimensions import MAX_POSE_M, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 from i2t.types import Array
 
