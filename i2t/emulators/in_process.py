@@ -34,7 +34,7 @@ from i2t.hardware.protocols import (
     View,
     channel_names,
 )
-from i2t.hardware.skin_stream import QUEUE_SAMPLES, QueuedSkin, StreamRow
+from i2t.hardware.skin_stream import QueuedSkin, StreamConfig, StreamRow
 from i2t.simulation.depth_camera import add_depth_noise, render_view, shade_view
 from i2t.types import Array
 
@@ -85,7 +85,7 @@ class SkinInLab:
 
     def __init__(self, scene: ObjectScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
         self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
-        self.samples: deque[StreamRow] = deque(maxlen=QUEUE_SAMPLES)
+        self.samples: deque[StreamRow] = deque(maxlen=StreamConfig.queue_samples)
         self.number = 0
         self.recording = False  # whether somebody holds the skin
         self._random = np.random.default_rng((seed, 1))
