@@ -90,11 +90,9 @@ class MotionWatch:
             raise DeviceError(f"{self._name} is outside its box, at {format_position(position)} m; it was stopped")
         travel, speed = float(np.linalg.norm(position - self._start)), float(np.linalg.norm(state.velocity[:3]))
         if not travel <= self._distance + SAFETY.travel_margin_m:
-            raise DeviceError(
-                f"{self._name} moved {1e3 * travel:.3g} mm, but {1e3 * self._distance:.3g} mm were requested"
-            )
+            raise DeviceError(f"{self._name} moved {1e3 * travel:.3g} mm instead of {1e3 * self._distance:.3g} mm")
         if not speed <= SAFETY.max_speed_ratio * self._speed + SAFETY.speed_margin_m_s:
-            raise DeviceError(f"{self._name} moves at {speed:.3g} m/s, but {self._speed:.3g} m/s were requested")
+            raise DeviceError(f"{self._name} moves at {speed:.3g} m/s instead of {self._speed:.3g} m/s")
         if not np.linalg.norm(state.velocity[3:]) <= SAFETY.max_angular_speed_rad_s:
             raise DeviceError(f"{self._name} turns at {np.linalg.norm(state.velocity[3:]):.3g} rad/s; it was stopped")
         if not state.moving or not np.array_equal(state.T_b_t, before.T_b_t):
@@ -270,7 +268,8 @@ class GuardedByPolling(DeviceBase):
         with self._state_lock:
             state, now = self._call(self.read_state), self.clock.now()
             invalid, max_age = non_finite(state), self.state_timeout if timeout is None else timeout
-            fresh, failure, watch = -SAFETY.max_state_age_s <= now - state.time <= max_age, None, self._free_watch
+            age, failure, watch = now - state.time, None, self._free_watch
+            fresh = -SAFETY.max_state_age_s <= age <= max_age
             if fresh and not invalid:
                 self._sent_time = -np.inf if state.moving else self._sent_time
                 state = state._replace(moving=state.moving or state.time - self._sent_time < self.start_s)
@@ -287,9 +286,7 @@ class GuardedByPolling(DeviceBase):
             self._stops += 1
             self._call(self.brake)
             if not fresh:
-                raise DeviceTimeoutError(
-                    f"{self.name} sent its newest state {now - state.time:.2g} s ago; it was stopped"
-                )
+                raise DeviceTimeoutError(f"{self.name} sent its last state {age:.2g} s ago; it was stopped")
             raise DeviceError(f"{self.name} reports that its {invalid}, which is not finite; it was stopped")
         return state
 
@@ -376,9 +373,8 @@ class GuardedByPolling(DeviceBase):
         if not start.safe:
             raise DeviceError(f"{self.name} made a protective or emergency stop; release it, and connect again")
         if not self.limits.contains(position, SAFETY.goal_tolerance_m):
-            raise DeviceError(
-                f"The tool at {format_position(position)} m is outside its box: bring it back with the pendant."
-            )
+            at = format_position(position)
+            raise DeviceError(f"The tool at {at} m is outside its box: bring it back with the pendant.")
         force, torque = bounds or free_limits(self.limits, start.wrench)
         watch = MotionWatch(
             self,

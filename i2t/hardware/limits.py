@@ -10,7 +10,7 @@ standard library only, because command lines read it before NumPy is loaded.
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 
 def _limit(value: Any, unit: str, protects: str) -> Any:
@@ -84,24 +84,6 @@ class SafetyLimits:
 SAFETY = SafetyLimits()
 
 
-class LimitRow(NamedTuple):
-    """One row of the table of safety limits."""
-
-    name: str
-    value: float | tuple[float, float]
-    unit: str
-    protects: str
-
-
-def limit_rows() -> list[LimitRow]:
-    """List the safety limits, for documents.
-
-    Returns:
-        One row for each limit, in the order of the table.
-    """
-    return [LimitRow(entry.name, getattr(SAFETY, entry.name), **entry.metadata) for entry in fields(SAFETY)]
-
-
 def range_of(name: str) -> tuple[float, float, str]:
     """Look up the range of a value.
 
@@ -111,6 +93,5 @@ def range_of(name: str) -> tuple[float, float, str]:
     Returns:
         The lowest value, the highest value, and their unit.
     """
-    row = next(row for row in limit_rows() if row.name == f"{name}_range")
-    low, high = getattr(SAFETY, row.name)
-    return low, high, row.unit
+    entry = next(entry for entry in fields(SafetyLimits) if entry.name == f"{name}_range")
+    return *getattr(SAFETY, entry.name), entry.metadata["unit"]

@@ -6,10 +6,10 @@ A package registers a class under a name in its `pyproject.toml`,
     acme = "acme_devices:AcmeArm"
 
 (likewise `i2t.skins`, `i2t.cameras`), after which `python -m i2t.collect --arm acme` finds it. The class is called with
-one `DeviceSetup` and must implement the protocol of its kind (`i2t.hardware.protocols`; `GuardedArm` for an arm). A skin
-has an attribute `board` that describes its chips (a further skin of a rig may leave that to `skins.NAME.board`). Instead
-of the class, the entry point may name a `DevicePlugin`, which lists further options of the device; i2t's own devices
-(`i2t.hardware.drivers`, `i2t.emulators.plugins`) do so. `examples/acme_devices` is a complete package, and
+one `DeviceSetup` and must implement the protocol of its kind (`i2t.hardware.protocols`; `GuardedArm` for an arm). A
+skin has an attribute `board` that describes its chips (a further skin of a rig may leave that to `skins.NAME.board`).
+Instead of the class, the entry point may name a `DevicePlugin`, which lists further options of the device; i2t's own
+devices (`i2t.hardware.drivers`, `i2t.emulators.plugins`) do so. `examples/acme_devices` is a complete package, and
 `i2t.hardware.contract` holds the tests that every device must pass.
 """
 
@@ -76,9 +76,8 @@ class DevicePlugin:
     needs_rig: bool = False  # otherwise the emulated lab's rig is the default
     arms: frozenset[str] = frozenset()  # names of the arms on which a simulated skin works; empty for a real skin
     address_follows_arm: bool = False  # whether a skin needs an address exactly if its arm has one
-    make_clock: Callable[[float], Clock] = lambda begin: (
-        MonotonicClock()
-    )  # clock of a lab of such devices only, from a Unix time
+    # makes the clock of a lab that has such devices only, from a Unix time
+    make_clock: Callable[[float], Clock] = lambda begin: MonotonicClock()
 
 
 def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> DevicePlugin:
@@ -160,8 +159,7 @@ def load_device(kind: DeviceKind, name: str, setup: DeviceSetup, option: str | N
     own, protocol = getattr(device, "__dict__", {}), KINDS[kind].protocol
     missing = [member for member in _members(protocol) if member not in own and not hasattr(type(device), member)]
     if missing:
-        members = f"{', '.join(missing)} of {protocol.__name__} (i2t.hardware.protocols)"
-        raise ValueError(f"{given}: lacks {members}; add that")
+        raise ValueError(f"{given}: lacks {', '.join(missing)} of i2t.hardware.protocols.{protocol.__name__}; add that")
     return device
 
 

@@ -141,8 +141,7 @@ def other_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"
 
 def _tool(rig: Rig, plausible: PlausibleRig) -> Doubts:
     key, place, axis = "tool.T_flange_tool", rig.T_flange_tool[:3, 3], rig.T_flange_tool[:3, 2]
-    distance = float(np.linalg.norm(place))
-    low, high = plausible.tool_distance
+    distance, (low, high) = float(np.linalg.norm(place)), plausible.tool_distance
     too_far = not low <= distance <= high
     yield too_far, f"{key} puts the skin {1e3 * distance:.0f} mm from the flange; give metres, from 10 to 350 mm"
     behind = not too_far and place[2] < -low
@@ -180,11 +179,7 @@ def _camera(rig: Rig, plausible: PlausibleRig) -> Doubts:
     too_far = not low <= distance <= high
     yield too_far, f"{key} puts the camera {1e3 * distance:.0f} mm from the skin; give metres, from 10 to 350 mm"
     in_front = not too_far and overhang > plausible.max_camera_overhang
-    yield (
-        in_front,
-        f"{key} puts the camera {1e3 * overhang:.0f} mm in front of the skin, where it would be pressed; it may be the "
-        "inverse",
-    )
+    yield in_front, f"{key} puts the camera {1e3 * overhang:.0f} mm in front of the skin; it may be the inverse"
     gap = rig.looking_distance - float(inverse(T_t_c)[2, 3])
     room = f"leaves {1e3 * gap:.0f} mm between skin and surface; raise it, or correct {key}"
     yield gap < plausible.min_looking_gap, f"camera.looking_distance {room}"
@@ -193,10 +188,7 @@ def _camera(rig: Rig, plausible: PlausibleRig) -> Doubts:
 def _lens(camera: Camera, distance: float, plausible: PlausibleRig) -> Doubts:
     (low, high), (left, right) = plausible.focal_share, plausible.centre_share
     wrong_focal = not low <= camera.fx / camera.width <= high
-    yield (
-        wrong_focal,
-        f"camera.fx is {camera.fx:g} for {camera.width} pixels; give pixels, {low:g} to {high:g} times as many",
-    )
+    yield wrong_focal, f"camera.fx is {camera.fx:g} for {camera.width} pixels; give {low:g} to {high:g} times as many"
     aspect = plausible.max_pixel_aspect
     stretched = not wrong_focal and not 1 / aspect <= camera.fx / camera.fy <= aspect
     yield stretched, f"camera.fx is {camera.fx:g} and fy {camera.fy:g}; pixels are square, so copy both from one lens"
@@ -205,10 +197,7 @@ def _lens(camera: Camera, distance: float, plausible: PlausibleRig) -> Doubts:
     yield small, f"from camera.looking_distance {distance:g} m the skin's edge is {edge:.1f} pixels; look from nearer"
     for name, at, size in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
         off_centre = not left <= at / size <= right
-        yield (
-            off_centre,
-            f"camera.{name} is {at:g} of {size} pixels; a lens is centred near the image's middle: copy it",
-        )
+        yield off_centre, f"camera.{name} is {at:g} of {size} pixels; a lens is centred near the middle: copy its value"
 
 
 def _world(rig: Rig, plausible: PlausibleRig) -> Doubts:
@@ -217,8 +206,10 @@ def _world(rig: Rig, plausible: PlausibleRig) -> Doubts:
     yield leans, f"world.T_world_base tilts the base by {tilt:.0f} degrees; a base stands, hangs, or is on a wall"
     box = rig.limits.box
     longest = float((box[1] - box[0]).max())
-    large = longest > plausible.max_box_edge
-    yield large, f"limits.lower and upper are {longest:.1f} m apart; give the box around the object"
+    yield (
+        longest > plausible.max_box_edge,
+        f"limits span {longest:.1f} m; give the box around the object",
+    )
     corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
     lowest = float((corners @ rig.T_world_base[2, :3]).min() + rig.T_world_base[2, 3])
     deep = lowest < -plausible.max_box_below_table
@@ -226,10 +217,7 @@ def _world(rig: Rig, plausible: PlausibleRig) -> Doubts:
     sigma = np.sqrt(np.diagonal(rig.object_covariance))
     shift, turn = float(sigma[:3].max()), math.degrees(float(sigma[3:].max()) / TWIST_LEVER_M)
     vague = shift > plausible.max_position_std or turn > plausible.max_rotation_std
-    yield (
-        vague,
-        f"world.object_covariance means {1e3 * shift:.0f} mm and {turn:.0f} degrees; give variances in m^2",
-    )
+    yield vague, f"world.object_covariance means {1e3 * shift:.0f} mm and {turn:.0f} degrees; give variances in m^2"
 
 
 def _origin(rig: Rig) -> Doubts:

@@ -97,11 +97,9 @@ def rest_samples(skin: Skin, clock: Clock | None = None, *, config: HealthConfig
         DeviceError: The skin is silent.
     """
     clock = MonotonicClock() if clock is None else clock
-    parts, start_time = [skin.read(config.samples_per_read, config.read_timeout)], clock.now()
+    parts, start = [skin.read(config.samples_per_read, config.read_timeout)], clock.now()
     count = config.samples_per_read
-    while count < config.min_samples or (
-        count < config.rest_samples and clock.now() - start_time < config.rest_duration
-    ):
+    while count < config.min_samples or (count < config.rest_samples and clock.now() - start < config.rest_duration):
         parts.append(skin.read(config.samples_per_read, config.read_timeout))
         count += config.samples_per_read
     return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))

@@ -200,19 +200,18 @@ def touch_off(
         for goal in (start, shifted_along_z(start, reach)):
             limits.check(goal, config.approach_speed, config.approach_acceleration)
     top = max(start[2, 3] for start in starts) + config.clearance
-    transfer_speed = min(config.transfer_speed, limits.free_speed)
-    lowering_speed = min(config.lowering_speed, limits.free_speed)
+    across, down = (min(speed, limits.free_speed) for speed in (config.transfer_speed, config.lowering_speed))
     touches = []
     for side, start in zip(CORNER_SIGNS, starts, strict=True):
         above = start.copy()
         above[2, 3] = top
-        arm.go(above, transfer_speed)
-        arm.go(start, lowering_speed)
+        arm.go(above, across)
+        arm.go(start, down)
         onset = _touch_corner(arm, side, start, config)
         touches.append(shifted_along_z(start, onset))
         report(f"corner {side}: touched after {1e3 * onset:.2f} mm")
-        arm.go(start, lowering_speed)
-        arm.go(above, transfer_speed)
+        arm.go(start, down)
+        arm.go(above, across)
     return fit_plane(touches, height)
 
 
@@ -232,13 +231,8 @@ def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array, config: 
         samples.append((float((state.T_b_t[:3, 3] - start[:3, 3]) @ start[:3, 2]), float(-state.wrench[2])))
 
     reach = config.clearance + SAFETY.touch_off_overtravel_m
-    result = arm.approach(
-        reach,
-        config.approach_speed,
-        record,
-        force=SAFETY.touch_off_force_n,
-        acceleration=config.approach_acceleration,
-    )
+    speed, acceleration = config.approach_speed, config.approach_acceleration
+    result = arm.approach(reach, speed, record, force=SAFETY.touch_off_force_n, acceleration=acceleration)
     if result.reason != "force":
         raise DeviceError(f"corner {side} met no flat within {1e3 * reach:g} mm: check its height")
     record(result.trigger)

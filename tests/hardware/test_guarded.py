@@ -69,8 +69,8 @@ def test_the_torque_limit_is_kept_where_the_arm_ignores_it():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"too_far": 0.03}, r"moved .* mm, but 6.5 mm were requested"),
-        ({"hasty": 20.0}, r"moves at .*, but 0.002 m/s were requested"),
+        ({"too_far": 0.03}, r"moved .* mm instead of 6.5 mm"),
+        ({"hasty": 20.0}, r"moves at .* instead of 0.002 m/s"),
         ({"asks": False}, "did not ask its stop condition"),
     ],
 )
@@ -241,8 +241,8 @@ def at(time, z=0.0, **changes):
         ([at(np.nan, 1.0)], "no new states"),
         ([at(0.1, 1.0, safe=False)], "protective or emergency stop"),
         ([at(0.1, 400.0)], "outside its box"),
-        ([at(0.1, 14.0)], r"moved 14 mm, but 10 mm were requested"),
-        ([at(0.1, 1.0, velocity=np.array([0, 0, -0.2, 0, 0, 0]))], "moves at 0.2 m/s, but 0.1 m/s were requested"),
+        ([at(0.1, 14.0)], r"moved 14 mm instead of 10 mm"),
+        ([at(0.1, 1.0, velocity=np.array([0, 0, -0.2, 0, 0, 0]))], "moves at 0.2 m/s instead of 0.1 m/s"),
         ([at(0.1, 1.0, velocity=np.array([0, 0, 0, 0, 0, 20.0]))], "turns at 20 rad/s"),
         ([at(0.1 * n, 1.0) for n in range(1, 34)], "its pose stands still"),
     ],

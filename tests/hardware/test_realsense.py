@@ -58,7 +58,7 @@ def test_it_gives_metres_lens_and_aligned_colour_of_views_that_are_new(file):
         assert np.abs(view.colour[seen][:, :2].astype(int) - COLOUR[seen][:, :2]).max() <= 1
         assert (view.colour[seen][:, 2] == 7).mean() > 0.97
         assert (view.colour[~seen] == 0).all()
-        with pytest.raises(DeviceTimeoutError, match=r"gave no view in 0\.001 s"):
+        with pytest.raises(DeviceTimeoutError, match=r"sent no view in 0\.001 s"):
             camera.capture(0.001)
 
 

@@ -343,7 +343,7 @@ def in_motion(arm, host, fault) -> tuple[str, float]:
     return f"{type(caught.value).__name__}: {caught.value}", began[0]["pose"][1]
 
 
-NO_NEWS = "No news from the controller|sent its newest state"
+NO_NEWS = "No news from the controller|sent its last state"
 BROKEN = f"TimeoutError: .*({NO_NEWS}|The connection to the controller .* broke)"
 
 

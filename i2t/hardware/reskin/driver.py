@@ -236,9 +236,7 @@ class ReSkin(StreamedSkin):
         boards = self.ports()
         choices = [[board for board in boards if before is not None and board.serial_number == before]]
         if self._requested_serial and not choices[0]:
-            there = ", ".join(
-                f"{board.serial_number or 'a board without a number'} on {board.port}" for board in boards
-            )
+            there = ", ".join(f"{board.serial_number or 'unnumbered'} on {board.port}" for board in boards)
             raise DeviceError(
                 f"no board has the serial number {self._requested_serial} (USB serial ports here: {there or 'none'}); "
                 "plug it in, or correct the number"
@@ -264,9 +262,7 @@ class ReSkin(StreamedSkin):
             raise DeviceError(self._open_problem(port, error)) from error
         if others := other_users(port):
             line.close()
-            raise DeviceError(
-                f"{port} is read by {others} too, and each byte reaches one program only; {CLOSE_PROGRAM}"
-            )
+            raise DeviceError(f"{port} is read by {others} too, but a byte reaches one program only; {CLOSE_PROGRAM}")
         if _source(port) == "real":  # a pseudo-terminal would stay closed if this process were killed
             set_exclusive(line)
         return line
@@ -322,9 +318,7 @@ def diagnose(received: bytes, chips: int, baud: int | None = None) -> str:
     if problem or received.isascii():
         return problem or "the board sends lines of text; flash the sketch that sends binary frames"
     tried = f"at {baud} baud" if baud else "at any usual rate"
-    return (
-        f"{len(received)} bytes arrived {tried} but form no frame; check the baud rate and that this port is the skin's"
-    )
+    return f"{len(received)} bytes arrived {tried} but form no frame; check the baud rate and the name of the port"
 
 
 def _source(port: str | None) -> str:

@@ -243,8 +243,8 @@ class Worker:
         now = time.monotonic() if last is None or clock > last["clock"] else last["time"]
         progress = self.control.getAsyncOperationProgressEx()
         operation = progress.operationId()
-        pending = self.pending
-        if pending is not None and (operation != pending[0] or now > pending[1] + self.limits.start_timeout):
+        pending, timeout = self.pending, self.limits.start_timeout
+        if pending is not None and (operation != pending[0] or now > pending[1] + timeout):
             self.pending = None
         twist = receive.getActualTCPSpeed()
         safe = bool(receive.getSafetyStatusBits() & (NORMAL | REDUCED))
@@ -303,8 +303,8 @@ class Worker:
         if not self.control.moveL(pose, speed, acceleration, True):
             self.pending = None
             raise RuntimeError("it did not take the motion")
-        rounding = 1 + 1e-9  # the driver checks the same wrench in other axes
-        self.bounds = rounding * force, rounding * torque
+        # The margin is for rounding: the driver checks the same wrench in other axes.
+        self.bounds = force * (1 + 1e-9), torque * (1 + 1e-9)
 
     def brake(self) -> None:
         """Brake to a stand, if our program runs."""
@@ -338,16 +338,8 @@ def connect(channel: Channel, request: Message) -> Worker:
     import rtde_control
     import rtde_receive
 
-    variables = [
-        "timestamp",
-        "actual_TCP_pose",
-        "actual_TCP_speed",
-        "actual_TCP_force",
-        "actual_q",
-        "target_speed_fraction",
-        "runtime_state",
-        "safety_status_bits",
-    ]
+    variables = ["timestamp", "actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force", "actual_q"]
+    variables += ["target_speed_fraction", "runtime_state", "safety_status_bits"]
     receive = rtde_receive.RTDEReceiveInterface(request["host"], STATE_RATE_HZ, variables)
     control = rtde_control.RTDEControlInterface(request["host"])
     pendant_tcp = [0.0] * 6
