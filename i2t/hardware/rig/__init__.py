@@ -50,26 +50,27 @@ class _Table(NamedTuple):
         return self.required + self.optional
 
 
+# CAUTION: The comments are part of a rig's hash; a changed comment keeps a collection from being resumed.
 TABLES = {
     "tool": _Table(
-        "the skin (T: origin at its centre, z out of it) on the flange, and the flange's payload (kg, m)",
+        "the skin (T: origin at its centre, z out of it) on the flange, and what the flange carries (kg, m)",
         ("T_flange_tool", "mass", "centre"),
         ("skin",),
     ),
     "camera": _Table(
-        "the camera in the tool, its distance from a surface it looks at (m), and its depth image's lens (pixels)",
+        "the camera in the tool, how far from a surface it looks (m), and its depth image's lens (pixels)",
         ("T_tool_camera", "looking_distance", "width", "height", "fx", "fy", "cx", "cy"),
         ("model", "coefficients"),
     ),
     "world": _Table(
-        "the robot's base and the object in the world (m); object_from: given or registration; object_covariance: of "
-        "the object's pose along and about its own axes (m^2, rotations in radians times 8.5 mm)",
+        "the robot's base and the object in the world (m); object_from: given or registration; how far the "
+        "object may be off along and about its own axes: object_covariance (m^2, turns in radians times 8.5 mm)",
         ("T_world_base", "T_world_object"),
         ("object_from", "object_covariance"),
     ),
     "limits": _Table(
         "box for the tool's origin in the base (m), m/s, m/s^2, N, Nm, the longest approach (m), and the stiffness of "
-        "skin, arm and mount in series (N/m), for the force of a collision",
+        "skin, arm and mount in series (N/m), with which collisions are reckoned",
         ("lower", "upper"),
         tuple(limit.name for limit in fields(MotionLimits))[2:],
     ),
