@@ -165,7 +165,7 @@ def taken(tmp_path_factory):
 def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
     path, T_c_colour = taken
     Rig().write(tmp_path / "lab.toml")
-    # What was found is the colour camera; the rig has the depth camera.
+    # The estimate is the colour camera; the rig has the depth camera.
     wanted = TRUE @ np.linalg.inv(T_c_colour)
     assert hand_eye.main(["estimate", str(path), "--rig", str(tmp_path / "lab.toml"), "--write"]) == 0
     out = capsys.readouterr().out

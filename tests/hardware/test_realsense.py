@@ -138,8 +138,8 @@ def test_what_cannot_be_connected_says_why(file, tmp_path):
         "cannot be played at 640 x 360",
         r"D405 measures nothing nearer than 40 mm",  # as the file's own device tells
     )
-    for why, said in zip(whys, tried.stdout.splitlines(), strict=True):
-        assert re.search(why, said)
+    for why, line in zip(whys, tried.stdout.splitlines(), strict=True):
+        assert re.search(why, line)
 
 
 def test_which_models_see_at_the_papers_distance():
@@ -157,6 +157,6 @@ def test_the_command_shows_and_keeps_views(file, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "D405" in out
     assert "view 1: 100% measured, 126.7 mm" in out
-    assert sorted(each.name for each in (tmp_path / "views" / "colour").iterdir()) == ["000000.png", "000001.png"]
+    assert sorted(path.name for path in (tmp_path / "views" / "colour").iterdir()) == ["000000.png", "000001.png"]
     assert realsense.main([*shown, "--save", str(tmp_path / "views")]) == 2  # nothing is overwritten
     assert realsense.main([*shown, "--distance", "0.01"]) == 2

@@ -274,7 +274,7 @@ def test_ports_are_found_by_who_made_the_board_and_a_board_under_another_name_is
 
 
 def feel(process, field) -> None:
-    """Sends a field to a board that has said where to."""
+    """Send a field to a board that has printed its address."""
     host, number = process.stdout.readline().split()[1].split(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.sendto(np.asarray(field, "<f4").tobytes(), (host, int(number)))

@@ -1,4 +1,4 @@
-"""Skins whose samples a thread receives: whatever their library does, samples are of this connection, or it is said."""
+"""Skins whose samples a thread receives: samples are of the present connection, or an error says why not."""
 
 import threading
 import time

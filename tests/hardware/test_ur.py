@@ -319,7 +319,7 @@ def test_stop_from_another_thread(above):
 
 @contextlib.contextmanager
 def amid(host, speed, fault):
-    """Do something once the arm moves so fast (m/s) in the block; gives a list of what the controller said then."""
+    """Do something once the arm moves faster than `speed` (m/s); yield a list that then holds the controller's status."""
     began = []
 
     def act():
@@ -343,7 +343,7 @@ def in_motion(arm, host, fault) -> tuple[str, float]:
     return f"{type(caught.value).__name__}: {caught.value}", began[0]["pose"][1]
 
 
-NO_NEWS = "No news from the controller|sent its last state"
+NO_NEWS = "No state arrived from|sent its last state"
 BROKEN = f"TimeoutError: .*({NO_NEWS}|The connection to the controller .* broke)"
 
 

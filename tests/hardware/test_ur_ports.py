@@ -1,4 +1,4 @@
-"""What is said of a UR controller whose ports do not all answer."""
+"""Messages about a UR controller whose ports do not all answer."""
 
 import contextlib
 import itertools
