@@ -65,13 +65,9 @@ class SafetyLimits:
 
     # The connection with a UR controller. Four seconds at 40 mm/s, the slowest watchdog, are 0.16 m.
     state_timeout_s: float = _limit(0.1, "s", "gives up an arm whose controller is silent")
-    state_timeout_range: tuple[float, float] = _limit(
-        (0.02, 5.0), "s", "refuses a timeout that is too long to protect, or too short"
-    )
+    state_timeout_range: tuple[float, float] = _limit((0.02, 5.0), "s", "refuses a timeout too long to protect")
     watchdog_rate_hz: float = _limit(10.0, "Hz", "ends the controller's program if this computer stalls or dies")
-    watchdog_rate_range: tuple[float, float] = _limit(
-        (0.25, 50.0), "Hz", "refuses a watchdog that is too slow, or too fast"
-    )
+    watchdog_rate_range: tuple[float, float] = _limit((0.25, 50.0), "Hz", "refuses a watchdog too slow to protect")
     heartbeat_period_s: float = _limit(0.02, "s", "is the time between two heartbeats that feed the watchdog")
     command_timeout_s: float = _limit(2.0, "s", "reports a controller that does not take commands")
     standing_speed: float = _limit(1e-3, "m/s and rad/s", "is the speed below which the tool stands")

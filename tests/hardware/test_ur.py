@@ -319,7 +319,7 @@ def test_stop_from_another_thread(above):
 
 @contextlib.contextmanager
 def amid(host, speed, fault):
-    """Do something once the arm moves faster than `speed` (m/s); yield a list that then holds the controller's status."""
+    """Do something once the arm moves faster than `speed` (m/s); yield a list that then holds its status."""
     began = []
 
     def act():

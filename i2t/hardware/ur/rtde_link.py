@@ -148,7 +148,7 @@ class RtdeConnection:
             raise NotConnectedError(f"The arm at {self.host} is not connected.")
         age = np.inf if state is None else time.monotonic() - state.arm.time
         if state is None or not age <= timeout:
-            raise self.give_up(f"The controller at {self.host} has sent no state for {age:.2f} s: it was told to stop.")
+            raise self.give_up(f"No state arrived from {self.host} for {age:.2f} s: the arm was told to stop.")
         return state
 
     def running(self, timeout: float) -> ArmState:
@@ -315,7 +315,7 @@ class RtdeConnection:
         if state is not None and state.arm.moving:
             age = now - state.arm.time
             if not age <= self.state_timeout:
-                self.give_up(f"The controller at {self.host} has sent no state for {age:.2f} s: it was told to stop.")
+                self.give_up(f"No state arrived from {self.host} for {age:.2f} s: the arm was told to stop.")
                 return
         if self._stop_requested and self._brake is None:
             if state is not None and not now - state.arm.time <= self.state_timeout:  # it would not answer a command
