@@ -218,7 +218,7 @@ class GuardedByPolling(DeviceBase):
         raise NotImplementedError
 
     def speed_share(self) -> float:
-        """Return the share of the requested speed that a person leaves the arm; the lowest share if it is unknown."""
+        """Return the share of the requested speed that a person allows now; the lowest share if unknown."""
         return SAFETY.min_speed_share
 
     # Methods of a guarded arm
@@ -294,7 +294,7 @@ class GuardedByPolling(DeviceBase):
         """Start a straight motion and return at once, as in `Arm.move`; by default as fast as the limits allow.
 
         A force above `MotionLimits.trip_force` or a torque above its limit ends the motion, and the next call of
-        `state` raises. A motion that begins above them, such as a retreat from a contact, ends when the load grows by a
+        `state` raises, unless `stop` was called first. A motion that begins above them, such as a retreat from a contact, ends when the load grows by a
         tenth.
         """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)

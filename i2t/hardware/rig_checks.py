@@ -146,8 +146,8 @@ def _tool(rig: Rig, plausible: PlausibleRig) -> Doubts:
     yield too_far, f"{key} puts the skin {1e3 * distance:.0f} mm from the flange; give metres, from 10 to 350 mm"
     behind = not too_far and place[2] < -low
     yield behind, f"{key} puts the skin {-1e3 * place[2]:.0f} mm behind the flange; it may be the inverse"
-    reversed_ = not (too_far or behind) and place @ axis < plausible.min_forward_cosine * distance
-    yield reversed_, f"{key} turns the skin back towards its flange; its third column must point out of the skin"
+    backwards = not (too_far or behind) and place @ axis < plausible.min_forward_cosine * distance
+    yield backwards, f"{key} turns the skin back towards its flange; its third column must point out of the skin"
     lightest, heaviest = plausible.mass
     wrong_mass = not lightest <= rig.mass <= heaviest
     yield wrong_mass, f"tool.mass is {rig.mass:g} kg; skin, camera and mount weigh {lightest:g} to {heaviest:g} kg"
