@@ -294,8 +294,8 @@ class GuardedByPolling(DeviceBase):
         """Start a straight motion and return at once, as in `Arm.move`; by default as fast as the limits allow.
 
         A force above `MotionLimits.trip_force` or a torque above its limit ends the motion, and the next call of
-        `state` raises, unless `stop` was called first. A motion that begins above them, such as a retreat from a contact, ends when the load grows by a
-        tenth.
+        `state` raises, unless `stop` was called first. A motion that begins above them, such as a retreat from a
+        contact, ends when the load grows by a tenth.
         """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         goal = np.array(T_b_t, float)

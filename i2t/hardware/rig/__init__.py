@@ -109,8 +109,8 @@ class Rig:
 
     def __post_init__(self) -> None:
         require_distinct(self.skin, self.skins)
-        for name, far in POSES.items():
-            object.__setattr__(self, name, _rigid(_key(name), getattr(self, name), far))
+        for name, max_offset in POSES.items():
+            object.__setattr__(self, name, _rigid(_key(name), getattr(self, name), max_offset))
         centre = _numbers("tool.centre", self.centre, (3,))
         reach = SAFETY.max_tool_offset_m
         if np.abs(centre).max() > reach:
@@ -316,8 +316,8 @@ def _numbers(key: str, value: Any, shape: tuple[int, ...]) -> Array:
     return array.astype(float)
 
 
-def _rigid(key: str, value: Any, far: float) -> Array:
-    T = validation.pose(key, _numbers(key, value, (4, 4)), farthest=far)
+def _rigid(key: str, value: Any, max_offset: float) -> Array:
+    T = validation.pose(key, _numbers(key, value, (4, 4)), farthest=max_offset)
     T = nearest_rigid(T)  # rounded digits make it slightly non-rigid
     T.flags.writeable = False
     return T
